@@ -1,0 +1,1 @@
+//! Session, guard, runner: one bench run from standstill to standstill.

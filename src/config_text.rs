@@ -1,0 +1,159 @@
+//! Strict TOML: an unknown key is an error with its line, its column and the nearest key that exists.
+
+use serde::de::DeserializeOwned;
+use thiserror::Error;
+
+/// A configuration text that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("{file}:{line}:{column}: {message}")]
+pub struct ConfigError {
+    pub file: String,
+    pub line: usize,
+    pub column: usize,
+    pub message: String,
+    pub help: String,
+}
+
+impl ConfigError {
+    /// An error at a byte offset of the text.
+    pub fn at(
+        file: &str,
+        text: &str,
+        offset: usize,
+        message: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        let before = &text[..offset.min(text.len())];
+        let line = before.matches('\n').count() + 1;
+        let column = before
+            .rsplit('\n')
+            .next()
+            .map_or(1, |tail| tail.chars().count() + 1);
+        Self {
+            file: file.to_owned(),
+            line,
+            column,
+            message: message.into(),
+            help: help.into(),
+        }
+    }
+}
+
+/// Parses `text` into `T`, whose structs carry `#[serde(deny_unknown_fields)]`. `file` names it in errors.
+pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigError> {
+    toml::from_str(text).map_err(|error| {
+        let message = error.message().trim().to_owned();
+        let help = help_for(&message);
+        let headline = message
+            .split(", expected")
+            .next()
+            .unwrap_or(&message)
+            .to_owned();
+        let headline = if headline.starts_with("unknown") {
+            headline
+        } else {
+            message.replace('\n', " ")
+        };
+        ConfigError::at(
+            file,
+            text,
+            error.span().map_or(0, |span| span.start),
+            headline,
+            help,
+        )
+    })
+}
+
+/// The name in `allowed` that is most like `given`.
+pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    allowed
+        .into_iter()
+        .map(|name| (edit_distance(given, name), name))
+        .min()
+        .filter(|(distance, name)| *distance <= name.len().max(given.len()).div_ceil(2))
+        .map(|(_, name)| name)
+}
+
+/// One help line for an unknown key: the nearest key, or all of them.
+pub fn help_for_unknown<'a>(
+    given: &str,
+    allowed: impl IntoIterator<Item = &'a str> + Clone,
+) -> String {
+    match nearest(given, allowed.clone()) {
+        Some(name) => format!("did you mean `{name}`?"),
+        None => format!(
+            "allowed: {}",
+            allowed.into_iter().collect::<Vec<_>>().join(", ")
+        ),
+    }
+}
+
+fn help_for(message: &str) -> String {
+    let mut quoted = message.split('`').skip(1).step_by(2);
+    match (message.starts_with("unknown"), quoted.next()) {
+        (true, Some(given)) => help_for_unknown(given, quoted),
+        _ => "see the commented examples in bench-configs/".to_owned(),
+    }
+}
+
+/// Levenshtein distance.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, from) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, to) in b.iter().enumerate() {
+            let substituted = diagonal + usize::from(from != *to);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Limits {
+        #[expect(dead_code, reason = "only the key's name matters here")]
+        current_a: f64,
+        #[expect(dead_code, reason = "only the key's name matters here")]
+        speed_rad_s: Option<f64>,
+    }
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_place_and_the_nearest_key() {
+        let error =
+            parse::<Limits>("limits.toml", "current_a = 3.0\nspeed_rads = 5\n").unwrap_err();
+        assert_eq!((error.line, error.column), (2, 1));
+        assert_eq!(error.message, "unknown field `speed_rads`");
+        assert_eq!(error.help, "did you mean `speed_rad_s`?");
+    }
+
+    #[test]
+    fn a_wrong_type_and_a_broken_text_have_a_place_too() {
+        assert_eq!(
+            parse::<Limits>("l", "\n\ncurrent_a = \"x\"\n")
+                .unwrap_err()
+                .line,
+            3
+        );
+        assert_eq!(
+            parse::<Limits>("l", "current_a = = 3\n").unwrap_err().line,
+            1
+        );
+    }
+
+    #[test]
+    fn nothing_is_near_to_something_altogether_different() {
+        assert_eq!(nearest("xyzzy", ["resistance_ohm"]), None);
+        assert_eq!(
+            nearest("inertia", ["inertia_kg_m2", "inductance_h"]),
+            Some("inertia_kg_m2")
+        );
+    }
+}

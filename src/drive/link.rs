@@ -1,0 +1,145 @@
+//! The one trait behind which every drive stands.
+
+use std::fmt;
+
+use serde::Serialize;
+use thiserror::Error;
+
+use crate::sample::{Command, Sample};
+
+/// What the drive says it is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Identity {
+    pub vendor: String,
+    pub product: String,
+    pub serial_number: String,
+    pub firmware: String,
+    pub protocol_version: u16,
+    /// True only where the drive itself says that it is software: everything else counts as hardware.
+    pub is_emulator: bool,
+    /// Command silence after which the drive itself stops the motor, s; `None`: no watchdog that we can read.
+    pub watchdog_s: Option<f64>,
+    /// The drive's own limits as read back; they bound what is asked of it.
+    pub current_limit_a: Option<f64>,
+    pub voltage_limit_v: Option<f64>,
+}
+
+/// Every exchange ends in exactly one of these classes; the sum is `sent`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct LinkStatistics {
+    pub sent: u64,
+    pub ok: u64,
+    pub timeout: u64,
+    pub crc: u64,
+    /// A reply that belongs to another request: wrong unit, function, length or echoed sequence number.
+    pub mismatch: u64,
+    pub exception: u64,
+    /// The transport failed (unplugged, peer gone).
+    pub io: u64,
+}
+
+impl LinkStatistics {
+    /// The accounting invariant: nothing that was sent is unaccounted for.
+    pub const fn balances(&self) -> bool {
+        self.sent == self.ok + self.timeout + self.crc + self.mismatch + self.exception + self.io
+    }
+
+    pub const fn lost(&self) -> u64 {
+        self.sent - self.ok
+    }
+}
+
+/// Why an exchange gave no sample. Transient classes cost one cycle; `Gone` ends the session.
+#[derive(Debug, Error)]
+pub enum LinkError {
+    #[error("{link}: cannot open: {reason}")]
+    Open { link: String, reason: String },
+    #[error("{link}: no reply within {deadline_ms} ms to {request}")]
+    Timeout {
+        link: String,
+        deadline_ms: u64,
+        request: String,
+    },
+    #[error("{link}: {reason}")]
+    Corrupt { link: String, reason: String },
+    #[error("{link}: the reply belongs to another request: {reason}")]
+    Mismatch { link: String, reason: String },
+    #[error("{link}: the drive refused {request}: exception {code:#04x} {name}")]
+    Exception {
+        link: String,
+        request: String,
+        code: u8,
+        name: &'static str,
+    },
+    #[error("{link}: the link is gone: {reason}")]
+    Gone { link: String, reason: String },
+    #[error("{link}: drive protocol version {found} is not {expected}, which this program speaks")]
+    Version {
+        link: String,
+        found: u16,
+        expected: u16,
+    },
+    #[error("{link}: {reason}")]
+    Identity { link: String, reason: String },
+}
+
+impl LinkError {
+    /// The next step for the person at the bench.
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Open { .. } => "check that the port exists and that no other program holds it",
+            Self::Timeout { .. } => {
+                "check wiring, baud rate and unit address; is the drive powered?"
+            }
+            Self::Corrupt { .. } => "check baud rate, parity, termination and shielding",
+            Self::Mismatch { .. } => {
+                "two devices may share the address, or a reply came late; see the link statistics"
+            }
+            Self::Exception { .. } => {
+                "the profile asks for something this drive does not have; check the register map"
+            }
+            Self::Gone { .. } => {
+                "the cable or the peer went away; the drive's watchdog must have stopped the motor"
+            }
+            Self::Version { .. } => "use the drivebench release that matches the drive's firmware",
+            Self::Identity { .. } => "check that the profile is the one of this drive",
+        }
+    }
+
+    /// Whether the next cycle may simply try again.
+    pub const fn is_transient(&self) -> bool {
+        matches!(
+            self,
+            Self::Timeout { .. } | Self::Corrupt { .. } | Self::Mismatch { .. }
+        )
+    }
+}
+
+/// What a link is called in messages and manifests: `/dev/ttyUSB0`, `tcp:host:502`, `sim:`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LinkName(pub String);
+
+impl fmt::Display for LinkName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// A drive at the far end of a wire: blocking, owned by one thread, every call bounded by an absolute deadline.
+pub trait DriveLink: Send {
+    fn name(&self) -> LinkName;
+
+    /// Reads who the drive is and what it limits itself to; checks the protocol version.
+    fn identify(&mut self) -> Result<Identity, LinkError>;
+
+    /// Sends one command and returns the sample that the drive took after applying it.
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError>;
+
+    /// Asks for zero output and makes sure of it: repeated until confirmed or `attempts` are used up.
+    fn stop(&mut self) -> Result<(), LinkError>;
+
+    fn statistics(&self) -> LinkStatistics;
+
+    /// Shortest cycle that this link carries at its baud rate, s; `None` when not limited by a line.
+    fn shortest_cycle_s(&self) -> Option<f64>;
+}

@@ -1,0 +1,1 @@
+//! The software drive: plant, state machine, registers, watchdog, line pacing.

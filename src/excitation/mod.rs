@@ -1,0 +1,1 @@
+//! Excitation programs: pure, seekable, seeded functions of time.

@@ -1,0 +1,1 @@
+//! Parameters from data: recursive on line, batch afterwards, with honest uncertainty.

@@ -1,0 +1,1 @@
+//! Mathematics without physics: least squares, Levenberg-Marquardt, matrix exponential, statistics.

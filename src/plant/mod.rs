@@ -1,0 +1,1 @@
+//! Motor, load and effects as equations; a model and its simulation.

@@ -1,0 +1,1 @@
+//! Run folders and CSV: writing while it runs, reading whatever is there.

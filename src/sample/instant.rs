@@ -1,0 +1,120 @@
+//! One measured instant.
+
+use super::Channel;
+
+/// How far a measured value may be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Quality {
+    Good,
+    /// Read, but older than the sample says.
+    Stale,
+    #[default]
+    Missing,
+}
+
+/// The drive's own state machine, as far as every drive has it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DriveState {
+    Disabled,
+    Ready,
+    Running,
+    Fault,
+}
+
+impl DriveState {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Disabled => "disabled",
+            Self::Ready => "ready",
+            Self::Running => "running",
+            Self::Fault => "fault",
+        }
+    }
+}
+
+/// When a command reached the motor: without it every run seems to have a command delay.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Applied {
+    /// Sequence number of the command, unwrapped.
+    pub seq: u64,
+    /// Drive time, s, unwrapped.
+    pub time_s: f64,
+}
+
+/// One measured instant: every quantity is optional and carries its own quality.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sample {
+    /// Drive time where the drive has a clock, else host time; s.
+    pub time_s: f64,
+    /// Host time at which the reply was complete; s.
+    pub host_time_s: Option<f64>,
+    pub seq: Option<u64>,
+    pub state: Option<DriveState>,
+    /// The drive's status word as read.
+    pub status: Option<u16>,
+    /// The drive's fault code, if it is in fault.
+    pub fault: Option<u16>,
+    /// The last command that the drive applied, and when.
+    pub applied: Option<Applied>,
+    values: [Option<f64>; Channel::COUNT],
+    stale: [bool; Channel::COUNT],
+}
+
+impl Sample {
+    pub fn at(time_s: f64) -> Self {
+        Self {
+            time_s,
+            ..Self::default()
+        }
+    }
+
+    /// The value of a channel, stale or good; `None` when missing.
+    pub fn get(&self, channel: Channel) -> Option<f64> {
+        self.values[channel.index()]
+    }
+
+    pub fn quality(&self, channel: Channel) -> Quality {
+        match (self.values[channel.index()], self.stale[channel.index()]) {
+            (None, _) => Quality::Missing,
+            (Some(_), true) => Quality::Stale,
+            (Some(_), false) => Quality::Good,
+        }
+    }
+
+    /// Sets a good value; a value that is not finite counts as missing.
+    pub fn set(&mut self, channel: Channel, value: f64) {
+        self.values[channel.index()] = value.is_finite().then_some(value);
+        self.stale[channel.index()] = false;
+    }
+
+    pub fn set_stale(&mut self, channel: Channel) {
+        self.stale[channel.index()] = true;
+    }
+
+    #[must_use]
+    pub fn with(mut self, channel: Channel, value: f64) -> Self {
+        self.set(channel, value);
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_that_is_not_finite_is_missing_not_zero() {
+        let sample = Sample::at(0.0).with(Channel::Current, f64::NAN);
+        assert_eq!(sample.get(Channel::Current), None);
+        assert_eq!(sample.quality(Channel::Current), Quality::Missing);
+    }
+
+    #[test]
+    fn staleness_ends_with_the_next_value() {
+        let mut sample = Sample::at(0.0).with(Channel::Speed, 1.0);
+        sample.set_stale(Channel::Speed);
+        assert_eq!(sample.quality(Channel::Speed), Quality::Stale);
+        sample.set(Channel::Speed, 2.0);
+        assert_eq!(sample.quality(Channel::Speed), Quality::Good);
+    }
+}

@@ -1,0 +1,23 @@
+//! What is measured and what is asked: the values that travel through every room.
+//!
+//! ```text
+//! wire bytes -> drive link -> Sample -> session -> Command -> drive link -> wire bytes
+//!                               |
+//!                            recording -> Run (columns) -> identification, diagnosis
+//! ```
+//!
+//! * [`Channel`] is the table of quantities: CSV header, plot axes and configuration keys come from it.
+//! * [`Sample`] is one measured instant; [`Command`] is what the host asks of the drive.
+//! * [`Run`] is a recorded data set; [`ParameterEstimate`] is a number that never goes without its uncertainty.
+
+mod channel;
+mod command;
+mod estimate;
+mod instant;
+mod run;
+
+pub use channel::Channel;
+pub use command::{Command, Demand};
+pub use estimate::{ParameterEstimate, Verdict};
+pub use instant::{Applied, DriveState, Quality, Sample};
+pub use run::{Origin, Run, RunError};

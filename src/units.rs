@@ -1,0 +1,40 @@
+//! The only unit conversions in the program: everything else is SI, in `f64`, with the unit in the name.
+
+use std::f64::consts::TAU;
+
+/// Converts revolutions per minute to radians per second.
+pub fn rad_s_from_rpm(rpm: f64) -> f64 {
+    rpm * TAU / 60.0
+}
+
+/// Converts radians per second to revolutions per minute.
+pub fn rpm_from_rad_s(speed_rad_s: f64) -> f64 {
+    speed_rad_s * 60.0 / TAU
+}
+
+/// Converts an angle in radians to turns.
+pub fn turns_from_rad(angle_rad: f64) -> f64 {
+    angle_rad / TAU
+}
+
+/// Converts a back-EMF constant from V.s/rad to volts per 1000 r/min.
+pub fn v_per_krpm_from_v_s_per_rad(back_emf_v_s_per_rad: f64) -> f64 {
+    back_emf_v_s_per_rad * rad_s_from_rpm(1000.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_turn_per_second_is_sixty_rpm() {
+        assert!((rpm_from_rad_s(TAU) - 60.0).abs() < 1e-12);
+        assert!((rad_s_from_rpm(60.0) - TAU).abs() < 1e-12);
+    }
+
+    #[test]
+    fn volts_per_krpm_of_the_paper_motor() {
+        // paper B: 0.097 V/(r/min) = 97 V/krpm = 0.9263 V.s/rad
+        assert!((v_per_krpm_from_v_s_per_rad(0.926_282) - 97.0).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,1 @@
+//! The order of the loop, as a pure state machine.
