@@ -1,1 +1,25 @@
-//! Motor, load and effects as equations; a model and its simulation.
+//! Motor, load and effects as equations; a model, its file and its simulation.
+//!
+//! ```text
+//! Motor + [Effect] = Model --(compile)--> Plant --(simulate over a Scenario)--> Trajectory
+//!   ^                                                     ^
+//!   |  model.toml (model_file)                            |  voltage as applied, true sample times
+//! ```
+//!
+//! Baseline, PHYSICS.md section 2: `L di/dt = u - R i - Ke w`, `J dw/dt = Kt i - Mc sgn(w)`, with true stiction.
+//! An effect is one file under `effect/` and one line in its catalogue.
+
+pub mod effect;
+mod model;
+mod model_file;
+mod motor;
+mod propagator;
+mod scenario;
+mod simulate;
+
+pub use effect::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+pub use model::{ActiveEffect, Model, ModelError, Slot};
+pub use model_file::{FileHistory, FittedValue, ModelFile};
+pub use motor::{Motor, MotorKey};
+pub use scenario::{Input, Scenario, ScenarioError};
+pub use simulate::{Plant, State, Trajectory};

@@ -1,0 +1,39 @@
+use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+
+/// Drop across brushes or switches: its size hardly depends on the current, its sign does.
+pub(super) struct VoltageDrop;
+
+/// Current over which the drop builds up, A; the sign of the current, smoothed.
+const SMOOTHING_A: f64 = 0.1;
+
+struct Drop(f64);
+
+impl Effect for VoltageDrop {
+    fn card(&self) -> &'static Card {
+        &Card {
+            id: "voltage_drop",
+            name: "voltage drop",
+            balance: Balance::Voltage,
+            equation: "U = Ud sgn(i), smoothed over 0.1 A",
+            causes: "brush contact, transistor and diode drops, dead time of the inverter",
+            looks_like: "voltage error that jumps when the current changes its sign",
+            excite: "current reversals, and small currents as well as large ones",
+            remedy: "dead-time compensation in the drive; feed-forward of Ud sgn(i)",
+        }
+    }
+
+    fn parameters(&self) -> &'static [ParameterSpec] {
+        const P: &[ParameterSpec] = &[ParameterSpec::coefficient("drop_v", "V", f64::MAX, 1.0)];
+        P
+    }
+
+    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
+        Box::new(Drop(values[0]))
+    }
+}
+
+impl Terms for Drop {
+    fn voltage_v(&self, at: &Instant, _own: &[f64], _resistance_ohm: f64) -> f64 {
+        self.0 * (at.current_a / SMOOTHING_A).tanh()
+    }
+}

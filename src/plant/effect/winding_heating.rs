@@ -1,0 +1,53 @@
+use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+
+/// Resistance that rises as the winding takes up its own loss.
+pub(super) struct WindingHeating;
+
+struct Heat {
+    gain_per_a2_s: f64,
+    time_constant_s: f64,
+}
+
+impl Effect for WindingHeating {
+    fn card(&self) -> &'static Card {
+        &Card {
+            id: "winding_heating",
+            name: "winding heating",
+            balance: Balance::Voltage,
+            equation: "U = R g x i, dx/dt = i^2 - x/tau: the resistance rises with the heat x taken up",
+            causes: "copper loss: +39 % resistance per 100 K",
+            looks_like: "voltage error that drifts over seconds and follows the current",
+            excite: "a hard part first, then repeat the first part: hot against cold",
+            remedy: "name the temperature with every resistance; let the winding cool between runs",
+        }
+    }
+
+    fn parameters(&self) -> &'static [ParameterSpec] {
+        const P: &[ParameterSpec] = &[
+            ParameterSpec::coefficient("gain_per_a2_s", "1/(A2.s)", f64::MAX, 1e-3),
+            ParameterSpec::shape("time_constant_s", "s", (1.0, 2000.0), &[5.0, 20.0, 80.0]),
+        ];
+        P
+    }
+
+    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
+        Box::new(Heat {
+            gain_per_a2_s: values[0],
+            time_constant_s: values[1],
+        })
+    }
+}
+
+impl Terms for Heat {
+    fn voltage_v(&self, at: &Instant, own: &[f64], resistance_ohm: f64) -> f64 {
+        resistance_ohm * self.gain_per_a2_s * own[0] * at.current_a
+    }
+
+    fn states(&self) -> usize {
+        1
+    }
+
+    fn derivative(&self, at: &Instant, own: &[f64], out: &mut [f64]) {
+        out[0] = at.current_a * at.current_a - own[0] / self.time_constant_s;
+    }
+}

@@ -1,0 +1,311 @@
+//! Baseline motor plus the effects that were added to it.
+
+use thiserror::Error;
+
+use super::effect::{self, Effect, ParameterSpec};
+use super::motor::{Motor, MotorKey};
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ModelError {
+    #[error("effect {id:?} is not in the catalogue")]
+    UnknownEffect { id: String },
+    #[error("effect {id:?} is in the model already")]
+    Duplicate { id: String },
+    #[error("effect {id:?} is not in the model")]
+    Absent { id: String },
+    #[error("{key} = {value} is not allowed (expected {allowed})")]
+    Value {
+        key: String,
+        value: f64,
+        allowed: String,
+    },
+    #[error("parameter {key:?} is not one of this model")]
+    UnknownParameter { key: String },
+    #[error("{key} has no value: identify the model first, or give it in the model file")]
+    Unset { key: String },
+}
+
+impl ModelError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::UnknownEffect { .. } => "`drivebench effects` lists the catalogue",
+            Self::Duplicate { .. } | Self::Absent { .. } => {
+                "see the [[effect]] tables of the model file"
+            }
+            Self::Value { .. } | Self::UnknownParameter { .. } => {
+                "see the commented example in bench-configs/"
+            }
+            Self::Unset { .. } => "run `drivebench identify RUN --model MODEL.toml` first",
+        }
+    }
+}
+
+/// An effect in a model; a value left out is to be fitted.
+#[derive(Clone)]
+pub struct ActiveEffect {
+    pub effect: &'static dyn Effect,
+    pub values: Vec<Option<f64>>,
+}
+
+impl std::fmt::Debug for ActiveEffect {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ActiveEffect")
+            .field("id", &self.id())
+            .field("values", &self.values)
+            .finish()
+    }
+}
+
+impl ActiveEffect {
+    pub fn new(effect: &'static dyn Effect) -> Self {
+        Self {
+            effect,
+            values: vec![None; effect.parameters().len()],
+        }
+    }
+
+    pub fn id(&self) -> &'static str {
+        self.effect.card().id
+    }
+
+    /// Values in the order of the effect's parameters, the unset ones at their first guess.
+    pub fn values_or_guess(&self) -> Vec<f64> {
+        let specs = self.effect.parameters();
+        self.values
+            .iter()
+            .zip(specs)
+            .map(|(value, spec)| value.unwrap_or_else(|| spec.guess()))
+            .collect()
+    }
+}
+
+/// One parameter of a model: a motor key or an effect's.
+#[derive(Clone, Copy, Debug)]
+pub enum Slot {
+    Motor(MotorKey),
+    Effect {
+        index: usize,
+        parameter: usize,
+        spec: &'static ParameterSpec,
+        id: &'static str,
+    },
+}
+
+impl Slot {
+    /// `inertia_kg_m2`, or `stribeck_friction.stribeck_n_m`.
+    pub fn key(&self) -> String {
+        match self {
+            Self::Motor(key) => key.key().to_owned(),
+            Self::Effect { spec, id, .. } => format!("{id}.{}", spec.key),
+        }
+    }
+
+    pub const fn unit(&self) -> &'static str {
+        match self {
+            Self::Motor(key) => key.unit(),
+            Self::Effect { spec, .. } => spec.unit,
+        }
+    }
+}
+
+/// A motor and its effects; `fixed` lists the parameters that a fit leaves alone.
+#[derive(Clone, Debug, Default)]
+pub struct Model {
+    pub motor: Motor,
+    pub effects: Vec<ActiveEffect>,
+    pub fixed: Vec<String>,
+}
+
+impl Model {
+    pub fn baseline(motor: Motor) -> Self {
+        Self {
+            motor,
+            ..Self::default()
+        }
+    }
+
+    /// Every parameter of the model. The torque constant is one only where the motor gives it, and the electrical keys
+    /// only where the model is electrical.
+    pub fn slots(&self) -> Vec<Slot> {
+        let mechanical_only = self.is_mechanical_only();
+        let mut slots: Vec<Slot> = MotorKey::ALL
+            .into_iter()
+            .filter(|key| !(mechanical_only && key.is_electrical()))
+            .filter(|key| *key != MotorKey::TorqueConstant || self.motor.get(*key).is_some())
+            .map(Slot::Motor)
+            .collect();
+        for (index, active) in self.effects.iter().enumerate() {
+            for (parameter, spec) in active.effect.parameters().iter().enumerate() {
+                slots.push(Slot::Effect {
+                    index,
+                    parameter,
+                    spec,
+                    id: active.id(),
+                });
+            }
+        }
+        slots
+    }
+
+    /// Slots that a fit may change. A given torque constant is never fitted: the torque balance fixes only the ratios
+    /// of torque constant, inertia and load (DISCOVERY.md 2.2).
+    pub fn free_slots(&self) -> Vec<Slot> {
+        let mut slots = self.slots();
+        slots.retain(|slot| {
+            !self.fixed.contains(&slot.key())
+                && !matches!(slot, Slot::Motor(MotorKey::TorqueConstant))
+        });
+        slots
+    }
+
+    /// True when no electrical key is given: only the torque balance can be used.
+    pub fn is_mechanical_only(&self) -> bool {
+        let mechanical = self.motor.get(MotorKey::Inertia).is_some()
+            || self.motor.get(MotorKey::LoadTorque).is_some();
+        mechanical
+            && MotorKey::ALL
+                .into_iter()
+                .filter(|key| key.is_electrical())
+                .all(|key| self.motor.get(key).is_none())
+    }
+
+    pub fn get(&self, slot: &Slot) -> Option<f64> {
+        match *slot {
+            Slot::Motor(key) => self.motor.get(key),
+            Slot::Effect {
+                index, parameter, ..
+            } => self.effects[index].values[parameter],
+        }
+    }
+
+    pub fn set(&mut self, slot: &Slot, value: f64) {
+        match *slot {
+            Slot::Motor(key) => self.motor.set(key, value),
+            Slot::Effect {
+                index, parameter, ..
+            } => self.effects[index].values[parameter] = Some(value),
+        }
+    }
+
+    pub fn effect_ids(&self) -> Vec<&'static str> {
+        self.effects.iter().map(ActiveEffect::id).collect()
+    }
+
+    pub fn has(&self, id: &str) -> bool {
+        self.effects.iter().any(|active| active.id() == id)
+    }
+
+    /// The model with one more effect, its parameters to be fitted.
+    pub fn with_effect(&self, id: &str) -> Result<Self, ModelError> {
+        if self.has(id) {
+            return Err(ModelError::Duplicate { id: id.to_owned() });
+        }
+        let effect =
+            effect::find(id).ok_or_else(|| ModelError::UnknownEffect { id: id.to_owned() })?;
+        let mut model = self.clone();
+        model.effects.push(ActiveEffect::new(effect));
+        Ok(model)
+    }
+
+    /// The model with one effect less.
+    pub fn without_effect(&self, id: &str) -> Result<Self, ModelError> {
+        if !self.has(id) {
+            return Err(ModelError::Absent { id: id.to_owned() });
+        }
+        let mut model = self.clone();
+        model.effects.retain(|active| active.id() != id);
+        let prefix = format!("{id}.");
+        model.fixed.retain(|key| !key.starts_with(&prefix));
+        Ok(model)
+    }
+
+    /// Checks that every given value is finite, positive where physics wants it, and within its bounds.
+    pub fn validate(&self) -> Result<(), ModelError> {
+        let refuse = |key: String, value: f64, allowed: &str| {
+            Err(ModelError::Value {
+                key,
+                value,
+                allowed: allowed.to_owned(),
+            })
+        };
+        for slot in self.slots() {
+            let Some(value) = self.get(&slot) else {
+                continue;
+            };
+            match &slot {
+                Slot::Motor(MotorKey::LoadTorque) if !(value >= 0.0 && value.is_finite()) => {
+                    return refuse(slot.key(), value, "0 or more");
+                }
+                Slot::Motor(key)
+                    if *key != MotorKey::LoadTorque && !(value > 0.0 && value.is_finite()) =>
+                {
+                    return refuse(slot.key(), value, "a number above 0");
+                }
+                Slot::Effect { spec, .. } if !(spec.min..=spec.max).contains(&value) => {
+                    let allowed = if spec.is_coefficient() {
+                        "a finite number".to_owned()
+                    } else {
+                        format!("{} to {} {}", spec.min, spec.max, spec.unit)
+                    };
+                    return refuse(slot.key(), value, &allowed);
+                }
+                _ => {}
+            }
+        }
+        let keys: Vec<String> = self.slots().iter().map(Slot::key).collect();
+        match self.fixed.iter().find(|key| !keys.contains(key)) {
+            Some(key) => Err(ModelError::UnknownParameter { key: key.clone() }),
+            None => Ok(()),
+        }
+    }
+
+    /// A parameter that has no value and is not to be fitted, if there is one.
+    pub fn require_complete(&self) -> Result<(), ModelError> {
+        match self.slots().iter().find(|slot| self.get(slot).is_none()) {
+            Some(slot) => Err(ModelError::Unset { key: slot.key() }),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn effects_are_added_once_and_removed_with_their_fixed_keys() {
+        let base = Model::baseline(Motor::zk_22fc());
+        let mut more = base.with_effect("stribeck_friction").unwrap();
+        more.fixed
+            .push("stribeck_friction.stribeck_speed_rad_s".to_owned());
+        assert!(more.validate().is_ok());
+        assert!(matches!(
+            more.with_effect("stribeck_friction"),
+            Err(ModelError::Duplicate { .. })
+        ));
+        let back = more.without_effect("stribeck_friction").unwrap();
+        assert!(back.effects.is_empty() && back.fixed.is_empty());
+        assert!(matches!(
+            base.with_effect("gremlins"),
+            Err(ModelError::UnknownEffect { .. })
+        ));
+    }
+
+    #[test]
+    fn a_negative_inertia_and_nan_are_refused() {
+        for value in [-1.0, 0.0, f64::NAN, f64::INFINITY] {
+            let motor = Motor::zk_22fc().with(MotorKey::Inertia, value);
+            assert!(Model::baseline(motor).validate().is_err(), "{value}");
+        }
+    }
+
+    #[test]
+    fn a_mechanical_model_has_no_electrical_slots() {
+        let motor = Motor::new("axis")
+            .with(MotorKey::Inertia, 90.0)
+            .with(MotorKey::LoadTorque, 10.0);
+        let model = Model::baseline(motor);
+        assert_eq!(model.slots().len(), 2);
+        assert!(Model::baseline(Motor::new("unknown")).slots().len() == 5);
+    }
+}

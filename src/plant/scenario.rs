@@ -1,0 +1,225 @@
+//! What a simulation needs of a run: the input as applied, the instants at which something was measured, the angle.
+
+use std::ops::Range;
+
+use thiserror::Error;
+
+use crate::sample::{Channel, Origin, Run};
+
+/// What drives the model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// Voltage, held from each event to the next.
+    Voltage,
+    /// Current as measured: only the torque balance is simulated.
+    Current,
+    /// Torque as given: only the torque balance is simulated, with a torque constant of one.
+    Torque,
+}
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ScenarioError {
+    #[error("run {run:?} has no voltage, and neither current nor torque in its place")]
+    NoInput { run: String },
+    #[error("run {run:?} has {rows} usable rows, at least {needed} are needed")]
+    TooShort {
+        run: String,
+        rows: usize,
+        needed: usize,
+    },
+}
+
+impl ScenarioError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::NoInput { .. } => {
+                "map a column with --map voltage_v=HEADER (or torque_n_m=HEADER)"
+            }
+            Self::TooShort { .. } => "record a longer run, or check the time column",
+        }
+    }
+}
+
+/// A run prepared for simulation and comparison. Times are those of the run's stamps.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    pub name: String,
+    pub input: Input,
+    /// Which column served as input.
+    pub input_channel: Channel,
+    /// `(time, value)`, held until the next; strictly increasing.
+    pub events: Vec<(f64, f64)>,
+    pub sample_time_s: Vec<f64>,
+    /// Measured current at the sample times, NaN where missing.
+    pub current_a: Vec<f64>,
+    /// Measured speed at the sample times, NaN where missing.
+    pub speed_rad_s: Vec<f64>,
+    /// Measured angle `(time, angle)`; an exogenous input of effects of position. Empty: the speed is integrated.
+    pub angle: Vec<(f64, f64)>,
+    /// The samples that count in residuals: all, or the tail where a run was split for validation.
+    pub scored: Range<usize>,
+}
+
+/// Rows below which nothing can be said about a motor.
+const FEWEST_ROWS: usize = 20;
+
+impl Scenario {
+    /// Prepares the voltage-driven simulation of `run`, or the mechanical one where there is no voltage.
+    pub fn from_run(run: &Run) -> Result<Self, ScenarioError> {
+        let (input, channel) = input_of(run).ok_or_else(|| ScenarioError::NoInput {
+            run: run.name.clone(),
+        })?;
+        let events: Vec<(f64, f64)> = run.points(channel).collect();
+        let start_s = events.first().map_or(f64::INFINITY, |first| first.0);
+        let nothing = vec![f64::NAN; run.rows()];
+        let current = run.column(Channel::Current).unwrap_or(&nothing);
+        let speed = run.column(Channel::Speed).unwrap_or(&nothing);
+        let mut scenario = Self {
+            name: run.name.clone(),
+            input,
+            input_channel: channel,
+            events,
+            sample_time_s: Vec::with_capacity(run.rows()),
+            current_a: Vec::with_capacity(run.rows()),
+            speed_rad_s: Vec::with_capacity(run.rows()),
+            angle: run.points(Channel::Angle).collect(),
+            scored: 0..0,
+        };
+        for (row, &time_s) in run.time_s().iter().enumerate() {
+            if time_s >= start_s && (current[row].is_finite() || speed[row].is_finite()) {
+                scenario.sample_time_s.push(time_s);
+                scenario.current_a.push(current[row]);
+                scenario.speed_rad_s.push(speed[row]);
+            }
+        }
+        let rows = scenario.sample_time_s.len();
+        if rows < FEWEST_ROWS {
+            return Err(ScenarioError::TooShort {
+                run: run.name.clone(),
+                rows,
+                needed: FEWEST_ROWS,
+            });
+        }
+        scenario.scored = 0..rows;
+        Ok(scenario)
+    }
+
+    pub fn samples(&self) -> usize {
+        self.sample_time_s.len()
+    }
+
+    /// The first part and the whole with only its last part scored: a split of one run into training and hold-out.
+    /// The hold-out is simulated from the start, so that no state has to be guessed in the middle.
+    pub fn split(&self, training_share: f64) -> (Self, Self) {
+        let cut = (self.samples() as f64 * training_share).round() as usize;
+        let (mut training, mut holdout) = (self.clone(), self.clone());
+        training.name = format!("{} (first {:.0} %)", self.name, 100.0 * training_share);
+        training.sample_time_s.truncate(cut);
+        training.current_a.truncate(cut);
+        training.speed_rad_s.truncate(cut);
+        training.scored = 0..cut;
+        holdout.name = format!(
+            "{} (last {:.0} %)",
+            self.name,
+            100.0 * (1.0 - training_share)
+        );
+        holdout.scored = cut..self.samples();
+        (training, holdout)
+    }
+
+    /// Samples of the leading standstill with the input at zero.
+    pub fn leading_standstill(&self) -> Range<usize> {
+        let moved_s = self
+            .events
+            .iter()
+            .find(|(_, value)| *value != 0.0)
+            .map_or(f64::INFINITY, |event| event.0);
+        0..self.sample_time_s.partition_point(|time| *time < moved_s)
+    }
+}
+
+/// The column that drives the model. A commanded voltage with the instants at which it was applied tells when the
+/// voltage changed; a measured one only what it was at the sample, so it serves where there is no command.
+fn input_of(run: &Run) -> Option<(Input, Channel)> {
+    let has = |channel| run.points(channel).next().is_some();
+    let stamped = run.origin(Channel::VoltageCmd) == Origin::Commanded && has(Channel::VoltageCmd);
+    if has(Channel::Voltage) && !(stamped && run.origin(Channel::Voltage) == Origin::Measured) {
+        Some((Input::Voltage, Channel::Voltage))
+    } else if has(Channel::VoltageCmd) {
+        Some((Input::Voltage, Channel::VoltageCmd))
+    } else if has(Channel::Torque) {
+        Some((Input::Torque, Channel::Torque))
+    } else if has(Channel::Current) {
+        Some((Input::Current, Channel::Current))
+    } else {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(origin: Origin) -> Run {
+        let rows = 40;
+        let mut run = Run::new("r", (0..rows).map(|row| f64::from(row) * 0.01).collect()).unwrap();
+        let cells = |value: f64| vec![value; rows as usize];
+        run.set_column(Channel::VoltageCmd, cells(2.0), origin)
+            .unwrap();
+        run.set_column(Channel::Voltage, cells(1.9), Origin::Measured)
+            .unwrap();
+        run.set_column(Channel::Speed, cells(0.0), Origin::Measured)
+            .unwrap();
+        run
+    }
+
+    #[test]
+    fn a_stamped_command_beats_an_instantaneous_measurement() {
+        assert_eq!(
+            Scenario::from_run(&run(Origin::Commanded))
+                .unwrap()
+                .input_channel,
+            Channel::VoltageCmd
+        );
+        assert_eq!(
+            Scenario::from_run(&run(Origin::Unknown))
+                .unwrap()
+                .input_channel,
+            Channel::Voltage
+        );
+    }
+
+    #[test]
+    fn rows_before_the_first_voltage_are_not_used() {
+        let mut late = run(Origin::Commanded);
+        let mut cells = vec![f64::NAN; 40];
+        cells[15] = 3.0;
+        late.set_column(Channel::VoltageCmd, cells, Origin::Commanded)
+            .unwrap();
+        let scenario = Scenario::from_run(&late).unwrap();
+        assert_eq!(scenario.samples(), 25);
+        assert_eq!(scenario.events, vec![(0.15, 3.0)]);
+    }
+
+    #[test]
+    fn a_split_scores_the_tail_but_starts_at_the_beginning() {
+        let (training, holdout) = Scenario::from_run(&run(Origin::Commanded))
+            .unwrap()
+            .split(0.6);
+        assert_eq!((training.samples(), training.scored), (24, 0..24));
+        assert_eq!((holdout.samples(), holdout.scored), (40, 24..40));
+    }
+
+    #[test]
+    fn too_few_rows_and_no_input_are_named() {
+        let short = run(Origin::Commanded).slice(0, 5, "short");
+        assert!(matches!(
+            Scenario::from_run(&short),
+            Err(ScenarioError::TooShort { rows: 5, .. })
+        ));
+        assert!(matches!(
+            Scenario::from_run(&Run::new("empty", vec![]).unwrap()),
+            Err(ScenarioError::NoInput { .. })
+        ));
+    }
+}

@@ -1,0 +1,192 @@
+use super::*;
+use crate::plant::{Model, Motor};
+
+fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -> Scenario {
+    Scenario {
+        name: "test".into(),
+        input: Input::Voltage,
+        input_channel: crate::sample::Channel::Voltage,
+        events,
+        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
+        current_a: vec![f64::NAN; samples],
+        speed_rad_s: vec![f64::NAN; samples],
+        angle: Vec::new(),
+        scored: 0..samples,
+    }
+}
+
+fn model(effects: &[(&str, &[f64])]) -> Model {
+    let mut model = Model::baseline(Motor::zk_22fc());
+    for (id, values) in effects {
+        model = model.with_effect(id).unwrap();
+        model.effects.last_mut().unwrap().values = values.iter().copied().map(Some).collect();
+    }
+    model
+}
+
+/// Independent formulation: small Runge-Kutta steps, friction regularised over a very narrow band of speed.
+fn reference(
+    events: &[(f64, f64)],
+    until_s: f64,
+    drag: f64,
+    stribeck: (f64, f64),
+    drop_v: f64,
+) -> (f64, f64) {
+    let (r, l, ke, j, mc) = (1.1, 0.0099, 0.3538, 0.0045, 0.455);
+    let h = 2e-6;
+    let (mut i, mut w) = (0.0f64, 0.0f64);
+    let steps = (until_s / h).round() as usize;
+    for step in 0..steps {
+        let t = step as f64 * h;
+        let u = events
+            .iter()
+            .rev()
+            .find(|(at, _)| *at <= t + 1e-12)
+            .unwrap()
+            .1;
+        let f = |i: f64, w: f64| {
+            let level = mc + stribeck.0 * (-(w / stribeck.1).powi(2)).exp();
+            [
+                (u - r * i - ke * w - drop_v * (i / 0.1).tanh()) / l,
+                (ke * i - drag * w - level * (w / 1e-3).tanh()) / j,
+            ]
+        };
+        let k1 = f(i, w);
+        let k2 = f(i + 0.5 * h * k1[0], w + 0.5 * h * k1[1]);
+        i += h * k2[0];
+        w += h * k2[1];
+    }
+    (i, w)
+}
+
+#[test]
+fn a_locked_start_rises_with_the_electrical_time_constant() {
+    // 1 V drives 0.9 A: 0.32 N.m, below the Coulomb level, so the shaft stays and i = u/R (1 - exp(-t R/L)).
+    let out = Plant::new(&model(&[]), Input::Voltage)
+        .unwrap()
+        .simulate(&scenario(vec![(0.0, 1.0)], 0.003, 10), State::default());
+    for (k, current) in out.current_a.iter().enumerate() {
+        let expected = (1.0 - (-(k as f64) * 0.003 / 0.009).exp()) / 1.1;
+        assert!(
+            (current - expected).abs() < 1e-12,
+            "{k}: {current} {expected}"
+        );
+    }
+    assert!(out.speed_rad_s.iter().all(|speed| *speed == 0.0));
+}
+
+#[test]
+fn steady_speed_under_voltage_is_the_closed_form() {
+    let out = Plant::new(&model(&[]), Input::Voltage)
+        .unwrap()
+        .simulate(&scenario(vec![(0.0, 60.0)], 0.01, 200), State::default());
+    let current = 0.455 / 0.3538;
+    assert!((out.current_a[199] - current).abs() < 1e-9);
+    assert!((out.speed_rad_s[199] - (60.0 - 1.1 * current) / 0.3538).abs() < 1e-8);
+}
+
+#[test]
+fn stick_slip_and_effects_agree_with_tiny_regularised_steps() {
+    // Reversals, a creep through zero and holds at rest.
+    let events = vec![
+        (0.0, 0.0),
+        (0.05, 20.0),
+        (0.25, -12.0),
+        (0.5, 2.0),
+        (0.6, -1.0),
+        (0.7, 3.0),
+        (0.8, 0.0),
+        (0.95, -30.0),
+    ];
+    for (effects, drag, stribeck, drop_v) in [
+        (vec![], 0.0, (0.0, 1.0), 0.0),
+        (
+            vec![("viscous_friction", &[4e-3][..])],
+            4e-3,
+            (0.0, 1.0),
+            0.0,
+        ),
+        (
+            vec![("stribeck_friction", &[0.2, 8.0][..])],
+            0.0,
+            (0.2, 8.0),
+            0.0,
+        ),
+        (vec![("voltage_drop", &[0.9][..])], 0.0, (0.0, 1.0), 0.9),
+    ] {
+        for period_s in [0.001, 0.01] {
+            let samples = (1.1 / period_s) as usize;
+            let out = Plant::new(&model(&effects), Input::Voltage)
+                .unwrap()
+                .simulate(
+                    &scenario(events.clone(), period_s, samples),
+                    State::default(),
+                );
+            for until in [0.3, 0.54, 0.66, 0.79, 1.0] {
+                let k = (until / period_s + 0.5) as usize;
+                let (i, w) = reference(&events, k as f64 * period_s, drag, stribeck, drop_v);
+                let (di, dw) = (out.current_a[k] - i, out.speed_rad_s[k] - w);
+                assert!(
+                    di.abs() < 0.01 && dw.abs() < 0.02,
+                    "{effects:?} {period_s} {until}: {di} {dw} of {i} {w}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn sampling_more_often_changes_nothing() {
+    let events = vec![
+        (0.0, 0.0),
+        (0.05, 40.0),
+        (0.4, -35.0),
+        (0.8, 0.5),
+        (0.9, 0.0),
+    ];
+    let run = |period_s: f64, samples| {
+        Plant::new(&model(&[]), Input::Voltage).unwrap().simulate(
+            &scenario(events.clone(), period_s, samples),
+            State::default(),
+        )
+    };
+    let (coarse, fine) = (run(0.01, 101), run(0.001, 1001));
+    for k in 0..101 {
+        assert!(
+            (coarse.speed_rad_s[k] - fine.speed_rad_s[10 * k]).abs() < 1e-6,
+            "{k}"
+        );
+        assert!(
+            (coarse.current_a[k] - fine.current_a[10 * k]).abs() < 1e-6,
+            "{k}"
+        );
+    }
+}
+
+#[test]
+fn a_mechanical_run_integrates_the_torque() {
+    let mut plant = Plant::new(&model(&[]), Input::Torque).unwrap();
+    let mut torque = scenario(vec![(0.0, 1.455), (0.5, 0.0)], 0.01, 101);
+    torque.input = Input::Torque;
+    let out = plant.simulate(&torque, State::default());
+    assert!((out.speed_rad_s[50] - 0.5 / 0.0045).abs() < 1e-9);
+    // Coasts down on a straight line of slope Mc/J.
+    assert!((out.speed_rad_s[60] - (0.5 - 0.0455) / 0.0045).abs() < 1e-8);
+    assert!((out.speed_rad_s[50] - out.speed_rad_s[75] - 0.25 * 0.455 / 0.0045).abs() < 1e-8);
+}
+
+#[test]
+fn heating_raises_the_resistance_as_its_state_says() {
+    // Locked (current below breakaway): x' = i^2 - x/tau with i nearly constant.
+    let heated = model(&[("winding_heating", &[0.05, 5.0][..])]);
+    let out = Plant::new(&heated, Input::Voltage)
+        .unwrap()
+        .simulate(&scenario(vec![(0.0, 1.0)], 0.01, 3000), State::default());
+    let i = out.current_a[2999];
+    let heat = 5.0 * i * i * (1.0 - (-30.0f64 / 5.0).exp());
+    // The current moved by a few per cent on the way, so the closed form holds to a per mille.
+    assert!(
+        (i * 1.1 * (1.0 + 0.05 * heat) - 1.0).abs() < 2e-3,
+        "{i} {heat}"
+    );
+}
