@@ -1,0 +1,426 @@
+//! The guard: no command leaves and no sample passes without it. Pure; time comes in.
+//!
+//! ```text
+//! wanted demand -> shape (slew, voltage, winding) -> demand to the drive      every change of a demand is reported
+//! sample        -> watch (limits, signals, clocks, drive state) -> Trip       latched until `rearm` in a safe state
+//! ```
+//!
+//! After a trip `shape` returns zero output for whatever it is asked. It is a second line behind the drive's own limits
+//! and watchdog, not a safety function: a host at 100 Hz sees a current of 9 ms time constant too late. So the voltage
+//! across the winding is bounded before it is applied: `abs(u - Ke w) <= limit R`, unless the drive limits the current.
+
+mod shape;
+mod trip;
+
+pub use shape::{Causes, Shaped};
+pub use trip::{Trip, TripKind};
+
+use thiserror::Error;
+
+use super::limits::{Limits, Nameplate};
+use crate::sample::{Channel, Demand, DriveState, Sample};
+
+/// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends (LINKS.md 5.3: 38).
+const ALLOWED_IN_A_ROW: u32 = 3;
+/// Time that a drive may take from the command to run until it reports that it does, s.
+const ENABLE_TIME_S: f64 = 1.0;
+/// A drive that ran and left that state by itself is given this long (one late status word), s.
+const LEFT_RUNNING_S: f64 = 0.05;
+/// Measured voltage may exceed the commanded limit by this share: ripple, noise and calibration of the drive.
+const VOLTAGE_MARGIN: f64 = 1.1;
+/// Share of the speed and current limits below which a motor counts as at rest for re-arming.
+const REST_SHARE: f64 = 0.02;
+
+/// Why the guard stays latched.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum RearmError {
+    #[error("not at rest: {name} {value:.3} {unit}, at most {limit:.3} {unit} is allowed")]
+    Moving {
+        name: &'static str,
+        value: f64,
+        limit: f64,
+        unit: &'static str,
+    },
+    #[error("the drive is in state {state:?}, it must be disabled or ready")]
+    State { state: &'static str },
+    #[error("no valid sample yet")]
+    NoSample,
+}
+
+impl RearmError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Moving { .. } => "wait until the shaft stands still",
+            Self::State { .. } => "reset the drive's fault first",
+            Self::NoSample => "check the link",
+        }
+    }
+}
+
+/// Signals of which the loss ends a run, if the drive gives them at all.
+const WATCHED: [Channel; 4] = [
+    Channel::Current,
+    Channel::Speed,
+    Channel::Angle,
+    Channel::Bus,
+];
+
+/// The safety guard of one bench session.
+#[derive(Clone, Debug)]
+pub struct Guard {
+    limits: Limits,
+    shaper: shape::Shaper,
+    trip: Option<Trip>,
+    seen: [bool; WATCHED.len()],
+    missing: [u32; WATCHED.len()],
+    stuck_clock: u32,
+    last_sample_time_s: Option<f64>,
+    last_valid_s: Option<f64>,
+    last_step_s: Option<f64>,
+    on_since_s: Option<f64>,
+    on_total_s: f64,
+    run_wanted_since_s: Option<f64>,
+    has_run: bool,
+    not_running_since_s: Option<f64>,
+    angle_origin_rad: Option<f64>,
+}
+
+impl Guard {
+    /// A guard with `limits`. `drive_current_limit_a` is the drive's own limit as read back, if it has one.
+    pub fn new(limits: Limits, motor: &Nameplate, drive_current_limit_a: Option<f64>) -> Self {
+        // A drive that lets through more than the bench may draw does not protect the bench's limit.
+        let drive_limits = drive_current_limit_a.is_some_and(|amps| amps <= limits.current_a);
+        let winding_v = (!drive_limits).then_some(limits.current_a * motor.resistance_ohm);
+        Self {
+            shaper: shape::Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v),
+            limits,
+            trip: None,
+            seen: [false; WATCHED.len()],
+            missing: [0; WATCHED.len()],
+            stuck_clock: 0,
+            last_sample_time_s: None,
+            last_valid_s: None,
+            last_step_s: None,
+            on_since_s: None,
+            on_total_s: 0.0,
+            run_wanted_since_s: None,
+            has_run: false,
+            not_running_since_s: None,
+            angle_origin_rad: None,
+        }
+    }
+
+    pub const fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    pub const fn tripped(&self) -> Option<&Trip> {
+        self.trip.as_ref()
+    }
+
+    /// Whether samples ever carried `channel`: a limit on a signal that the drive does not give cannot be watched.
+    pub fn has_seen(&self, channel: Channel) -> bool {
+        WATCHED
+            .iter()
+            .zip(self.seen)
+            .any(|(watched, seen)| *watched == channel && seen)
+    }
+
+    /// Begins a run: counts time and travel from here. Call it when the output is about to be switched on.
+    pub fn begin(&mut self, now_s: f64, sample: &Sample) {
+        self.on_total_s = 0.0;
+        self.on_since_s = None;
+        self.run_wanted_since_s = None;
+        self.has_run = false;
+        self.not_running_since_s = None;
+        self.missing = [0; WATCHED.len()];
+        self.stuck_clock = 0;
+        self.angle_origin_rad = sample.get(Channel::Angle);
+        self.last_valid_s = Some(now_s);
+        self.shaper.rest(now_s);
+    }
+
+    /// To be called first in every step: ends the run when the host or the link was silent for too long.
+    pub fn tick(&mut self, now_s: f64) -> Option<&Trip> {
+        let limit_s = self.limits.link_silence_s;
+        if let Some(last_s) = self.last_step_s {
+            let gap_s = now_s - last_s;
+            if !gap_s.is_finite() || gap_s < 0.0 {
+                let trip = Trip::after(
+                    TripKind::ClockStuck,
+                    last_s,
+                    gap_s,
+                    0.0,
+                    "host time ran back",
+                );
+                return self.latch(trip);
+            }
+            if gap_s > limit_s {
+                let trip = Trip::after(
+                    TripKind::HostGap,
+                    now_s,
+                    gap_s,
+                    limit_s,
+                    "no step was taken",
+                );
+                self.last_step_s = Some(now_s);
+                return self.latch(trip);
+            }
+        }
+        self.last_step_s = Some(now_s);
+        if self.trip.is_some() {
+            return None;
+        }
+        let silent_s = self.last_valid_s.map_or(0.0, |last_s| now_s - last_s);
+        if silent_s > limit_s {
+            let trip = Trip::after(
+                TripKind::LinkSilence,
+                now_s,
+                silent_s,
+                limit_s,
+                "no valid reply",
+            );
+            return self.latch(trip);
+        }
+        let on_s = self.on_total_s + self.on_since_s.map_or(0.0, |since_s| now_s - since_s);
+        if on_s > self.limits.time_s {
+            let trip = Trip::after(
+                TripKind::TimeLimit,
+                now_s,
+                on_s,
+                self.limits.time_s,
+                "output on",
+            );
+            return self.latch(trip);
+        }
+        None
+    }
+
+    /// Looks at one valid reply. With `armed` false (drive disabled, nobody meant to move it) it only learns which
+    /// signals there are and that the link lives.
+    pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
+        self.last_valid_s = Some(now_s);
+        for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {
+            *seen |= sample.get(channel).is_some();
+        }
+        if let Some(speed) = sample.get(Channel::Speed) {
+            self.shaper.see_speed(speed);
+        }
+        let found = if armed && self.trip.is_none() {
+            self.drive_state(now_s, sample)
+                .or_else(|| self.beyond_limit(now_s, sample))
+                .or_else(|| self.lost_signal(now_s, sample))
+                .or_else(|| self.stuck_clock(now_s, sample))
+        } else {
+            None
+        };
+        if sample.time_s.is_finite() {
+            self.last_sample_time_s = Some(sample.time_s);
+        }
+        found.and_then(|trip| self.latch(trip))
+    }
+
+    /// Latches a trip from outside, unless one is latched already: the first cause is the one to report.
+    pub fn latch(&mut self, trip: Trip) -> Option<&Trip> {
+        if self.trip.is_some() {
+            return None;
+        }
+        self.switch(trip.at_s, false);
+        Some(self.trip.insert(trip))
+    }
+
+    /// The demand that may leave: as wanted, or within the limits, or zero output after a trip.
+    pub fn shape(&mut self, now_s: f64, wanted: Demand) -> Shaped {
+        if self.trip.is_some() {
+            self.shaper.rest(now_s);
+            return Shaped::unchanged(Demand::Stop);
+        }
+        let shaped = self.shaper.shape(now_s, wanted, &self.limits);
+        self.switch(now_s, shaped.demand.energises());
+        shaped
+    }
+
+    /// Unlatches a trip: only on an explicit request, with the motor at rest and the drive without a fault.
+    pub fn rearm(&mut self, now_s: f64, sample: Option<&Sample>) -> Result<(), RearmError> {
+        let sample = sample.ok_or(RearmError::NoSample)?;
+        self.check_rest(sample)?;
+        self.trip = None;
+        self.begin(now_s, sample);
+        Ok(())
+    }
+
+    /// Whether the motor stands still and the drive is off and without a fault.
+    pub fn check_rest(&self, sample: &Sample) -> Result<(), RearmError> {
+        if let Some(state @ (DriveState::Running | DriveState::Fault)) = sample.state {
+            return Err(RearmError::State {
+                state: state.name(),
+            });
+        }
+        for (channel, limit) in [
+            (Channel::Speed, self.limits.speed_rad_s),
+            (Channel::Current, self.limits.current_a),
+        ] {
+            let value = sample.get(channel).unwrap_or(0.0);
+            if value.abs() > REST_SHARE * limit {
+                return Err(RearmError::Moving {
+                    name: channel.name(),
+                    value,
+                    limit: REST_SHARE * limit,
+                    unit: channel.unit(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps the time for which the output was on, and since when the drive should run.
+    fn switch(&mut self, now_s: f64, on: bool) {
+        match (on, self.on_since_s) {
+            (true, None) => {
+                self.on_since_s = Some(now_s);
+                self.run_wanted_since_s = Some(now_s);
+                self.has_run = false;
+                self.not_running_since_s = None;
+            }
+            (false, Some(since_s)) => {
+                self.on_total_s += now_s - since_s;
+                self.on_since_s = None;
+                self.run_wanted_since_s = None;
+            }
+            _ => {}
+        }
+    }
+
+    fn beyond_limit(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        let limits = &self.limits;
+        let symmetric = [
+            (TripKind::OverCurrent, Channel::Current, limits.current_a),
+            (TripKind::OverSpeed, Channel::Speed, limits.speed_rad_s),
+            (
+                TripKind::OverVoltage,
+                Channel::Voltage,
+                VOLTAGE_MARGIN * limits.voltage_v,
+            ),
+        ];
+        for (kind, channel, limit) in symmetric {
+            if let Some(value) = sample.get(channel)
+                && value.abs() > limit
+            {
+                return Some(Trip::beyond(kind, channel, now_s, value, limit));
+            }
+        }
+        if let (Some(limit), Some(origin), Some(angle)) = (
+            limits.travel_rad,
+            self.angle_origin_rad,
+            sample.get(Channel::Angle),
+        ) && (angle - origin).abs() > limit
+        {
+            let travel = angle - origin;
+            return Some(Trip::beyond(
+                TripKind::Travel,
+                Channel::Angle,
+                now_s,
+                travel,
+                limit,
+            ));
+        }
+        let bus = sample.get(Channel::Bus)?;
+        if let Some(limit) = limits.bus_max_v.filter(|limit| bus > *limit) {
+            return Some(Trip::beyond(
+                TripKind::BusHigh,
+                Channel::Bus,
+                now_s,
+                bus,
+                limit,
+            ));
+        }
+        let limit = limits.bus_min_v.filter(|limit| bus < *limit)?;
+        Some(Trip::beyond(
+            TripKind::BusLow,
+            Channel::Bus,
+            now_s,
+            bus,
+            limit,
+        ))
+    }
+
+    fn drive_state(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        if sample.state == Some(DriveState::Fault) || sample.fault.is_some_and(|code| code != 0) {
+            return Some(Trip::drive_fault(now_s, sample.fault));
+        }
+        let state = sample.state?;
+        if state == DriveState::Running {
+            self.has_run = true;
+            self.not_running_since_s = None;
+            return None;
+        }
+        let wanted_since_s = self.run_wanted_since_s?;
+        let (since_s, limit_s) = if self.has_run {
+            let since_s = *self.not_running_since_s.get_or_insert(now_s);
+            // The first reply that says so may be a status word of before; the second is not.
+            (since_s, LEFT_RUNNING_S)
+        } else {
+            (wanted_since_s, ENABLE_TIME_S)
+        };
+        let waited_s = now_s - since_s;
+        (waited_s > limit_s).then(|| Trip::not_running(now_s, state, waited_s, limit_s))
+    }
+
+    fn lost_signal(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        for (index, channel) in WATCHED.into_iter().enumerate() {
+            if !self.seen[index] || !self.is_limited(channel) {
+                continue;
+            }
+            if sample.get(channel).is_some() {
+                self.missing[index] = 0;
+                continue;
+            }
+            self.missing[index] += 1;
+            let times = self.missing[index];
+            if times >= ALLOWED_IN_A_ROW {
+                let what = format!("no {}", channel.name());
+                return Some(Trip::repeated(
+                    TripKind::SignalMissing,
+                    now_s,
+                    times,
+                    ALLOWED_IN_A_ROW - 1,
+                    &what,
+                ));
+            }
+        }
+        None
+    }
+
+    const fn is_limited(&self, channel: Channel) -> bool {
+        match channel {
+            Channel::Angle => self.limits.travel_rad.is_some(),
+            Channel::Bus => self.limits.bus_min_v.is_some() || self.limits.bus_max_v.is_some(),
+            _ => true,
+        }
+    }
+
+    fn stuck_clock(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        let advanced = self
+            .last_sample_time_s
+            .is_none_or(|last_s| sample.time_s > last_s);
+        if advanced {
+            self.stuck_clock = 0;
+            return None;
+        }
+        self.stuck_clock += 1;
+        let times = self.stuck_clock;
+        (times >= ALLOWED_IN_A_ROW).then(|| {
+            let what = format!("drive time stays at {} s", sample.time_s);
+            Trip::repeated(
+                TripKind::ClockStuck,
+                now_s,
+                times,
+                ALLOWED_IN_A_ROW - 1,
+                &what,
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+//! Command shaping: slew, voltage and winding limits.
+
+use serde::Serialize;
+
+use super::Limits;
+use crate::sample::Demand;
+
+/// Longest time over which a slew limit is counted, s: after a longer pause the output does not jump further.
+const LONGEST_SLEW_TIME_S: f64 = 0.05;
+
+/// Why a demand was changed; more than one may hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent flags, reported one by one"
+)]
+pub struct Causes {
+    /// Beyond the voltage, current or speed limit.
+    pub limit: bool,
+    /// The voltage across the winding would drive a current beyond the limit.
+    pub winding: bool,
+    pub slew: bool,
+    /// Not a finite number: zero was sent.
+    pub not_finite: bool,
+}
+
+impl Causes {
+    pub const fn any(self) -> bool {
+        self.limit || self.winding || self.slew || self.not_finite
+    }
+}
+
+/// A demand that may leave, and why it is not the one that was wanted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shaped {
+    pub demand: Demand,
+    pub causes: Causes,
+}
+
+impl Shaped {
+    pub(super) fn unchanged(demand: Demand) -> Self {
+        Self {
+            demand,
+            causes: Causes::default(),
+        }
+    }
+}
+
+/// The memory that shaping needs.
+#[derive(Clone, Debug)]
+pub(super) struct Shaper {
+    slew_v_per_s: f64,
+    back_emf_v_s_per_rad: f64,
+    /// Largest voltage across the winding, current limit times R; `None`: the drive limits the current itself.
+    winding_v: Option<f64>,
+    /// Last speed that was measured: a missing one must not make the back-EMF vanish at full speed.
+    speed_rad_s: f64,
+    output_v: f64,
+    last_s: f64,
+    was_off: bool,
+}
+
+impl Shaper {
+    pub(super) fn new(limits: &Limits, back_emf_v_s_per_rad: f64, winding_v: Option<f64>) -> Self {
+        Self {
+            slew_v_per_s: limits.slew_v_per_s,
+            back_emf_v_s_per_rad,
+            winding_v,
+            speed_rad_s: 0.0,
+            output_v: 0.0,
+            last_s: 0.0,
+            was_off: true,
+        }
+    }
+
+    pub(super) fn rest(&mut self, now_s: f64) {
+        self.output_v = 0.0;
+        self.last_s = now_s;
+        self.was_off = true;
+    }
+
+    pub(super) fn see_speed(&mut self, speed_rad_s: f64) {
+        self.speed_rad_s = speed_rad_s;
+    }
+
+    pub(super) fn shape(&mut self, now_s: f64, wanted: Demand, limits: &Limits) -> Shaped {
+        let bounded = |value: f64, limit: f64| {
+            let mut causes = Causes::default();
+            let finite = if value.is_finite() { value } else { 0.0 };
+            causes.not_finite = !value.is_finite();
+            causes.limit = finite.abs() > limit;
+            (finite.clamp(-limit, limit), causes)
+        };
+        match wanted {
+            Demand::Voltage(volts) => {
+                let (volts, mut causes) = bounded(volts, limits.voltage_v);
+                let volts = self.voltage(now_s, volts, limits.voltage_v, &mut causes);
+                Shaped {
+                    demand: Demand::Voltage(volts),
+                    causes,
+                }
+            }
+            Demand::Current(amps) => {
+                let (amps, causes) = bounded(amps, limits.current_a);
+                Shaped {
+                    demand: Demand::Current(amps),
+                    causes,
+                }
+            }
+            Demand::Speed(speed) => {
+                let (speed, causes) = bounded(speed, limits.speed_rad_s);
+                Shaped {
+                    demand: Demand::Speed(speed),
+                    causes,
+                }
+            }
+            off => {
+                self.rest(now_s);
+                Shaped::unchanged(off)
+            }
+        }
+    }
+
+    fn voltage(&mut self, now_s: f64, wanted_v: f64, limit_v: f64, causes: &mut Causes) -> f64 {
+        let back_emf_v = (self.back_emf_v_s_per_rad * self.speed_rad_s).clamp(-limit_v, limit_v);
+        if self.was_off {
+            // The terminals of a coasting motor stand at its back-EMF: from there no current flows.
+            self.output_v = back_emf_v;
+            self.was_off = false;
+        }
+        let mut target_v = wanted_v;
+        if let Some(winding_v) = self.winding_v {
+            let inside = target_v.clamp(back_emf_v - winding_v, back_emf_v + winding_v);
+            causes.winding = (inside - target_v).abs() > 0.0;
+            target_v = inside.clamp(-limit_v, limit_v);
+        }
+        let step_v = self.slew_v_per_s * (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
+        let next_v = target_v.clamp(self.output_v - step_v, self.output_v + step_v);
+        // Rounding of a designed ramp at exactly the limit is not a limitation.
+        causes.slew = (next_v - target_v).abs() > 1e-9 * limit_v;
+        self.output_v = next_v;
+        self.last_s = now_s;
+        next_v
+    }
+}

@@ -1,0 +1,570 @@
+//! The session: one bench run from standstill to standstill, as a pure state machine.
+//!
+//! ```text
+//! connecting -> safe -> armed -> running -> ramp_down -> stopping -> done | stopped
+//!                 ^       |         |           |           ^
+//!                 |       +---------+-----------+-- trip ---+-----> tripped | link_lost
+//!                 +------------------------- re-arm, explicit, at rest ------+
+//! ```
+//!
+//! A set-point never survives a reconnect: a new session begins at `connecting` with zero output, and nothing re-arms
+//! by itself. Every input that is not a sample or a cycle becomes an event with its number.
+
+mod actions;
+mod row;
+
+pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
+pub use row::Row;
+
+use serde_json::{Value, json};
+
+use super::guard::{Causes, Guard, Trip};
+use super::program::Program;
+use crate::sample::{Channel, Command, Demand, DriveState, Sample};
+use row::Stamper;
+
+/// Longest wait for the drive's word that it has stopped, unless its watchdog is known to act earlier, s.
+const STOP_CONFIRM_S: f64 = 1.0;
+/// After the output has reached zero the shaft is given this long to come to rest under braking, s.
+const COME_TO_REST_S: f64 = 2.0;
+/// Share of the speed limit below which the shaft counts as at rest.
+const REST_SHARE: f64 = 0.01;
+
+/// Where a session stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// No valid reply yet, or the drive was found running or in fault.
+    Connecting,
+    Safe,
+    /// Output on at zero; waits for the drive to run, and for the start.
+    Armed,
+    Running,
+    RampDown,
+    /// Stop is sent in every cycle until the drive confirms it.
+    Stopping,
+    Done,
+    Stopped,
+    Tripped,
+    LinkLost,
+}
+
+impl Phase {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Connecting => "connecting",
+            Self::Safe => "safe",
+            Self::Armed => "armed",
+            Self::Running => "running",
+            Self::RampDown => "ramp down",
+            Self::Stopping => "stopping",
+            Self::Done => "done",
+            Self::Stopped => "stopped",
+            Self::Tripped => "tripped",
+            Self::LinkLost => "link lost",
+        }
+    }
+
+    pub const fn is_final(self) -> bool {
+        matches!(
+            self,
+            Self::Done | Self::Stopped | Self::Tripped | Self::LinkLost
+        )
+    }
+
+    /// Whether the drive's output may be on.
+    pub const fn is_energised(self) -> bool {
+        matches!(self, Self::Armed | Self::Running | Self::RampDown)
+    }
+}
+
+/// One bench session over one program.
+pub struct Session {
+    program: Box<dyn Program>,
+    guard: Guard,
+    phase: Phase,
+    seq: u64,
+    inputs: u64,
+    start_wanted: bool,
+    reset_wanted: bool,
+    /// Host time at which the program began.
+    started_s: Option<f64>,
+    ramp_since_s: f64,
+    stopping_since_s: f64,
+    /// What the session will end with, once it has stopped.
+    ending: Option<Outcome>,
+    drive: Option<Sample>,
+    segment: Option<usize>,
+    shaping: Causes,
+    shaped_cycles: u64,
+    stamper: Stamper,
+}
+
+impl Session {
+    pub fn new(program: Box<dyn Program>, guard: Guard) -> Self {
+        Self {
+            program,
+            guard,
+            phase: Phase::Connecting,
+            seq: 0,
+            inputs: 0,
+            start_wanted: false,
+            reset_wanted: false,
+            started_s: None,
+            ramp_since_s: 0.0,
+            stopping_since_s: 0.0,
+            ending: None,
+            drive: None,
+            segment: None,
+            shaping: Causes::default(),
+            shaped_cycles: 0,
+            stamper: Stamper::default(),
+        }
+    }
+
+    pub const fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    pub const fn guard(&self) -> &Guard {
+        &self.guard
+    }
+
+    pub const fn last_sample(&self) -> Option<&Sample> {
+        self.drive.as_ref()
+    }
+
+    /// Time within the program and its whole length, s.
+    pub fn progress_s(&self, now_s: f64) -> (f64, f64) {
+        let total_s = self.program.duration_s();
+        let elapsed_s = match (self.phase, self.started_s) {
+            (_, None) => 0.0,
+            (Phase::Running, Some(start_s)) => now_s - start_s,
+            (_, Some(start_s)) => self.ramp_since_s.max(start_s) - start_s,
+        };
+        (elapsed_s.clamp(0.0, total_s), total_s)
+    }
+
+    pub fn segment_name(&self) -> Option<&str> {
+        self.segment.map(|index| self.program.segment_name(index))
+    }
+
+    /// Takes one input and appends what is to be done. Each `Cycle` sends exactly one command.
+    pub fn step(&mut self, now_s: f64, input: Input, actions: &mut Vec<Action>) {
+        self.inputs += 1;
+        let trip = self.guard.tick(now_s).cloned();
+        if let Some(trip) = trip {
+            self.trip(now_s, &trip, actions);
+        }
+        match input {
+            Input::Cycle => self.cycle(now_s, actions),
+            Input::Sample(sample) => self.sample(now_s, *sample, actions),
+            Input::Lost(lost) => self.lost(now_s, &lost, actions),
+            Input::Intent(intent) => self.intent(now_s, &intent, actions),
+        }
+    }
+
+    fn cycle(&mut self, now_s: f64, actions: &mut Vec<Action>) {
+        if self.phase == Phase::Armed && self.may_run() {
+            self.started_s = Some(now_s);
+            self.enter(Phase::Running, now_s, actions);
+        }
+        if self.phase == Phase::Running && self.elapsed_s(now_s) >= self.program.duration_s() {
+            self.end(Outcome::Done, now_s, actions);
+        }
+        if self.phase == Phase::Stopping {
+            self.finish_if_late(now_s, actions);
+        }
+        let wanted = self.wanted(now_s);
+        self.note_segment(now_s, actions);
+        self.send(now_s, wanted, actions);
+        if self.phase == Phase::RampDown && self.is_ramped_down(now_s) {
+            self.stop_now(now_s, actions);
+        }
+    }
+
+    /// What the drive should do now, before the guard has had its say.
+    fn wanted(&mut self, now_s: f64) -> Demand {
+        match self.phase {
+            Phase::Connecting
+            | Phase::Safe
+            | Phase::Done
+            | Phase::Stopped
+            | Phase::Tripped
+            | Phase::LinkLost => {
+                let found_running = self.phase == Phase::Connecting
+                    && self.drive_state() == Some(DriveState::Running);
+                if std::mem::take(&mut self.reset_wanted) {
+                    Demand::ResetFault
+                } else if found_running {
+                    Demand::Stop
+                } else {
+                    Demand::Disable
+                }
+            }
+            Phase::Armed | Phase::RampDown => self.zero(),
+            Phase::Running => self.program.demand_at(self.elapsed_s(now_s)),
+            Phase::Stopping => Demand::Stop,
+        }
+    }
+
+    fn send(&mut self, now_s: f64, wanted: Demand, actions: &mut Vec<Action>) {
+        let shaped = self.guard.shape(now_s, wanted);
+        // The guard answers `Stop` to everything after a trip; in the final phases reading is all that is left to do.
+        let demand = if self.phase.is_final() && !wanted.energises() {
+            wanted
+        } else {
+            shaped.demand
+        };
+        self.note_shaping(now_s, wanted, demand, shaped.causes, actions);
+        self.seq += 1;
+        let command = Command {
+            seq: self.seq,
+            demand,
+        };
+        self.stamper.sent(command);
+        actions.push(Action::Send(command));
+    }
+
+    fn sample(&mut self, now_s: f64, sample: Sample, actions: &mut Vec<Action>) {
+        let armed = self.phase.is_energised();
+        let trip = self.guard.watch(now_s, &sample, armed).cloned();
+        if !matches!(self.phase, Phase::Connecting | Phase::Safe) && !self.phase.is_final() {
+            self.stamper.rows(&sample, actions);
+        }
+        let state = sample.state;
+        self.drive = Some(sample);
+        if let Some(trip) = trip {
+            self.trip(now_s, &trip, actions);
+            // At once, not in the next cycle.
+            self.send(now_s, Demand::Stop, actions);
+            return;
+        }
+        match (self.phase, state) {
+            (Phase::Connecting, Some(DriveState::Running | DriveState::Fault)) => {}
+            (Phase::Connecting, _) => self.enter(Phase::Safe, now_s, actions),
+            (Phase::Safe, Some(DriveState::Fault)) => {
+                notice(actions, Level::Warning, "the drive is in fault".to_owned());
+                self.enter(Phase::Connecting, now_s, actions);
+            }
+            (Phase::Stopping, Some(DriveState::Running)) => {}
+            (Phase::Stopping, _) => self.finish(true, now_s, actions),
+            _ => {}
+        }
+    }
+
+    fn lost(&mut self, now_s: f64, lost: &Lost, actions: &mut Vec<Action>) {
+        let (kind, message) = match lost {
+            Lost::Transient(message) => ("reply_lost", message),
+            Lost::Gone(message) => ("link_gone", message),
+        };
+        self.event(now_s, kind, json!({ "message": message }), actions);
+        if matches!(lost, Lost::Gone(_)) && !self.phase.is_final() {
+            let ending = match self.ending.take() {
+                Some(ending @ Outcome::Tripped(_)) => ending,
+                _ => Outcome::LinkLost {
+                    reason: message.clone(),
+                },
+            };
+            self.ending = Some(ending);
+            self.finish(false, now_s, actions);
+        }
+    }
+
+    fn intent(&mut self, now_s: f64, intent: &Intent, actions: &mut Vec<Action>) {
+        let detail = match intent {
+            Intent::Mark(text) => json!({ "intent": intent.name(), "text": text }),
+            _ => json!({ "intent": intent.name() }),
+        };
+        self.event(now_s, "intent", detail, actions);
+        let refused = match intent {
+            Intent::Arm => self.arm(now_s, actions),
+            Intent::Start => {
+                let result = if self.phase == Phase::Safe {
+                    self.arm(now_s, actions)
+                } else {
+                    Ok(())
+                };
+                if self.phase == Phase::Armed {
+                    self.start_wanted = true;
+                    result
+                } else {
+                    result.and(Err(format!(
+                        "cannot start: the session is {}",
+                        self.phase.name()
+                    )))
+                }
+            }
+            Intent::Stop => {
+                self.stop(now_s, Outcome::Stopped, actions);
+                Ok(())
+            }
+            Intent::Quit => {
+                self.stop(now_s, Outcome::Interrupted, actions);
+                Ok(())
+            }
+            Intent::ResetFault if self.phase.is_energised() => {
+                Err("a fault is reset only with the output off".to_owned())
+            }
+            Intent::ResetFault => {
+                self.reset_wanted = true;
+                Ok(())
+            }
+            Intent::Rearm => self.rearm(now_s, actions),
+            Intent::Mark(_) => Ok(()),
+        };
+        if let Err(reason) = refused {
+            self.event(
+                now_s,
+                "refused",
+                json!({ "intent": intent.name(), "reason": reason }),
+                actions,
+            );
+            notice(actions, Level::Warning, reason);
+        }
+    }
+
+    /// Output on at zero, if motor and drive are at rest and what is limited can be watched.
+    fn arm(&mut self, now_s: f64, actions: &mut Vec<Action>) -> Result<(), String> {
+        if self.phase != Phase::Safe {
+            return Err(format!("cannot arm: the session is {}", self.phase.name()));
+        }
+        let sample = self
+            .drive
+            .as_ref()
+            .ok_or("cannot arm: no valid sample yet")?;
+        self.guard
+            .check_rest(sample)
+            .map_err(|error| format!("cannot arm: {error}"))?;
+        let needs_angle = self.guard.limits().travel_rad.is_some();
+        for (channel, needed) in [
+            (Channel::Current, true),
+            (Channel::Speed, true),
+            (Channel::Angle, needs_angle),
+        ] {
+            if needed && !self.guard.has_seen(channel) {
+                return Err(format!(
+                    "cannot arm: the drive gives no {}, so its limit cannot be watched",
+                    channel.name()
+                ));
+            }
+        }
+        self.guard.begin(now_s, sample);
+        self.enter(Phase::Armed, now_s, actions);
+        Ok(())
+    }
+
+    /// From an ended session back to safe, explicitly; the ended run stays ended.
+    fn rearm(&mut self, now_s: f64, actions: &mut Vec<Action>) -> Result<(), String> {
+        if !self.phase.is_final() {
+            return Err(format!(
+                "nothing to re-arm: the session is {}",
+                self.phase.name()
+            ));
+        }
+        self.guard
+            .rearm(now_s, self.drive.as_ref())
+            .map_err(|error| format!("cannot re-arm: {error}"))?;
+        self.start_wanted = false;
+        self.started_s = None;
+        self.segment = None;
+        self.ending = None;
+        self.enter(Phase::Safe, now_s, actions);
+        Ok(())
+    }
+
+    /// First request: ramp down. Second request: zero output at once.
+    fn stop(&mut self, now_s: f64, outcome: Outcome, actions: &mut Vec<Action>) {
+        match self.phase {
+            Phase::Connecting | Phase::Safe => {
+                self.ending = Some(outcome);
+                self.stop_now(now_s, actions);
+            }
+            Phase::Armed | Phase::Running => self.end(outcome, now_s, actions),
+            Phase::RampDown => {
+                self.ending = Some(outcome);
+                self.stop_now(now_s, actions);
+            }
+            _ => {}
+        }
+    }
+
+    fn end(&mut self, outcome: Outcome, now_s: f64, actions: &mut Vec<Action>) {
+        self.ending = Some(outcome);
+        self.ramp_since_s = now_s;
+        self.enter(Phase::RampDown, now_s, actions);
+    }
+
+    fn trip(&mut self, now_s: f64, trip: &Trip, actions: &mut Vec<Action>) {
+        let detail = json!({ "trip": trip });
+        self.event(now_s, "trip", detail, actions);
+        if self.phase.is_final() {
+            return;
+        }
+        notice(actions, Level::Error, trip.reason.clone());
+        self.ending = Some(if trip.kind.is_link() {
+            Outcome::LinkLost {
+                reason: trip.reason.clone(),
+            }
+        } else {
+            Outcome::Tripped(trip.clone())
+        });
+        self.stop_now(now_s, actions);
+    }
+
+    fn stop_now(&mut self, now_s: f64, actions: &mut Vec<Action>) {
+        self.stopping_since_s = now_s;
+        if self.ramp_since_s <= self.started_s.unwrap_or(now_s) {
+            self.ramp_since_s = now_s;
+        }
+        self.enter(Phase::Stopping, now_s, actions);
+    }
+
+    fn finish_if_late(&mut self, now_s: f64, actions: &mut Vec<Action>) {
+        if now_s - self.stopping_since_s > STOP_CONFIRM_S {
+            self.finish(false, now_s, actions);
+        }
+    }
+
+    fn finish(&mut self, confirmed: bool, now_s: f64, actions: &mut Vec<Action>) {
+        let outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        let phase = match &outcome {
+            Outcome::Done => Phase::Done,
+            Outcome::Stopped | Outcome::Interrupted => Phase::Stopped,
+            Outcome::Tripped(_) => Phase::Tripped,
+            Outcome::LinkLost { .. } => Phase::LinkLost,
+        };
+        if !confirmed {
+            notice(
+                actions,
+                Level::Error,
+                "stop NOT confirmed by the drive: its watchdog must have stopped the motor"
+                    .to_owned(),
+            );
+        }
+        self.enter(phase, now_s, actions);
+        self.event(
+            now_s,
+            "finished",
+            json!({ "outcome": outcome.name(), "stop_confirmed": confirmed }),
+            actions,
+        );
+        actions.push(Action::Finished(outcome));
+    }
+
+    fn may_run(&self) -> bool {
+        let runs = self
+            .drive_state()
+            .is_none_or(|state| state == DriveState::Running);
+        self.start_wanted && runs && self.is_at_rest()
+    }
+
+    fn is_at_rest(&self) -> bool {
+        let limit = REST_SHARE * self.guard.limits().speed_rad_s;
+        self.drive
+            .as_ref()
+            .and_then(|sample| sample.get(Channel::Speed))
+            .is_some_and(|speed| speed.abs() <= limit)
+    }
+
+    fn is_ramped_down(&self, now_s: f64) -> bool {
+        let waited_s = now_s - self.ramp_since_s;
+        let limits = self.guard.limits();
+        let longest_s = limits.voltage_v / limits.slew_v_per_s + COME_TO_REST_S;
+        waited_s > longest_s || (self.shaping == Causes::default() && self.is_at_rest())
+    }
+
+    fn drive_state(&self) -> Option<DriveState> {
+        self.drive.as_ref().and_then(|sample| sample.state)
+    }
+
+    fn elapsed_s(&self, now_s: f64) -> f64 {
+        self.started_s.map_or(0.0, |start_s| now_s - start_s)
+    }
+
+    /// Zero in the quantity that the program commands.
+    fn zero(&self) -> Demand {
+        match self.program.demand_at(0.0) {
+            Demand::Current(_) => Demand::Current(0.0),
+            Demand::Speed(_) => Demand::Speed(0.0),
+            _ => Demand::Voltage(0.0),
+        }
+    }
+
+    fn enter(&mut self, phase: Phase, now_s: f64, actions: &mut Vec<Action>) {
+        if phase != self.phase {
+            let detail = json!({ "from": self.phase, "to": phase });
+            self.phase = phase;
+            self.event(now_s, "phase", detail, actions);
+        }
+    }
+
+    fn note_segment(&mut self, now_s: f64, actions: &mut Vec<Action>) {
+        if self.phase != Phase::Running {
+            return;
+        }
+        let index = self.program.segment_at(self.elapsed_s(now_s));
+        if self.segment != Some(index) {
+            self.segment = Some(index);
+            let detail = json!({ "index": index, "name": self.program.segment_name(index) });
+            self.event(now_s, "segment", detail, actions);
+        }
+    }
+
+    /// One event when shaping begins or changes its cause, one when it ends: nothing silent, and no flood.
+    fn note_shaping(
+        &mut self,
+        now_s: f64,
+        wanted: Demand,
+        sent: Demand,
+        causes: Causes,
+        actions: &mut Vec<Action>,
+    ) {
+        if causes == self.shaping {
+            self.shaped_cycles += u64::from(causes.any());
+            return;
+        }
+        if causes.any() {
+            let (wanted, sent) = (demand_json(wanted), demand_json(sent));
+            let detail = json!({ "causes": causes, "wanted": wanted, "sent": sent });
+            self.event(now_s, "shaped", detail, actions);
+        } else {
+            let cycles = self.shaped_cycles;
+            self.event(now_s, "shaped_end", json!({ "cycles": cycles }), actions);
+        }
+        self.shaped_cycles = if causes.any() {
+            self.shaped_cycles + 1
+        } else {
+            0
+        };
+        self.shaping = causes;
+    }
+
+    fn event(&self, now_s: f64, kind: &str, detail: Value, actions: &mut Vec<Action>) {
+        let mut event = json!({
+            "event": kind, "host_time_s": now_s, "seq": self.seq, "input": self.inputs,
+        });
+        if let (Value::Object(event), Value::Object(detail)) = (&mut event, detail) {
+            event.extend(detail);
+        }
+        actions.push(Action::Event(event));
+    }
+}
+
+fn notice(actions: &mut Vec<Action>, level: Level, text: String) {
+    actions.push(Action::Notice(Notice { level, text }));
+}
+
+fn demand_json(demand: Demand) -> Value {
+    match demand {
+        Demand::Disable => json!({ "demand": "disable" }),
+        Demand::Stop => json!({ "demand": "stop" }),
+        Demand::ResetFault => json!({ "demand": "reset_fault" }),
+        Demand::Voltage(volts) => json!({ "voltage_v": volts }),
+        Demand::Current(amps) => json!({ "current_a": amps }),
+        Demand::Speed(speed) => json!({ "speed_rad_s": speed }),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,128 @@
+//! What goes into a session and what comes out.
+
+use serde::Serialize;
+use serde_json::Value;
+
+use super::Row;
+use crate::bench::guard::Trip;
+use crate::drive::LinkError;
+use crate::sample::{Command, Sample};
+
+/// One input of `Session::step`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Input {
+    /// The deadline of a cycle: time to send.
+    Cycle,
+    Sample(Box<Sample>),
+    Lost(Lost),
+    Intent(Intent),
+}
+
+/// An exchange without a sample.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Lost {
+    /// The next cycle may try again.
+    Transient(String),
+    /// The link does not come back within this session.
+    Gone(String),
+}
+
+impl From<&LinkError> for Lost {
+    fn from(error: &LinkError) -> Self {
+        // A refused request may be a busy drive (06) or a gateway: the limit of link silence decides.
+        if error.is_transient() || matches!(error, LinkError::Exception { .. }) {
+            Self::Transient(error.to_string())
+        } else {
+            Self::Gone(error.to_string())
+        }
+    }
+}
+
+/// What a person, a signal or the workflow asks for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Intent {
+    /// Output on at zero.
+    Arm,
+    /// Begin the program; arms first if the session is safe.
+    Start,
+    /// Ramp down and end; a second one ends at once.
+    Stop,
+    /// As `Stop`, and the program is to end (Ctrl-C, SIGTERM, SIGHUP, `q`).
+    Quit,
+    ResetFault,
+    /// Back from an ended session to safe.
+    Rearm,
+    Mark(String),
+}
+
+impl Intent {
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Arm => "arm",
+            Self::Start => "start",
+            Self::Stop => "stop",
+            Self::Quit => "quit",
+            Self::ResetFault => "reset_fault",
+            Self::Rearm => "rearm",
+            Self::Mark(_) => "mark",
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Level {
+    Info,
+    Warning,
+    Error,
+}
+
+/// A sentence for the person at the bench.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Notice {
+    pub level: Level,
+    pub text: String,
+}
+
+/// How a session ended.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    Done,
+    Stopped,
+    Interrupted,
+    Tripped(Trip),
+    LinkLost { reason: String },
+}
+
+impl Outcome {
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Done => "done",
+            Self::Stopped => "stopped",
+            Self::Interrupted => "interrupted",
+            Self::Tripped(_) => "tripped",
+            Self::LinkLost { .. } => "link_lost",
+        }
+    }
+
+    /// Exit status of DESIGN.md 5.4.
+    pub const fn exit_status(&self) -> u8 {
+        match self {
+            Self::Done => 0,
+            Self::Stopped | Self::Interrupted => 130,
+            Self::Tripped(_) => 4,
+            Self::LinkLost { .. } => 3,
+        }
+    }
+}
+
+/// What is to be done, in this order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action {
+    Send(Command),
+    Record(Row),
+    Event(Value),
+    Notice(Notice),
+    Finished(Outcome),
+}
