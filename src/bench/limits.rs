@@ -100,9 +100,6 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
     2.0 * motor.rated_current_a * motor.resistance_ohm / mechanical_s
 }
 
-/// Time for which a reply may be missing before a stop, at least; s.
-pub(super) const SHORTEST_LINK_SILENCE_S: f64 = 0.02;
-
 #[cfg(test)]
 mod tests {
     use super::*;

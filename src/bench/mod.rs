@@ -20,4 +20,4 @@ pub use clock::{Clock, MonotonicClock, VirtualClock};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use limits::{Limits, Nameplate};
 pub use program::Program;
-pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Row, Session};
+pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};

@@ -11,17 +11,14 @@
 //! by itself. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
-mod row;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
-pub use row::Row;
 
 use serde_json::{Value, json};
 
 use super::guard::{Causes, Guard, Trip};
 use super::program::Program;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
-use row::Stamper;
 
 /// Longest wait for the drive's word that it has stopped, unless its watchdog is known to act earlier, s.
 const STOP_CONFIRM_S: f64 = 1.0;
@@ -72,6 +69,11 @@ impl Phase {
         )
     }
 
+    /// Whether commands and samples belong to the record of the run.
+    pub const fn is_recorded(self) -> bool {
+        self.is_energised() || matches!(self, Self::Stopping)
+    }
+
     /// Whether the drive's output may be on.
     pub const fn is_energised(self) -> bool {
         matches!(self, Self::Armed | Self::Running | Self::RampDown)
@@ -97,7 +99,6 @@ pub struct Session {
     segment: Option<usize>,
     shaping: Causes,
     shaped_cycles: u64,
-    stamper: Stamper,
 }
 
 impl Session {
@@ -118,7 +119,6 @@ impl Session {
             segment: None,
             shaping: Causes::default(),
             shaped_cycles: 0,
-            stamper: Stamper::default(),
         }
     }
 
@@ -222,15 +222,14 @@ impl Session {
             seq: self.seq,
             demand,
         };
-        self.stamper.sent(command);
         actions.push(Action::Send(command));
     }
 
     fn sample(&mut self, now_s: f64, sample: Sample, actions: &mut Vec<Action>) {
         let armed = self.phase.is_energised();
         let trip = self.guard.watch(now_s, &sample, armed).cloned();
-        if !matches!(self.phase, Phase::Connecting | Phase::Safe) && !self.phase.is_final() {
-            self.stamper.rows(&sample, actions);
+        if self.phase.is_recorded() {
+            actions.push(Action::Row(Box::new(sample.clone())));
         }
         let state = sample.state;
         self.drive = Some(sample);

@@ -1,1 +1,310 @@
+use proptest::prelude::*;
 
+use super::*;
+
+const PERIOD_S: f64 = 0.01;
+
+fn limits() -> Limits {
+    Limits {
+        travel_rad: Some(50.0),
+        bus_min_v: Some(100.0),
+        bus_max_v: Some(160.0),
+        ..Limits::for_motor(&Nameplate::zk_22fc(), 100.0)
+    }
+}
+
+fn guard() -> Guard {
+    Guard::new(limits(), &Nameplate::zk_22fc(), None)
+}
+
+fn sample(time_s: f64) -> Sample {
+    let mut sample = Sample::at(time_s)
+        .with(Channel::Current, 1.0)
+        .with(Channel::Speed, 10.0)
+        .with(Channel::Voltage, 5.0)
+        .with(Channel::Angle, 0.0)
+        .with(Channel::Bus, 140.0);
+    sample.state = Some(DriveState::Running);
+    sample
+}
+
+/// Runs the guard for some healthy cycles at 5 V, then hands over to the test.
+fn running() -> (Guard, f64) {
+    let mut guard = guard();
+    let mut now_s = 0.0;
+    guard.begin(now_s, &sample(now_s));
+    for _ in 0..20 {
+        now_s += PERIOD_S;
+        assert_eq!(guard.tick(now_s), None);
+        guard.shape(now_s, Demand::Voltage(5.0));
+        assert_eq!(guard.watch(now_s, &sample(now_s), true), None);
+    }
+    (guard, now_s)
+}
+
+/// The trip after at most `cycles` cycles with `change` made to each sample.
+fn trip_within(cycles: u32, change: impl Fn(&mut Sample)) -> Option<(u32, Trip)> {
+    let (mut guard, mut now_s) = running();
+    for cycle in 1..=cycles {
+        now_s += PERIOD_S;
+        guard.tick(now_s);
+        guard.shape(now_s, Demand::Voltage(5.0));
+        let mut sample = sample(now_s);
+        change(&mut sample);
+        guard.watch(now_s, &sample, true);
+        if let Some(trip) = guard.tripped() {
+            return Some((cycle, trip.clone()));
+        }
+    }
+    None
+}
+
+#[test]
+fn a_limit_is_enforced_in_the_cycle_that_sees_it_broken() {
+    for (channel, value, kind) in [
+        (Channel::Current, 22.9, TripKind::OverCurrent),
+        (Channel::Current, -22.9, TripKind::OverCurrent),
+        (Channel::Speed, -367.0, TripKind::OverSpeed),
+        (Channel::Voltage, 122.0, TripKind::OverVoltage),
+        (Channel::Angle, 50.1, TripKind::Travel),
+        (Channel::Bus, 99.0, TripKind::BusLow),
+        (Channel::Bus, 161.0, TripKind::BusHigh),
+    ] {
+        let (cycle, trip) = trip_within(5, |sample| sample.set(channel, value)).unwrap();
+        assert_eq!((cycle, trip.kind), (1, kind), "{trip:?}");
+        assert!(trip.reason.contains(channel.unit()) && trip.reason.contains("limit"));
+    }
+    assert_eq!(
+        trip_within(50, |sample| sample.set(Channel::Current, 22.7)),
+        None
+    );
+}
+
+#[test]
+fn the_drive_s_own_fault_ends_the_run_at_once_with_its_code() {
+    let (cycle, trip) = trip_within(3, |sample| {
+        sample.state = Some(DriveState::Fault);
+        sample.fault = Some(0x12);
+    })
+    .unwrap();
+    assert_eq!((cycle, trip.kind), (1, TripKind::DriveFault));
+    assert!(trip.reason.contains("0x0012"), "{}", trip.reason);
+}
+
+#[test]
+fn missing_signals_and_a_stuck_clock_end_the_run_after_three() {
+    let (cycle, trip) = trip_within(9, |sample| sample.set(Channel::Current, f64::NAN)).unwrap();
+    assert_eq!((cycle, trip.kind), (3, TripKind::SignalMissing));
+    for time_s in [0.2, f64::NAN, -1.0] {
+        let (cycle, trip) = trip_within(9, |sample| sample.time_s = time_s).unwrap();
+        assert_eq!((cycle, trip.kind), (3, TripKind::ClockStuck), "{time_s}");
+    }
+}
+
+#[test]
+fn a_drive_that_stops_running_by_itself_ends_the_run() {
+    let (cycle, trip) = trip_within(20, |sample| sample.state = Some(DriveState::Ready)).unwrap();
+    assert_eq!(trip.kind, TripKind::NotRunning);
+    assert!(cycle <= 7, "{cycle}");
+}
+
+#[test]
+fn silence_of_the_link_and_of_the_host_are_told_apart() {
+    let (mut guard, mut now_s) = running();
+    for _ in 0..9 {
+        now_s += PERIOD_S;
+        assert_eq!(guard.tick(now_s), None);
+    }
+    let kind = |trip: Option<&Trip>| trip.map(|trip| trip.kind);
+    assert_eq!(kind(guard.tick(now_s + 0.02)), Some(TripKind::LinkSilence));
+    let (mut guard, now_s) = running();
+    assert_eq!(kind(guard.tick(now_s + 5.0)), Some(TripKind::HostGap));
+    let (mut guard, now_s) = running();
+    assert_eq!(kind(guard.tick(now_s - 1.0)), Some(TripKind::ClockStuck));
+}
+
+#[test]
+fn the_time_limit_counts_the_time_with_the_output_on_only() {
+    let mut guard = Guard::new(
+        Limits {
+            time_s: 1.0,
+            ..limits()
+        },
+        &Nameplate::zk_22fc(),
+        None,
+    );
+    guard.begin(0.0, &sample(0.0));
+    let mut on_cycles = 0;
+    for cycle in 1..1000 {
+        let now_s = f64::from(cycle) * PERIOD_S;
+        if guard.tick(now_s).is_some() {
+            break;
+        }
+        // On for half of the time.
+        let on = cycle % 2 == 0;
+        on_cycles += u32::from(on);
+        guard.shape(
+            now_s,
+            if on {
+                Demand::Voltage(1.0)
+            } else {
+                Demand::Disable
+            },
+        );
+        guard.watch(now_s, &sample(now_s), true);
+    }
+    assert_eq!(guard.tripped().unwrap().kind, TripKind::TimeLimit);
+    assert!((100..=102).contains(&on_cycles), "{on_cycles}");
+}
+
+#[test]
+fn a_voltage_step_is_capped_at_current_limit_times_resistance_unless_the_drive_limits_itself() {
+    // 22.8 A times 1.1 ohm.
+    for (drive_limit_a, first_v) in [(None, 25.08), (Some(100.0), 25.08), (Some(20.0), 60.0)] {
+        let fast = Limits {
+            slew_v_per_s: 1e9,
+            ..limits()
+        };
+        let mut guard = Guard::new(fast, &Nameplate::zk_22fc(), drive_limit_a);
+        guard.begin(0.0, &sample(0.0));
+        guard.watch(0.0, &sample(0.0).with(Channel::Speed, 0.0), true);
+        let shaped = guard.shape(PERIOD_S, Demand::Voltage(60.0));
+        let Demand::Voltage(volts) = shaped.demand else {
+            panic!("{shaped:?}")
+        };
+        assert!((volts - first_v).abs() < 1e-9, "{volts}");
+        assert_eq!(shaped.causes.winding, drive_limit_a != Some(20.0));
+    }
+}
+
+#[test]
+fn after_coasting_the_voltage_begins_at_the_back_emf() {
+    let (mut guard, now_s) = running();
+    guard.shape(now_s + 0.01, Demand::Disable);
+    guard.watch(
+        now_s + 0.01,
+        &sample(now_s + 0.01).with(Channel::Speed, 200.0),
+        true,
+    );
+    let shaped = guard.shape(now_s + 0.02, Demand::Voltage(0.0));
+    let volts = shaped.demand.voltage_v().unwrap();
+    assert!((volts - 200.0 * 0.3538).abs() < 4.0, "{volts}");
+    assert!(shaped.causes.slew);
+}
+
+#[test]
+fn a_trip_stays_until_it_is_re_armed_at_rest() {
+    let (mut guard, now_s) = running();
+    guard.watch(now_s, &sample(now_s).with(Channel::Current, 30.0), true);
+    assert_eq!(
+        guard.shape(now_s, Demand::Voltage(5.0)).demand,
+        Demand::Stop
+    );
+    // A second cause does not replace the first.
+    guard.watch(now_s, &sample(now_s).with(Channel::Speed, 900.0), true);
+    assert_eq!(guard.tripped().unwrap().kind, TripKind::OverCurrent);
+    assert!(matches!(
+        guard.rearm(now_s, Some(&sample(now_s))),
+        Err(RearmError::State { state: "running" })
+    ));
+    let mut rest = sample(now_s).with(Channel::Speed, 100.0);
+    rest.state = Some(DriveState::Disabled);
+    assert!(matches!(
+        guard.rearm(now_s, Some(&rest)),
+        Err(RearmError::Moving { .. })
+    ));
+    rest.set(Channel::Speed, 0.1);
+    rest.set(Channel::Current, 0.1);
+    assert_eq!(guard.rearm(now_s, None), Err(RearmError::NoSample));
+    assert_eq!(guard.rearm(now_s, Some(&rest)), Ok(()));
+    assert!(guard.tripped().is_none());
+}
+
+fn anything() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        6 => -500.0..500.0f64,
+        1 => Just(f64::NAN),
+        1 => Just(f64::INFINITY),
+        1 => Just(-1e300),
+    ]
+}
+
+fn any_demand() -> impl Strategy<Value = Demand> {
+    prop_oneof![
+        8 => anything().prop_map(Demand::Voltage),
+        1 => anything().prop_map(Demand::Current),
+        1 => anything().prop_map(Demand::Speed),
+        1 => Just(Demand::Disable),
+    ]
+}
+
+/// `(cycle length, demand, current, speed, reply arrives)`.
+fn any_cycle() -> impl Strategy<Value = (f64, Demand, f64, f64, bool)> {
+    let plausible = prop_oneof![30 => -20.0..20.0f64, 1 => anything()];
+    (
+        prop_oneof![20 => Just(PERIOD_S), 1 => 0.0..0.2f64],
+        any_demand(),
+        plausible.clone(),
+        plausible,
+        prop::bool::weighted(0.9),
+    )
+}
+
+proptest! {
+    /// Whatever comes in: after a trip every command is zero output, and no command is ever beyond a limit.
+    #[test]
+    fn no_command_is_beyond_a_limit_and_none_energises_after_a_trip(
+        cycles in prop::collection::vec(any_cycle(), 1..200),
+    ) {
+        let mut guard = guard();
+        let limits = limits();
+        let mut now_s = 0.0;
+        let mut output_v: f64 = 0.0;
+        guard.begin(now_s, &sample(now_s));
+        for (step_s, demand, current, speed, arrives) in cycles {
+            now_s += step_s;
+            guard.tick(now_s);
+            let was_tripped = guard.tripped().is_some();
+            let shaped = guard.shape(now_s, demand);
+            if was_tripped {
+                prop_assert!(!shaped.demand.energises());
+                continue;
+            }
+            match shaped.demand {
+                Demand::Voltage(volts) => {
+                    prop_assert!(volts.abs() <= limits.voltage_v);
+                    let jump = (volts - output_v).abs();
+                    // From off the output begins at the back-EMF: that is no jump of the terminals.
+                    let from_off = 0.3538 * 500.0;
+                    let was_on = output_v.to_bits() != 0;
+                    prop_assert!(
+                        jump <= limits.slew_v_per_s * step_s.min(0.05) + 1e-9 || (!was_on && jump <= from_off),
+                        "{jump} V in {step_s} s"
+                    );
+                    output_v = volts;
+                }
+                Demand::Current(amps) => {
+                    prop_assert!(amps.abs() <= limits.current_a);
+                    output_v = 0.0;
+                }
+                Demand::Speed(speed) => {
+                    prop_assert!(speed.abs() <= limits.speed_rad_s);
+                    output_v = 0.0;
+                }
+                _ => output_v = 0.0,
+            }
+            if demand != shaped.demand && !matches!(demand, Demand::Voltage(v) if v == 0.0) {
+                prop_assert!(shaped.causes.any(), "a silent change of {demand:?} to {:?}", shaped.demand);
+            }
+            if arrives {
+                let mut sample = sample(now_s);
+                sample.set(Channel::Current, current);
+                sample.set(Channel::Speed, speed);
+                guard.watch(now_s, &sample, true);
+                if current.abs() > limits.current_a && current.is_finite() {
+                    prop_assert!(guard.tripped().is_some());
+                }
+            }
+        }
+    }
+}

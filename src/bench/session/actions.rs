@@ -3,7 +3,6 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Row;
 use crate::bench::guard::Trip;
 use crate::drive::LinkError;
 use crate::sample::{Command, Sample};
@@ -121,7 +120,8 @@ impl Outcome {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
     Send(Command),
-    Record(Row),
+    /// A row of the record; the recorder pairs it with the commands that were sent.
+    Row(Box<Sample>),
     Event(Value),
     Notice(Notice),
     Finished(Outcome),
