@@ -142,9 +142,8 @@ fn every_fault_ends_at_zero_output_with_its_own_reason() {
             after.clone().all(|demand| !demand.energises()),
             "{fault:?}: a command energises after the trip"
         );
-        assert_eq!(
-            bench.drive.demands[60 + reaction],
-            Demand::Stop,
+        assert!(
+            bench.drive.demands[60..=60 + reaction].contains(&Demand::Stop),
             "{fault:?}"
         );
     }

@@ -1,0 +1,395 @@
+//! The bench file: drive, link, motor, limits and the sequence of excitations.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::limits::{Limits, Nameplate};
+use crate::config_text::{self, ConfigError};
+use crate::excitation::{self, ExcitationError, Segment};
+
+/// The bench that `commission` uses when it is given none.
+pub const EMBEDDED_DEFAULT: &str =
+    include_str!("../../bench-configs/benches/zk-22fc-emulated.toml");
+/// Name of the embedded bench in messages.
+pub const EMBEDDED_NAME: &str = "zk-22fc-emulated.toml (embedded)";
+
+/// A bench file that cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum BenchFileError {
+    #[error(transparent)]
+    Text(#[from] ConfigError),
+    #[error("{file}: {key} = {value} is not allowed (expected {allowed})")]
+    Value {
+        file: String,
+        key: String,
+        value: String,
+        allowed: &'static str,
+    },
+    #[error("{file}: {error}")]
+    Sequence {
+        file: String,
+        #[source]
+        error: ExcitationError,
+    },
+}
+
+impl BenchFileError {
+    pub fn help(&self) -> String {
+        match self {
+            Self::Text(error) => error.help.clone(),
+            Self::Value { .. } => {
+                "see bench-configs/benches/zk-22fc-emulated.toml for every key, its unit and its default"
+                    .to_owned()
+            }
+            Self::Sequence { error, .. } => error.help().to_owned(),
+        }
+    }
+}
+
+/// A whole bench file, every default filled in on reading; written back it is the effective configuration.
+#[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct BenchFile {
+    pub name: String,
+    pub drive: DriveSection,
+    pub link: LinkSection,
+    #[serde(default)]
+    pub emulator: EmulatorSection,
+    pub motor: Nameplate,
+    #[serde(default)]
+    pub limits: LimitsSection,
+    #[serde(default)]
+    pub runs: RunsSection,
+    pub sequence: Vec<Segment>,
+}
+
+#[derive(Clone, Debug, Deserialize, Serialize, PartialEq, Eq)]
+#[serde(deny_unknown_fields)]
+pub struct DriveSection {
+    /// Name of an embedded drive profile, or path of one.
+    pub profile: String,
+}
+
+/// How the drive is reached.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub enum Protocol {
+    #[default]
+    ModbusRtu,
+    ModbusTcp,
+    Stream,
+}
+
+impl fmt::Display for Protocol {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::ModbusRtu => "modbus-rtu",
+            Self::ModbusTcp => "modbus-tcp",
+            Self::Stream => "stream",
+        })
+    }
+}
+
+#[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct LinkSection {
+    /// As in [`Port`]'s text form.
+    pub port: String,
+    #[serde(default)]
+    pub protocol: Protocol,
+    #[serde(default = "default_baud")]
+    pub baud: u32,
+    #[serde(default = "default_unit")]
+    pub unit: u8,
+    #[serde(default = "default_rate_hz")]
+    pub rate_hz: f64,
+    /// Longest wait for a reply; left out: nine tenths of a period.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deadline_ms: Option<f64>,
+}
+
+const fn default_baud() -> u32 {
+    115_200
+}
+
+const fn default_unit() -> u8 {
+    1
+}
+
+const fn default_rate_hz() -> f64 {
+    100.0
+}
+
+/// Where the drive is. The emulator is never a fallback: it is used only where it is named.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Port {
+    /// `emulator`: the software drive behind a pseudo-terminal or a local TCP port, in real time.
+    Emulator,
+    /// `sim:`: the software drive in memory, in virtual time.
+    Sim,
+    /// `tcp:HOST:PORT`.
+    Tcp(String),
+    /// Anything else: path of a serial port.
+    Serial(String),
+}
+
+impl Port {
+    pub fn parse(text: &str) -> Option<Self> {
+        match text {
+            "" => None,
+            "emulator" => Some(Self::Emulator),
+            "sim:" => Some(Self::Sim),
+            _ => match text.strip_prefix("tcp:") {
+                Some(address) => {
+                    let (host, port) = address.rsplit_once(':')?;
+                    let valid = !host.is_empty() && port.parse::<u16>().is_ok();
+                    valid.then(|| Self::Tcp(address.to_owned()))
+                }
+                None => Some(Self::Serial(text.to_owned())),
+            },
+        }
+    }
+}
+
+#[derive(Clone, Debug, Deserialize, Serialize, PartialEq, Eq)]
+#[serde(deny_unknown_fields, default)]
+pub struct EmulatorSection {
+    /// Name of an embedded emulator, or path of one. Used with the ports `emulator` and `sim:` only.
+    pub config: String,
+    /// Draws the specimen within its tolerance, and the sensor noise.
+    pub seed: u64,
+}
+
+impl Default for EmulatorSection {
+    fn default() -> Self {
+        Self {
+            config: "zk-22fc-hidden".to_owned(),
+            seed: 1,
+        }
+    }
+}
+
+/// `[limits]`; what is left out follows from the nameplate (`Limits::for_motor`).
+#[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
+#[serde(deny_unknown_fields, default)]
+pub struct LimitsSection {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub current_a: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_rad_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub voltage_v: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slew_v_per_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub travel_rad: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bus_min_v: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bus_max_v: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub link_silence_s: Option<f64>,
+}
+
+impl LimitsSection {
+    fn values(&self) -> [(&'static str, Option<f64>); 9] {
+        [
+            ("current_a", self.current_a),
+            ("speed_rad_s", self.speed_rad_s),
+            ("voltage_v", self.voltage_v),
+            ("slew_v_per_s", self.slew_v_per_s),
+            ("travel_rad", self.travel_rad),
+            ("bus_min_v", self.bus_min_v),
+            ("bus_max_v", self.bus_max_v),
+            ("time_s", self.time_s),
+            ("link_silence_s", self.link_silence_s),
+        ]
+    }
+}
+
+/// `[runs]`: the seeds with which `commission` repeats the sequence. The random parts of the sequence use their own
+/// seed plus the run's, so that each run is another one of the same kind.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, PartialEq, Eq)]
+#[serde(deny_unknown_fields, default)]
+pub struct RunsSection {
+    /// The run on which models are fitted.
+    pub fit: u64,
+    /// The hold-out by which effects are chosen.
+    pub select: u64,
+    /// The hold-out of which the error is reported.
+    pub confirm: u64,
+    /// Repeats an earlier run, for the repeatability floor.
+    pub repeat: u64,
+}
+
+impl Default for RunsSection {
+    fn default() -> Self {
+        Self {
+            fit: 1,
+            select: 2,
+            confirm: 3,
+            repeat: 1,
+        }
+    }
+}
+
+impl BenchFile {
+    /// Reads and checks a bench file; `file` names it in errors.
+    pub fn parse(file: &str, text: &str) -> Result<Self, BenchFileError> {
+        let bench: Self = config_text::parse(file, text)?;
+        bench.check(file)?;
+        Ok(bench)
+    }
+
+    /// The emulated ZK-22FC with a hidden effect.
+    pub fn embedded_default() -> Self {
+        Self::parse(EMBEDDED_NAME, EMBEDDED_DEFAULT).expect("a test parses the embedded bench")
+    }
+
+    /// The effective configuration as text; it reads back as the same bench.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a bench file has only tables, numbers and strings")
+    }
+
+    pub fn port(&self) -> Port {
+        Port::parse(&self.link.port).expect("checked on reading")
+    }
+
+    pub fn period_s(&self) -> f64 {
+        1.0 / self.link.rate_hz
+    }
+
+    pub fn deadline_s(&self) -> f64 {
+        self.link
+            .deadline_ms
+            .map_or(0.9 * self.period_s(), |ms| ms * 1e-3)
+    }
+
+    /// Limits with every default filled in.
+    pub fn limits(&self) -> Limits {
+        let defaults = Limits::for_motor(&self.motor, self.link.rate_hz);
+        let given = &self.limits;
+        Limits {
+            current_a: given.current_a.unwrap_or(defaults.current_a),
+            speed_rad_s: given.speed_rad_s.unwrap_or(defaults.speed_rad_s),
+            voltage_v: given.voltage_v.unwrap_or(defaults.voltage_v),
+            slew_v_per_s: given.slew_v_per_s.unwrap_or(defaults.slew_v_per_s),
+            travel_rad: given.travel_rad,
+            bus_min_v: given.bus_min_v,
+            bus_max_v: given.bus_max_v,
+            time_s: given.time_s.unwrap_or(defaults.time_s),
+            link_silence_s: given.link_silence_s.unwrap_or(defaults.link_silence_s),
+        }
+    }
+
+    /// The sequence of one run, its random parts seeded with `run_seed` besides their own seed.
+    pub fn program(&self, run_seed: u64) -> Result<excitation::Program, ExcitationError> {
+        let mut segments = self.sequence.clone();
+        for segment in &mut segments {
+            let seed = match segment {
+                Segment::Prbs(prbs) => Some(&mut prbs.seed),
+                Segment::Steps(steps) => steps.dither.as_mut().map(|dither| &mut dither.seed),
+                Segment::Ramp(ramp) => ramp.dither.as_mut().map(|dither| &mut dither.seed),
+                Segment::Staircase(stairs) => stairs.dither.as_mut().map(|dither| &mut dither.seed),
+                Segment::Standstill(_) | Segment::Sine(_) | Segment::CoastDown(_) => None,
+            };
+            if let Some(seed) = seed {
+                // Far apart, so that run 2 is not run 1 with its parts exchanged.
+                *seed = seed.wrapping_add(run_seed.wrapping_mul(1000));
+            }
+        }
+        excitation::Program::new(&segments, self.limits().slew_v_per_s)
+    }
+
+    fn check(&self, file: &str) -> Result<(), BenchFileError> {
+        let refuse = |key: String, value: String, allowed| {
+            Err(BenchFileError::Value {
+                file: file.to_owned(),
+                key,
+                value,
+                allowed,
+            })
+        };
+        if self.name.is_empty() || self.name.contains(['/', '\\']) {
+            return refuse(
+                "name".to_owned(),
+                format!("{:?}", self.name),
+                "a name that can stand in a folder's name",
+            );
+        }
+        if Port::parse(&self.link.port).is_none() {
+            return refuse(
+                "link.port".to_owned(),
+                format!("{:?}", self.link.port),
+                "emulator, sim:, tcp:HOST:PORT or the path of a serial port",
+            );
+        }
+        if !(1.0..=2000.0).contains(&self.link.rate_hz) {
+            return refuse(
+                "link.rate_hz".to_owned(),
+                self.link.rate_hz.to_string(),
+                "1 to 2000",
+            );
+        }
+        if let Some(ms) = self.link.deadline_ms
+            && !(0.5..=10_000.0).contains(&ms)
+        {
+            return refuse(
+                "link.deadline_ms".to_owned(),
+                ms.to_string(),
+                "0.5 to 10000",
+            );
+        }
+        for (key, value) in self.motor.values() {
+            let zero_too = key == "load_torque_n_m";
+            if !(value.is_finite() && (value > 0.0 || (zero_too && value == 0.0))) {
+                return refuse(
+                    format!("motor.{key}"),
+                    value.to_string(),
+                    "a positive number; load_torque_n_m may be 0",
+                );
+            }
+        }
+        for (key, value) in self.limits.values() {
+            if let Some(value) = value
+                && !(value.is_finite() && value > 0.0)
+            {
+                return refuse(
+                    format!("limits.{key}"),
+                    value.to_string(),
+                    "a positive number",
+                );
+            }
+        }
+        let limits = self.limits();
+        if limits.link_silence_s < 2.0 * self.period_s() {
+            return refuse(
+                "limits.link_silence_s".to_owned(),
+                limits.link_silence_s.to_string(),
+                "at least two periods of link.rate_hz",
+            );
+        }
+        if let (Some(low), Some(high)) = (limits.bus_min_v, limits.bus_max_v)
+            && low >= high
+        {
+            return refuse(
+                "limits.bus_min_v".to_owned(),
+                low.to_string(),
+                "less than limits.bus_max_v",
+            );
+        }
+        self.program(self.runs.fit)
+            .map(drop)
+            .map_err(|error| BenchFileError::Sequence {
+                file: file.to_owned(),
+                error,
+            })
+    }
+}
+
+#[cfg(test)]
+mod tests;

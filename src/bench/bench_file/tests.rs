@@ -1,0 +1,123 @@
+use super::*;
+
+fn changed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
+    assert!(EMBEDDED_DEFAULT.contains(from), "{from}");
+    BenchFile::parse("b.toml", &EMBEDDED_DEFAULT.replacen(from, to, 1))
+}
+
+#[test]
+fn the_embedded_bench_is_valid_and_reads_back_as_it_is_written() {
+    let bench = BenchFile::embedded_default();
+    assert_eq!(bench.port(), Port::Emulator);
+    let duration_s = bench.program(1).unwrap().duration_s();
+    assert!((10.0..14.0).contains(&duration_s), "{duration_s}");
+    assert_eq!(BenchFile::parse("again", &bench.to_toml()), Ok(bench));
+}
+
+#[test]
+fn the_embedded_bench_documents_every_key() {
+    let mut full = BenchFile::embedded_default();
+    full.link.deadline_ms = Some(1.0);
+    full.limits = LimitsSection {
+        travel_rad: Some(1.0),
+        ..full.limits
+    };
+    for key in full
+        .to_toml()
+        .lines()
+        .filter_map(|line| line.split_once(" = "))
+    {
+        assert!(
+            EMBEDDED_DEFAULT.contains(&format!("{} = ", key.0)),
+            "{}",
+            key.0
+        );
+    }
+}
+
+#[test]
+fn an_unknown_key_is_named_with_its_line_and_the_nearest_key() {
+    let BenchFileError::Text(error) = changed("\ncurrent_a = ", "\ncurent_a = ").unwrap_err()
+    else {
+        panic!("not a text error");
+    };
+    let line = EMBEDDED_DEFAULT
+        .lines()
+        .position(|line| line.starts_with("current_a = "))
+        .unwrap();
+    assert_eq!(error.line, line + 1);
+    assert_eq!(error.help, "did you mean `current_a`?");
+    let error = changed("\nstandstill = {", "\nstandstil = {").unwrap_err();
+    assert_eq!(error.help(), "did you mean `standstill`?");
+}
+
+#[test]
+fn impossible_values_are_named_with_key_value_and_what_is_allowed() {
+    for (from, to, key) in [
+        ("rate_hz = 100.0", "rate_hz = 0.0", "link.rate_hz = 0"),
+        (
+            "inertia_kg_m2 = 0.0045",
+            "inertia_kg_m2 = -1.0",
+            "motor.inertia_kg_m2 = -1",
+        ),
+        (
+            "slew_v_per_s = ",
+            "slew_v_per_s = 0.0 # ",
+            "limits.slew_v_per_s = 0",
+        ),
+        (
+            "link_silence_s = 0.1",
+            "link_silence_s = 0.015",
+            "limits.link_silence_s = 0.015",
+        ),
+        (
+            "port = \"emulator\"",
+            "port = \"tcp:nowhere\"",
+            "link.port = \"tcp:nowhere\"",
+        ),
+        ("time_s = ", "time_s = inf # ", "limits.time_s = inf"),
+    ] {
+        let error = changed(from, to).unwrap_err().to_string();
+        assert!(error.contains(key), "{error}");
+        assert!(error.contains("expected"), "{error}");
+    }
+    let error = changed("seconds = 0.5", "seconds = -0.5")
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("sequence part 1 (standstill)"), "{error}");
+}
+
+#[test]
+fn limits_that_are_left_out_follow_from_the_nameplate() {
+    let bench = changed("\ncurrent_a = ", "\n# current_a = ").unwrap();
+    assert!((bench.limits().current_a - 4.0 * 5.7).abs() < 1e-12);
+}
+
+#[test]
+fn another_run_seed_is_another_run_and_the_same_one_the_same() {
+    let bench = BenchFile::embedded_default();
+    let runs = bench.runs;
+    let corners = |seed| bench.program(seed).unwrap().polyline();
+    assert_eq!(corners(runs.fit), corners(runs.repeat));
+    assert_ne!(corners(runs.fit), corners(runs.select));
+    assert_ne!(corners(runs.select), corners(runs.confirm));
+}
+
+#[test]
+fn ports_have_one_text_form_each() {
+    assert_eq!(Port::parse("sim:"), Some(Port::Sim));
+    assert_eq!(
+        Port::parse("tcp:h:502"),
+        Some(Port::Tcp("h:502".to_owned()))
+    );
+    assert_eq!(
+        Port::parse("tcp:[::1]:502"),
+        Some(Port::Tcp("[::1]:502".to_owned()))
+    );
+    assert_eq!(Port::parse("tcp:502"), None);
+    assert_eq!(Port::parse(""), None);
+    assert_eq!(
+        Port::parse("/dev/ttyUSB0"),
+        Some(Port::Serial("/dev/ttyUSB0".to_owned()))
+    );
+}
