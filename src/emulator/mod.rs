@@ -1,1 +1,3 @@
 //! The software drive: plant, state machine, registers, watchdog, line pacing.
+
+pub mod truth;
