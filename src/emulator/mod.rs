@@ -1,3 +1,15 @@
-//! The software drive: plant, state machine, registers, watchdog, line pacing.
+//! The software drive: what stands in for a real drive, behind the same protocols.
+//!
+//! ```text
+//!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
+//!                                   ^ pure function of drive time
+//!   memory.rs  virtual time --------+
+//!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
+//! ```
 
+mod config;
+mod drive;
 pub mod truth;
+
+pub use config::{EmulatorConfig, EmulatorConfigError, LimitsConfig, LineConfig, OutputOff};
+pub use drive::SoftDrive;

@@ -115,6 +115,11 @@ impl Plant {
             + self.voltage_loss(mean)
     }
 
+    /// Switches the terminals without letting time pass.
+    pub fn hold(&mut self, terminals: Terminals) {
+        self.terminal_v = self.voltage_at(terminals);
+    }
+
     /// Advances by `step_s` with the terminals held; stick, slip and reversal are located inside the step.
     pub fn advance(&mut self, terminals: Terminals, step_s: f64) {
         let circuit = self.circuit(terminals);
@@ -136,17 +141,21 @@ impl Plant {
             // The diodes block once the current has reached zero.
             self.state.i = 0.0;
         }
-        self.terminal_v = match (terminals, self.state.i == 0.0) {
-            (Terminals::Voltage(volts), _) => volts,
-            (Terminals::Open { .. }, true) => self.motor.back_emf_v_s_per_rad * self.state.w,
-            (Terminals::Open { bus_v }, false) => -bus_v.copysign(self.state.i),
-        };
+        self.terminal_v = self.voltage_at(terminals);
         let (i, w) = (
             0.5 * (before.i + self.state.i),
             0.5 * (before.w + self.state.w),
         );
         for effect in &mut self.effects {
             effect.advance(step_s, i, w);
+        }
+    }
+
+    fn voltage_at(&self, terminals: Terminals) -> f64 {
+        match (terminals, self.state.i == 0.0) {
+            (Terminals::Voltage(volts), _) => volts,
+            (Terminals::Open { .. }, true) => self.motor.back_emf_v_s_per_rad * self.state.w,
+            (Terminals::Open { bus_v }, false) => -bus_v.copysign(self.state.i),
         }
     }
 
