@@ -1,7 +1,7 @@
 //! The command block: what the host asks of the drive.
 
 use crate::registers as r;
-use crate::registers::{COMMAND_ADDRESS, COMMAND_WORDS};
+use crate::registers::{COMMAND_ADDRESS, COMMAND_WORDS, WriteError, check_write};
 
 /// The output that is asked for. Everything but the three set-points means zero output.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -92,5 +92,63 @@ impl DriveCommand {
             other => return Err(CommandError::Control(other)),
         };
         Ok(Self { seq, control })
+    }
+}
+
+/// The command block as a drive keeps it. A write may cover a part of it; the rest then counts as last written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CommandBlock {
+    words: [u16; COMMAND_WORDS],
+}
+
+impl CommandBlock {
+    /// Takes a write and gives the command that it makes; on error the block stays as it was.
+    ///
+    /// # Errors
+    /// An address outside the block, half a set-point, a control word or set-point out of range.
+    pub fn write(&mut self, address: u16, values: &[u16]) -> Result<DriveCommand, WriteError> {
+        check_write(address, values)?;
+        let at = usize::from(
+            address
+                .checked_sub(COMMAND_ADDRESS)
+                .ok_or(WriteError::NoRegister)?,
+        );
+        let mut next = *self;
+        next.words
+            .get_mut(at..at + values.len())
+            .ok_or(WriteError::NoRegister)?
+            .copy_from_slice(values);
+        let command = DriveCommand::from_registers(&next.words).map_err(|_| WriteError::Range)?;
+        *self = next;
+        self.forget_unless_running(command.control);
+        Ok(command)
+    }
+
+    /// Takes a whole command, as the stream carries it.
+    pub fn set(&mut self, command: DriveCommand) {
+        self.words = command.to_registers();
+        self.forget_unless_running(command.control);
+    }
+
+    /// To be called when the drive stops itself (watchdog, fault): an old set-point must not come back with a
+    /// later write of the control word alone, nor an old control word with a later write of the set-point alone.
+    pub fn forget(&mut self) {
+        let [seq, ..] = self.words;
+        self.words = DriveCommand {
+            seq,
+            control: Control::Disable,
+        }
+        .to_registers();
+    }
+
+    /// What the host reads back.
+    pub const fn registers(&self) -> [u16; COMMAND_WORDS] {
+        self.words
+    }
+
+    fn forget_unless_running(&mut self, control: Control) {
+        if control.code() < Control::Voltage(0.0).code() {
+            r::SET_POINT.put(&mut self.words, COMMAND_ADDRESS, 0);
+        }
     }
 }

@@ -27,7 +27,7 @@ pub mod telemetry;
 mod wire;
 
 pub use capture::{CaptureControl, CaptureSample, CaptureState};
-pub use command::{CommandError, Control, DriveCommand};
+pub use command::{CommandBlock, CommandError, Control, DriveCommand};
 pub use identity::{DeviceKind, Identity, IdentityError};
 pub use registers::{PROTOCOL_VERSION, REGISTERS, Register};
 pub use telemetry::{Fault, State, Status, Telemetry};

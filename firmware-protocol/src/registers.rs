@@ -129,8 +129,8 @@ const fn quantity(
         Kind::I16 | Kind::I32 => (kind.lowest() + 1, kind.highest()),
     };
     Register {
-        scale,
         unit,
+        scale,
         min,
         max,
         ..count(address, name, kind, meaning)
