@@ -282,7 +282,12 @@ mod tests {
     fn the_example_states_the_defaults_as_they_are() {
         // Every key with a default, left out.
         let optional = [
-            "tolerance", "watchdog_ms", "output_off", "voltage_v", "bus_v = 0", "angle_rad",
+            "tolerance",
+            "watchdog_ms",
+            "output_off",
+            "voltage_v",
+            "bus_v = 0",
+            "angle_rad",
         ];
         let example = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
         let short: String = EXAMPLE

@@ -8,8 +8,13 @@
 //! ```
 
 mod config;
+mod dialogue;
 mod drive;
+mod memory;
+mod pace;
 pub mod truth;
 
 pub use config::{EmulatorConfig, EmulatorConfigError, LimitsConfig, LineConfig, OutputOff};
+pub use dialogue::{LinkKind, UNIT};
 pub use drive::SoftDrive;
+pub use memory::{Latency, MemoryLink, VirtualClock};

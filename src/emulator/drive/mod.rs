@@ -20,12 +20,12 @@ use self::capture::Capture;
 use self::output::{Output, OutputStage};
 use super::config::EmulatorConfig;
 use super::truth::effect::TrueParameter;
-use super::truth::{MotorTruth, Plant, Reading, Sensors, Terminals};
+use super::truth::{MotorTruth, Plant, Reading, Sensors};
 
-pub use self::stream::answer as answer_stream;
+pub(super) use self::stream::answer as answer_stream;
 
 /// Period of the drive's control and of the plant's integration.
-pub const TICK_US: u32 = 50;
+const TICK_US: u32 = 50;
 const TICK_S: f64 = TICK_US as f64 * 1e-6;
 const TICKS_PER_MS: u64 = 1000 / TICK_US as u64;
 /// Captured samples lie this far apart.
@@ -43,6 +43,8 @@ pub struct SoftDrive {
     sensors: Sensors,
     output_stage: OutputStage,
     output: Output,
+    /// The output of this tick is decided already.
+    output_fresh: bool,
     capture: Capture,
     state: State,
     fault: Fault,
@@ -78,6 +80,7 @@ impl SoftDrive {
             sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), seed),
             output_stage: OutputStage::new(&config.limits, &config.motor),
             output: Output::off(config.limits.output_off, config.limits.bus_v),
+            output_fresh: false,
             capture: Capture::default(),
             state: State::Disabled,
             fault: Fault::None,
@@ -186,7 +189,9 @@ impl SoftDrive {
     /// One control period: supervision, output, plant, capture.
     fn step(&mut self) {
         self.supervise();
-        self.refresh_output();
+        if !std::mem::take(&mut self.output_fresh) {
+            self.refresh_output();
+        }
         self.plant.advance(self.output.terminals, TICK_S);
         self.tick += 1;
         if self.capture.is_due(self.tick, CAPTURE_TICKS) {
@@ -214,6 +219,7 @@ impl SoftDrive {
         if self.state != State::Fault {
             self.state = State::Fault;
             self.fault = fault;
+            self.output_fresh = false;
         }
     }
 
@@ -243,6 +249,7 @@ impl SoftDrive {
         self.applied_unread = true;
         // The new voltage stands at the terminals from this instant on.
         self.refresh_output();
+        self.output_fresh = true;
         self.plant.hold(self.output.terminals);
         self.capture.command_applied();
         if self.capture.is_due(self.tick, CAPTURE_TICKS) {

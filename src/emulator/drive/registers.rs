@@ -27,10 +27,20 @@ impl RegisterBank for SoftDrive {
         }
         let last = usize::from(address) + out.len();
         if usize::from(address) < usize::from(TELEMETRY_ADDRESS) + TELEMETRY_WORDS {
-            copy(TELEMETRY_ADDRESS, &self.telemetry().to_registers(), address, out);
+            copy(
+                TELEMETRY_ADDRESS,
+                &self.telemetry().to_registers(),
+                address,
+                out,
+            );
         }
         copy(COMMAND_ADDRESS, &self.command_block.words, address, out);
-        copy(IDENTITY_ADDRESS, &self.identity().to_registers(), address, out);
+        copy(
+            IDENTITY_ADDRESS,
+            &self.identity().to_registers(),
+            address,
+            out,
+        );
         if last > usize::from(CAPTURE_ADDRESS) {
             copy(CAPTURE_ADDRESS, &self.capture_registers(), address, out);
         }

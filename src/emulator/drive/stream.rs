@@ -8,7 +8,10 @@ use firmware_protocol::stream::{
 use super::{SoftDrive, micros};
 
 /// The answer to what the decoder gave; `None` where nothing that could be answered was understood.
-pub fn answer(drive: &mut SoftDrive, received: Result<Frame, FrameError>) -> Option<Frame> {
+pub(in crate::emulator) fn answer(
+    drive: &mut SoftDrive,
+    received: Result<Frame, FrameError>,
+) -> Option<Frame> {
     let (seq, message) = match received {
         Ok(frame) => (frame.seq, respond(drive, &frame)?),
         Err(FrameError::UnknownType { kind, seq }) => {

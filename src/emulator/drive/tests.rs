@@ -67,7 +67,11 @@ fn the_state_machine_is_the_table() {
         assert_eq!(drive.state(), to, "{from:?} {control:?}");
         let energised = drive.telemetry().voltage_cmd_v.abs() > 0.0;
         assert_eq!(energised, to == Running, "{from:?} {control:?}");
-        assert_eq!(drive.telemetry().seq, 2, "echoed even where it has no effect");
+        assert_eq!(
+            drive.telemetry().seq,
+            2,
+            "echoed even where it has no effect"
+        );
     }
 }
 
@@ -90,12 +94,21 @@ fn the_watchdog_stops_the_motor_and_stays_latched() {
     assert_eq!(telemetry.fault, Fault::Watchdog);
     assert!(telemetry.status.has(Status::WATCHDOG));
     drive.advance_to(silent_from + 2.0);
-    assert!(drive.plant().speed_rad_s() == 0.0, "stopped without the host");
+    assert!(
+        drive.plant().speed_rad_s() == 0.0,
+        "stopped without the host"
+    );
     hold(&mut drive, Control::Voltage(60.0), 0.1);
-    assert!(drive.plant().speed_rad_s() == 0.0, "no restart without a reset");
+    assert!(
+        drive.plant().speed_rad_s() == 0.0,
+        "no restart without a reset"
+    );
     send(&mut drive, 8, Control::ResetFault);
     drive.advance_to(drive.time_s() + 0.1);
-    assert!(drive.plant().speed_rad_s() == 0.0, "no restart without a new set-point");
+    assert!(
+        drive.plant().speed_rad_s() == 0.0,
+        "no restart without a new set-point"
+    );
     hold(&mut drive, Control::Voltage(60.0), 0.1);
     assert!(drive.plant().speed_rad_s() > 1.0);
     assert!(!drive.telemetry().status.has(Status::WATCHDOG));
@@ -107,9 +120,15 @@ fn a_command_is_stamped_with_the_tick_that_applied_it() {
     drive.advance_to(0.010_02);
     send(&mut drive, 300, Control::Voltage(12.0));
     let telemetry = drive.telemetry();
-    assert_eq!((telemetry.seq, telemetry.applied_us, telemetry.time_us), (300, 10_050, 10_050));
+    assert_eq!(
+        (telemetry.seq, telemetry.applied_us, telemetry.time_us),
+        (300, 10_050, 10_050)
+    );
     assert!((telemetry.voltage_cmd_v - 12.0).abs() < 1e-12);
-    assert!((telemetry.voltage_v - 12.0).abs() < 0.1, "sampled after it was applied");
+    assert!(
+        (telemetry.voltage_v - 12.0).abs() < 0.1,
+        "sampled after it was applied"
+    );
     assert!(telemetry.status.has(Status::COMMAND_APPLIED));
     drive.advance_to(0.020);
     let later = drive.telemetry();
@@ -121,7 +140,10 @@ fn a_command_is_stamped_with_the_tick_that_applied_it() {
 
 #[test]
 fn the_drive_time_counter_wraps_and_time_never_goes_back() {
-    assert_eq!(micros(1 << 32), 0_u32.wrapping_add(((1_u64 << 32) * 50 % (1 << 32)) as u32));
+    assert_eq!(
+        micros(1 << 32),
+        0_u32.wrapping_add(((1_u64 << 32) * 50 % (1 << 32)) as u32)
+    );
     assert_eq!(micros(85_899_346), 4); // 4,294,967,300 us
     let mut drive = drive();
     drive.advance_to(0.5);
@@ -164,7 +186,10 @@ fn over_speed_trips() {
     config.limits.speed_limit_rad_s = 100.0;
     let mut drive = SoftDrive::new(&config, 1);
     hold(&mut drive, Control::Voltage(60.0), 1.0);
-    assert_eq!((drive.state(), drive.fault()), (State::Fault, Fault::OverSpeed));
+    assert_eq!(
+        (drive.state(), drive.fault()),
+        (State::Fault, Fault::OverSpeed)
+    );
     assert!(drive.plant().speed_rad_s() < 1.0);
 }
 
@@ -200,7 +225,11 @@ fn an_open_output_lets_the_motor_coast() {
         send(drive, 9, Control::Stop);
         drive.advance_to(1.5);
     }
-    assert!(open.plant().speed_rad_s() > 100.0, "{}", open.plant().speed_rad_s());
+    assert!(
+        open.plant().speed_rad_s() > 100.0,
+        "{}",
+        open.plant().speed_rad_s()
+    );
     assert!(short.plant().speed_rad_s() == 0.0);
 }
 
@@ -233,7 +262,10 @@ fn how_often_the_drive_is_advanced_makes_no_difference() {
         fine.advance_to(f64::from(step) * 1e-4);
     }
     coarse.advance_to(0.19);
-    assert_eq!(fine.telemetry().to_registers(), coarse.telemetry().to_registers());
+    assert_eq!(
+        fine.telemetry().to_registers(),
+        coarse.telemetry().to_registers()
+    );
 }
 
 #[test]
@@ -263,7 +295,9 @@ fn registers_show_the_drive() {
         seq: 513,
         control: Control::Voltage(-12.345),
     };
-    drive.write(r::COMMAND_ADDRESS, &command.to_registers()).unwrap();
+    drive
+        .write(r::COMMAND_ADDRESS, &command.to_registers())
+        .unwrap();
     let mut block = [0; r::TELEMETRY_WORDS];
     drive.read(0, &mut block).unwrap();
     let telemetry = Telemetry::from_registers(&block);
@@ -273,7 +307,10 @@ fn registers_show_the_drive() {
     let mut identity = [0; r::IDENTITY_WORDS];
     drive.read(r::IDENTITY_ADDRESS, &mut identity).unwrap();
     let identity = Identity::from_registers(&identity).unwrap();
-    assert_eq!((identity.watchdog_ms, identity.control_period_us), (150, 50));
+    assert_eq!(
+        (identity.watchdog_ms, identity.control_period_us),
+        (150, 50)
+    );
     assert!(identity.kind.has(DeviceKind::EMULATOR));
     let mut echoed = [0; r::COMMAND_WORDS];
     drive.read(r::COMMAND_ADDRESS, &mut echoed).unwrap();
@@ -284,7 +321,9 @@ fn registers_show_the_drive() {
 fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
     let mut drive = drive();
     drive.advance_to(0.1);
-    drive.write(r::CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()]).unwrap();
+    drive
+        .write(r::CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()])
+        .unwrap();
     drive.advance_to(0.2);
     hold(&mut drive, Control::Voltage(10.0), 0.5);
     let mut head = [0; 7];
@@ -296,10 +335,15 @@ fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
     let mut window = [0; 1 + 40 * 3];
     drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
     assert_eq!(window[0], 40);
-    let sample = firmware_protocol::CaptureSample::from_registers(&[window[1], window[2], window[3]]);
+    let sample =
+        firmware_protocol::CaptureSample::from_registers(&[window[1], window[2], window[3]]);
     // Sample 20 is 2 ms after the step: i = U/R (1 - exp(-t R/L)), the shaft still almost at rest.
     let expected = 10.0 / 1.1 * (1.0 - (-0.002_f64 / 0.009).exp());
-    assert!((sample.current_a - expected).abs() < 0.2, "{} {expected}", sample.current_a);
+    assert!(
+        (sample.current_a - expected).abs() < 0.2,
+        "{} {expected}",
+        sample.current_a
+    );
     assert!((sample.voltage_v - 10.0).abs() < 0.1);
     // Past the end the window is empty.
     drive.write(r::WINDOW_INDEX.address, &[5000]).unwrap();

@@ -108,7 +108,9 @@ mod tests {
             ];
             assert!(ratios.iter().all(|ratio| (ratio - 1.0).abs() <= 0.1));
             assert!(
-                ratios.windows(2).all(|pair| (pair[0] - pair[1]).abs() > 0.0),
+                ratios
+                    .windows(2)
+                    .all(|pair| (pair[0] - pair[1]).abs() > 0.0),
                 "each parameter has a draw of its own"
             );
         }

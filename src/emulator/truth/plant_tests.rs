@@ -7,7 +7,11 @@ use super::*;
 const H: f64 = 50e-6;
 
 fn run(plant: &mut Plant, terminals: Terminals, time_s: f64, step_s: f64) {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small count")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a small count"
+    )]
     for _ in 0..(time_s / step_s).round() as usize {
         plant.advance(terminals, step_s);
     }
@@ -71,7 +75,10 @@ fn an_open_circuit_coasts_down_on_a_straight_line_and_stays_at_rest() {
     // dw/dt = -Mc/J = -101.1 rad/s2
     let expected = start - 0.455 / 0.0045;
     assert!((plant.speed_rad_s() - expected).abs() < 1e-9);
-    assert!((plant.terminal_v() - 0.3538 * expected).abs() < 1e-9, "back-EMF at the terminals");
+    assert!(
+        (plant.terminal_v() - 0.3538 * expected).abs() < 1e-9,
+        "back-EMF at the terminals"
+    );
     run(&mut plant, open, 1.0, H);
     assert_eq!(plant.motion(), Motion::Stuck);
     assert!(plant.speed_rad_s() == 0.0);

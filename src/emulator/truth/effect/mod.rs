@@ -133,7 +133,11 @@ mod tests {
     fn contract_of_every_effect() {
         let effects = one_of_each();
         let ids: Vec<&str> = effects.iter().map(HiddenEffect::id).collect();
-        assert_eq!(ids, HiddenEffect::IDS, "the test covers the whole catalogue");
+        assert_eq!(
+            ids,
+            HiddenEffect::IDS,
+            "the test covers the whole catalogue"
+        );
         let motor = zk_22fc();
         for effect in effects {
             let mut mechanism = effect.build(&motor);
