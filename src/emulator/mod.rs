@@ -12,9 +12,16 @@ mod dialogue;
 mod drive;
 mod memory;
 mod pace;
+mod port;
+#[cfg(target_os = "linux")]
+mod pty;
+mod server;
+mod session;
+mod tcp;
 pub mod truth;
 
 pub use config::{EmulatorConfig, EmulatorConfigError, LimitsConfig, LineConfig, OutputOff};
 pub use dialogue::{LinkKind, UNIT};
 pub use drive::SoftDrive;
 pub use memory::{Latency, MemoryLink, VirtualClock};
+pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn};
