@@ -68,7 +68,16 @@ pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigErr
 pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     allowed
         .into_iter()
-        .map(|name| (if name.contains(given) { 1 } else { edit_distance(given, name) }, name))
+        .map(|name| {
+            (
+                if name.contains(given) {
+                    1
+                } else {
+                    edit_distance(given, name)
+                },
+                name,
+            )
+        })
         .min()
         .filter(|(distance, name)| *distance <= name.len().max(given.len()).div_ceil(2))
         .map(|(_, name)| name)

@@ -286,19 +286,28 @@ impl Plant {
             return 0.0;
         }
         let mut at_high = margin(self, h);
-        for _ in 0..12 {
+        let mut last_was_low = None;
+        for _ in 0..20 {
             let t = (low * at_high - high * at_low) / (at_high - at_low);
             let there = margin(self, t);
             if there.abs() < 1e-12 || high - low < 1e-9 * h {
                 return t;
             }
-            if there > 0.0 {
+            // An end that stays twice in a row is weighted down, else the secant would creep.
+            let is_low = there > 0.0;
+            if is_low {
                 (low, at_low) = (t, there);
-                at_high *= 0.5;
             } else {
                 (high, at_high) = (t, there);
-                at_low *= 0.5;
             }
+            if last_was_low == Some(is_low) {
+                if is_low {
+                    at_high *= 0.5
+                } else {
+                    at_low *= 0.5
+                }
+            }
+            last_was_low = Some(is_low);
         }
         high
     }
