@@ -22,6 +22,20 @@ pub struct NoiseFloor {
     pub current_a: f64,
     pub speed_rad_s: f64,
     pub source: FloorSource,
+    /// Samples that it was estimated from: a standard deviation from n samples is itself uncertain by 1/sqrt(2 n).
+    pub samples: usize,
+}
+
+impl NoiseFloor {
+    /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was
+    /// estimated from few samples; at least `least`.
+    pub fn tolerance(&self, least: f64) -> f64 {
+        if self.samples == 0 {
+            least
+        } else {
+            least.max(1.0 + 2.6 / (2.0 * self.samples as f64).sqrt())
+        }
+    }
 }
 
 /// Samples at rest below which a standard deviation says nothing.
@@ -55,6 +69,7 @@ impl NoiseFloor {
             current_a: current.unwrap_or(f64::INFINITY),
             speed_rad_s: speed.unwrap_or(f64::INFINITY),
             source: FloorSource::Standstill,
+            samples: rows.len(),
         })
     }
 
@@ -77,6 +92,7 @@ impl NoiseFloor {
             current_a: spread(&scenario.current_a),
             speed_rad_s: spread(&scenario.speed_rad_s),
             source: FloorSource::None,
+            samples: 0,
         }
     }
 }

@@ -10,6 +10,7 @@ const NOISE: NoiseFloor = NoiseFloor {
     current_a: 0.03,
     speed_rad_s: 0.15,
     source: FloorSource::Standstill,
+    samples: 1000,
 };
 
 /// A run of steps both ways with a creep through zero, simulated with `model` and sampled with white noise.
