@@ -1,1 +1,93 @@
 //! Excitation programs: pure, seekable, seeded functions of time.
+//!
+//! ```text
+//! [Segment] (configuration) -> target pieces -> slew limit -> Program -> value_at(t): Output
+//!   one file per kind           straight lines   exact        polyline    in any order
+//! ```
+//!
+//! Everything is a polyline: the slew limit is then exact, and the value at an instant is found by searching, so it does
+//! not depend on what was asked before. A new kind is a new file and one line in the catalogue below; the contract test
+//! in `contract_tests.rs` then covers it.
+
+mod coast_down;
+mod dither;
+mod error;
+mod lfsr;
+mod piece;
+mod prbs;
+mod program;
+mod ramp;
+mod rich;
+mod sine;
+mod slew;
+mod staircase;
+mod standstill;
+mod steps;
+
+pub use coast_down::CoastDown;
+pub use dither::Dither;
+pub use error::ExcitationError;
+pub use piece::{Piece, Target};
+pub use prbs::Prbs;
+pub use program::{Output, Program, Span};
+pub use ramp::Ramp;
+pub use rich::{RICH_SECONDS, rich};
+pub use sine::Sine;
+pub use staircase::Staircase;
+pub use standstill::Standstill;
+pub use steps::Steps;
+
+use error::Refusal;
+
+/// What a kind of excitation is and what it is good for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Card {
+    /// Its key in a bench file.
+    pub id: &'static str,
+    pub name: &'static str,
+    /// What it makes visible.
+    pub shows: &'static str,
+    /// An example for a bench file.
+    pub example: &'static str,
+}
+
+/// One kind of excitation: what is asked for, before the slew limit.
+pub trait Excitation {
+    fn card(&self) -> Card;
+
+    /// Refuses values that make no program.
+    fn check(&self) -> Result<(), Refusal>;
+
+    /// Length in s; only asked for after [`Excitation::check`].
+    fn duration_s(&self) -> f64;
+
+    /// The wanted voltage over `0..duration_s`, without gaps; only asked for after [`Excitation::check`].
+    fn target(&self) -> Target;
+}
+
+macro_rules! catalogue {
+    ($($kind:ident),* $(,)?) => {
+        /// One part of a sequence, as it stands in a bench file: `steps = { levels_v = [12.0, -12.0], hold_s = 0.5 }`.
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Segment {
+            $($kind($kind),)*
+        }
+
+        impl Segment {
+            /// Every kind, in the order of the catalogue.
+            pub const CARDS: &[Card] = &[$($kind::CARD),*];
+
+            pub fn excitation(&self) -> &dyn Excitation {
+                match self {
+                    $(Self::$kind(excitation) => excitation,)*
+                }
+            }
+        }
+    };
+}
+
+catalogue![Standstill, Steps, Staircase, Ramp, Prbs, Sine, CoastDown,];
+
+#[cfg(test)]
+mod contract_tests;

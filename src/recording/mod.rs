@@ -1,1 +1,38 @@
 //! Run folders and CSV: writing while it runs, reading whatever is there.
+//!
+//! ```text
+//! Sample, CommandRow, Event -> Record
+//!     |- Recorder (writer thread, run folder)  -\
+//!     '- MemoryRecorder (virtual time)          -+-> Journal: RowOrder -> Layout -> whole lines
+//!
+//! run folder | samples.csv | any CSV + ColumnMap -> open_run -> LoadedRun { Run, Manifest, warnings }
+//! ```
+//!
+//! * `samples.csv` has one strictly increasing time axis; a command stands at the drive time at which it was applied.
+//! * Every line reaches the file in one write, so that a killed program loses at most the row in flight.
+//! * `manifest.json` says `"finished": false` until the run was closed; such a run is read to its last whole row.
+
+mod column_map;
+mod csv_line;
+mod csv_read;
+mod csv_write;
+mod error;
+mod journal;
+mod manifest;
+mod memory;
+mod open_run;
+mod recorder;
+mod row_order;
+mod run_folder;
+
+pub use column_map::{ColumnMap, Mapping};
+pub use csv_read::{ReadOptions, read_csv};
+pub use csv_write::{Layout, Row, number_text, write_run};
+pub use error::RecordingError;
+pub use journal::{Event, Record, RecorderStatus};
+pub use manifest::Manifest;
+pub use memory::MemoryRecorder;
+pub use open_run::{LoadedRun, open_run};
+pub use recorder::Recorder;
+pub use row_order::{CommandRow, RowOrder};
+pub use run_folder::{RunFile, RunFolder, utc_stamp};

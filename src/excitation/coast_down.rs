@@ -1,0 +1,39 @@
+//! Output off: friction and inertia from the free run.
+
+use serde::{Deserialize, Serialize};
+
+use super::error::{Refusal, duration};
+use super::{Card, Excitation, Target};
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoastDown {
+    pub seconds: f64,
+}
+
+impl CoastDown {
+    pub const CARD: Card = Card {
+        id: "coast_down",
+        name: "coast-down",
+        shows: "friction over speed without any current: Coulomb, viscous and quadratic terms part",
+        example: "coast_down = { seconds = 2.0 }",
+    };
+}
+
+impl Excitation for CoastDown {
+    fn card(&self) -> Card {
+        Self::CARD
+    }
+
+    fn check(&self) -> Result<(), Refusal> {
+        duration("seconds", self.seconds)
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.seconds
+    }
+
+    fn target(&self) -> Target {
+        Target::Coast
+    }
+}

@@ -1,0 +1,100 @@
+//! A small pseudo-random binary voltage on top of steps, staircases and ramps.
+
+use serde::{Deserialize, Serialize};
+
+use super::Piece;
+use super::error::{Refusal, amplitude, clock};
+use super::lfsr::Lfsr;
+
+/// Keeps current and speed moving during holds: without it resistance and back-EMF cannot be told apart there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dither {
+    /// Added or taken away, V.
+    pub amplitude_v: f64,
+    /// Time between possible changes of sign, s; 0.02 to 0.05 suits small motors.
+    pub clock_s: f64,
+    #[serde(default)]
+    pub seed: u64,
+}
+
+impl Dither {
+    pub(super) fn check(&self, seconds: f64) -> Result<(), Refusal> {
+        amplitude("dither.amplitude_v", self.amplitude_v)?;
+        clock("dither.clock_s", self.clock_s, seconds)
+    }
+
+    /// The pieces, cut at every change of sign, with the dither added.
+    pub(super) fn add(&self, pieces: &[Piece]) -> Vec<Piece> {
+        let mut register = Lfsr::new(self.seed);
+        let mut tick = 1_u32;
+        let mut volts = self.next_v(&mut register);
+        let mut dithered = Vec::new();
+        for piece in pieces {
+            let mut start_s = piece.start_s;
+            while start_s < piece.end_s {
+                let mut change_s = f64::from(tick) * self.clock_s;
+                if change_s <= start_s {
+                    tick += 1;
+                    volts = self.next_v(&mut register);
+                    change_s = f64::from(tick) * self.clock_s;
+                }
+                let end_s = piece.end_s.min(change_s.max(start_s.next_up()));
+                dithered.push(Piece {
+                    start_s,
+                    end_s,
+                    from_v: piece.value(start_s) + volts,
+                    to_v: piece.value(end_s) + volts,
+                });
+                start_s = end_s;
+            }
+        }
+        dithered
+    }
+
+    fn next_v(&self, register: &mut Lfsr) -> f64 {
+        if register.next_bit() {
+            self.amplitude_v
+        } else {
+            -self.amplitude_v
+        }
+    }
+}
+
+/// The pieces with the dither, where there is one.
+pub(super) fn dithered(dither: Option<&Dither>, pieces: Vec<Piece>) -> Vec<Piece> {
+    match dither {
+        Some(dither) => dither.add(&pieces),
+        None => pieces,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_dither_stands_on_the_ramp_and_changes_only_at_its_clock() {
+        let ramp = [Piece {
+            start_s: 0.0,
+            end_s: 1.0,
+            from_v: -4.0,
+            to_v: 4.0,
+        }];
+        let dither = Dither {
+            amplitude_v: 0.5,
+            clock_s: 0.03,
+            seed: 5,
+        };
+        let pieces = dither.add(&ramp);
+        assert_eq!(pieces.len(), 34);
+        let mut ups = 0;
+        for (index, piece) in pieces.iter().enumerate() {
+            assert!((piece.start_s - index as f64 * 0.03).abs() < 1e-12);
+            let over = piece.from_v - ramp[0].value(piece.start_s);
+            assert!((over.abs() - 0.5).abs() < 1e-12);
+            ups += usize::from(over > 0.0);
+        }
+        assert!((8..=26).contains(&ups), "{ups} of 34 are up");
+    }
+}

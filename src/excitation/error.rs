@@ -1,0 +1,92 @@
+//! Why a sequence makes no program.
+
+use thiserror::Error;
+
+/// A value of one excitation that is not allowed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refusal {
+    pub key: &'static str,
+    pub value: f64,
+    pub allowed: &'static str,
+}
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ExcitationError {
+    #[error("sequence part {number} ({kind}): {key} = {value} is not allowed (allowed: {allowed})")]
+    Value {
+        /// Position in the sequence, from 1.
+        number: usize,
+        kind: &'static str,
+        key: &'static str,
+        value: f64,
+        allowed: &'static str,
+    },
+    #[error("slew_v_per_s = {0} is not allowed (allowed: more than 0, finite)")]
+    Slew(f64),
+    #[error("the sequence has no parts")]
+    Empty,
+    #[error("the sequence lasts {0} s (allowed: up to 86400 s)")]
+    TooLong(f64),
+}
+
+impl ExcitationError {
+    /// The next step for the user.
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Value { .. } => "correct the value in the bench file's sequence",
+            Self::Slew(_) => {
+                "300 to 500 V/s keeps a motor of 0.0045 kg.m2 under four times its rated current"
+            }
+            Self::Empty => "add at least one part, for instance standstill = { seconds = 0.5 }",
+            Self::TooLong(_) => "shorten the parts or record several runs",
+        }
+    }
+}
+
+/// The longest program, s: a day.
+pub(super) const LONGEST_S: f64 = 86_400.0;
+
+/// The most changes of level in one part; more would be a mistake in a unit.
+const MOST_CHANGES: f64 = 1e6;
+
+pub(super) fn finite(key: &'static str, value: f64) -> Result<(), Refusal> {
+    refuse_unless(value.is_finite(), key, value, "a finite number")
+}
+
+pub(super) fn amplitude(key: &'static str, value: f64) -> Result<(), Refusal> {
+    let good = value.is_finite() && value >= 0.0;
+    refuse_unless(good, key, value, "0 or more, finite")
+}
+
+pub(super) fn duration(key: &'static str, value: f64) -> Result<(), Refusal> {
+    let good = value > 0.0 && value <= LONGEST_S;
+    refuse_unless(good, key, value, "more than 0 s, up to 86400 s")
+}
+
+/// A clock that is not longer than what it divides and gives no more than a million changes.
+pub(super) fn clock(key: &'static str, value: f64, seconds: f64) -> Result<(), Refusal> {
+    let good = value > 0.0 && value <= seconds && seconds / value <= MOST_CHANGES;
+    refuse_unless(
+        good,
+        key,
+        value,
+        "more than 0 s, up to the length of its part, at most 1e6 changes",
+    )
+}
+
+pub(super) fn refuse_unless(
+    good: bool,
+    key: &'static str,
+    value: f64,
+    allowed: &'static str,
+) -> Result<(), Refusal> {
+    if good {
+        Ok(())
+    } else {
+        Err(Refusal {
+            key,
+            value,
+            allowed,
+        })
+    }
+}

@@ -1,0 +1,54 @@
+//! A straight line from one voltage to another.
+
+use serde::{Deserialize, Serialize};
+
+use super::dither::dithered;
+use super::error::{Refusal, duration, finite};
+use super::{Card, Dither, Excitation, Piece, Target};
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ramp {
+    pub from_v: f64,
+    pub to_v: f64,
+    pub seconds: f64,
+    pub dither: Option<Dither>,
+}
+
+impl Ramp {
+    pub const CARD: Card = Card {
+        id: "ramp",
+        name: "ramp",
+        shows: "what happens around zero speed: Stribeck friction, breakaway, cogging, dead zones",
+        example: "ramp = { from_v = -4.0, to_v = 4.0, seconds = 2.0 }",
+    };
+}
+
+impl Excitation for Ramp {
+    fn card(&self) -> Card {
+        Self::CARD
+    }
+
+    fn check(&self) -> Result<(), Refusal> {
+        finite("from_v", self.from_v)?;
+        finite("to_v", self.to_v)?;
+        duration("seconds", self.seconds)?;
+        self.dither
+            .as_ref()
+            .map_or(Ok(()), |dither| dither.check(self.seconds))
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.seconds
+    }
+
+    fn target(&self) -> Target {
+        let pieces = vec![Piece {
+            start_s: 0.0,
+            end_s: self.seconds,
+            from_v: self.from_v,
+            to_v: self.to_v,
+        }];
+        Target::Voltage(dithered(self.dither.as_ref(), pieces))
+    }
+}

@@ -1,0 +1,39 @@
+//! Zero volts: noise floor and sensor offsets.
+
+use serde::{Deserialize, Serialize};
+
+use super::error::{Refusal, duration};
+use super::{Card, Excitation, Piece, Target};
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Standstill {
+    pub seconds: f64,
+}
+
+impl Standstill {
+    pub const CARD: Card = Card {
+        id: "standstill",
+        name: "standstill",
+        shows: "noise floor and sensor offsets; every run begins with at least 0.3 s of it",
+        example: "standstill = { seconds = 0.5 }",
+    };
+}
+
+impl Excitation for Standstill {
+    fn card(&self) -> Card {
+        Self::CARD
+    }
+
+    fn check(&self) -> Result<(), Refusal> {
+        duration("seconds", self.seconds)
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.seconds
+    }
+
+    fn target(&self) -> Target {
+        Target::Voltage(vec![Piece::level(0.0, self.seconds, 0.0)])
+    }
+}

@@ -1,0 +1,230 @@
+use super::*;
+use crate::recording::number_text;
+
+fn own(text: &[u8]) -> Result<(Run, Vec<String>), RecordingError> {
+    read_csv(text, "run.csv", ReadOptions::default())
+}
+
+fn mapped(text: &str, map: &str) -> Result<(Run, Vec<String>), RecordingError> {
+    let map: ColumnMap = map.parse().unwrap();
+    let options = ReadOptions {
+        map: Some(&map),
+        whole_lines_only: false,
+    };
+    read_csv(text.as_bytes(), "foreign.csv", options)
+}
+
+#[test]
+fn our_own_columns_with_missing_cells_and_bookkeeping() {
+    let text = "time_s,host_time_s,seq,voltage_cmd_v,current_a,speed_rad_s,status,quality\n\
+                0,0.1,1,5,,,,\n\
+                0.01,0.11,1,,0.5,nan,ready,speed_rad_s:stale\n\
+                0.02,,2,-0,NaN,3e0,7,\n";
+    let (run, warnings) = own(text.as_bytes()).unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    assert_eq!(run.time_s(), &[0.0, 0.01, 0.02]);
+    assert_eq!(
+        run.points(Channel::Current).collect::<Vec<_>>(),
+        vec![(0.01, 0.5)]
+    );
+    assert_eq!(
+        run.points(Channel::Speed).collect::<Vec<_>>(),
+        vec![(0.02, 3.0)]
+    );
+    assert_eq!(run.points(Channel::VoltageCmd).count(), 2);
+    assert_eq!(run.origin(Channel::VoltageCmd), Origin::Commanded);
+    assert_eq!(run.origin(Channel::Current), Origin::Unknown);
+}
+
+#[test]
+fn a_byte_order_mark_crlf_blank_lines_and_no_last_line_end() {
+    let text = b"\xef\xbb\xbftime_s,current_a\r\n\r\n-5,1\r\n-4.5,2\r\n\r\n-4,3";
+    let (run, warnings) = own(text).unwrap();
+    assert_eq!(run.time_s(), &[-5.0, -4.5, -4.0]);
+    assert_eq!(run.rows_dropped, 0);
+    assert!(warnings.is_empty());
+}
+
+#[test]
+fn a_foreign_file_with_units_in_its_headers() {
+    let text = "\u{feff}Time (ms),ESC,Torque (N\u{b7}m),\"Speed, optical\",,\n\
+                1000,x,0.5,60,,\n\
+                ,,,,,\n\
+                1010,y,,120,,\n\
+                1020,z,,,,\n";
+    let map = "time_s=Time (ms)*0.001,torque_n_m=Torque (N\u{b7}m)*-1+0.25,speed_rad_s=\"Speed, optical\"*0.5";
+    let (run, _) = mapped(text, map).unwrap();
+    assert_eq!(run.time_s(), &[1.0, 1.01, 1.02]);
+    assert_eq!(
+        run.points(Channel::Torque).collect::<Vec<_>>(),
+        vec![(1.0, -0.25)]
+    );
+    assert_eq!(
+        run.points(Channel::Speed).collect::<Vec<_>>(),
+        vec![(1.0, 30.0), (1.01, 60.0)]
+    );
+    assert_eq!(run.origin(Channel::Speed), Origin::Unknown);
+}
+
+#[test]
+fn one_column_may_serve_two_targets_and_an_empty_column_is_none() {
+    let text = "t,u,i\n0,1,\n1,2,\n";
+    let (run, _) = mapped(text, "time_s=t,voltage_v=u,voltage_cmd_v=u*2,current_a=i").unwrap();
+    assert_eq!(run.column(Channel::VoltageCmd).unwrap(), &[2.0, 4.0]);
+    assert_eq!(run.column(Channel::Voltage).unwrap(), &[1.0, 2.0]);
+    assert!(run.column(Channel::Current).is_none());
+}
+
+#[test]
+fn errors_name_row_column_and_value() {
+    for (text, message) in [
+        (
+            "",
+            "run.csv: the file is empty (a header row and data rows are needed)",
+        ),
+        ("time_s,current_a\n", "run.csv: a header but no data row"),
+        (
+            "time_s,current_a\n0,1\n0,2\n",
+            "run.csv: row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)",
+        ),
+        (
+            "time_s,current_a\n0,1\n1\n2,3\n",
+            "run.csv: row 2 (line 3): 1 cells, the header has 2",
+        ),
+        (
+            "time_s,current_a\n0,1\n1,2,3\n",
+            "run.csv: row 2 (line 3): 3 cells, the header has 2",
+        ),
+        (
+            "time_s,current_a\n0,1 A\n",
+            "run.csv: row 1 (line 2), column \"current_a\": \"1 A\" is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)",
+        ),
+        (
+            "time_s,current_a\n0,inf\n",
+            "run.csv: row 1 (line 2), column \"current_a\": \"inf\" is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)",
+        ),
+        (
+            "time_s,current_a\nnan,1\n",
+            "run.csv: row 1 (line 2): no time in column \"time_s\"",
+        ),
+        (
+            "time_s,foo\n0,1\n",
+            "run.csv: no column that drivebench knows beside time_s",
+        ),
+        (
+            "t,current_a\n0,1\n",
+            "run.csv: no column \"time_s\" in the header",
+        ),
+        (
+            "time_s,current_a,current_a\n0,1,1\n",
+            "run.csv: 2 columns are called \"current_a\", exactly one is needed",
+        ),
+        (
+            "time_s,current_a\n0,\"1\n1,2\n",
+            "run.csv: line 2: a double quote is not closed on its line",
+        ),
+    ] {
+        let error = own(text.as_bytes()).unwrap_err();
+        assert_eq!(error.to_string(), message);
+        assert!(!error.help().is_empty());
+    }
+}
+
+#[test]
+fn text_that_is_not_utf8_is_named_with_its_line() {
+    for text in [
+        &b"time_s,current_a\n0,\xff\n1,2\n"[..],
+        b"time_s,current_a,\xb5x\n0,1,2\n",
+    ] {
+        assert!(matches!(
+            own(text).unwrap_err(),
+            RecordingError::NotUtf8 { .. }
+        ));
+    }
+    // UTF-16 with its byte order mark
+    assert!(matches!(
+        own(b"\xff\xfet\0\n\0").unwrap_err(),
+        RecordingError::NotUtf8 { line: 1, .. }
+    ));
+}
+
+#[test]
+fn help_lists_the_headers_and_the_nearest() {
+    let error = mapped("Zeit,Strom\n0,1\n", "time_s=Zeit,current_a=strom").unwrap_err();
+    assert!(
+        error.help().starts_with("did you mean \"Strom\"?"),
+        "{}",
+        error.help()
+    );
+    assert!(error.help().contains("\"Zeit\", \"Strom\""));
+    let error = own(b"time_s;current_a\n0;1\n").unwrap_err();
+    assert!(error.help().contains("';'"), "{}", error.help());
+}
+
+#[test]
+fn a_file_cut_at_any_byte_keeps_every_whole_row() {
+    let mut text = String::from("time_s,current_a,quality\n");
+    for row in 0..200 {
+        let time_s = f64::from(row) * 0.01;
+        text += &[
+            number_text(time_s),
+            number_text(f64::from(row) * 0.37),
+            "ok\n".into(),
+        ]
+        .join(",");
+    }
+    let line_ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at + 1).collect();
+    for cut in line_ends[150]..=text.len() {
+        let whole_rows = line_ends.iter().filter(|end| **end <= cut).count() - 1;
+        let torn = usize::from(!line_ends.contains(&cut));
+        let options = ReadOptions {
+            map: None,
+            whole_lines_only: true,
+        };
+        let (run, warnings) = read_csv(&text.as_bytes()[..cut], "samples.csv", options).unwrap();
+        assert_eq!(run.rows(), whole_rows, "cut at byte {cut}");
+        assert_eq!(run.rows_dropped, torn, "cut at byte {cut}");
+        assert_eq!(warnings.len(), torn);
+
+        // A foreign writer may leave the last line end out, so there a row that can be read is kept.
+        let (run, _) = own(&text.as_bytes()[..cut]).unwrap();
+        assert!(run.rows() == whole_rows || run.rows() == whole_rows + 1);
+        assert_eq!(run.rows() + run.rows_dropped, whole_rows + torn);
+    }
+}
+
+#[test]
+fn a_row_torn_in_the_middle_is_an_error_and_a_tail_of_zero_bytes_is_not() {
+    assert!(matches!(
+        own(b"time_s,current_a\n0,1\n0.1,\n0.2\n0.3,4\n").unwrap_err(),
+        RecordingError::FieldCount {
+            row: 3,
+            line: 4,
+            ..
+        }
+    ));
+    // what a file system may leave behind after a power cut
+    let (run, warnings) = own(b"time_s,current_a\n0,1\n\0\0\0\0\0\0").unwrap();
+    assert_eq!((run.rows(), run.rows_dropped, warnings.len()), (1, 1, 1));
+}
+
+#[test]
+fn a_missing_speed_is_noted_where_there_is_an_angle() {
+    let (run, _) = own(b"time_s,angle_rad\n0,1\n1,2\n").unwrap();
+    assert_eq!(run.notes.len(), 1);
+    assert!(run.column(Channel::Speed).is_none());
+}
+
+#[test]
+fn remarks_in_foreign_files_are_left_out_and_counted() {
+    let text = "# made by hand, \"quick\nt,i\n0,1\n# half time\n1,2\n\n# a-> Type: rise, 0.008";
+    let (run, warnings) = mapped(text, "time_s=t,current_a=i").unwrap();
+    assert_eq!((run.rows(), run.rows_dropped), (2, 0));
+    assert_eq!(
+        warnings,
+        ["foreign.csv: 2 lines that begin with # were left out"]
+    );
+    // numpy writes its header as a remark
+    let (run, _) = mapped("# t,i\n0,1\n", "time_s=# t,current_a=i").unwrap();
+    assert_eq!(run.rows(), 1);
+}

@@ -1,0 +1,253 @@
+//! Rows as CSV lines, with only the columns that the drive gives.
+
+use std::fmt::Write as _;
+
+use crate::sample::{Channel, Run};
+
+/// One line of `samples.csv` before it is text.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    pub time_s: f64,
+    pub host_time_s: Option<f64>,
+    pub seq: Option<u64>,
+    cells: [Option<f64>; Channel::COUNT],
+    /// The drive's status word, or the name of its state where it has no such word.
+    pub status: String,
+    /// Why cells are missing or stale: `key:reason` words with a blank between.
+    pub quality: String,
+}
+
+impl Row {
+    pub fn at(time_s: f64) -> Self {
+        Self {
+            time_s,
+            ..Self::default()
+        }
+    }
+
+    pub fn get(&self, channel: Channel) -> Option<f64> {
+        self.cells[channel.index()]
+    }
+
+    pub fn set(&mut self, channel: Channel, value: Option<f64>) {
+        self.cells[channel.index()] = value.filter(|value| value.is_finite());
+    }
+
+    /// Adds one word about a channel.
+    pub fn remark(&mut self, channel: Channel, reason: &str) {
+        let gap = if self.quality.is_empty() { "" } else { " " };
+        let _ = write!(self.quality, "{gap}{}:{reason}", channel.key());
+    }
+}
+
+/// Which columns a `samples.csv` has, in the order of DESIGN.md 5.2.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Layout {
+    channels: Vec<Channel>,
+    host_time: bool,
+    /// `seq`, `status` and `quality`.
+    exchange: bool,
+}
+
+impl Layout {
+    /// The bookkeeping columns and these channels; their order does not matter.
+    pub fn of_drive(channels: &[Channel]) -> Self {
+        Self {
+            host_time: true,
+            exchange: true,
+            ..Self::plain(channels)
+        }
+    }
+
+    /// Time and these channels only, as for a simulated run.
+    pub fn plain(channels: &[Channel]) -> Self {
+        Self {
+            channels: Channel::ALL
+                .into_iter()
+                .filter(|channel| channels.contains(channel))
+                .collect(),
+            host_time: false,
+            exchange: false,
+        }
+    }
+
+    /// Leaves the `host_time_s` column out: virtual time has no host clock.
+    #[must_use]
+    pub fn without_host_time(mut self) -> Self {
+        self.host_time = false;
+        self
+    }
+
+    pub fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    pub fn has(&self, channel: Channel) -> bool {
+        self.channels.contains(&channel)
+    }
+
+    /// The header row with its line feed.
+    pub fn header(&self) -> String {
+        let mut names = vec!["time_s"];
+        if self.host_time {
+            names.push("host_time_s");
+        }
+        if self.exchange {
+            names.push("seq");
+        }
+        names.extend(self.channels.iter().map(|channel| channel.key()));
+        if self.exchange {
+            names.extend(["status", "quality"]);
+        }
+        names.join(",") + "\n"
+    }
+
+    /// Writes the row with its line feed into `line`, which is cleared first.
+    pub fn format(&self, row: &Row, line: &mut String) {
+        line.clear();
+        push_number(line, row.time_s);
+        if self.host_time {
+            push_cell(line, row.host_time_s);
+        }
+        if self.exchange {
+            line.push(',');
+            if let Some(seq) = row.seq {
+                let _ = write!(line, "{seq}");
+            }
+        }
+        for channel in &self.channels {
+            push_cell(line, row.get(*channel));
+        }
+        if self.exchange {
+            for text in [&row.status, &row.quality] {
+                line.push(',');
+                line.push_str(text);
+            }
+        }
+        line.push('\n');
+    }
+}
+
+/// The shortest text that reads back to the same number; never `-0`; empty for what is not finite.
+pub fn number_text(value: f64) -> String {
+    let mut text = String::new();
+    if value.is_finite() {
+        push_number(&mut text, value);
+    }
+    text
+}
+
+/// A run as CSV text, for a simulated run or an export: time and the columns that are there.
+pub fn write_run(run: &Run) -> String {
+    let there: Vec<Channel> = Channel::ALL
+        .into_iter()
+        .filter(|channel| run.column(*channel).is_some())
+        .collect();
+    let layout = Layout::plain(&there);
+    let mut text = layout.header();
+    let mut line = String::new();
+    for (index, time_s) in run.time_s().iter().enumerate() {
+        let mut row = Row::at(*time_s);
+        for channel in &there {
+            let cell = run.column(*channel).map(|column| column[index]);
+            row.set(*channel, cell);
+        }
+        layout.format(&row, &mut line);
+        text.push_str(&line);
+    }
+    text
+}
+
+fn push_cell(line: &mut String, value: Option<f64>) {
+    line.push(',');
+    if let Some(value) = value {
+        push_number(line, value);
+    }
+}
+
+/// Far from one, the plain form would be a row of zeros; both forms are the shortest digits that round-trip.
+fn push_number(line: &mut String, value: f64) {
+    let value = value + 0.0; // turns -0 into 0
+    let magnitude = value.abs();
+    let _ = if value != 0.0 && !(1e-5..1e16).contains(&magnitude) {
+        write!(line, "{value:e}")
+    } else {
+        write!(line, "{value}")
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::{ReadOptions, read_csv};
+    use crate::sample::Origin;
+    use proptest::prelude::*;
+
+    #[test]
+    fn columns_stand_in_the_order_of_the_contract() {
+        assert_eq!(
+            Layout::of_drive(&Channel::ALL).header(),
+            "time_s,host_time_s,seq,reference_rad_s,voltage_cmd_v,voltage_v,current_a,speed_rad_s,angle_rad,\
+             torque_n_m,bus_v,temperature_c,status,quality\n"
+        );
+        assert_eq!(
+            Layout::plain(&[Channel::Speed, Channel::Current]).header(),
+            "time_s,current_a,speed_rad_s\n"
+        );
+    }
+
+    #[test]
+    fn numbers_are_short_and_zero_has_no_sign() {
+        for (value, text) in [
+            (0.1 + 0.2, "0.30000000000000004"),
+            (-0.0, "0"),
+            (3.0, "3"),
+            (-2.5, "-2.5"),
+            (1e-9, "1e-9"),
+            (1e300, "1e300"),
+            (f64::NAN, ""),
+        ] {
+            assert_eq!(number_text(value), text);
+        }
+    }
+
+    #[test]
+    fn a_row_leaves_missing_cells_empty() {
+        let layout = Layout::of_drive(&[Channel::VoltageCmd, Channel::Speed]);
+        let mut row = Row::at(0.5);
+        row.seq = Some(7);
+        row.set(Channel::Speed, Some(-0.0));
+        row.set(Channel::Current, Some(9.0)); // not in the layout
+        row.remark(Channel::VoltageCmd, "unconfirmed");
+        row.remark(Channel::Speed, "stale");
+        let mut line = "old".to_owned();
+        layout.format(&row, &mut line);
+        assert_eq!(
+            line,
+            "0.5,,7,,0,,voltage_cmd_v:unconfirmed speed_rad_s:stale\n"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn a_run_comes_back_to_the_bit(
+            values in prop::collection::vec(prop::option::of(prop::num::f64::NORMAL), 1..30),
+            start in -1e6..1e6f64,
+        ) {
+            let time_s = (0..values.len()).map(|row| start + row as f64 * 0.01).collect();
+            let mut run = Run::new("r", time_s).unwrap();
+            let column = values.iter().map(|value| value.unwrap_or(f64::NAN)).collect();
+            run.set_column(Channel::Current, column, Origin::Measured).unwrap();
+            run.set_column(Channel::Speed, vec![1.0; values.len()], Origin::Measured).unwrap();
+            let text = write_run(&run);
+            let (back, warnings) = read_csv(text.as_bytes(), "r", ReadOptions::default()).unwrap();
+            prop_assert!(warnings.is_empty());
+            prop_assert_eq!(back.time_s(), run.time_s());
+            let cells: Vec<_> = back.column(Channel::Current).map(<[f64]>::to_vec).unwrap_or(vec![f64::NAN; values.len()]);
+            for (cell, value) in cells.iter().zip(&values) {
+                prop_assert_eq!(value.is_none(), cell.is_nan());
+                prop_assert!(value.is_none_or(|value| value.to_bits() == cell.to_bits()));
+            }
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! What can go wrong with recorded data; every message names the thing, the value and what is allowed.
+
+use std::path::Path;
+
+use thiserror::Error;
+
+use crate::sample::RunError;
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum RecordingError {
+    #[error("{path}: cannot {doing}: {reason}")]
+    Io {
+        path: String,
+        doing: &'static str,
+        reason: String,
+    },
+    #[error("--map: {item:?}: {reason}")]
+    Map { item: String, reason: String },
+    #[error("--map: unknown target {target:?}")]
+    UnknownTarget { target: String, help: String },
+    #[error("--map: no item for time_s, which every run needs")]
+    MapWithoutTime,
+    #[error("{file}: no column {header:?} in the header")]
+    HeaderNotFound {
+        file: String,
+        header: String,
+        help: String,
+    },
+    #[error("{file}: {count} columns are called {header:?}, exactly one is needed")]
+    AmbiguousHeader {
+        file: String,
+        header: String,
+        count: usize,
+    },
+    #[error("{file}: no column that drivebench knows beside time_s")]
+    NoKnownColumn { file: String, help: String },
+    #[error(
+        "{file}: row {row} (line {line}): time {time_s} s is not after {before_s} s (time must be strictly increasing)"
+    )]
+    TimeNotIncreasing {
+        file: String,
+        row: usize,
+        line: usize,
+        time_s: f64,
+        before_s: f64,
+    },
+    #[error("{file}: row {row} (line {line}): no time in column {column:?}")]
+    TimeMissing {
+        file: String,
+        row: usize,
+        line: usize,
+        column: String,
+    },
+    #[error("{file}: row {row} (line {line}): {found} cells, the header has {expected}")]
+    FieldCount {
+        file: String,
+        row: usize,
+        line: usize,
+        found: usize,
+        expected: usize,
+    },
+    #[error(
+        "{file}: row {row} (line {line}), column {column:?}: {text:?} is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)"
+    )]
+    NotANumber {
+        file: String,
+        row: usize,
+        line: usize,
+        column: String,
+        text: String,
+    },
+    #[error("{file}: line {line}: a double quote is not closed on its line")]
+    Quote { file: String, line: usize },
+    #[error("{file}: line {line}: the text is not UTF-8")]
+    NotUtf8 { file: String, line: usize },
+    #[error("{file}: the file is empty (a header row and data rows are needed)")]
+    Empty { file: String },
+    #[error("{file}: a header but no data row")]
+    NoRows { file: String },
+    #[error("{file}: {source}")]
+    Run { file: String, source: RunError },
+    #[error("{path}: the writer thread of the recorder is gone")]
+    WriterGone { path: String },
+}
+
+impl RecordingError {
+    /// The next step for the reader.
+    pub fn help(&self) -> String {
+        match self {
+            Self::UnknownTarget { help, .. }
+            | Self::HeaderNotFound { help, .. }
+            | Self::NoKnownColumn { help, .. } => help.clone(),
+            Self::Io { .. } => "check the path, its permissions and the space on the disk".into(),
+            Self::Map { .. } => {
+                "the form is --map 'target=header[*factor][+offset],...'; put a header with , * or + in double quotes; a negative offset is +-3".into()
+            }
+            Self::MapWithoutTime => "add time_s=HEADER, for instance time_s=t".into(),
+            Self::AmbiguousHeader { .. } => "rename one of the columns in the file".into(),
+            Self::TimeNotIncreasing { .. } => {
+                "sort the rows by time and remove repeated ones; is this the time column?".into()
+            }
+            Self::TimeMissing { .. } => "remove the row or give it a time".into(),
+            Self::FieldCount { .. } => {
+                "only the last row of a file may be torn; a separator other than the comma, or a decimal comma, also looks like this".into()
+            }
+            Self::NotANumber { .. } => {
+                "leave a missing value empty or write NaN; numbers have a decimal point and no unit".into()
+            }
+            Self::Quote { .. } => "a quoted cell must begin and end on one line".into(),
+            Self::NotUtf8 { .. } => "save the file as CSV in UTF-8".into(),
+            Self::Empty { .. } | Self::NoRows { .. } => {
+                "nothing was recorded; give another run".into()
+            }
+            Self::Run { .. } => "see DESIGN.md 5.2 for the form of a run".into(),
+            Self::WriterGone { .. } => "the run is unfinished; its rows so far are on disk".into(),
+        }
+    }
+
+    pub(crate) fn io(path: &Path, doing: &'static str, error: &std::io::Error) -> Self {
+        Self::Io {
+            path: path.display().to_string(),
+            doing,
+            reason: error.to_string(),
+        }
+    }
+}

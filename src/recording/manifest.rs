@@ -1,0 +1,89 @@
+//! `manifest.json`: what a run is, how it was made and where each of its signals comes from.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::sample::{Channel, Origin};
+
+/// Everything that is needed to judge or repeat a run. Keys that a newer program may have added are read past.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Manifest {
+    pub program_version: String,
+    pub protocol_version: Option<u16>,
+    pub name: String,
+    /// UTC stamp of the start, as in the folder's name.
+    pub stamp: String,
+    pub seed: Option<u64>,
+    /// Text of each configuration as it was used: `bench`, `drive`, `motor`, `emulator`.
+    pub configs: BTreeMap<String, String>,
+    /// Machine and system.
+    pub host: Value,
+    /// Link name: `/dev/ttyUSB0`, `tcp:host:502`, `sim:`.
+    pub link: String,
+    /// What the drive says it is.
+    pub identity: Value,
+    pub link_statistics: Value,
+    pub period_asked_s: Option<f64>,
+    pub period_achieved_s: Option<f64>,
+    pub missed_cycles: Option<u64>,
+    /// Median and 99th percentile of how late the cycles began, s.
+    pub lateness_p50_s: Option<f64>,
+    pub lateness_p99_s: Option<f64>,
+    /// Column key to origin: `"voltage_v": "measured"`.
+    pub signals: BTreeMap<String, Origin>,
+    /// `passed`, `interrupted`, `safety trip: ...`.
+    pub outcome: Option<String>,
+    /// Rows of `samples.csv`; set by the recorder.
+    pub rows: Option<usize>,
+    /// Only true once every row is on the disk; set by the recorder.
+    pub finished: bool,
+    /// Checks that the user waived.
+    pub waivers: Vec<String>,
+}
+
+impl Manifest {
+    /// Says where a signal comes from.
+    pub fn set_origin(&mut self, channel: Channel, origin: Origin) {
+        self.signals.insert(channel.key().to_owned(), origin);
+    }
+
+    pub fn origin(&self, channel: Channel) -> Option<Origin> {
+        self.signals.get(channel.key()).copied()
+    }
+
+    /// The text of `manifest.json`.
+    pub(super) fn text(&self) -> String {
+        let mut text = serde_json::to_string_pretty(self)
+            .expect("a manifest has string keys only, so it always has a JSON form");
+        text.push('\n');
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_manifest_comes_back_and_newer_keys_are_read_past() {
+        let mut manifest = Manifest {
+            name: "first".into(),
+            seed: Some(7),
+            lateness_p99_s: Some(0.0004),
+            ..Manifest::default()
+        };
+        manifest.set_origin(Channel::Voltage, Origin::Measured);
+        manifest
+            .configs
+            .insert("bench".into(), "[drive]\nport = \"sim:\"\n".into());
+        let text = manifest.text();
+        assert!(text.contains("\"voltage_v\": \"measured\""));
+        assert!(text.contains("\"finished\": false"));
+        assert_eq!(serde_json::from_str::<Manifest>(&text).unwrap(), manifest);
+        let newer = text.replacen('{', "{\"of_tomorrow\": [1],", 1);
+        assert_eq!(serde_json::from_str::<Manifest>(&newer).unwrap(), manifest);
+    }
+}

@@ -1,0 +1,59 @@
+//! The recorder of virtual time: the same lines as on disk, in memory.
+
+use super::journal::Journal;
+use super::{
+    CommandRow, Event, Layout, ReadOptions, Record, RecorderStatus, RecordingError, read_csv,
+};
+use crate::sample::{Run, Sample};
+
+/// Records into memory; with the same input it gives the same bytes as [`super::Recorder`] writes.
+pub struct MemoryRecorder {
+    journal: Journal<Vec<u8>>,
+}
+
+impl MemoryRecorder {
+    pub fn new(layout: Layout) -> Self {
+        Self {
+            journal: Journal::new(layout, Vec::new(), Vec::new(), usize::MAX),
+        }
+    }
+
+    /// Writes the commands that still wait for their instant; to be called once at the end.
+    pub fn finish(&mut self) {
+        self.journal.finish();
+    }
+
+    /// The text of `samples.csv` so far.
+    pub fn samples_csv(&self) -> String {
+        String::from_utf8_lossy(self.journal.sinks().0).into_owned()
+    }
+
+    /// The text of `events.jsonl` so far.
+    pub fn events_jsonl(&self) -> String {
+        String::from_utf8_lossy(self.journal.sinks().1).into_owned()
+    }
+
+    /// The run as it would be read from disk.
+    pub fn run(&self, name: &str) -> Result<Run, RecordingError> {
+        let bytes: &[u8] = self.journal.sinks().0;
+        read_csv(bytes, name, ReadOptions::default()).map(|(run, _)| run)
+    }
+}
+
+impl Record for MemoryRecorder {
+    fn row(&mut self, sample: &Sample) {
+        self.journal.row(sample);
+    }
+
+    fn command(&mut self, command: &CommandRow) {
+        self.journal.command(*command);
+    }
+
+    fn event(&mut self, event: Event) {
+        self.journal.event(&event);
+    }
+
+    fn status(&self) -> RecorderStatus {
+        self.journal.status()
+    }
+}

@@ -1,0 +1,208 @@
+//! Whatever a user calls a RUN: a run folder, its `samples.csv`, or any CSV with a map.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use super::run_folder::SAMPLES;
+use super::{ColumnMap, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, read_csv};
+use crate::sample::{Channel, Origin, Run};
+
+/// A run with what is known about it.
+#[derive(Clone, Debug)]
+pub struct LoadedRun {
+    pub run: Run,
+    /// `None` for foreign files, and where the manifest is lost or cannot be read.
+    pub manifest: Option<Manifest>,
+    /// The run folder, where the samples stand in one.
+    pub folder: Option<PathBuf>,
+    /// Sentences for the reader: torn rows, an unfinished run, ignored columns.
+    pub warnings: Vec<String>,
+}
+
+/// Opens a run. Without `map` the headers must be those of our own `samples.csv`.
+///
+/// A run that was not finished is read to its last whole row, with a warning. Origins of signals come from the
+/// manifest; without one they are unknown, but for the commands of our own files.
+pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, RecordingError> {
+    let is_folder = path.is_dir();
+    let samples = if is_folder {
+        path.join(SAMPLES)
+    } else {
+        path.to_owned()
+    };
+    let mut warnings = Vec::new();
+    let (folder, manifest) = folder_of(&samples, is_folder, &mut warnings);
+
+    let file =
+        File::open(&samples).map_err(|error| RecordingError::io(&samples, "open", &error))?;
+    let name = path.display().to_string();
+    let options = ReadOptions {
+        map,
+        whole_lines_only: folder.is_some(),
+    };
+    let (mut run, more) = read_csv(BufReader::with_capacity(1 << 20, file), &name, options)?;
+    warnings.extend(more);
+
+    if let Some(manifest) = &manifest {
+        if !manifest.finished {
+            warnings.push(format!(
+                "{name}: the run was not finished; it was read to its last whole row ({} rows)",
+                run.rows()
+            ));
+        } else if let Some(rows) = manifest.rows
+            && rows != run.rows()
+        {
+            warnings.push(format!(
+                "{name}: {} rows, the manifest says {rows}",
+                run.rows()
+            ));
+        }
+        if map.is_none() {
+            set_origins(&mut run, manifest)?;
+        }
+    }
+    Ok(LoadedRun {
+        run,
+        manifest,
+        folder,
+        warnings,
+    })
+}
+
+/// The folder and manifest that belong to a samples file; a CSV that only lies beside a manifest does not count.
+fn folder_of(
+    samples: &Path,
+    is_folder: bool,
+    warnings: &mut Vec<String>,
+) -> (Option<PathBuf>, Option<Manifest>) {
+    let parent = match samples.parent() {
+        Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
+        Some(parent) => parent,
+        None => return (None, None),
+    };
+    if !is_folder && samples.file_name().is_none_or(|name| name != SAMPLES) {
+        return (None, None);
+    }
+    let path = RunFolder::existing(parent).file(RunFile::Manifest);
+    match std::fs::read_to_string(&path) {
+        Ok(text) => match serde_json::from_str(&text) {
+            Ok(manifest) => (Some(parent.to_owned()), Some(manifest)),
+            Err(error) => {
+                warnings.push(format!(
+                    "{}: cannot be read ({error}); where the signals come from is unknown",
+                    path.display()
+                ));
+                (Some(parent.to_owned()), None)
+            }
+        },
+        Err(_) if is_folder => {
+            warnings.push(format!(
+                "{}: there is no manifest; where the signals come from is unknown",
+                parent.display()
+            ));
+            (Some(parent.to_owned()), None)
+        }
+        Err(_) => (None, None),
+    }
+}
+
+fn set_origins(run: &mut Run, manifest: &Manifest) -> Result<(), RecordingError> {
+    for channel in Channel::ALL {
+        let origin = manifest.origin(channel).unwrap_or_else(|| {
+            if channel.is_commanded() {
+                Origin::Commanded
+            } else {
+                Origin::Unknown
+            }
+        });
+        if let Some(values) = run.column(channel).map(<[f64]>::to_vec) {
+            let file = run.name.clone();
+            run.set_column(channel, values, origin)
+                .map_err(|source| RecordingError::Run { file, source })?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    fn folder(root: &Path, manifest: &Manifest, samples: &str) -> RunFolder {
+        let folder = RunFolder::create(root, "s", "n").unwrap();
+        folder.write_manifest(manifest).unwrap();
+        fs::write(folder.samples(), samples).unwrap();
+        folder
+    }
+
+    #[test]
+    fn a_folder_and_its_samples_are_the_same_run() {
+        let root = tempfile::tempdir().unwrap();
+        let mut manifest = Manifest {
+            finished: true,
+            rows: Some(2),
+            ..Manifest::default()
+        };
+        manifest.set_origin(Channel::Voltage, Origin::Measured);
+        let folder = folder(
+            root.path(),
+            &manifest,
+            "time_s,voltage_cmd_v,voltage_v\n0,1,0.9\n1,,0.8\n",
+        );
+        for path in [folder.path().to_owned(), folder.samples()] {
+            let loaded = open_run(&path, None).unwrap();
+            assert_eq!(loaded.run.rows(), 2);
+            assert_eq!(loaded.run.origin(Channel::Voltage), Origin::Measured);
+            assert_eq!(loaded.run.origin(Channel::VoltageCmd), Origin::Commanded);
+            assert_eq!(loaded.manifest.as_ref(), Some(&manifest));
+            assert_eq!(loaded.folder.as_deref(), Some(folder.path()));
+            assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+        }
+    }
+
+    #[test]
+    fn an_unfinished_run_is_read_to_its_last_whole_row() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = folder(
+            root.path(),
+            &Manifest::default(),
+            "time_s,current_a\n0,1\n1,2\n2,3.1",
+        );
+        let loaded = open_run(folder.path(), None).unwrap();
+        assert_eq!(loaded.run.column(Channel::Current).unwrap(), &[1.0, 2.0]);
+        assert_eq!(loaded.run.rows_dropped, 1);
+        assert_eq!(loaded.warnings.len(), 2, "{:?}", loaded.warnings);
+        assert!(loaded.warnings[1].contains("not finished"));
+    }
+
+    #[test]
+    fn a_lost_or_broken_manifest_is_a_warning() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = folder(root.path(), &Manifest::default(), "time_s,current_a\n0,1\n");
+        fs::write(folder.file(RunFile::Manifest), "{\"name\":").unwrap();
+        let loaded = open_run(folder.path(), None).unwrap();
+        assert!(loaded.manifest.is_none());
+        assert_eq!(loaded.warnings.len(), 1);
+        fs::remove_file(folder.file(RunFile::Manifest)).unwrap();
+        let loaded = open_run(folder.path(), None).unwrap();
+        assert_eq!(loaded.warnings.len(), 1);
+        assert_eq!(loaded.run.rows(), 1);
+        // A bare samples.csv is simply a CSV.
+        assert!(open_run(&folder.samples(), None).unwrap().folder.is_none());
+    }
+
+    #[test]
+    fn a_foreign_file_needs_no_folder_and_a_missing_one_is_named() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("log.csv");
+        fs::write(&path, "t,i\n0,1\n1,2").unwrap();
+        let map: ColumnMap = "time_s=t,current_a=i".parse().unwrap();
+        let loaded = open_run(&path, Some(&map)).unwrap();
+        assert_eq!((loaded.run.rows(), loaded.run.rows_dropped), (2, 0));
+        assert!(loaded.manifest.is_none() && loaded.folder.is_none());
+        let error = open_run(&root.path().join("none.csv"), None).unwrap_err();
+        assert!(error.to_string().contains("none.csv: cannot open"));
+    }
+}

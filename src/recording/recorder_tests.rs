@@ -1,0 +1,180 @@
+use std::fs;
+
+use super::*;
+use crate::recording::{MemoryRecorder, open_run};
+use crate::sample::{Applied, Channel, Command, Demand, Origin};
+
+fn layout() -> Layout {
+    Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed])
+}
+
+/// A short session: a command and its sample in each cycle, an event now and then.
+fn drive(recorder: &mut dyn Record, cycles: u32) {
+    for cycle in 0..cycles {
+        let seq = u64::from(cycle) + 1;
+        let time_s = f64::from(cycle) * 0.01;
+        recorder.command(&CommandRow {
+            command: Command {
+                seq,
+                demand: Demand::Voltage(f64::from(cycle % 7)),
+            },
+            time_s,
+            reference_rad_s: None,
+        });
+        let mut sample = Sample::at(time_s + 0.004)
+            .with(Channel::Current, f64::from(cycle) * 0.1)
+            .with(Channel::Speed, -f64::from(cycle));
+        sample.seq = Some(seq);
+        sample.applied = Some(Applied {
+            seq,
+            time_s: time_s + 0.001,
+        });
+        recorder.row(&sample);
+        if cycle % 50 == 0 {
+            recorder.event(Event::new(time_s, Some(seq), "mark").with("cycle", cycle));
+        }
+    }
+}
+
+fn manifest() -> Manifest {
+    let mut manifest = Manifest {
+        name: "test".into(),
+        ..Manifest::default()
+    };
+    manifest.set_origin(Channel::Current, Origin::Measured);
+    manifest
+}
+
+fn recorder(root: &std::path::Path) -> Recorder {
+    let folder = RunFolder::create(root, "20260131T000000Z", "test").unwrap();
+    Recorder::create(folder, layout(), &manifest(), 50).unwrap()
+}
+
+#[test]
+fn disk_and_memory_hold_the_same_bytes() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    drive(&mut disk, 200);
+    let folder = disk.folder().clone();
+    assert_eq!(disk.finish(&manifest()).unwrap().rows, 400);
+    let mut memory = MemoryRecorder::new(layout());
+    drive(&mut memory, 200);
+    memory.finish();
+    assert_eq!(
+        fs::read_to_string(folder.samples()).unwrap(),
+        memory.samples_csv()
+    );
+    assert_eq!(
+        fs::read_to_string(folder.events()).unwrap(),
+        memory.events_jsonl()
+    );
+    assert_eq!(memory.events_jsonl().lines().count(), 4);
+
+    let loaded = open_run(folder.path(), None).unwrap();
+    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    assert_eq!(loaded.manifest.unwrap().rows, Some(400));
+    assert_eq!(loaded.run.rows(), 400);
+    assert_eq!(loaded.run.points(Channel::VoltageCmd).count(), 200);
+    assert_eq!(loaded.run.origin(Channel::Current), Origin::Measured);
+    assert_eq!(loaded.run.time_s(), memory.run("m").unwrap().time_s());
+}
+
+#[test]
+fn a_run_that_is_dropped_keeps_its_rows_and_stays_unfinished() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    let path = disk.folder().path().to_owned();
+    let text = fs::read_to_string(path.join("manifest.json")).unwrap();
+    assert!(text.contains("\"finished\": false"));
+    drive(&mut disk, 10);
+    drop(disk);
+    let loaded = open_run(&path, None).unwrap();
+    assert_eq!((loaded.run.rows(), loaded.run.rows_dropped), (20, 0));
+    assert!(loaded.warnings[0].contains("not finished"));
+}
+
+/// What the file holds at any moment is what a kill would leave: whole lines only.
+#[test]
+fn the_file_grows_by_whole_lines() {
+    let root = tempfile::tempdir().unwrap();
+    let folder = RunFolder::create(root.path(), "s", "lines").unwrap();
+    let (samples, events) = folder.create_logs().unwrap();
+    let mut journal = Journal::new(layout(), samples, events, 50);
+    for row in 0..50_usize {
+        let sample = Sample::at(row as f64).with(Channel::Current, row as f64 / 3.0);
+        journal.row(&sample);
+        let text = fs::read_to_string(folder.samples()).unwrap();
+        assert!(text.ends_with('\n'));
+        assert_eq!(text.lines().count(), row + 2);
+    }
+}
+
+#[test]
+fn a_folder_that_holds_a_run_is_not_recorded_into_again() {
+    let root = tempfile::tempdir().unwrap();
+    let first = recorder(root.path());
+    let folder = first.folder().clone();
+    first.finish(&manifest()).unwrap();
+    assert!(Recorder::create(folder, layout(), &manifest(), 50).is_err());
+}
+
+#[test]
+fn a_folder_that_vanishes_is_an_error_at_the_end_and_no_panic() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    drive(&mut disk, 3);
+    fs::remove_dir_all(disk.folder().path()).unwrap();
+    drive(&mut disk, 3);
+    assert!(matches!(
+        disk.finish(&manifest()),
+        Err(RecordingError::Io { .. })
+    ));
+}
+
+const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";
+
+/// No test of its own: the program that [`a_killed_program_loses_no_whole_row`] kills.
+#[test]
+#[ignore = "runs until it is killed or a million rows are written; started by another test"]
+fn victim() {
+    let Some(root) = std::env::var_os(VICTIM_ROOT) else {
+        return;
+    };
+    let mut recorder = recorder(std::path::Path::new(&root));
+    for cycle in 0..1_000_000_u32 {
+        let value = f64::from(cycle);
+        recorder.row(&Sample::at(value).with(Channel::Current, value / 3.0));
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn a_killed_program_loses_no_whole_row() {
+    let root = tempfile::tempdir().unwrap();
+    let mut child = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "recording::recorder::tests::victim", "--ignored"])
+        .env(VICTIM_ROOT, root.path())
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let folder = RunFolder::existing(root.path().join("20260131T000000Z-test"));
+    let size = || fs::metadata(folder.samples()).map_or(0, |data| data.len());
+    while size() < 20_000 {
+        assert_eq!(
+            child.try_wait().unwrap(),
+            None,
+            "the victim ended by itself"
+        );
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+
+    let loaded = open_run(folder.path(), None).unwrap();
+    assert!(loaded.run.rows() > 300);
+    assert!(loaded.run.rows_dropped <= 1);
+    assert!(loaded.warnings.last().unwrap().contains("not finished"));
+    for (time_s, current_a) in loaded.run.points(Channel::Current) {
+        assert_eq!(current_a.to_bits(), (time_s / 3.0).to_bits());
+    }
+}

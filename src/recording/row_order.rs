@@ -1,0 +1,380 @@
+//! Commands and samples onto one strictly increasing time axis.
+//!
+//! ```text
+//! command k sent -> (waits) -> sample k: "applied k at t" -> row t: command k -> row of the sample
+//! ```
+//!
+//! A command waits until a sample says when it was applied; that is never later than the sample, so a sample's row
+//! never waits.
+
+use std::collections::VecDeque;
+
+use super::{Layout, Row};
+use crate::sample::{Applied, Channel, Command, Demand, Quality, Sample};
+
+/// A command as it is recorded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandRow {
+    pub command: Command,
+    /// When it was sent, on the samples' time axis, s: the best guess until the drive says when it was applied, and all
+    /// there is where the drive never says.
+    pub time_s: f64,
+    /// The speed reference that holds from then on; left out, a speed demand is its own.
+    pub reference_rad_s: Option<f64>,
+}
+
+/// Commands that may wait at once; more only pile up when a drive does not echo sequence numbers as it should.
+const WAITING_MAX: usize = 64;
+
+/// Puts rows in order; the state between calls is the waiting commands and the time of the last row.
+#[derive(Clone, Debug)]
+pub struct RowOrder {
+    layout: Layout,
+    waiting: VecDeque<CommandRow>,
+    last_s: f64,
+    repeats: usize,
+    unconfirmed: usize,
+}
+
+impl RowOrder {
+    pub fn new(layout: Layout) -> Self {
+        Self {
+            layout,
+            waiting: VecDeque::new(),
+            last_s: f64::NEG_INFINITY,
+            repeats: 0,
+            unconfirmed: 0,
+        }
+    }
+
+    /// Samples that were left out because their time was not after the last row: the drive had sampled nothing new.
+    pub fn repeats(&self) -> usize {
+        self.repeats
+    }
+
+    /// Commands of which the drive never said when they were applied, although it said so of others.
+    pub fn unconfirmed(&self) -> usize {
+        self.unconfirmed
+    }
+
+    pub fn command(&mut self, row: CommandRow) {
+        self.waiting.push_back(row);
+    }
+
+    /// The rows that this sample completes, in order, its own last.
+    pub fn sample(&mut self, sample: &Sample, rows: &mut Vec<Row>) {
+        // A comparison that is false for NaN as well.
+        let is_new = sample.time_s > self.last_s && sample.time_s.is_finite();
+        if !is_new {
+            self.repeats += 1;
+            return;
+        }
+        let mut own = self.sample_row(sample);
+        match sample.applied {
+            Some(applied) => self.place_applied(applied, &mut own, rows),
+            None => {
+                while self
+                    .waiting
+                    .front()
+                    .is_some_and(|row| row.time_s <= own.time_s)
+                {
+                    self.place_front(None, &mut own, rows);
+                }
+            }
+        }
+        while self.waiting.len() > WAITING_MAX {
+            self.unconfirmed += 1;
+            self.place_front(Some("unconfirmed"), &mut own, rows);
+        }
+        self.last_s = own.time_s;
+        rows.push(own);
+    }
+
+    /// The commands that still wait, at the time when they were sent: the drive said nothing any more.
+    pub fn finish(&mut self, rows: &mut Vec<Row>) {
+        while let Some(waiting) = self.waiting.pop_front() {
+            self.unconfirmed += 1;
+            let mut row = Row::at(self.after_last(waiting.time_s));
+            self.fill(&waiting, Some("unconfirmed"), &mut row);
+            if self.shows(&row) {
+                self.last_s = row.time_s;
+                rows.push(row);
+            }
+        }
+    }
+
+    fn place_applied(&mut self, applied: Applied, own: &mut Row, rows: &mut Vec<Row>) {
+        while let Some(front) = self.waiting.front_mut() {
+            if front.command.seq > applied.seq {
+                break;
+            }
+            let confirmed = front.command.seq == applied.seq;
+            if confirmed {
+                front.time_s = applied.time_s;
+            } else {
+                front.time_s = front.time_s.min(applied.time_s);
+                self.unconfirmed += 1;
+            }
+            let remark = (!confirmed).then_some("unconfirmed");
+            self.place_front(remark, own, rows);
+        }
+    }
+
+    /// The first waiting command on a row of its own, or on the sample's where their times are equal.
+    fn place_front(&mut self, remark: Option<&str>, own: &mut Row, rows: &mut Vec<Row>) {
+        let Some(waiting) = self.waiting.pop_front() else {
+            return;
+        };
+        let time_s = self.after_last(waiting.time_s);
+        if time_s >= own.time_s {
+            self.fill(&waiting, remark, own);
+            return;
+        }
+        let mut row = Row::at(time_s);
+        row.seq = Some(waiting.command.seq);
+        self.fill(&waiting, remark, &mut row);
+        if self.shows(&row) {
+            self.last_s = time_s;
+            rows.push(row);
+        }
+    }
+
+    /// `time_s`, or the next number after the last row where clocks disagree by a hair.
+    fn after_last(&self, time_s: f64) -> f64 {
+        if time_s > self.last_s {
+            time_s
+        } else {
+            self.last_s.next_up()
+        }
+    }
+
+    fn fill(&self, waiting: &CommandRow, remark: Option<&str>, row: &mut Row) {
+        let demand = waiting.command.demand;
+        let reference_rad_s = waiting.reference_rad_s.or(match demand {
+            Demand::Speed(speed_rad_s) => Some(speed_rad_s),
+            _ => None,
+        });
+        for (channel, value) in [
+            (Channel::VoltageCmd, demand.voltage_v()),
+            (Channel::Reference, reference_rad_s),
+        ] {
+            if value.is_none() || !self.layout.has(channel) {
+                continue;
+            }
+            row.set(channel, value);
+            if let Some(remark) = remark {
+                row.remark(channel, remark);
+            }
+        }
+        if row.seq.is_none() {
+            row.seq = Some(waiting.command.seq);
+        }
+    }
+
+    fn shows(&self, row: &Row) -> bool {
+        self.layout
+            .channels()
+            .iter()
+            .any(|channel| row.get(*channel).is_some())
+    }
+
+    /// Stale values are left out and said to be stale: the value would be a repeat of an older instant.
+    fn sample_row(&self, sample: &Sample) -> Row {
+        let mut row = Row::at(sample.time_s);
+        row.host_time_s = sample.host_time_s;
+        row.seq = sample.seq;
+        row.status = match (sample.status, sample.state) {
+            (Some(word), _) => word.to_string(),
+            (None, Some(state)) => state.name().to_owned(),
+            (None, None) => String::new(),
+        };
+        for channel in self.layout.channels() {
+            match sample.quality(*channel) {
+                Quality::Good => row.set(*channel, sample.get(*channel)),
+                Quality::Stale => row.remark(*channel, "stale"),
+                Quality::Missing if channel.is_commanded() => {}
+                Quality::Missing => row.remark(*channel, "missing"),
+            }
+        }
+        row
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn layout() -> Layout {
+        Layout::of_drive(&[Channel::VoltageCmd, Channel::Current])
+    }
+
+    fn volts(seq: u64, time_s: f64, volts: f64) -> CommandRow {
+        CommandRow {
+            command: Command {
+                seq,
+                demand: Demand::Voltage(volts),
+            },
+            time_s,
+            reference_rad_s: None,
+        }
+    }
+
+    fn sample(time_s: f64, applied: Option<(u64, f64)>) -> Sample {
+        let mut sample = Sample::at(time_s).with(Channel::Current, 1.0);
+        sample.applied = applied.map(|(seq, time_s)| Applied { seq, time_s });
+        sample
+    }
+
+    /// `(time, command, current)` of each row.
+    type Brief = (f64, Option<f64>, Option<f64>);
+
+    fn brief(rows: &[Row]) -> Vec<Brief> {
+        rows.iter()
+            .map(|row| {
+                (
+                    row.time_s,
+                    row.get(Channel::VoltageCmd),
+                    row.get(Channel::Current),
+                )
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_command_stands_at_the_instant_at_which_the_drive_applied_it() {
+        let mut order = RowOrder::new(layout());
+        let mut rows = Vec::new();
+        order.command(volts(1, 0.0, 5.0));
+        order.sample(&sample(0.010, Some((1, 0.003))), &mut rows);
+        order.command(volts(2, 0.010, 6.0));
+        order.sample(&sample(0.020, Some((2, 0.020))), &mut rows);
+        assert_eq!(
+            brief(&rows),
+            vec![
+                (0.003, Some(5.0), None),
+                (0.010, None, Some(1.0)),
+                (0.020, Some(6.0), Some(1.0)), // equal times: one row
+            ]
+        );
+        assert_eq!((order.repeats(), order.unconfirmed()), (0, 0));
+    }
+
+    #[test]
+    fn a_command_applied_after_the_sample_waits_for_the_next_one() {
+        let mut order = RowOrder::new(layout());
+        let mut rows = Vec::new();
+        order.command(volts(1, 0.0, 5.0));
+        order.sample(&sample(0.010, Some((0, 0.0))), &mut rows);
+        assert_eq!(brief(&rows), vec![(0.010, None, Some(1.0))]);
+        order.command(volts(2, 0.010, 6.0));
+        order.sample(&sample(0.020, Some((1, 0.011))), &mut rows);
+        assert_eq!(rows[1].time_s.to_bits(), 0.011_f64.to_bits());
+        order.finish(&mut rows);
+        assert_eq!(rows.len(), 4);
+        assert_eq!(rows[3].quality, "voltage_cmd_v:unconfirmed");
+        assert!(rows[3].time_s > rows[2].time_s);
+    }
+
+    #[test]
+    fn a_lost_reply_leaves_a_remark_and_stops_nothing() {
+        let mut order = RowOrder::new(layout());
+        let mut rows = Vec::new();
+        order.command(volts(1, 0.001, 5.0));
+        order.command(volts(2, 0.011, 6.0));
+        order.sample(&sample(0.020, Some((2, 0.012))), &mut rows);
+        assert_eq!(
+            brief(&rows),
+            vec![
+                (0.001, Some(5.0), None),
+                (0.012, Some(6.0), None),
+                (0.020, None, Some(1.0)),
+            ]
+        );
+        assert_eq!(rows[0].quality, "voltage_cmd_v:unconfirmed");
+        assert_eq!(rows[1].quality, "");
+        assert_eq!(order.unconfirmed(), 1);
+    }
+
+    #[test]
+    fn a_drive_without_stamps_has_its_commands_when_they_were_sent() {
+        let mut order = RowOrder::new(layout());
+        let mut rows = Vec::new();
+        order.command(volts(1, 0.001, 5.0));
+        order.sample(&sample(0.005, None), &mut rows);
+        assert_eq!(
+            brief(&rows),
+            vec![(0.001, Some(5.0), None), (0.005, None, Some(1.0))]
+        );
+        assert_eq!(rows[0].quality, "");
+    }
+
+    #[test]
+    fn a_speed_demand_is_a_reference_and_a_stop_is_zero_volts() {
+        let mut order = RowOrder::new(Layout::plain(&[Channel::Reference, Channel::VoltageCmd]));
+        let mut rows = Vec::new();
+        for (seq, demand) in [(1, Demand::Speed(50.0)), (2, Demand::Stop)] {
+            let command = Command { seq, demand };
+            order.command(CommandRow {
+                command,
+                ..volts(seq, seq as f64, 0.0)
+            });
+        }
+        order.sample(&Sample::at(5.0), &mut rows);
+        assert_eq!(rows.len(), 3);
+        assert_eq!(rows[0].get(Channel::Reference), Some(50.0));
+        assert_eq!(rows[0].get(Channel::VoltageCmd), None);
+        assert_eq!(rows[1].get(Channel::VoltageCmd), Some(0.0));
+    }
+
+    #[test]
+    fn a_sample_that_is_not_new_is_counted_and_left_out() {
+        let mut order = RowOrder::new(layout());
+        let mut rows = Vec::new();
+        for time_s in [0.1, 0.1, 0.05, f64::NAN, 0.2] {
+            order.sample(&sample(time_s, None), &mut rows);
+        }
+        assert_eq!(rows.len(), 2);
+        assert_eq!(order.repeats(), 3);
+    }
+
+    #[test]
+    fn stale_and_missing_cells_are_empty_and_say_why() {
+        let layout = Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed]);
+        let mut order = RowOrder::new(layout);
+        let mut stale = Sample::at(1.0).with(Channel::Current, 3.0);
+        stale.set_stale(Channel::Current);
+        let mut rows = Vec::new();
+        order.sample(&stale, &mut rows);
+        assert_eq!(rows[0].get(Channel::Current), None);
+        assert_eq!(rows[0].quality, "current_a:stale speed_rad_s:missing");
+    }
+
+    proptest! {
+        /// Whatever the clocks do, time increases strictly and every command and new sample is in the rows.
+        #[test]
+        fn rows_are_always_in_order_and_complete(
+            steps in prop::collection::vec((0.0..0.03f64, -0.01..0.03f64, 0u64..3, any::<bool>()), 1..60),
+        ) {
+            let mut order = RowOrder::new(layout());
+            let mut rows = Vec::new();
+            let mut time_s = 0.0;
+            let mut commands = 0_u16;
+            let mut samples = 0;
+            for (step_s, applied_ago_s, behind, stamped) in steps {
+                commands += 1;
+                order.command(volts(u64::from(commands), time_s, f64::from(commands)));
+                time_s += step_s;
+                samples += 1;
+                let stamp = (u64::from(commands).saturating_sub(behind), time_s - applied_ago_s);
+                order.sample(&sample(time_s, stamped.then_some(stamp)), &mut rows);
+            }
+            order.finish(&mut rows);
+            prop_assert!(rows.windows(2).all(|pair| pair[0].time_s < pair[1].time_s));
+            let measured = rows.iter().filter(|row| row.get(Channel::Current).is_some()).count();
+            prop_assert_eq!(measured + order.repeats(), samples);
+            let last = rows.iter().rev().find_map(|row| row.get(Channel::VoltageCmd));
+            prop_assert_eq!(last, Some(f64::from(commands)));
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! The folder of a run: made once, never overwritten, its small files replaced whole or not at all.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use super::{Manifest, RecordingError};
+
+/// The files of a run folder that are written in one go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RunFile {
+    Manifest,
+    Model,
+    Result,
+    Report,
+}
+
+impl RunFile {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Manifest => "manifest.json",
+            Self::Model => "model.toml",
+            Self::Result => "result.json",
+            Self::Report => "report.html",
+        }
+    }
+}
+
+pub(super) const SAMPLES: &str = "samples.csv";
+const EVENTS: &str = "events.jsonl";
+
+/// `runs/<UTC stamp>-<name>/`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunFolder {
+    path: PathBuf,
+}
+
+/// The stamp that begins a folder's name, `20260131T235959Z`: it sorts by time and needs no quoting.
+pub fn utc_stamp(timestamp: jiff::Timestamp) -> String {
+    timestamp.strftime("%Y%m%dT%H%M%SZ").to_string()
+}
+
+impl RunFolder {
+    /// Makes `root/<stamp>-<name>`, or the same with `-2`, `-3`, ... where it is there already.
+    pub fn create(root: &Path, stamp: &str, name: &str) -> Result<Self, RecordingError> {
+        fs::create_dir_all(root).map_err(|error| RecordingError::io(root, "create", &error))?;
+        let base = format!("{}-{}", file_safe(stamp), file_safe(name));
+        let mut count = 1_u32;
+        loop {
+            let path = root.join(if count == 1 {
+                base.clone()
+            } else {
+                format!("{base}-{count}")
+            });
+            match fs::create_dir(&path) {
+                Ok(()) => return Ok(Self { path }),
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => count += 1,
+                Err(error) => return Err(RecordingError::io(&path, "create", &error)),
+            }
+        }
+    }
+
+    /// A folder that is there already.
+    pub fn existing(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub fn file(&self, file: RunFile) -> PathBuf {
+        self.path.join(file.name())
+    }
+
+    pub fn samples(&self) -> PathBuf {
+        self.path.join(SAMPLES)
+    }
+
+    pub fn events(&self) -> PathBuf {
+        self.path.join(EVENTS)
+    }
+
+    /// Writes a file whole: beside it, synced, then renamed over it. A crash leaves the old file or the new one.
+    pub fn write(&self, file: RunFile, text: &str) -> Result<PathBuf, RecordingError> {
+        let path = self.file(file);
+        let beside = self.path.join(format!(".{}.part", file.name()));
+        let write = || -> std::io::Result<()> {
+            let mut part = File::create(&beside)?;
+            part.write_all(text.as_bytes())?;
+            part.sync_all()?;
+            fs::rename(&beside, &path)?;
+            File::open(&self.path)?.sync_all()
+        };
+        write().map_err(|error| RecordingError::io(&path, "write", &error))?;
+        Ok(path)
+    }
+
+    pub fn write_manifest(&self, manifest: &Manifest) -> Result<PathBuf, RecordingError> {
+        self.write(RunFile::Manifest, &manifest.text())
+    }
+
+    /// Writes the next `capture-NN.csv`, from 01.
+    pub fn write_capture(&self, text: &str) -> Result<PathBuf, RecordingError> {
+        let mut count = 1_u32;
+        loop {
+            let path = self.path.join(format!("capture-{count:02}.csv"));
+            match create_new(&path) {
+                Ok(mut file) => {
+                    file.write_all(text.as_bytes())
+                        .and_then(|()| file.sync_data())
+                        .map_err(|error| RecordingError::io(&path, "write", &error))?;
+                    return Ok(path);
+                }
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => count += 1,
+                Err(error) => return Err(RecordingError::io(&path, "create", &error)),
+            }
+        }
+    }
+
+    /// The two files that grow during the run; an error where one is there already.
+    pub(super) fn create_logs(&self) -> Result<(File, File), RecordingError> {
+        let open = |path: PathBuf| {
+            create_new(&path).map_err(|error| RecordingError::io(&path, "create", &error))
+        };
+        Ok((open(self.samples())?, open(self.events())?))
+    }
+}
+
+fn create_new(path: &Path) -> std::io::Result<File> {
+    OpenOptions::new().append(true).create_new(true).open(path)
+}
+
+/// Letters, digits, `-`, `_` and inner dots stay; everything else becomes `-`.
+fn file_safe(name: &str) -> String {
+    let safe: String = name
+        .trim()
+        .chars()
+        .map(|letter| {
+            if letter.is_alphanumeric() || matches!(letter, '-' | '_' | '.') {
+                letter
+            } else {
+                '-'
+            }
+        })
+        .take(100)
+        .collect();
+    let safe = safe.trim_matches('.');
+    if safe.is_empty() {
+        "run".to_owned()
+    } else {
+        safe.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_never_taken_twice() {
+        let root = tempfile::tempdir().unwrap();
+        let runs = root.path().join("deep/runs");
+        let names: Vec<String> = (0..3)
+            .map(|_| RunFolder::create(&runs, "20260131T235959Z", "my run/1").unwrap())
+            .map(|folder| {
+                folder
+                    .path
+                    .file_name()
+                    .unwrap()
+                    .to_str()
+                    .unwrap()
+                    .to_owned()
+            })
+            .collect();
+        assert_eq!(
+            names,
+            [
+                "20260131T235959Z-my-run-1",
+                "20260131T235959Z-my-run-1-2",
+                "20260131T235959Z-my-run-1-3"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_name_cannot_leave_the_root() {
+        let root = tempfile::tempdir().unwrap();
+        for name in ["../../etc", "..", "", "a\0b", "/abs"] {
+            let folder = RunFolder::create(root.path(), "s", name).unwrap();
+            assert_eq!(folder.path().parent().unwrap(), root.path(), "{name:?}");
+        }
+    }
+
+    #[test]
+    fn small_files_are_replaced_whole_and_leave_no_part_behind() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(root.path(), "s", "n").unwrap();
+        folder.write(RunFile::Result, "{\"long\": 1}").unwrap();
+        folder.write(RunFile::Result, "{}").unwrap();
+        assert_eq!(
+            fs::read_to_string(folder.file(RunFile::Result)).unwrap(),
+            "{}"
+        );
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn captures_and_logs_are_numbered_and_not_overwritten() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(root.path(), "s", "n").unwrap();
+        folder.write_capture("a\n").unwrap();
+        let second = folder.write_capture("b\n").unwrap();
+        assert!(second.ends_with("capture-02.csv"));
+        folder.create_logs().unwrap();
+        assert!(folder.create_logs().is_err());
+    }
+
+    #[test]
+    fn the_stamp_sorts_by_time() {
+        let timestamp: jiff::Timestamp = "2026-01-31T23:59:59.9Z".parse().unwrap();
+        assert_eq!(utc_stamp(timestamp), "20260131T235959Z");
+    }
+}
