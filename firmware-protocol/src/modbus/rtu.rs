@@ -102,7 +102,8 @@ impl RtuReceiver {
         }
     }
 
-    /// Takes one byte; ask [`RtuReceiver::take_frame`] afterwards.
+    /// Takes one byte; ask [`RtuReceiver::take_frame`] afterwards, at the latest after [`MAX_FRAME`] bytes: what is
+    /// older may be dropped.
     pub fn push(&mut self, byte: u8) {
         if self.end == self.buffer.len() {
             // More than one longest frame unread: the caller never asked, the oldest goes.
