@@ -117,6 +117,23 @@ fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
             control: Control::Voltage(5.0)
         }
     );
+    assert_eq!(
+        block.write(33, &[5]).unwrap().control,
+        Control::Speed(0.0),
+        "5 V must not become 5 rad/s"
+    );
+    assert_eq!(
+        block.write(34, &[0, 5000]).unwrap().control,
+        Control::Speed(5.0)
+    );
+    assert_eq!(
+        block.write(32, &[8]).unwrap(),
+        DriveCommand {
+            seq: 8,
+            control: Control::Speed(5.0)
+        },
+        "a new number alone keeps the rest"
+    );
     block.forget();
     assert_eq!(
         block.write(34, &[0, 5000]).unwrap().control,
@@ -124,7 +141,7 @@ fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
     );
     assert_eq!(
         block.registers(),
-        [7, 0, 0, 0],
+        [8, 0, 0, 0],
         "no set-point is kept while stopped"
     );
     let before = block;
