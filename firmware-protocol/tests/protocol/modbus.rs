@@ -2,8 +2,8 @@
 
 use crate::support::{Bank, UNIT, hex, unhex};
 use firmware_protocol::modbus::{
-    Exception, MAX_PDU, RegisterBank, RtuReceiver, TcpReceiver, expected_response_len, respond,
-    response_len, rtu, tcp,
+    Exception, MAX_PDU, RegisterBank, RtuReceiver, TcpReceiver, expected_response_len, request_len,
+    respond, response_len, rtu, tcp,
 };
 use firmware_protocol::modbus::{Length, tcp::TcpError};
 
@@ -117,6 +117,9 @@ fn wrong_quantities_lengths_and_functions_have_their_exceptions() {
         assert_eq!(ask(bank, request), answer, "request {request}");
     }
     assert_eq!(bank.writes, 0);
+    let mut response = [0; MAX_PDU];
+    let memory = &mut Memory(vec![0; 256]);
+    assert_eq!(respond(memory, &[3, 0, 0, 0, 125], &mut response), 252);
     for (function, most) in [(0x10_u8, 123_u8), (0x17, 121)] {
         for (quantity, answer) in [(most, 0), (most + 1, 0x80)] {
             let mut request = vec![function];
@@ -279,6 +282,46 @@ fn a_frame_is_found_behind_garbage_half_frames_and_the_answers_of_others() {
         answers.extend(serve(&mut receiver, &mut bank, &good, false));
         assert_eq!(answers.len(), 1, "a gap after {}", hex(&before));
     }
+}
+
+#[test]
+fn a_receiver_that_is_never_asked_stays_bounded_and_finds_the_newest() {
+    let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
+    for _ in 0..5000 {
+        receiver.push(UNIT);
+    }
+    for byte in frame(UNIT, "03 00 40 00 01") {
+        receiver.push(byte);
+    }
+    assert_eq!(serve(&mut receiver, &mut bank, &[], true).len(), 1);
+    assert_eq!(receiver.statistics().skipped, 5000);
+}
+
+#[test]
+fn lengths_of_functions_that_only_others_serve() {
+    for (request, length) in [
+        ("05 00 01 ff 00", 5),
+        ("07", 1),
+        ("0f 00 13 00 0a 02 cd 01", 8),
+        ("14 07 06 00 04 00 01 00 02", 9),
+        ("16 00 04 00 f2 00 25", 7),
+        ("18 04 de", 3),
+    ] {
+        assert_eq!(request_len(&unhex(request)), Length::Known(length));
+    }
+    for (response, length) in [
+        ("01 03 cd 6b 05", 5),
+        ("07 6d", 2),
+        ("0f 00 13 00 0a", 5),
+        ("11 02 01 ff", 4),
+        ("16 00 04 00 f2 00 25", 7),
+        ("2b 0e 01 01 00 00 02 00 01 61 01 02 62 63", 14),
+        ("ab 02", 2),
+    ] {
+        assert_eq!(response_len(&unhex(response)), Length::Known(length));
+    }
+    assert_eq!(request_len(&[0x41]), Length::Unknown);
+    assert_eq!(response_len(&[43, 13]), Length::Unknown);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use crate::support::{identity, telemetry};
 use firmware_protocol::registers::{
-    self, ANGLE, Access, BUS_VOLTAGE, CURRENT, Kind, SPEED, VOLTAGE,
+    self, ANGLE, Access, BUS_VOLTAGE, CURRENT, Kind, SPEED, VOLTAGE, WriteError,
 };
 use firmware_protocol::{
     CaptureSample, CommandBlock, Control, DriveCommand, Fault, Identity, IdentityError, REGISTERS,
@@ -143,6 +143,10 @@ fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
         block.registers(),
         [8, 0, 0, 0],
         "no set-point is kept while stopped"
+    );
+    assert_eq!(
+        registers::check_write(35, &[0, 0]),
+        Err(WriteError::HalfValue)
     );
     let before = block;
     assert!(block.write(31, &[0, 0]).is_err());
