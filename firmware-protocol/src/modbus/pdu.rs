@@ -1,0 +1,282 @@
+//! The slave's side of the application protocol (MODBUS Application Protocol Specification V1.1b3, sections 6 and 7).
+
+/// Longest PDU, bytes.
+pub const MAX_PDU: usize = 253;
+
+const READ_HOLDING: u8 = 3;
+const READ_INPUT: u8 = 4;
+const WRITE_SINGLE: u8 = 6;
+const DIAGNOSTICS: u8 = 8;
+const WRITE_MULTIPLE: u8 = 16;
+const READ_WRITE: u8 = 23;
+const ENCAPSULATED: u8 = 43;
+const DEVICE_IDENTIFICATION: u8 = 14;
+
+const MAX_READ: usize = 125;
+const MAX_WRITE: usize = 123;
+const MAX_READ_WRITE_WRITE: usize = 121;
+/// Regular objects, stream and individual access.
+const CONFORMITY: u8 = 0x82;
+const LAST_BASIC_OBJECT: u8 = 2;
+const LAST_REGULAR_OBJECT: u8 = 6;
+
+/// Why a request is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exception {
+    /// 01: the function code is not served.
+    IllegalFunction,
+    /// 02: an address of the range has no register, or may not be written.
+    IllegalAddress,
+    /// 03: quantity, length or value is not allowed.
+    IllegalValue,
+    /// 04: the drive failed while it acted.
+    DeviceFailure,
+    /// 06: the drive is busy, ask again.
+    Busy,
+}
+
+impl Exception {
+    /// Code on the wire.
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::IllegalFunction => 1,
+            Self::IllegalAddress => 2,
+            Self::IllegalValue => 3,
+            Self::DeviceFailure => 4,
+            Self::Busy => 6,
+        }
+    }
+}
+
+impl From<crate::registers::WriteError> for Exception {
+    fn from(error: crate::registers::WriteError) -> Self {
+        match error {
+            crate::registers::WriteError::Range => Self::IllegalValue,
+            _ => Self::IllegalAddress,
+        }
+    }
+}
+
+/// The drive's registers, holding and input alike.
+pub trait RegisterBank {
+    /// Fills `out` with the registers from `address` on; the range does not wrap.
+    ///
+    /// # Errors
+    /// The exception to answer; `out` is then not sent.
+    fn read(&mut self, address: u16, out: &mut [u16]) -> Result<(), Exception>;
+
+    /// Writes all registers or, on error, none.
+    ///
+    /// # Errors
+    /// The exception to answer.
+    fn write(&mut self, address: u16, values: &[u16]) -> Result<(), Exception>;
+
+    /// Whether [`RegisterBank::read`] would serve the range. Asked before the write of function code 23, so that a
+    /// request that is refused has no effect.
+    fn readable(&self, _address: u16, _quantity: usize) -> bool {
+        true
+    }
+
+    /// Device identification: 0 vendor, 1 product code, 2 revision, 3 URL, 4 product name, 5 model, 6 application.
+    fn identification(&self, object: u8) -> Option<&str>;
+}
+
+/// Answers one request; returns the bytes of the response, 0 only for an empty request.
+pub fn respond(
+    bank: &mut impl RegisterBank,
+    request_pdu: &[u8],
+    response: &mut [u8; MAX_PDU],
+) -> usize {
+    let Some((&function, data)) = request_pdu.split_first() else {
+        return 0;
+    };
+    response[0] = function;
+    let answer = match function {
+        READ_HOLDING | READ_INPUT => read(bank, data, response),
+        WRITE_SINGLE => write_single(bank, data, response),
+        DIAGNOSTICS => echo(data, response),
+        WRITE_MULTIPLE => write_multiple(bank, data, response),
+        READ_WRITE => read_write(bank, data, response),
+        ENCAPSULATED => identify(bank, data, response),
+        _ => Err(Exception::IllegalFunction),
+    };
+    answer.unwrap_or_else(|exception| {
+        response[0] = function | 0x80;
+        response[1] = exception.code();
+        2
+    })
+}
+
+type Answer = Result<usize, Exception>;
+
+fn read(bank: &mut impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+    let [a1, a0, q1, q0] = *data else {
+        return Err(Exception::IllegalValue);
+    };
+    let quantity = usize::from(word(q1, q0));
+    read_registers(bank, word(a1, a0), quantity, response)
+}
+
+fn read_registers(
+    bank: &mut impl RegisterBank,
+    address: u16,
+    quantity: usize,
+    response: &mut [u8; MAX_PDU],
+) -> Answer {
+    if !(1..=MAX_READ).contains(&quantity) {
+        return Err(Exception::IllegalValue);
+    }
+    check_range(address, quantity)?;
+    let mut registers = [0_u16; MAX_READ];
+    let registers = &mut registers[..quantity];
+    bank.read(address, registers)?;
+    let bytes = response[2..].as_chunks_mut::<2>().0;
+    for (slot, register) in bytes.iter_mut().zip(registers) {
+        *slot = register.to_be_bytes();
+    }
+    response[1] = byte(2 * quantity);
+    Ok(2 + 2 * quantity)
+}
+
+fn write_single(bank: &mut impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+    let [a1, a0, v1, v0] = *data else {
+        return Err(Exception::IllegalValue);
+    };
+    bank.write(word(a1, a0), &[word(v1, v0)])?;
+    response[1..5].copy_from_slice(data);
+    Ok(5)
+}
+
+/// Sub-function 0, return query data.
+fn echo(data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+    let [s1, s0, query @ ..] = data else {
+        return Err(Exception::IllegalValue);
+    };
+    if word(*s1, *s0) != 0 {
+        return Err(Exception::IllegalFunction);
+    }
+    if query.is_empty() || data.len() >= MAX_PDU {
+        return Err(Exception::IllegalValue);
+    }
+    response[1..=data.len()].copy_from_slice(data);
+    Ok(1 + data.len())
+}
+
+fn write_multiple(
+    bank: &mut impl RegisterBank,
+    data: &[u8],
+    response: &mut [u8; MAX_PDU],
+) -> Answer {
+    let [a1, a0, q1, q0, count, values @ ..] = data else {
+        return Err(Exception::IllegalValue);
+    };
+    let (address, quantity) = (word(*a1, *a0), usize::from(word(*q1, *q0)));
+    let registers = parse_write(address, quantity, MAX_WRITE, *count, values)?;
+    bank.write(address, &registers[..quantity])?;
+    response[1..5].copy_from_slice(&data[..4]);
+    Ok(5)
+}
+
+/// The values of a write whose quantity, byte count and address range are right.
+fn parse_write(
+    address: u16,
+    quantity: usize,
+    most: usize,
+    count: u8,
+    values: &[u8],
+) -> Result<[u16; MAX_WRITE], Exception> {
+    let fits = usize::from(count) == 2 * quantity && values.len() == 2 * quantity;
+    if !(1..=most).contains(&quantity) || !fits {
+        return Err(Exception::IllegalValue);
+    }
+    check_range(address, quantity)?;
+    let mut registers = [0_u16; MAX_WRITE];
+    for (slot, bytes) in registers.iter_mut().zip(values.as_chunks::<2>().0) {
+        *slot = u16::from_be_bytes(*bytes);
+    }
+    Ok(registers)
+}
+
+/// The write comes before the read. Both ranges are judged before anything is written.
+fn read_write(bank: &mut impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+    let [ra1, ra0, rq1, rq0, wa1, wa0, wq1, wq0, count, values @ ..] = data else {
+        return Err(Exception::IllegalValue);
+    };
+    let (read_address, read_quantity) = (word(*ra1, *ra0), usize::from(word(*rq1, *rq0)));
+    let (address, quantity) = (word(*wa1, *wa0), usize::from(word(*wq1, *wq0)));
+    if !(1..=MAX_READ).contains(&read_quantity) {
+        return Err(Exception::IllegalValue);
+    }
+    let registers = parse_write(address, quantity, MAX_READ_WRITE_WRITE, *count, values)?;
+    check_range(read_address, read_quantity)?;
+    if !bank.readable(read_address, read_quantity) {
+        return Err(Exception::IllegalAddress);
+    }
+    bank.write(address, &registers[..quantity])?;
+    read_registers(bank, read_address, read_quantity, response)
+}
+
+/// Device identification (section 6.21): basic and regular as a stream, or one object.
+fn identify(bank: &impl RegisterBank, data: &[u8], response: &mut [u8; MAX_PDU]) -> Answer {
+    let [kind, rest @ ..] = data else {
+        return Err(Exception::IllegalValue);
+    };
+    if *kind != DEVICE_IDENTIFICATION {
+        return Err(Exception::IllegalFunction);
+    }
+    let [code, object] = *rest else {
+        return Err(Exception::IllegalValue);
+    };
+    let (first, last) = match code {
+        1 => (object, LAST_BASIC_OBJECT),
+        // Extended is answered at the drive's own level, regular.
+        2 | 3 => (object, LAST_REGULAR_OBJECT),
+        4 if bank.identification(object).is_some() => (object, object),
+        4 => return Err(Exception::IllegalAddress),
+        _ => return Err(Exception::IllegalValue),
+    };
+    // A stream that asks for an object that does not exist begins again at object 0.
+    let known = first <= last && bank.identification(first).is_some();
+    let first = if known { first } else { 0 };
+    response[1..4].copy_from_slice(&[DEVICE_IDENTIFICATION, code, CONFORMITY]);
+    let (mut at, mut number, mut next) = (7, 0, 0);
+    for object in first..=last {
+        let Some(text) = bank.identification(object) else {
+            continue;
+        };
+        // An object longer than a whole response is cut.
+        let text = text.as_bytes();
+        let text = &text[..text.len().min(MAX_PDU - 9)];
+        if at + 2 + text.len() > MAX_PDU {
+            next = object;
+            break;
+        }
+        response[at] = object;
+        response[at + 1] = byte(text.len());
+        response[at + 2..at + 2 + text.len()].copy_from_slice(text);
+        at += 2 + text.len();
+        number += 1;
+    }
+    response[4] = if next == 0 { 0 } else { 0xFF };
+    response[5] = next;
+    response[6] = number;
+    Ok(at)
+}
+
+const fn word(high: u8, low: u8) -> u16 {
+    u16::from_be_bytes([high, low])
+}
+
+/// A range that runs past 65535 names addresses that do not exist.
+fn check_range(address: u16, quantity: usize) -> Result<(), Exception> {
+    if usize::from(address) + quantity > 0x1_0000 {
+        Err(Exception::IllegalAddress)
+    } else {
+        Ok(())
+    }
+}
+
+/// Every count in a PDU is below 253.
+fn byte(count: usize) -> u8 {
+    u8::try_from(count).unwrap_or(u8::MAX)
+}

@@ -1,0 +1,221 @@
+//! RTU framing (MODBUS over Serial Line V1.02): unit, PDU, CRC-16 low byte first.
+
+use crc::{CRC_16_MODBUS, Crc};
+
+use super::length::{Length, request_len, response_len};
+use super::pdu::{MAX_PDU, RegisterBank, respond};
+
+/// Longest frame, bytes.
+pub const MAX_FRAME: usize = MAX_PDU + 3;
+/// Requests to this unit are executed by every slave and answered by none.
+pub const BROADCAST: u8 = 0;
+
+const CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_MODBUS);
+
+/// The checksum; it is sent low byte first.
+pub fn crc16(bytes: &[u8]) -> u16 {
+    CRC.checksum(bytes)
+}
+
+/// Frames a PDU; returns the bytes of the frame. A PDU longer than [`MAX_PDU`] is cut.
+pub fn encode_frame(unit: u8, pdu: &[u8], frame: &mut [u8; MAX_FRAME]) -> usize {
+    let pdu = &pdu[..pdu.len().min(MAX_PDU)];
+    let end = 1 + pdu.len();
+    frame[0] = unit;
+    frame[1..end].copy_from_slice(pdu);
+    let crc = crc16(&frame[..end]);
+    frame[end..end + 2].copy_from_slice(&crc.to_le_bytes());
+    end + 2
+}
+
+/// A request whose checksum is right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RtuFrame {
+    /// The unit that is meant.
+    pub unit: u8,
+    length: usize,
+    pdu: [u8; MAX_PDU],
+}
+
+impl RtuFrame {
+    /// The request.
+    pub fn pdu(&self) -> &[u8] {
+        &self.pdu[..self.length]
+    }
+
+    /// Whether all slaves are meant.
+    pub const fn is_broadcast(&self) -> bool {
+        self.unit == BROADCAST
+    }
+
+    /// Executes the request and frames the answer; 0 bytes for a broadcast, which is silent.
+    pub fn answer(&self, bank: &mut impl RegisterBank, frame: &mut [u8; MAX_FRAME]) -> usize {
+        let mut response = [0; MAX_PDU];
+        let length = respond(bank, self.pdu(), &mut response);
+        if self.is_broadcast() || length == 0 {
+            return 0;
+        }
+        encode_frame(self.unit, &response[..length], frame)
+    }
+}
+
+/// What the receiver has seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RtuStatistics {
+    /// Requests handed out.
+    pub frames: u64,
+    /// Whole frames for other units, passed over.
+    pub foreign: u64,
+    /// Bytes passed over in the search for a frame.
+    pub skipped: u64,
+}
+
+/// Finds requests in the bytes of a line.
+///
+/// A frame ends where its function code says so and the checksum fits; where it does not, the search goes on at the
+/// next byte. A frame of an unknown function code ends at a silent gap, which the caller reports with
+/// [`RtuReceiver::idle`]. Memory is bounded, and so is the work per byte (one checksum of at most 256 bytes).
+#[derive(Clone, Debug)]
+pub struct RtuReceiver {
+    unit: u8,
+    buffer: [u8; 2 * MAX_FRAME],
+    start: usize,
+    end: usize,
+    gap: bool,
+    statistics: RtuStatistics,
+}
+
+impl RtuReceiver {
+    /// A receiver for one unit.
+    pub const fn new(unit: u8) -> Self {
+        Self {
+            unit,
+            buffer: [0; 2 * MAX_FRAME],
+            start: 0,
+            end: 0,
+            gap: false,
+            statistics: RtuStatistics {
+                frames: 0,
+                foreign: 0,
+                skipped: 0,
+            },
+        }
+    }
+
+    /// Takes one byte; ask [`RtuReceiver::take_frame`] afterwards, at the latest after [`MAX_FRAME`] bytes: what is
+    /// older may be dropped.
+    pub fn push(&mut self, byte: u8) {
+        if self.end == self.buffer.len() {
+            // More than one longest frame unread: the caller never asked, the oldest goes.
+            if self.end - self.start > MAX_FRAME {
+                self.skip(self.end - self.start - MAX_FRAME);
+            }
+            self.buffer.copy_within(self.start..self.end, 0);
+            self.end -= self.start;
+            self.start = 0;
+        }
+        self.buffer[self.end] = byte;
+        self.end += 1;
+        self.gap = false;
+    }
+
+    /// The line was silent for 3.5 characters or more: what is there is all there will be, a begun frame is dropped.
+    /// Behind an operating system's buffers (USB adapter, pty) silence is only certain after some 20 ms.
+    /// Ask [`RtuReceiver::take_frame`] until it gives `None`.
+    pub const fn idle(&mut self) {
+        self.gap = true;
+    }
+
+    /// The next request to this unit or to all; frames for other units are passed over.
+    pub fn take_frame(&mut self) -> Option<RtuFrame> {
+        while self.start < self.end {
+            let bytes = &self.buffer[self.start..self.end];
+            match self.judge(bytes) {
+                Judgement::Wait => return None,
+                Judgement::Skip => self.skip(1),
+                Judgement::Foreign(length) => {
+                    self.start += length;
+                    self.statistics.foreign += 1;
+                }
+                Judgement::Frame(length) => {
+                    let mut frame = RtuFrame {
+                        unit: bytes[0],
+                        length: length - 3,
+                        pdu: [0; MAX_PDU],
+                    };
+                    frame.pdu[..length - 3].copy_from_slice(&bytes[1..length - 2]);
+                    self.start += length;
+                    self.statistics.frames += 1;
+                    return Some(frame);
+                }
+            }
+        }
+        None
+    }
+
+    /// What was seen so far.
+    pub const fn statistics(&self) -> RtuStatistics {
+        self.statistics
+    }
+
+    const fn skip(&mut self, bytes: usize) {
+        self.start += bytes;
+        self.statistics.skipped += bytes as u64;
+    }
+
+    /// What the bytes begin with.
+    fn judge(&self, bytes: &[u8]) -> Judgement {
+        let [unit, pdu @ ..] = bytes else {
+            return Judgement::Wait;
+        };
+        let ours = *unit == self.unit || *unit == BROADCAST;
+        match self.fit(bytes, request_len(pdu)) {
+            Fit::Yes(length) if ours => return Judgement::Frame(length),
+            Fit::Yes(length) => return Judgement::Foreign(length),
+            Fit::Wait if ours => return Judgement::Wait,
+            Fit::Wait | Fit::No => {}
+        }
+        if ours {
+            return Judgement::Skip;
+        }
+        // On a shared bus the answers of the other slaves come by too.
+        match self.fit(bytes, response_len(pdu)) {
+            Fit::Yes(length) => Judgement::Foreign(length),
+            Fit::Wait => Judgement::Wait,
+            Fit::No if self.fit(bytes, request_len(pdu)) == Fit::Wait => Judgement::Wait,
+            Fit::No => Judgement::Skip,
+        }
+    }
+
+    fn fit(&self, bytes: &[u8], length: Length) -> Fit {
+        let length = match length {
+            Length::Known(pdu) if pdu > MAX_PDU => return Fit::No,
+            Length::Known(pdu) => pdu + 3,
+            Length::Unknown if self.gap => bytes.len().min(MAX_FRAME),
+            Length::NeedMore | Length::Unknown => MAX_FRAME,
+        };
+        match bytes.get(..length) {
+            Some(frame) if frame.len() >= 4 && crc16(frame) == 0 => Fit::Yes(length),
+            None if !self.gap => Fit::Wait,
+            _ => Fit::No,
+        }
+    }
+}
+
+enum Judgement {
+    /// It may become a frame.
+    Wait,
+    /// No frame begins here.
+    Skip,
+    /// A frame of so many bytes for another unit.
+    Foreign(usize),
+    /// A request of so many bytes for this unit.
+    Frame(usize),
+}
+
+#[derive(PartialEq)]
+enum Fit {
+    Yes(usize),
+    Wait,
+    No,
+}

@@ -1,0 +1,255 @@
+//! The telemetry block: one measured instant of the drive.
+
+use crate::registers as r;
+use crate::registers::{TELEMETRY_ADDRESS, TELEMETRY_WORDS};
+use crate::wire::{Sink, Source, Words, WordsMut};
+
+/// The drive's state machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum State {
+    /// Output off; so after power-up, after `Disable` and after a fault was reset.
+    #[default]
+    Disabled,
+    /// Output off after `Stop`.
+    Ready,
+    /// Output on, watchdog armed.
+    Running,
+    /// Output off, latched until `ResetFault`.
+    Fault,
+}
+
+impl State {
+    /// Code in the status word.
+    pub const fn code(self) -> u16 {
+        match self {
+            Self::Disabled => 0,
+            Self::Ready => 1,
+            Self::Running => 2,
+            Self::Fault => 3,
+        }
+    }
+}
+
+/// The status word: state and flags.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Status(pub u16);
+
+impl Status {
+    /// The drive limits the current now.
+    pub const CURRENT_LIMIT: u16 = 1 << 4;
+    /// The drive limits the voltage now.
+    pub const VOLTAGE_LIMIT: u16 = 1 << 5;
+    /// The watchdog stopped the drive; cleared with the fault.
+    pub const WATCHDOG: u16 = 1 << 6;
+    /// A command was applied since the last sample was read.
+    pub const COMMAND_APPLIED: u16 = 1 << 7;
+    /// The drive is software.
+    pub const EMULATOR: u16 = 1 << 8;
+    const STATE_MASK: u16 = 0b111;
+
+    /// A state without flags.
+    pub const fn new(state: State) -> Self {
+        Self(state.code())
+    }
+
+    /// The state; `None` for a reserved code, to be treated as a fault.
+    pub const fn state(self) -> Option<State> {
+        match self.0 & Self::STATE_MASK {
+            0 => Some(State::Disabled),
+            1 => Some(State::Ready),
+            2 => Some(State::Running),
+            3 => Some(State::Fault),
+            _ => None,
+        }
+    }
+
+    /// Sets a flag if `on`.
+    #[must_use]
+    pub const fn with(self, flag: u16, on: bool) -> Self {
+        if on {
+            Self(self.0 | flag)
+        } else {
+            Self(self.0 & !flag)
+        }
+    }
+
+    /// Whether a flag is set.
+    pub const fn has(self, flag: u16) -> bool {
+        self.0 & flag == flag
+    }
+}
+
+/// Why the drive stopped itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Fault {
+    /// No fault.
+    #[default]
+    None,
+    /// No command came within the watchdog time.
+    Watchdog,
+    /// Current above the trip level.
+    OverCurrent,
+    /// Voltage of the intermediate circuit too high.
+    OverVoltage,
+    /// Voltage of the intermediate circuit too low.
+    UnderVoltage,
+    /// Output stage or motor too hot.
+    OverTemperature,
+    /// Speed above the speed limit.
+    OverSpeed,
+    /// A command block that means nothing reached the control.
+    BadCommand,
+    /// Current, speed or angle sensor failed.
+    Sensor,
+    /// Anything else inside the drive.
+    Internal,
+    /// A code of a later version.
+    Other(u16),
+}
+
+impl Fault {
+    /// Every named fault, at the position of its code.
+    pub const ALL: [Self; 10] = [
+        Self::None,
+        Self::Watchdog,
+        Self::OverCurrent,
+        Self::OverVoltage,
+        Self::UnderVoltage,
+        Self::OverTemperature,
+        Self::OverSpeed,
+        Self::BadCommand,
+        Self::Sensor,
+        Self::Internal,
+    ];
+
+    /// Code in the fault register.
+    pub const fn code(self) -> u16 {
+        match self {
+            Self::None => 0,
+            Self::Watchdog => 1,
+            Self::OverCurrent => 2,
+            Self::OverVoltage => 3,
+            Self::UnderVoltage => 4,
+            Self::OverTemperature => 5,
+            Self::OverSpeed => 6,
+            Self::BadCommand => 7,
+            Self::Sensor => 8,
+            Self::Internal => 9,
+            Self::Other(code) => code,
+        }
+    }
+
+    /// The fault of a code.
+    pub fn from_code(code: u16) -> Self {
+        Self::ALL
+            .get(usize::from(code))
+            .copied()
+            .unwrap_or(Self::Other(code))
+    }
+
+    /// Words for a person.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Watchdog => "watchdog",
+            Self::OverCurrent => "over-current",
+            Self::OverVoltage => "over-voltage",
+            Self::UnderVoltage => "under-voltage",
+            Self::OverTemperature => "over-temperature",
+            Self::OverSpeed => "over-speed",
+            Self::BadCommand => "bad command",
+            Self::Sensor => "sensor",
+            Self::Internal => "internal",
+            Self::Other(_) => "unknown",
+        }
+    }
+}
+
+/// One measured instant. A quantity that the drive does not have is NaN.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Telemetry {
+    /// State and flags.
+    pub status: Status,
+    /// Why the drive is in fault.
+    pub fault: Fault,
+    /// Sequence number of the last command applied.
+    pub seq: u16,
+    /// Drive time of this sample, microseconds; wraps after 71.6 minutes.
+    pub time_us: u32,
+    /// Drive time at which command `seq` was applied, microseconds; wraps.
+    pub applied_us: u32,
+    /// Armature voltage, V.
+    pub voltage_v: f64,
+    /// Armature current, A.
+    pub current_a: f64,
+    /// Shaft speed, rad/s.
+    pub speed_rad_s: f64,
+    /// Shaft angle, rad; wraps by [`Telemetry::ANGLE_SPAN_RAD`].
+    pub angle_rad: f64,
+    /// Voltage of the intermediate circuit, V.
+    pub bus_v: f64,
+    /// Temperature of the output stage, Celsius.
+    pub temperature_c: f64,
+    /// Voltage that the drive puts out now, V.
+    pub voltage_cmd_v: f64,
+    /// Version that the drive speaks.
+    pub protocol_version: u16,
+}
+
+impl Telemetry {
+    /// The angle jumps by this much when its counter wraps, on registers and on the stream; rad.
+    pub const ANGLE_SPAN_RAD: f64 = 4_294_967_296.0 * r::ANGLE.scale;
+
+    /// The block as it stands at [`TELEMETRY_ADDRESS`]: rounded, saturated.
+    pub fn to_registers(&self) -> [u16; TELEMETRY_WORDS] {
+        let mut block = [0; TELEMETRY_WORDS];
+        self.write(&mut WordsMut {
+            block: &mut block,
+            base: TELEMETRY_ADDRESS,
+        });
+        block
+    }
+
+    /// Reads the block.
+    pub fn from_registers(block: &[u16; TELEMETRY_WORDS]) -> Self {
+        Self::read(&mut Words {
+            block,
+            base: TELEMETRY_ADDRESS,
+        })
+    }
+
+    /// Every field in the order of the table.
+    pub(crate) fn write(&self, sink: &mut impl Sink) {
+        sink.raw(&r::STATUS, self.status.0.into());
+        sink.raw(&r::FAULT, self.fault.code().into());
+        sink.raw(&r::SEQUENCE_ECHO, self.seq.into());
+        sink.raw(&r::TIME, self.time_us.into());
+        sink.raw(&r::APPLIED_TIME, self.applied_us.into());
+        sink.value(&r::VOLTAGE, self.voltage_v);
+        sink.value(&r::CURRENT, self.current_a);
+        sink.value(&r::SPEED, self.speed_rad_s);
+        sink.value(&r::ANGLE, self.angle_rad);
+        sink.value(&r::BUS_VOLTAGE, self.bus_v);
+        sink.value(&r::TEMPERATURE, self.temperature_c);
+        sink.value(&r::VOLTAGE_COMMAND, self.voltage_cmd_v);
+        sink.raw(&r::TELEMETRY_VERSION, self.protocol_version.into());
+    }
+
+    pub(crate) fn read(source: &mut impl Source) -> Self {
+        Self {
+            status: Status(source.u16(&r::STATUS)),
+            fault: Fault::from_code(source.u16(&r::FAULT)),
+            seq: source.u16(&r::SEQUENCE_ECHO),
+            time_us: source.u32(&r::TIME),
+            applied_us: source.u32(&r::APPLIED_TIME),
+            voltage_v: source.value(&r::VOLTAGE),
+            current_a: source.value(&r::CURRENT),
+            speed_rad_s: source.value(&r::SPEED),
+            angle_rad: source.value(&r::ANGLE),
+            bus_v: source.value(&r::BUS_VOLTAGE),
+            temperature_c: source.value(&r::TEMPERATURE),
+            voltage_cmd_v: source.value(&r::VOLTAGE_COMMAND),
+            protocol_version: source.u16(&r::TELEMETRY_VERSION),
+        }
+    }
+}
