@@ -1,1 +1,34 @@
 //! Compare the model with the measurement, see where it fails, name the missing effect, add it.
+//!
+//! ```text
+//! Evidence (fit run, hold-out, confirm run, noise floor)
+//!    |-> compare    free-run fit and error per signal, beside the floor; residual lights
+//!    |-> location   which equation fails, and over which speeds, currents, times
+//!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
+//!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
+//! ```
+//!
+//! The method is that of DISCOVERY.md; a name is given only for what pays on data that the fit has not seen.
+
+mod candidates;
+mod compare;
+mod decide;
+mod diagnose;
+mod evidence;
+mod ladder;
+mod location;
+mod residual;
+mod score;
+mod screen;
+
+pub use candidates::{Candidate, Status};
+pub use compare::{Comparison, SignalComparison, compare};
+pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose};
+pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
+pub use ladder::{AddResult, Rung, add, remove};
+pub use location::{FailureLocation, locate};
+pub use residual::ResidualLights;
+pub use score::{Score, SignalScore};
+
+#[cfg(test)]
+mod tests;

@@ -70,7 +70,7 @@ fn any_segment() -> impl Strategy<Value = Segment> {
     ]
 }
 
-#[derive(Debug, serde::Deserialize)]
+#[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Bench {
     sequence: Vec<Segment>,
@@ -107,6 +107,14 @@ fn an_unknown_key_or_kind_is_named_with_its_line_and_the_nearest() {
     let error = bench("[[sequence]]\nstepps = { levels_v = [1.0], hold_s = 1.0 }\n").unwrap_err();
     assert_eq!(error.line, 2);
     assert_eq!(error.help, "did you mean `steps`?");
+}
+
+#[test]
+fn a_sequence_can_be_written_and_read_back() {
+    let sequence = rich(24.0, 400.0, 7);
+    let written = Bench { sequence };
+    let text = toml::to_string(&written).unwrap();
+    assert_eq!(bench(&text).unwrap(), written, "{text}");
 }
 
 /// How far the asked-for voltage goes from zero; the slew limit can only make it less.

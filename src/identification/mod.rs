@@ -1,1 +1,4 @@
 //! Parameters from data: recursive on line, batch afterwards, with honest uncertainty.
+
+pub mod noise;
+pub mod output_error;

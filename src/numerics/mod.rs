@@ -1,1 +1,3 @@
-//! Mathematics without physics: least squares, Levenberg-Marquardt, matrix exponential, statistics.
+//! Mathematics without physics: least squares, Levenberg-Marquardt, statistics.
+
+pub mod levenberg_marquardt;

@@ -57,6 +57,17 @@ impl State {
             ..Self::default()
         }
     }
+
+    /// Takes over what was measured; the mode of motion follows from it.
+    fn anchor(&mut self, current_a: f64, speed_rad_s: f64) {
+        if current_a.is_finite() {
+            self.current_a = current_a;
+        }
+        if speed_rad_s.is_finite() {
+            self.speed_rad_s = speed_rad_s;
+            self.mode = Mode::Undecided;
+        }
+    }
 }
 
 /// A simulated run at the scenario's sample times.
@@ -145,13 +156,36 @@ impl Plant {
 
     /// Simulates `scenario` from `start` (the state at its first input event) into `out`, whose memory is used again.
     pub fn simulate_into(&mut self, scenario: &Scenario, start: State, out: &mut Trajectory) {
+        self.run(scenario, start, None, out);
+    }
+
+    /// Predictions over short horizons: after every `horizon` samples the current and speed are set to the measured
+    /// ones. A horizon of one gives one-step predictions. States of effects go on from the simulation.
+    pub fn predict_ahead(
+        &mut self,
+        scenario: &Scenario,
+        start: State,
+        horizon: usize,
+    ) -> Trajectory {
+        let mut out = Trajectory::default();
+        self.run(scenario, start, Some(horizon.max(1)), &mut out);
+        out
+    }
+
+    fn run(
+        &mut self,
+        scenario: &Scenario,
+        start: State,
+        horizon: Option<usize>,
+        out: &mut Trajectory,
+    ) {
         out.current_a.clear();
         out.speed_rad_s.clear();
         let mut state = start;
         let mut event = 0;
         let mut now_s = scenario.events[0].0;
         let mut angle = AngleTrack::new(&scenario.angle);
-        for &sample_s in &scenario.sample_time_s {
+        for (sample, &sample_s) in scenario.sample_time_s.iter().enumerate() {
             while now_s < sample_s {
                 while event + 1 < scenario.events.len() && scenario.events[event + 1].0 <= now_s {
                     event += 1;
@@ -179,6 +213,9 @@ impl Plant {
             }
             out.current_a.push(state.current_a);
             out.speed_rad_s.push(state.speed_rad_s);
+            if horizon.is_some_and(|horizon| sample % horizon == 0) {
+                state.anchor(scenario.current_a[sample], scenario.speed_rad_s[sample]);
+            }
         }
     }
 
@@ -286,19 +323,28 @@ impl Plant {
             return 0.0;
         }
         let mut at_high = margin(self, h);
-        for _ in 0..12 {
+        let mut last_was_low = None;
+        for _ in 0..20 {
             let t = (low * at_high - high * at_low) / (at_high - at_low);
             let there = margin(self, t);
             if there.abs() < 1e-12 || high - low < 1e-9 * h {
                 return t;
             }
-            if there > 0.0 {
+            // An end that stays twice in a row is weighted down, else the secant would creep.
+            let is_low = there > 0.0;
+            if is_low {
                 (low, at_low) = (t, there);
-                at_high *= 0.5;
             } else {
                 (high, at_high) = (t, there);
-                at_low *= 0.5;
             }
+            if last_was_low == Some(is_low) {
+                if is_low {
+                    at_high *= 0.5
+                } else {
+                    at_low *= 0.5
+                }
+            }
+            last_was_low = Some(is_low);
         }
         high
     }

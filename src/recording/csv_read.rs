@@ -27,7 +27,8 @@ struct Wanted {
     offset: f64,
 }
 
-/// Reads a CSV: header row, comma, decimal point; a byte order mark is skipped; empty and `NaN` cells are missing.
+/// Reads a CSV: header row, comma, decimal point; a byte order mark is skipped; empty and `NaN` cells are missing; in
+/// foreign files lines that begin with `#` are left out.
 ///
 /// Returns the run and warnings for the reader. A torn last row is left out, counted in `rows_dropped` and warned of; a
 /// row that cannot be read anywhere else is an error with its number. `file` names the run and stands in errors.
@@ -38,13 +39,7 @@ pub fn read_csv(
 ) -> Result<(Run, Vec<String>), RecordingError> {
     let mut warnings = Vec::new();
     let mut line = Line::default();
-    while line.read(&mut reader, file)? && line.is_blank() {}
-    if line.bytes.is_empty() {
-        return Err(RecordingError::Empty {
-            file: file.to_owned(),
-        });
-    }
-    let headers = headers(&line, file)?;
+    let headers = find_headers(&mut reader, &mut line, file, options.map)?;
     let wanted = match options.map {
         Some(map) => wanted_by_map(&headers, map, file)?,
         None => wanted_of_our_own(&headers, file, &mut warnings)?,
@@ -60,8 +55,13 @@ pub fn read_csv(
 
     let mut row = 0;
     let mut rows_dropped = 0;
+    let mut comments = 0;
     while line.read(&mut reader, file)? {
         if line.is_blank() {
+            continue;
+        }
+        if line.is_comment() && !options.whole_lines_only {
+            comments += 1;
             continue;
         }
         row += 1;
@@ -82,6 +82,11 @@ pub fn read_csv(
                 ));
             }
         }
+    }
+    if comments > 0 {
+        warnings.push(format!(
+            "{file}: {comments} lines that begin with # were left out"
+        ));
     }
     if table.time_s.is_empty() {
         return Err(RecordingError::NoRows {
@@ -137,12 +142,44 @@ impl Line {
         self.bytes.iter().all(u8::is_ascii_whitespace)
     }
 
+    /// Foreign files carry remarks before and behind the data; our own never do.
+    fn is_comment(&self) -> bool {
+        self.bytes.trim_ascii_start().first() == Some(&b'#')
+    }
+
     fn text(&self, file: &str) -> Result<&str, RecordingError> {
         std::str::from_utf8(&self.bytes).map_err(|_| RecordingError::NotUtf8 {
             file: file.to_owned(),
             line: self.number,
         })
     }
+}
+
+/// The header row: the first line that is neither blank nor a remark. A line that begins with `#` but has the time column
+/// is a header, as some tools write it.
+fn find_headers(
+    reader: &mut impl BufRead,
+    line: &mut Line,
+    file: &str,
+    map: Option<&ColumnMap>,
+) -> Result<Vec<String>, RecordingError> {
+    let time = map
+        .and_then(|map| map.items().iter().find(|item| item.target.is_none()))
+        .map_or("time_s", |item| item.header.as_str());
+    while line.read(reader, file)? {
+        if line.is_blank() {
+            continue;
+        }
+        let found = headers(line, file);
+        let is_remark = line.is_comment()
+            && !matches!(&found, Ok(names) if names.iter().any(|name| name == time));
+        if !is_remark {
+            return found;
+        }
+    }
+    Err(RecordingError::Empty {
+        file: file.to_owned(),
+    })
 }
 
 fn headers(line: &Line, file: &str) -> Result<Vec<String>, RecordingError> {

@@ -214,3 +214,17 @@ fn a_missing_speed_is_noted_where_there_is_an_angle() {
     assert_eq!(run.notes.len(), 1);
     assert!(run.column(Channel::Speed).is_none());
 }
+
+#[test]
+fn remarks_in_foreign_files_are_left_out_and_counted() {
+    let text = "# made by hand, \"quick\nt,i\n0,1\n# half time\n1,2\n\n# a-> Type: rise, 0.008";
+    let (run, warnings) = mapped(text, "time_s=t,current_a=i").unwrap();
+    assert_eq!((run.rows(), run.rows_dropped), (2, 0));
+    assert_eq!(
+        warnings,
+        ["foreign.csv: 2 lines that begin with # were left out"]
+    );
+    // numpy writes its header as a remark
+    let (run, _) = mapped("# t,i\n0,1\n", "time_s=# t,current_a=i").unwrap();
+    assert_eq!(run.rows(), 1);
+}

@@ -69,7 +69,7 @@ pub struct RecorderStatus {
     pub repeats: usize,
     /// Commands of which the drive never said when they were applied.
     pub unconfirmed: usize,
-    /// The first trouble with the disk, and whether it is over.
+    /// The first trouble with the disk; it is over when no bytes wait.
     pub error: Option<String>,
 }
 

@@ -1,6 +1,5 @@
 //! The recorder of a run on disk: a thread of its own, so that a slow disk never delays a cycle.
 
-use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -67,11 +66,12 @@ impl Recorder {
         &self.folder
     }
 
-    /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`.
+    /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`. Returns
+    /// the last status; an `error` in it was got over.
     ///
     /// # Errors
     /// What could not be written, if anything: then the manifest is left saying that the run is not finished.
-    pub fn finish(mut self, manifest: &Manifest) -> Result<PathBuf, RecordingError> {
+    pub fn finish(mut self, manifest: &Manifest) -> Result<RecorderStatus, RecordingError> {
         self.close()?;
         let status = self.status();
         if status.bytes_waiting > 0 {
@@ -86,7 +86,7 @@ impl Recorder {
             rows: Some(status.rows),
             ..manifest.clone()
         })?;
-        Ok(self.folder.path().to_owned())
+        Ok(status)
     }
 
     fn close(&mut self) -> Result<(), RecordingError> {

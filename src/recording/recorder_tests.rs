@@ -55,11 +55,11 @@ fn disk_and_memory_hold_the_same_bytes() {
     let root = tempfile::tempdir().unwrap();
     let mut disk = recorder(root.path());
     drive(&mut disk, 200);
-    let path = disk.finish(&manifest()).unwrap();
+    let folder = disk.folder().clone();
+    assert_eq!(disk.finish(&manifest()).unwrap().rows, 400);
     let mut memory = MemoryRecorder::new(layout());
     drive(&mut memory, 200);
     memory.finish();
-    let folder = RunFolder::existing(path);
     assert_eq!(
         fs::read_to_string(folder.samples()).unwrap(),
         memory.samples_csv()
@@ -129,4 +129,52 @@ fn a_folder_that_vanishes_is_an_error_at_the_end_and_no_panic() {
         disk.finish(&manifest()),
         Err(RecordingError::Io { .. })
     ));
+}
+
+const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";
+
+/// No test of its own: the program that [`a_killed_program_loses_no_whole_row`] kills.
+#[test]
+#[ignore = "runs until it is killed or a million rows are written; started by another test"]
+fn victim() {
+    let Some(root) = std::env::var_os(VICTIM_ROOT) else {
+        return;
+    };
+    let mut recorder = recorder(std::path::Path::new(&root));
+    for cycle in 0..1_000_000_u32 {
+        let value = f64::from(cycle);
+        recorder.row(&Sample::at(value).with(Channel::Current, value / 3.0));
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn a_killed_program_loses_no_whole_row() {
+    let root = tempfile::tempdir().unwrap();
+    let mut child = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "recording::recorder::tests::victim", "--ignored"])
+        .env(VICTIM_ROOT, root.path())
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let folder = RunFolder::existing(root.path().join("20260131T000000Z-test"));
+    let size = || fs::metadata(folder.samples()).map_or(0, |data| data.len());
+    while size() < 20_000 {
+        assert_eq!(
+            child.try_wait().unwrap(),
+            None,
+            "the victim ended by itself"
+        );
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+
+    let loaded = open_run(folder.path(), None).unwrap();
+    assert!(loaded.run.rows() > 300);
+    assert!(loaded.run.rows_dropped <= 1);
+    assert!(loaded.warnings.last().unwrap().contains("not finished"));
+    for (time_s, current_a) in loaded.run.points(Channel::Current) {
+        assert_eq!(current_a.to_bits(), (time_s / 3.0).to_bits());
+    }
 }

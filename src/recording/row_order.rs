@@ -10,7 +10,7 @@
 use std::collections::VecDeque;
 
 use super::{Layout, Row};
-use crate::sample::{Applied, Channel, Command, Quality, Sample};
+use crate::sample::{Applied, Channel, Command, Demand, Quality, Sample};
 
 /// A command as it is recorded.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,7 +19,7 @@ pub struct CommandRow {
     /// When it was sent, on the samples' time axis, s: the best guess until the drive says when it was applied, and all
     /// there is where the drive never says.
     pub time_s: f64,
-    /// The speed reference that holds from then on.
+    /// The speed reference that holds from then on; left out, a speed demand is its own.
     pub reference_rad_s: Option<f64>,
 }
 
@@ -149,9 +149,14 @@ impl RowOrder {
     }
 
     fn fill(&self, waiting: &CommandRow, remark: Option<&str>, row: &mut Row) {
+        let demand = waiting.command.demand;
+        let reference_rad_s = waiting.reference_rad_s.or(match demand {
+            Demand::Speed(speed_rad_s) => Some(speed_rad_s),
+            _ => None,
+        });
         for (channel, value) in [
-            (Channel::VoltageCmd, waiting.command.demand.voltage_v()),
-            (Channel::Reference, waiting.reference_rad_s),
+            (Channel::VoltageCmd, demand.voltage_v()),
+            (Channel::Reference, reference_rad_s),
         ] {
             if value.is_none() || !self.layout.has(channel) {
                 continue;
@@ -198,7 +203,6 @@ impl RowOrder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::Demand;
     use proptest::prelude::*;
 
     fn layout() -> Layout {
@@ -303,6 +307,24 @@ mod tests {
             vec![(0.001, Some(5.0), None), (0.005, None, Some(1.0))]
         );
         assert_eq!(rows[0].quality, "");
+    }
+
+    #[test]
+    fn a_speed_demand_is_a_reference_and_a_stop_is_zero_volts() {
+        let mut order = RowOrder::new(Layout::plain(&[Channel::Reference, Channel::VoltageCmd]));
+        let mut rows = Vec::new();
+        for (seq, demand) in [(1, Demand::Speed(50.0)), (2, Demand::Stop)] {
+            let command = Command { seq, demand };
+            order.command(CommandRow {
+                command,
+                ..volts(seq, seq as f64, 0.0)
+            });
+        }
+        order.sample(&Sample::at(5.0), &mut rows);
+        assert_eq!(rows.len(), 3);
+        assert_eq!(rows[0].get(Channel::Reference), Some(50.0));
+        assert_eq!(rows[0].get(Channel::VoltageCmd), None);
+        assert_eq!(rows[1].get(Channel::VoltageCmd), Some(0.0));
     }
 
     #[test]

@@ -1,0 +1,14 @@
+//! The contract seen from outside, as emulator and host see it.
+//!
+//! ```text
+//!   registers    the table and its blocks         properties   any bytes, any values, any splits
+//!   modbus       codec and framing by example     golden       vectors/ and SPEC.md against the code
+//!   support      a bank of registers, hexadecimal text, freshness of generated files
+//! ```
+
+mod golden;
+mod modbus;
+mod properties;
+mod registers;
+mod specification;
+mod support;

@@ -1,0 +1,120 @@
+//! A model beside a measurement: free run first, one-step and training figures small beside it.
+
+use serde::Serialize;
+
+use super::evidence::{Evidence, HoldoutFrom};
+use super::location::{FailureLocation, locate};
+use super::residual::ResidualLights;
+use super::score::{Score, SignalScore};
+use crate::identification::noise::FloorSource;
+use crate::identification::output_error::{self, FitError};
+use crate::plant::{Model, Plant, Scenario};
+
+/// Figures of one held-out signal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct HoldoutFigures {
+    pub fit_percent: f64,
+    pub rmse: f64,
+}
+
+/// Figures of one signal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SignalComparison {
+    pub fit_percent: f64,
+    pub rmse: f64,
+    /// Null where no floor is known.
+    pub noise_floor: Option<f64>,
+    pub one_step_rmse: f64,
+    pub holdout: HoldoutFigures,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Signals {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_rad_s: Option<SignalComparison>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub current_a: Option<SignalComparison>,
+}
+
+/// The comparison, as `compare --json` prints it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Comparison {
+    pub signals: Signals,
+    #[serde(rename = "where")]
+    pub locations: Vec<FailureLocation>,
+    pub residual: ResidualLights,
+    pub noise_floor_from: FloorSource,
+    pub holdout_from: HoldoutFrom,
+    /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
+    pub holdout_rmse: f64,
+}
+
+/// Compares a complete model as it is; only the initial state is fitted.
+pub fn compare(model: &Model, evidence: &Evidence) -> Result<Comparison, FitError> {
+    let noise = &evidence.noise;
+    let training = Score::of(model, &evidence.training, noise)?;
+    let holdout = Score::of(model, &evidence.holdout, noise)?;
+    let one_step = one_step_rmse(model, evidence)?;
+    let known =
+        |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
+    let signal =
+        |here: Option<SignalScore>, there: Option<SignalScore>, level: f64, one_step_rmse: f64| {
+            let (here, there) = (here?, there?);
+            Some(SignalComparison {
+                fit_percent: here.fit_percent,
+                rmse: here.rmse,
+                noise_floor: known(level),
+                one_step_rmse,
+                holdout: HoldoutFigures {
+                    fit_percent: there.fit_percent,
+                    rmse: there.rmse,
+                },
+            })
+        };
+    let values = |points: Vec<(f64, f64)>| {
+        points
+            .into_iter()
+            .map(|(_, value)| value)
+            .collect::<Vec<_>>()
+    };
+    Ok(Comparison {
+        signals: Signals {
+            speed_rad_s: signal(training.speed, holdout.speed, noise.speed_rad_s, one_step.1),
+            current_a: signal(
+                training.current,
+                holdout.current,
+                noise.current_a,
+                one_step.0,
+            ),
+        },
+        locations: locate(model, &evidence.holdout, noise)?,
+        residual: ResidualLights::of(&[
+            values(holdout.current_residual()),
+            values(holdout.speed_residual()),
+        ]),
+        noise_floor_from: noise.source,
+        holdout_from: evidence.holdout_from,
+        holdout_rmse: holdout.nrms,
+    })
+}
+
+/// Root mean square of the one-step prediction errors of current and speed on the training run.
+fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<(f64, f64), FitError> {
+    let scenario = &evidence.training;
+    let start = output_error::predict(model, scenario, &evidence.noise)?.start;
+    let ahead = Plant::new(model, scenario.input)?.predict_ahead(scenario, start, 1);
+    Ok((
+        rms_error(&ahead.current_a, &scenario.current_a, scenario),
+        rms_error(&ahead.speed_rad_s, &scenario.speed_rad_s, scenario),
+    ))
+}
+
+fn rms_error(predicted: &[f64], measured: &[f64], scenario: &Scenario) -> f64 {
+    let errors: Vec<f64> = scenario
+        .scored
+        .clone()
+        .map(|sample| predicted[sample] - measured[sample])
+        .filter(|error| error.is_finite())
+        .collect();
+    (errors.iter().map(|error| error * error).sum::<f64>() / errors.len().max(1) as f64).sqrt()
+}

@@ -1,0 +1,121 @@
+//! The decision: paired block log-ratio test on the hold-out, share explained, rivals (DISCOVERY.md 2.8).
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::candidates::Refit;
+use super::score::Score;
+
+/// z above which one model beats another.
+pub(super) const SIGNIFICANT: f64 = 3.0;
+/// Smallest reduction of the held-out error that is worth an effect.
+pub(super) const WORTHWHILE: f64 = 0.01;
+/// Error in units of the floor below which a model explains the run to the noise.
+pub(super) const AT_THE_FLOOR: f64 = 1.1;
+/// Shares of the explainable error from which a named set is sufficient, and below which nothing is named.
+pub(super) const SUFFICIENT: f64 = 0.9;
+pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
+
+const BLOCK_S: f64 = 0.2;
+const FEWEST_BLOCKS: usize = 20;
+const BOOTSTRAPS: usize = 1000;
+const BOOTSTRAP_SEED: u64 = 1;
+
+/// Mean log-ratio of the blocks' squared errors of `worse` over `better`, in its standard errors. Blocks grow until
+/// neighbours are independent, but there are never fewer than twenty where the run allows.
+pub(super) fn z(worse: &Score, better: &Score) -> f64 {
+    let mut block_s = BLOCK_S
+        .min(worse.duration_s() / FEWEST_BLOCKS as f64)
+        .max(f64::MIN_POSITIVE);
+    loop {
+        let ratios = log_ratios(worse, better, block_s);
+        let n = ratios.len() as f64;
+        if ratios.len() < 4 {
+            return 0.0;
+        }
+        let mean = ratios.iter().sum::<f64>() / n;
+        let squares: f64 = ratios.iter().map(|ratio| (ratio - mean).powi(2)).sum();
+        let neighbours: f64 = ratios
+            .windows(2)
+            .map(|pair| (pair[0] - mean) * (pair[1] - mean))
+            .sum();
+        let correlated = squares > 0.0 && neighbours / squares > 0.3;
+        if correlated && worse.duration_s() / (2.0 * block_s) >= FEWEST_BLOCKS as f64 {
+            block_s *= 2.0;
+            continue;
+        }
+        if squares <= 0.0 {
+            return if mean > 0.0 { f64::INFINITY } else { 0.0 };
+        }
+        return mean / (squares / (n - 1.0) / n).sqrt();
+    }
+}
+
+fn log_ratios(worse: &Score, better: &Score, block_s: f64) -> Vec<f64> {
+    worse
+        .blocks(block_s)
+        .into_iter()
+        .zip(better.blocks(block_s))
+        .filter(|(worse, better)| *worse > 0.0 && *better > 0.0)
+        .map(|(worse, better)| (worse / better).ln())
+        .collect()
+}
+
+/// Share of the explainable error that is explained: `1 - (v^2 - f^2)/(v0^2 - f^2)`.
+pub(super) fn explained(before: f64, after: f64, floor: f64) -> f64 {
+    let explainable = before * before - floor * floor;
+    if explainable <= 0.0 {
+        0.0
+    } else {
+        1.0 - (after * after - floor * floor) / explainable
+    }
+}
+
+/// Whether `candidate` pays on the hold-out.
+pub(super) fn pays(base: &Score, candidate: &Score) -> bool {
+    candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms && z(base, candidate) >= SIGNIFICANT
+}
+
+/// Candidates that cannot be told from the best one by this hold-out: indices into `refits`, the preferred one first.
+/// Inside the set the fewer parameters win, then the smaller error.
+pub(super) fn not_told_apart(base: &Score, refits: &[Refit], best: usize) -> Vec<usize> {
+    let best_error = refits[best].holdout.nrms.powi(2);
+    let gained = base.nrms.powi(2) - best_error;
+    let mut set: Vec<usize> = (0..refits.len())
+        .filter(|&index| {
+            let rival = &refits[index].holdout;
+            let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);
+            index == best
+                || (pays(base, rival) && (close || z(rival, &refits[best].holdout) < SIGNIFICANT))
+        })
+        .collect();
+    set.sort_by(|&a, &b| {
+        let key = |index: usize| (refits[index].free_parameters, refits[index].holdout.nrms);
+        key(a).0.cmp(&key(b).0).then(key(a).1.total_cmp(&key(b).1))
+    });
+    set
+}
+
+/// Share of block bootstraps of the hold-out in which each candidate has the smallest error.
+pub(super) fn first_rank_shares(refits: &[Refit]) -> Vec<f64> {
+    let blocks: Vec<Vec<f64>> = refits
+        .iter()
+        .map(|refit| refit.holdout.blocks(BLOCK_S))
+        .collect();
+    let n = blocks.iter().map(Vec::len).min().unwrap_or(0);
+    let mut wins = vec![0usize; refits.len()];
+    if n == 0 {
+        return vec![0.0; refits.len()];
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(BOOTSTRAP_SEED);
+    for _ in 0..BOOTSTRAPS {
+        let drawn: Vec<usize> = (0..n).map(|_| rng.random_range(0..n)).collect();
+        let error = |index: usize| drawn.iter().map(|block| blocks[index][*block]).sum::<f64>();
+        if let Some(first) = (0..refits.len()).min_by(|a, b| error(*a).total_cmp(&error(*b))) {
+            wins[first] += 1;
+        }
+    }
+    wins.iter()
+        .map(|wins| *wins as f64 / BOOTSTRAPS as f64)
+        .collect()
+}

@@ -1,0 +1,139 @@
+//! The runs that a diagnosis rests on, and the floor below which nothing can be seen.
+
+use serde::Serialize;
+
+use super::score::Score;
+use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::identification::output_error::{self, Fit, FitError};
+use crate::plant::{Model, Scenario};
+
+/// Share of a run that trains when there is no second run; the rest is held out as one block.
+pub const TRAINING_SHARE: f64 = 0.6;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HoldoutFrom {
+    Run,
+    Split,
+}
+
+/// Fit on `training`, select on `holdout`, report from `confirm` where there is one.
+#[derive(Clone, Debug)]
+pub struct Evidence {
+    pub training: Scenario,
+    pub holdout: Scenario,
+    pub confirm: Option<Scenario>,
+    pub holdout_from: HoldoutFrom,
+    pub noise: NoiseFloor,
+}
+
+impl Evidence {
+    /// Takes the noise floor from the standstill of the training run, else leaves the signals scaled by their spread
+    /// until a baseline is fitted ([`Evidence::with_baseline`]).
+    pub fn new(fit_run: Scenario, holdout: Option<Scenario>, confirm: Option<Scenario>) -> Self {
+        let noise = NoiseFloor::from_standstill(&fit_run)
+            .unwrap_or_else(|| NoiseFloor::from_spread(&fit_run));
+        let (training, holdout, holdout_from) = match holdout {
+            Some(holdout) => (fit_run, holdout, HoldoutFrom::Run),
+            None => {
+                let (training, holdout) = fit_run.split(TRAINING_SHARE);
+                (training, holdout, HoldoutFrom::Split)
+            }
+        };
+        Self {
+            training,
+            holdout,
+            confirm,
+            holdout_from,
+            noise,
+        }
+    }
+
+    /// The floor in units of the noise: one where it is known, else nothing is below the floor.
+    pub fn floor(&self) -> f64 {
+        if self.noise.source == FloorSource::None {
+            0.0
+        } else {
+            1.0
+        }
+    }
+
+    /// Fits `model` on the training run. Where no noise floor is known, the residual of this first fit becomes the
+    /// scale of everything that follows.
+    pub fn with_baseline(mut self, model: &Model) -> Result<(Self, Fit), FitError> {
+        let mut fit = output_error::fit(std::slice::from_ref(model), &self.training, &self.noise)?;
+        if self.noise.source == FloorSource::None {
+            let score = Score::of(&fit.model, &self.training, &self.noise)?;
+            self.noise.current_a = score
+                .current
+                .as_ref()
+                .map_or(f64::INFINITY, |signal| signal.rmse);
+            self.noise.speed_rad_s = score
+                .speed
+                .as_ref()
+                .map_or(f64::INFINITY, |signal| signal.rmse);
+            fit = output_error::fit(
+                std::slice::from_ref(&fit.model),
+                &self.training,
+                &self.noise,
+            )?;
+        }
+        Ok((self, fit))
+    }
+
+    /// The floor from two runs of the same excitation: half the variance of the difference of their residuals under
+    /// one model, never below what the sensors show at rest (DISCOVERY.md, rule 2).
+    ///
+    /// Residuals are compared, not signals, so that runs whose samples fell at other instants can be subtracted.
+    pub fn with_repeat_floor(
+        mut self,
+        model: &Model,
+        first: &Scenario,
+        second: &Scenario,
+    ) -> Result<Self, FitError> {
+        let a = Score::of(model, first, &self.noise)?;
+        let b = Score::of(model, second, &self.noise)?;
+        let floor = |a: &[(f64, f64)], b: &[(f64, f64)], at_rest: f64| {
+            let differences: Vec<f64> = a
+                .iter()
+                .filter_map(|&(time_s, value)| Some(value - nearest_in_time(b, time_s)?))
+                .collect();
+            if differences.len() < 100 {
+                return at_rest;
+            }
+            let mean_square =
+                differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64;
+            (mean_square / 2.0).sqrt().max(at_rest)
+        };
+        self.noise = NoiseFloor {
+            current_a: floor(
+                &a.current_residual(),
+                &b.current_residual(),
+                self.noise.current_a,
+            ),
+            speed_rad_s: floor(
+                &a.speed_residual(),
+                &b.speed_residual(),
+                self.noise.speed_rad_s,
+            ),
+            source: FloorSource::Repeat,
+            samples: first.samples().min(second.samples()),
+        };
+        Ok(self)
+    }
+}
+
+/// Value of the point nearest to `time_s`, if it lies within a few samples of it.
+fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
+    let after = points.partition_point(|point| point.0 < time_s);
+    let candidates = [
+        after.checked_sub(1),
+        (after < points.len()).then_some(after),
+    ];
+    let nearest = candidates
+        .into_iter()
+        .flatten()
+        .map(|index| points[index])
+        .min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
+    ((nearest.0 - time_s).abs() < 0.05).then_some(nearest.1)
+}

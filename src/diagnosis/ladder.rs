@@ -1,0 +1,162 @@
+//! The ladder of models: one rung up with an effect more, one down with an effect less, each judged on the hold-out.
+
+use serde::Serialize;
+
+use super::candidates::by_key;
+use super::compare::{Comparison, compare};
+use super::decide::{SIGNIFICANT, WORTHWHILE, pays, z};
+use super::evidence::Evidence;
+use super::score::Score;
+use crate::identification::output_error::{self, Fit, FitError};
+use crate::plant::{ActiveEffect, Effect, Model};
+use crate::sample::ParameterEstimate;
+
+use super::screen::Screen;
+
+/// One model on the ladder and its held-out error in units of the noise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Rung {
+    pub effects: Vec<&'static str>,
+    pub holdout_rmse: f64,
+}
+
+/// What adding or removing an effect did, as `add --json` prints it.
+#[derive(Clone, Debug, Serialize)]
+pub struct AddResult {
+    pub effect: &'static str,
+    pub accepted: bool,
+    pub reason: String,
+    pub before: Comparison,
+    pub after: Comparison,
+    #[serde(serialize_with = "by_key")]
+    pub parameters: Vec<ParameterEstimate>,
+    pub ladder: Vec<Rung>,
+    /// Errors on the confirming run where there is one: the headline.
+    pub confirm: Option<[Rung; 2]>,
+    #[serde(skip)]
+    pub fit: Fit,
+}
+
+/// Refits `model` with `effect` added; refused, with the reason, where that does not pay on the hold-out.
+pub fn add(
+    effect: &'static dyn Effect,
+    model: &Model,
+    evidence: Evidence,
+) -> Result<AddResult, FitError> {
+    let (evidence, before) = evidence.with_baseline(model)?;
+    let screened = Screen::new(&before, &evidence.training).effect(effect)?;
+    let with = |model: &Model, active: ActiveEffect| {
+        let mut model = model.clone();
+        model.effects.push(active);
+        model
+    };
+    let mut starts = vec![with(&before.model, screened.start)];
+    if model.require_complete().is_ok() {
+        starts.push(with(model, ActiveEffect::new(effect)));
+    }
+    let after = output_error::fit(&starts, &evidence.training, &evidence.noise)?;
+    change(effect, &evidence, &before, after, true)
+}
+
+/// Refits `model` without `effect`; refused where the effect pays on the hold-out.
+pub fn remove(
+    effect: &'static dyn Effect,
+    model: &Model,
+    evidence: Evidence,
+) -> Result<AddResult, FitError> {
+    let (evidence, before) = evidence.with_baseline(model)?;
+    let without = before.model.without_effect(effect.card().id)?;
+    let after = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
+    change(effect, &evidence, &before, after, false)
+}
+
+fn change(
+    effect: &'static dyn Effect,
+    evidence: &Evidence,
+    before: &Fit,
+    after: Fit,
+    adding: bool,
+) -> Result<AddResult, FitError> {
+    let score = |fit: &Fit| Score::of(&fit.model, &evidence.holdout, &evidence.noise);
+    let (score_before, score_after) = (score(before)?, score(&after)?);
+    let accepted = if adding {
+        pays(&score_before, &score_after)
+    } else {
+        !pays(&score_after, &score_before)
+    };
+    let rung = |fit: &Fit, score: &Score| Rung {
+        effects: fit.model.effect_ids(),
+        holdout_rmse: score.nrms,
+    };
+    let confirm = match &evidence.confirm {
+        Some(run) => {
+            let on = |fit: &Fit| Score::of(&fit.model, run, &evidence.noise);
+            Some([rung(before, &on(before)?), rung(&after, &on(&after)?)])
+        }
+        None => None,
+    };
+    let prefix = format!("{}.", effect.card().id);
+    let owner = if adding { &after } else { before };
+    Ok(AddResult {
+        effect: effect.card().id,
+        accepted,
+        reason: reason(
+            effect,
+            before,
+            &after,
+            &score_before,
+            &score_after,
+            adding,
+            accepted,
+        ),
+        before: compare(&before.model, evidence)?,
+        after: compare(&after.model, evidence)?,
+        parameters: owner
+            .parameters
+            .iter()
+            .filter(|p| p.key.starts_with(&prefix))
+            .cloned()
+            .collect(),
+        ladder: vec![rung(before, &score_before), rung(&after, &score_after)],
+        confirm,
+        fit: after,
+    })
+}
+
+fn reason(
+    effect: &dyn Effect,
+    before: &Fit,
+    after: &Fit,
+    score_before: &Score,
+    score_after: &Score,
+    adding: bool,
+    accepted: bool,
+) -> String {
+    let name = effect.card().name;
+    let (from, to) = (score_before.nrms, score_after.nrms);
+    if !adding {
+        return if accepted {
+            format!(
+                "without {name} the held-out error goes from {from:.2} to {to:.2} times the noise: it is superfluous"
+            )
+        } else {
+            format!(
+                "without {name} the held-out error rises from {from:.2} to {to:.2} times the noise: it is needed"
+            )
+        };
+    }
+    let z = z(score_before, score_after);
+    if accepted {
+        format!("held-out error {from:.2} -> {to:.2} times the noise (z {z:.1})")
+    } else if to >= (1.0 - WORTHWHILE) * from && after.nrms < (1.0 - WORTHWHILE) * before.nrms {
+        format!(
+            "{name} helps only in training ({:.2} -> {:.2}); on the hold-out the error goes from {from:.2} to {to:.2} \
+             times the noise",
+            before.nrms, after.nrms
+        )
+    } else {
+        format!(
+            "{name} does not pay: held-out error {from:.2} -> {to:.2} times the noise (z {z:.1}, {SIGNIFICANT} asked)"
+        )
+    }
+}

@@ -1,0 +1,72 @@
+//! Residual lights: is there anything left in the error but noise?
+
+use serde::Serialize;
+
+/// Lags that are looked at.
+const LAGS: usize = 25;
+
+/// Whiteness of the residual; the 99 % band is `2.58 / sqrt(n)`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ResidualLights {
+    pub white: bool,
+    /// Share of the lags 1..25 whose autocorrelation lies outside the 99 % band, the worse of the signals.
+    pub autocorrelation_outside_99_percent: f64,
+}
+
+impl ResidualLights {
+    /// From the residuals of every signal, in order of time.
+    pub fn of(signals: &[Vec<f64>]) -> Self {
+        let worst = signals
+            .iter()
+            .map(|residual| share_outside(residual))
+            .fold(0.0, f64::max);
+        // By chance a lag lies outside in one case of a hundred: three of 25 would be a case of 500.
+        Self {
+            white: worst <= 0.12,
+            autocorrelation_outside_99_percent: worst,
+        }
+    }
+}
+
+fn share_outside(residual: &[f64]) -> f64 {
+    let n = residual.len();
+    if n < 4 * LAGS {
+        return 0.0;
+    }
+    let mean = residual.iter().sum::<f64>() / n as f64;
+    let centred: Vec<f64> = residual.iter().map(|value| value - mean).collect();
+    let power: f64 = centred.iter().map(|value| value * value).sum();
+    if power <= 0.0 {
+        return 0.0;
+    }
+    let band = 2.58 / (n as f64).sqrt();
+    let outside = (1..=LAGS).filter(|lag| {
+        let product: f64 = centred[*lag..]
+            .iter()
+            .zip(&centred)
+            .map(|(late, early)| late * early)
+            .sum();
+        (product / power).abs() > band
+    });
+    outside.count() as f64 / LAGS as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+
+    #[test]
+    fn noise_is_white_and_a_slow_wave_is_not() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(4);
+        let noise: Vec<f64> = (0..5000).map(|_| rng.random::<f64>() - 0.5).collect();
+        assert!(ResidualLights::of(&[noise.clone()]).white);
+        let wave: Vec<f64> = noise
+            .iter()
+            .enumerate()
+            .map(|(k, n)| n + 0.3 * (k as f64 / 50.0).sin())
+            .collect();
+        let lights = ResidualLights::of(&[noise, wave]);
+        assert!(!lights.white && lights.autocorrelation_outside_99_percent > 0.5);
+    }
+}

@@ -1,0 +1,222 @@
+//! Diagnosis of runs whose truth is known. Runs of the emulator, whose effects have other forms than the catalogue's,
+//! are diagnosed in `tests/`.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+use super::*;
+use crate::identification::noise::FloorSource;
+use crate::plant::{Input, Model, Motor, Plant, Scenario, State, effect};
+use crate::sample::Channel;
+
+/// Staircase both ways with slow passages through zero; `shift` makes another run of it.
+fn events(shift: usize) -> Vec<(f64, f64)> {
+    let levels = [
+        0.0, 30.0, 60.0, 90.0, 40.0, 3.0, -3.0, -40.0, -90.0, -50.0, 4.0, 0.0, 70.0, -70.0, 20.0,
+    ];
+    let mut events = vec![(0.0, 0.0)];
+    for (step, _) in levels.iter().enumerate().skip(1) {
+        let level = levels[1 + (step + 3 * shift) % (levels.len() - 1)];
+        events.push((0.5 * step as f64, level));
+        events.push((
+            0.5 * step as f64 + 0.25,
+            level + if step % 2 == 0 { 5.0 } else { -5.0 },
+        ));
+    }
+    events
+}
+
+fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
+    let period_s = 0.004;
+    let samples = (7.5 / period_s) as usize;
+    let mut scenario = Scenario {
+        name: format!("run {shift}"),
+        input: Input::Voltage,
+        input_channel: Channel::VoltageCmd,
+        events: events(shift),
+        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
+        current_a: vec![],
+        speed_rad_s: vec![],
+        angle: vec![],
+        scored: 0..samples,
+    };
+    let out = Plant::new(model, Input::Voltage)
+        .unwrap()
+        .simulate(&scenario, State::default());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
+        let noise = Normal::new(0.0, sigma).unwrap();
+        values
+            .iter()
+            .map(|value| value + noise.sample(&mut rng))
+            .collect()
+    };
+    scenario.current_a = noisy(&out.current_a, 0.03);
+    scenario.speed_rad_s = noisy(&out.speed_rad_s, 0.15);
+    scenario
+}
+
+fn evidence(truth: &Model, seed: u64) -> Evidence {
+    let run = |shift: usize| record(truth, shift, 10 * seed + shift as u64);
+    Evidence::new(run(0), Some(run(1)), Some(run(2)))
+}
+
+fn truth(id: &str, values: &[f64]) -> Model {
+    let mut model = Model::baseline(Motor::zk_22fc()).with_effect(id).unwrap();
+    model.effects[0].values = values.iter().copied().map(Some).collect();
+    model
+}
+
+fn nameplate() -> Model {
+    Model::baseline(Motor::zk_22fc())
+}
+
+#[test]
+fn a_single_effect_is_named_and_the_error_falls_to_the_floor() {
+    for (id, values) in [
+        ("quadratic_load", &[2e-6][..]),
+        ("stribeck_friction", &[0.12, 9.0]),
+        ("voltage_drop", &[0.9]),
+        ("constant_load", &[0.06]),
+    ] {
+        let diagnosis = diagnose(&nameplate(), evidence(&truth(id, values), 1), false).unwrap();
+        assert_eq!(
+            diagnosis.verdict,
+            DiagnosisVerdict::Effect,
+            "{id}: {}",
+            diagnosis.sentence
+        );
+        assert_eq!(diagnosis.effects, vec![id]);
+        assert!(
+            diagnosis.sufficient && diagnosis.holdout_after < 1.15,
+            "{}",
+            diagnosis.sentence
+        );
+        let first = &diagnosis.candidates[0];
+        assert_eq!((first.effect, first.status), (id, Status::Supported));
+        let size = &first.parameters[0];
+        let (value, std) = (size.value.unwrap(), size.std.unwrap());
+        assert!(
+            (value - values[0]).abs() < 5.0 * std + 0.02 * values[0],
+            "{size:?} of {}",
+            values[0]
+        );
+    }
+}
+
+#[test]
+fn nothing_is_named_when_nothing_is_missing() {
+    for seed in 0..4 {
+        let diagnosis = diagnose(&nameplate(), evidence(&nameplate(), seed), true).unwrap();
+        assert_eq!(
+            diagnosis.verdict,
+            DiagnosisVerdict::None,
+            "{}",
+            diagnosis.sentence
+        );
+        assert_eq!((diagnosis.effect, diagnosis.sufficient), (None, true));
+    }
+}
+
+#[test]
+fn an_error_that_no_effect_explains_is_called_unexplained() {
+    // A shaker at 5 Hz: nothing in the catalogue depends on time like that.
+    let mut data = evidence(&nameplate(), 2);
+    for run in [&mut data.training, &mut data.holdout] {
+        for (k, time_s) in run.sample_time_s.iter().enumerate().skip(130) {
+            run.speed_rad_s[k] += 2.0 * (31.4 * time_s).sin();
+        }
+    }
+    let diagnosis = diagnose(&nameplate(), data, false).unwrap();
+    assert_eq!(
+        diagnosis.verdict,
+        DiagnosisVerdict::Unexplained,
+        "{}",
+        diagnosis.sentence
+    );
+    assert!(!diagnosis.sufficient && diagnosis.effects.is_empty());
+}
+
+#[test]
+fn two_effects_are_both_found() {
+    let mut both = truth("voltage_drop", &[1.2])
+        .with_effect("quadratic_load")
+        .unwrap();
+    both.effects[1].values = vec![Some(2.5e-6)];
+    let diagnosis = diagnose(&nameplate(), evidence(&both, 3), true).unwrap();
+    let mut found = diagnosis.effects.clone();
+    found.sort_unstable();
+    assert_eq!(
+        found,
+        ["quadratic_load", "voltage_drop"],
+        "{}",
+        diagnosis.sentence
+    );
+    assert!(
+        diagnosis
+            .ladder
+            .windows(2)
+            .all(|rungs| rungs[1].holdout_rmse < rungs[0].holdout_rmse)
+    );
+}
+
+#[test]
+fn one_run_alone_is_split_and_says_so() {
+    let run = record(&truth("voltage_drop", &[1.2]), 0, 4);
+    let diagnosis = diagnose(&nameplate(), Evidence::new(run, None, None), false).unwrap();
+    assert_eq!(diagnosis.holdout_from, HoldoutFrom::Split);
+    assert_eq!(
+        diagnosis.effect,
+        Some("voltage_drop"),
+        "{}",
+        diagnosis.sentence
+    );
+}
+
+#[test]
+fn an_effect_that_does_not_pay_is_refused_and_one_that_does_can_be_taken_out_again() {
+    let data = evidence(&truth("quadratic_load", &[2e-6]), 5);
+    let plain = evidence(&nameplate(), 5);
+    let refused = add(effect::find("quadratic_load").unwrap(), &nameplate(), plain).unwrap();
+    assert!(!refused.accepted, "{}", refused.reason);
+    let fan = effect::find("quadratic_load").unwrap();
+    let accepted = add(fan, &nameplate(), data.clone()).unwrap();
+    assert!(accepted.accepted, "{}", accepted.reason);
+    let [before, after] = accepted.confirm.as_ref().unwrap();
+    assert!(after.holdout_rmse < 0.6 * before.holdout_rmse);
+    let needed = remove(fan, &accepted.fit.model, data).unwrap();
+    assert!(!needed.accepted, "{}", needed.reason);
+}
+
+#[test]
+fn the_location_names_equation_and_axis() {
+    let data = evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6);
+    let (data, baseline) = data.with_baseline(&nameplate()).unwrap();
+    let comparison = compare(&baseline.model, &data).unwrap();
+    let first = &comparison.locations[0];
+    assert_eq!(
+        (first.equation, first.variable),
+        ("torque", "speed_rad_s"),
+        "{first:?}"
+    );
+    assert!(first.from < 0.0 && first.to > 0.0, "{first:?}");
+    assert!(!comparison.residual.white);
+    let drop = evidence(&truth("voltage_drop", &[1.5]), 6);
+    let (drop, baseline) = drop.with_baseline(&nameplate()).unwrap();
+    assert_eq!(
+        compare(&baseline.model, &drop).unwrap().locations[0].equation,
+        "voltage"
+    );
+}
+
+#[test]
+fn a_repeat_gives_the_floor_that_the_standstill_gives_when_only_sensors_are_noisy() {
+    let data = evidence(&nameplate(), 7);
+    let repeated = data
+        .clone()
+        .with_repeat_floor(&nameplate(), &data.training, &record(&nameplate(), 0, 99))
+        .unwrap();
+    assert_eq!(repeated.noise.source, FloorSource::Repeat);
+    assert!((repeated.noise.speed_rad_s / data.noise.speed_rad_s - 1.0).abs() < 0.2);
+}

@@ -1,0 +1,180 @@
+//! The floor below which no model error can be seen.
+
+use serde::Serialize;
+
+use crate::plant::Scenario;
+
+/// Where the noise floor comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FloorSource {
+    /// Standard deviation over the leading standstill: what the sensors show when nothing moves.
+    Standstill,
+    /// Difference of two runs with the same excitation: what the machine itself does not repeat.
+    Repeat,
+    /// Neither: errors are scaled by the residual of the refitted baseline, and `none` means only that no effect passes.
+    None,
+}
+
+/// Standard deviation of the measurement noise, per signal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NoiseFloor {
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    pub source: FloorSource,
+    /// Samples that it was estimated from: a standard deviation from n samples is itself uncertain by 1/sqrt(2 n).
+    pub samples: usize,
+}
+
+impl NoiseFloor {
+    /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was
+    /// estimated from few samples; at least `least`.
+    pub fn tolerance(&self, least: f64) -> f64 {
+        if self.samples == 0 {
+            least
+        } else {
+            least.max(1.0 + 2.6 / (2.0 * self.samples as f64).sqrt())
+        }
+    }
+}
+
+/// Samples at rest below which a standard deviation says nothing.
+const FEWEST_SAMPLES: usize = 20;
+/// Samples after switching on that may still carry a transient.
+const SKIPPED: usize = 2;
+
+impl NoiseFloor {
+    /// From the leading standstill with zero input (DISCOVERY.md 2.3); never below the quantum over sqrt(12).
+    pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
+        let rest = scenario.leading_standstill();
+        let rows = rest.start + SKIPPED..rest.end.max(rest.start + SKIPPED);
+        if rows.len() < FEWEST_SAMPLES {
+            return None;
+        }
+        let floor = |values: &[f64]| -> Option<f64> {
+            let at_rest: Vec<f64> = values[rows.clone()]
+                .iter()
+                .copied()
+                .filter(|v| v.is_finite())
+                .collect();
+            if at_rest.len() < FEWEST_SAMPLES {
+                return None;
+            }
+            let deviation = standard_deviation(&at_rest);
+            let level = deviation.max(quantum(values).unwrap_or(0.0) / 12f64.sqrt());
+            (level > 0.0).then_some(level)
+        };
+        let (current, speed) = (floor(&scenario.current_a), floor(&scenario.speed_rad_s));
+        (current.is_some() || speed.is_some()).then(|| Self {
+            current_a: current.unwrap_or(f64::INFINITY),
+            speed_rad_s: speed.unwrap_or(f64::INFINITY),
+            source: FloorSource::Standstill,
+            samples: rows.len(),
+        })
+    }
+
+    /// Scales that make both signals count alike where no noise is known: a hundredth of their spread.
+    pub fn from_spread(scenario: &Scenario) -> Self {
+        let spread = |values: &[f64]| {
+            let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+            let deviation = if present.len() < 2 {
+                0.0
+            } else {
+                standard_deviation(&present)
+            };
+            if deviation > 0.0 {
+                0.01 * deviation
+            } else {
+                f64::INFINITY
+            }
+        };
+        Self {
+            current_a: spread(&scenario.current_a),
+            speed_rad_s: spread(&scenario.speed_rad_s),
+            source: FloorSource::None,
+            samples: 0,
+        }
+    }
+}
+
+/// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.
+fn quantum(values: &[f64]) -> Option<f64> {
+    let mut sorted: Vec<f64> = values
+        .iter()
+        .copied()
+        .filter(|value| value.is_finite())
+        .collect();
+    sorted.sort_by(f64::total_cmp);
+    let range = sorted.last()? - sorted.first()?;
+    // Rounding in the file must not pass for a resolution.
+    let steps: Vec<f64> = sorted
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .filter(|step| *step > 1e-6 * range)
+        .collect();
+    let smallest = steps.iter().copied().min_by(f64::total_cmp)?;
+    let multiples = steps.iter().filter(|step| {
+        (**step / smallest)
+            .fract()
+            .min(1.0 - (**step / smallest).fract())
+            < 0.05
+    });
+    (multiples.count() * 20 >= steps.len() * 19).then_some(smallest)
+}
+
+fn standard_deviation(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let squares: f64 = values
+        .iter()
+        .map(|value| (value - mean) * (value - mean))
+        .sum();
+    (squares / (values.len() as f64 - 1.0)).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::{Channel, Origin, Run};
+
+    fn scenario(standstill: usize, speed: impl Fn(usize) -> f64) -> Scenario {
+        let rows = 400;
+        let mut run = Run::new("r", (0..rows).map(|k| k as f64 * 0.01).collect()).unwrap();
+        let volts = (0..rows)
+            .map(|k| if k < standstill { 0.0 } else { 10.0 })
+            .collect();
+        run.set_column(Channel::Voltage, volts, Origin::Unknown)
+            .unwrap();
+        run.set_column(
+            Channel::Speed,
+            (0..rows).map(speed).collect(),
+            Origin::Measured,
+        )
+        .unwrap();
+        Scenario::from_run(&run).unwrap()
+    }
+
+    #[test]
+    fn the_standstill_gives_the_floor_and_only_if_it_is_long_enough() {
+        let noisy = |k: usize| if k.is_multiple_of(2) { 0.1 } else { -0.1 } + if k > 50 { k as f64 } else { 0.0 };
+        let floor = NoiseFloor::from_standstill(&scenario(50, noisy)).unwrap();
+        assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
+        assert!(floor.current_a.is_infinite());
+        assert_eq!(NoiseFloor::from_standstill(&scenario(10, noisy)), None);
+    }
+
+    #[test]
+    fn a_noiseless_encoder_is_bounded_by_its_quantum() {
+        let counts = |k: usize| {
+            if k < 50 {
+                0.0
+            } else {
+                ((k - 50) / 3) as f64 * 0.5
+            }
+        };
+        let floor = NoiseFloor::from_standstill(&scenario(50, counts)).unwrap();
+        assert!(
+            (floor.speed_rad_s - 0.5 / 12f64.sqrt()).abs() < 1e-9,
+            "{floor:?}"
+        );
+    }
+}

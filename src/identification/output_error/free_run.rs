@@ -1,0 +1,261 @@
+//! The weighted residual of a free run as a function of the scaled free parameters.
+
+use super::FitError;
+use crate::identification::noise::NoiseFloor;
+use crate::numerics::levenberg_marquardt::Problem;
+use crate::plant::{Model, MotorKey, Plant, Scenario, Slot, State, Trajectory};
+
+/// Smallest Coulomb level that a logarithm may reach, as a share of its start or of this torque, N.m.
+const SMALLEST_LOAD_N_M: f64 = 1e-6;
+
+/// How a parameter and its scaled coordinate belong together.
+#[derive(Clone, Copy, Debug)]
+enum Scaling {
+    /// `p = exp(x)`, between two bounds on `p`.
+    Logarithm { min: f64, max: f64 },
+    /// `p = scale * x`.
+    Linear { scale: f64, min: f64, max: f64 },
+}
+
+impl Scaling {
+    fn of(slot: &Slot) -> Self {
+        match slot {
+            Slot::Motor(_) => Self::Logarithm {
+                min: 1e-12,
+                max: 1e9,
+            },
+            Slot::Effect { spec, .. } if spec.logarithmic => Self::Logarithm {
+                min: spec.min,
+                max: spec.max,
+            },
+            Slot::Effect { spec, .. } => Self::Linear {
+                scale: spec.scale,
+                min: spec.min,
+                max: spec.max,
+            },
+        }
+    }
+
+    fn to_x(self, value: f64) -> f64 {
+        match self {
+            Self::Logarithm { min, max } => value.clamp(min, max).ln(),
+            Self::Linear { scale, .. } => value / scale,
+        }
+    }
+
+    fn to_value(self, x: f64) -> f64 {
+        match self {
+            Self::Logarithm { .. } => x.exp(),
+            Self::Linear { scale, .. } => x * scale,
+        }
+    }
+
+    /// d(value)/dx.
+    fn slope(self, value: f64) -> f64 {
+        match self {
+            Self::Logarithm { .. } => value,
+            Self::Linear { scale, .. } => scale,
+        }
+    }
+
+    fn clamp(self, x: f64) -> f64 {
+        match self {
+            Self::Logarithm { min, max } => x.clamp(min.ln(), max.ln()),
+            Self::Linear { scale, min, max } => x.clamp(min / scale, max / scale),
+        }
+    }
+
+    const fn difference_step(self) -> f64 {
+        match self {
+            Self::Logarithm { .. } => 2e-3,
+            Self::Linear { .. } => 1e-2,
+        }
+    }
+}
+
+/// Free run of a model over a scenario, as a least-squares problem.
+pub struct FreeRun<'a> {
+    model: Model,
+    scenario: &'a Scenario,
+    noise: NoiseFloor,
+    free: Vec<Slot>,
+    scaling: Vec<Scaling>,
+    /// Whether initial current and speed are two more unknowns.
+    start_is_free: bool,
+    measured_start: State,
+    /// Which scored samples enter: `(sample, is_speed)`, in the order of time.
+    rows: Vec<(usize, bool)>,
+    out: Trajectory,
+}
+
+impl<'a> FreeRun<'a> {
+    pub fn new(model: &Model, scenario: &'a Scenario, noise: NoiseFloor) -> Result<Self, FitError> {
+        let mut model = model.clone();
+        for slot in model.slots() {
+            match (&slot, model.get(&slot)) {
+                (Slot::Effect { spec, .. }, None) => model.set(&slot, spec.guess()),
+                (Slot::Motor(MotorKey::LoadTorque), Some(value)) if value < SMALLEST_LOAD_N_M => {
+                    model.set(&slot, SMALLEST_LOAD_N_M);
+                }
+                _ => {}
+            }
+        }
+        model.require_complete()?;
+        let rows: Vec<(usize, bool)> = scenario
+            .scored
+            .clone()
+            .flat_map(|sample| [(sample, false), (sample, true)])
+            .filter(|(sample, is_speed)| {
+                let (value, level) = if *is_speed {
+                    (scenario.speed_rad_s[*sample], noise.speed_rad_s)
+                } else {
+                    (scenario.current_a[*sample], noise.current_a)
+                };
+                value.is_finite() && level.is_finite()
+            })
+            .collect();
+        if rows.is_empty() {
+            return Err(FitError::NothingMeasured {
+                run: scenario.name.clone(),
+            });
+        }
+        let free = model.free_slots();
+        let measured_start = State::at(
+            first_finite(&scenario.current_a),
+            first_finite(&scenario.speed_rad_s),
+        );
+        Ok(Self {
+            scaling: free.iter().map(Scaling::of).collect(),
+            start_is_free: !starts_at_rest(scenario, &noise),
+            measured_start,
+            model,
+            scenario,
+            noise,
+            free,
+            rows,
+            out: Trajectory::default(),
+        })
+    }
+
+    pub fn free_slots(&self) -> &[Slot] {
+        &self.free
+    }
+
+    /// `(sample, is_speed)` of every residual, in order.
+    pub fn rows(&self) -> &[(usize, bool)] {
+        &self.rows
+    }
+
+    /// Coordinates of the model as it is.
+    pub fn start(&self) -> Vec<f64> {
+        let mut x: Vec<f64> = self
+            .free
+            .iter()
+            .zip(&self.scaling)
+            .map(|(slot, scaling)| scaling.to_x(self.model.get(slot).unwrap_or(f64::NAN)))
+            .collect();
+        if self.start_is_free {
+            x.extend([
+                self.measured_start.current_a / self.start_scale().0,
+                self.measured_start.speed_rad_s / self.start_scale().1,
+            ]);
+        }
+        x
+    }
+
+    pub fn model_at(&self, x: &[f64]) -> Model {
+        let mut model = self.model.clone();
+        for ((slot, scaling), x) in self.free.iter().zip(&self.scaling).zip(x) {
+            model.set(slot, scaling.to_value(*x));
+        }
+        model
+    }
+
+    /// d(parameter)/dx of the free parameters at `x`.
+    pub fn slopes(&self, x: &[f64]) -> Vec<f64> {
+        self.scaling
+            .iter()
+            .zip(x)
+            .map(|(scaling, x)| scaling.slope(scaling.to_value(*x)))
+            .collect()
+    }
+
+    pub fn initial_state(&self, x: &[f64]) -> State {
+        if self.start_is_free {
+            let own = &x[self.free.len()..];
+            State::at(own[0] * self.start_scale().0, own[1] * self.start_scale().1)
+        } else {
+            State::default()
+        }
+    }
+
+    pub fn trajectory(&mut self, x: &[f64]) -> Result<Trajectory, FitError> {
+        let start = self.initial_state(x);
+        Ok(Plant::new(&self.model_at(x), self.scenario.input)?.simulate(self.scenario, start))
+    }
+
+    /// Units in which the initial state is fitted.
+    fn start_scale(&self) -> (f64, f64) {
+        let finite = |value: f64| if value.is_finite() { 10.0 * value } else { 1.0 };
+        (finite(self.noise.current_a), finite(self.noise.speed_rad_s))
+    }
+}
+
+impl Problem for FreeRun<'_> {
+    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+        let start = self.initial_state(x);
+        let Ok(mut plant) = Plant::new(&self.model_at(x), self.scenario.input) else {
+            return false;
+        };
+        plant.simulate_into(self.scenario, start, &mut self.out);
+        for (cell, (sample, is_speed)) in out.iter_mut().zip(&self.rows) {
+            *cell = if *is_speed {
+                (self.out.speed_rad_s[*sample] - self.scenario.speed_rad_s[*sample])
+                    / self.noise.speed_rad_s
+            } else {
+                (self.out.current_a[*sample] - self.scenario.current_a[*sample])
+                    / self.noise.current_a
+            };
+        }
+        out.iter().all(|value| value.is_finite())
+    }
+
+    fn residual_len(&self) -> usize {
+        self.rows.len()
+    }
+
+    fn difference_step(&self, index: usize) -> f64 {
+        self.scaling
+            .get(index)
+            .map_or(1e-2, |scaling| scaling.difference_step())
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        for (x, scaling) in x.iter_mut().zip(&self.scaling) {
+            *x = scaling.clamp(*x);
+        }
+    }
+}
+
+fn first_finite(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .copied()
+        .find(|value| value.is_finite())
+        .unwrap_or(0.0)
+}
+
+/// At rest: the first speeds are zero within their noise while the input is still zero, or the run begins with both
+/// signals within the noise of zero.
+fn starts_at_rest(scenario: &Scenario, noise: &NoiseFloor) -> bool {
+    let leading = scenario.leading_standstill();
+    let first = leading.start..leading.end.clamp(1, 20);
+    let quiet = |values: &[f64], level: f64| {
+        let mut present = values[first.clone()]
+            .iter()
+            .filter(|value| value.is_finite());
+        !level.is_finite() || present.all(|value| value.abs() <= 6.0 * level)
+    };
+    quiet(&scenario.speed_rad_s, noise.speed_rad_s)
+        && (!leading.is_empty() || quiet(&scenario.current_a, noise.current_a))
+}

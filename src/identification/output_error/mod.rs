@@ -1,0 +1,146 @@
+//! Batch output-error fit: the free run of a model is brought as near to the measurement as its parameters allow.
+//!
+//! ```text
+//! Model, Scenario, NoiseFloor --(FreeRun: x -> weighted residual)--> Levenberg-Marquardt --> Fit
+//!                                                                        block-clustered covariance
+//! ```
+//!
+//! DISCOVERY.md 2.4 and 2.12. Positive parameters are fitted as logarithms; the initial state is a nuisance where the
+//! run does not start at rest. The residual is `[(i - i^)/sigma_i ; (w - w^)/sigma_w]` over the scored samples.
+
+mod covariance;
+mod free_run;
+mod verdict;
+
+use thiserror::Error;
+
+use crate::numerics::levenberg_marquardt::{self, Minimum, Options, Problem};
+use crate::plant::{Model, ModelError, Scenario, Slot, State, Trajectory};
+use crate::sample::ParameterEstimate;
+
+pub use covariance::BLOCK_S;
+pub use free_run::FreeRun;
+
+use super::noise::NoiseFloor;
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum FitError {
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error("no free parameter: every parameter of the model is fixed")]
+    NothingFree,
+    #[error("run {run:?}: neither current nor speed can be compared")]
+    NothingMeasured { run: String },
+    #[error("run {run:?}: the model cannot be simulated from its starting values")]
+    CannotSimulate { run: String },
+}
+
+impl FitError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Model(error) => error.help(),
+            Self::NothingFree => "take a key out of `fixed` in the model file",
+            Self::NothingMeasured { .. } => {
+                "map a column with --map speed_rad_s=HEADER or current_a=HEADER"
+            }
+            Self::CannotSimulate { .. } => {
+                "check the units of voltage, current and speed, and the model's values"
+            }
+        }
+    }
+}
+
+/// A fitted model with what is known about its parameters.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    pub model: Model,
+    pub noise: NoiseFloor,
+    /// Every parameter of the model, in the order of its slots.
+    pub parameters: Vec<ParameterEstimate>,
+    /// Root of the mean square of the weighted residual on the scored samples.
+    pub nrms: f64,
+    pub start: State,
+    pub iterations: usize,
+    pub minimum: Minimum,
+    pub free: Vec<Slot>,
+}
+
+/// Fits the free parameters of each start's model and keeps the better minimum. Every start must have the same effects.
+pub fn fit(starts: &[Model], scenario: &Scenario, noise: &NoiseFloor) -> Result<Fit, FitError> {
+    let mut best: Option<Fit> = None;
+    let mut failure = FitError::CannotSimulate {
+        run: scenario.name.clone(),
+    };
+    for start in starts {
+        match fit_from(start, scenario, noise) {
+            Ok(found)
+                if best
+                    .as_ref()
+                    .is_none_or(|best| found.minimum.cost < best.minimum.cost) =>
+            {
+                best = Some(found)
+            }
+            Ok(_) => {}
+            Err(error) => failure = error,
+        }
+    }
+    best.ok_or(failure)
+}
+
+fn fit_from(start: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Fit, FitError> {
+    let mut problem = FreeRun::new(start, scenario, *noise)?;
+    if problem.free_slots().is_empty() {
+        return Err(FitError::NothingFree);
+    }
+    let x0 = problem.start();
+    let minimum =
+        levenberg_marquardt::minimise(&mut problem, &x0, Options::default()).ok_or_else(|| {
+            FitError::CannotSimulate {
+                run: scenario.name.clone(),
+            }
+        })?;
+    let model = problem.model_at(&minimum.x);
+    let parameters = verdict::estimates(&model, &problem, &minimum, scenario);
+    Ok(Fit {
+        nrms: (minimum.cost / problem.residual_len().max(1) as f64).sqrt(),
+        start: problem.initial_state(&minimum.x),
+        iterations: minimum.iterations,
+        free: problem.free_slots().to_vec(),
+        noise: *noise,
+        model,
+        parameters,
+        minimum,
+    })
+}
+
+/// The model as given on a run: only the initial state is fitted, and only where the run does not start at rest.
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    pub trajectory: Trajectory,
+    pub start: State,
+}
+
+/// Free run of a complete model over a scenario.
+pub fn predict(
+    model: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> Result<Prediction, FitError> {
+    let mut held = model.clone();
+    held.fixed = held.slots().iter().map(Slot::key).collect();
+    let mut problem = FreeRun::new(&held, scenario, *noise)?;
+    let x0 = problem.start();
+    let minimum =
+        levenberg_marquardt::minimise(&mut problem, &x0, Options::default()).ok_or_else(|| {
+            FitError::CannotSimulate {
+                run: scenario.name.clone(),
+            }
+        })?;
+    Ok(Prediction {
+        trajectory: problem.trajectory(&minimum.x)?,
+        start: problem.initial_state(&minimum.x),
+    })
+}
+
+#[cfg(test)]
+mod tests;

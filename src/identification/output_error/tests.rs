@@ -1,0 +1,184 @@
+use rand::SeedableRng;
+use rand_distr::{Distribution, Normal};
+
+use super::*;
+use crate::identification::noise::FloorSource;
+use crate::plant::{Input, Motor, MotorKey, Plant};
+use crate::sample::{Channel, Verdict};
+
+const NOISE: NoiseFloor = NoiseFloor {
+    current_a: 0.03,
+    speed_rad_s: 0.15,
+    source: FloorSource::Standstill,
+    samples: 1000,
+};
+
+/// A run of steps both ways with a creep through zero, simulated with `model` and sampled with white noise.
+fn record(model: &Model, period_s: f64, seed: u64) -> Scenario {
+    let events = vec![
+        (0.0, 0.0),
+        (0.4, 30.0),
+        (0.9, 60.0),
+        (1.5, -20.0),
+        (2.2, -70.0),
+        (3.0, 4.0),
+        (3.4, 8.0),
+        (3.9, -6.0),
+        (4.4, 0.0),
+        (4.8, 45.0),
+    ];
+    let samples = (6.0 / period_s) as usize;
+    let mut scenario = Scenario {
+        name: "record".into(),
+        input: Input::Voltage,
+        input_channel: Channel::VoltageCmd,
+        events,
+        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
+        current_a: vec![],
+        speed_rad_s: vec![],
+        angle: vec![],
+        scored: 0..samples,
+    };
+    let out = Plant::new(model, Input::Voltage)
+        .unwrap()
+        .simulate(&scenario, State::default());
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
+        let noise = Normal::new(0.0, sigma).unwrap();
+        values
+            .iter()
+            .map(|value| value + noise.sample(&mut rng))
+            .collect()
+    };
+    scenario.current_a = noisy(&out.current_a, 0.03);
+    scenario.speed_rad_s = noisy(&out.speed_rad_s, 0.15);
+    scenario
+}
+
+fn off_by(model: &Model, factor: f64) -> Model {
+    let mut off = model.clone();
+    for key in MotorKey::ALL {
+        if let Some(value) = off.motor.get(key) {
+            off.motor.set(key, value * factor);
+        }
+    }
+    off
+}
+
+#[test]
+fn the_truth_is_found_from_thirty_per_cent_off_at_both_rates() {
+    let truth = Model::baseline(Motor::zk_22fc());
+    for (period_s, tolerance) in [(0.001, 0.003), (0.01, 0.01)] {
+        let fit = fit(&[off_by(&truth, 1.3)], &record(&truth, period_s, 1), &NOISE).unwrap();
+        for slot in truth.slots() {
+            let (found, true_value) = (fit.model.get(&slot).unwrap(), truth.get(&slot).unwrap());
+            assert!(
+                (found / true_value - 1.0).abs() < tolerance,
+                "{} {found} {true_value}",
+                slot.key()
+            );
+        }
+        assert!((fit.nrms - 1.0).abs() < 0.05, "{}", fit.nrms);
+        assert!(
+            fit.parameters
+                .iter()
+                .all(|estimate| estimate.verdict == Verdict::Settled)
+        );
+    }
+}
+
+#[test]
+fn intervals_cover_the_truth() {
+    let truth = Model::baseline(Motor::zk_22fc());
+    let (mut inside, mut all) = (0, 0);
+    for seed in 0..30 {
+        let fit = fit(&[truth.clone()], &record(&truth, 0.005, seed), &NOISE).unwrap();
+        for (slot, estimate) in truth.slots().iter().zip(&fit.parameters) {
+            let z = (estimate.value.unwrap() - truth.get(slot).unwrap()) / estimate.std.unwrap();
+            inside += usize::from(z.abs() < 2.1);
+            all += 1;
+        }
+    }
+    let share = f64::from(inside as u32) / f64::from(all as u32);
+    assert!((0.85..=1.0).contains(&share), "{share}");
+}
+
+#[test]
+fn effect_parameters_are_fitted_with_the_motor() {
+    let mut truth = Model::baseline(Motor::zk_22fc())
+        .with_effect("stribeck_friction")
+        .unwrap();
+    truth.effects[0].values = vec![Some(0.15), Some(9.0)];
+    let start = Model::baseline(Motor::zk_22fc())
+        .with_effect("stribeck_friction")
+        .unwrap();
+    let fit = fit(&[start], &record(&truth, 0.002, 3), &NOISE).unwrap();
+    let size = fit
+        .parameters
+        .iter()
+        .find(|p| p.key == "stribeck_friction.stribeck_n_m")
+        .unwrap();
+    assert!(
+        (size.value.unwrap() - 0.15).abs() < 4.0 * size.std.unwrap() + 0.003,
+        "{size:?}"
+    );
+}
+
+#[test]
+fn a_run_that_starts_in_motion_has_its_initial_state_fitted() {
+    let truth = Model::baseline(Motor::zk_22fc());
+    let mut scenario = record(&truth, 0.002, 5);
+    let cut = 700;
+    scenario.events.retain(|(time, _)| *time >= 0.9);
+    scenario.events[0].0 = scenario.sample_time_s[cut];
+    scenario.sample_time_s.drain(..cut);
+    scenario.current_a.drain(..cut);
+    scenario.speed_rad_s.drain(..cut);
+    scenario.scored = 0..scenario.sample_time_s.len();
+    let fit = fit(&[off_by(&truth, 1.1)], &scenario, &NOISE).unwrap();
+    assert!(fit.nrms < 1.05, "{}", fit.nrms);
+    assert!(fit.start.speed_rad_s > 100.0);
+    let as_given = predict(&truth, &scenario, &NOISE).unwrap();
+    assert!((as_given.start.speed_rad_s - fit.start.speed_rad_s).abs() < 0.2);
+}
+
+#[test]
+fn a_run_without_motion_claims_neither_inertia_nor_back_emf() {
+    let truth = Model::baseline(Motor::zk_22fc());
+    let mut scenario = record(&truth, 0.002, 7);
+    scenario.events = vec![(0.0, 0.0), (0.4, 1.0), (2.0, -1.0), (4.0, 0.5)];
+    let out = Plant::new(&truth, Input::Voltage)
+        .unwrap()
+        .simulate(&scenario, State::default());
+    for (k, current) in out.current_a.iter().enumerate() {
+        scenario.current_a[k] = current + if k.is_multiple_of(2) { 0.03 } else { -0.03 };
+        scenario.speed_rad_s[k] = if k.is_multiple_of(2) { 0.1 } else { -0.1 };
+    }
+    let fit = fit(&[truth], &scenario, &NOISE).unwrap();
+    for estimate in &fit.parameters {
+        let electrical = ["resistance_ohm", "inductance_h"].contains(&estimate.key.as_str());
+        assert_eq!(estimate.value.is_some(), electrical, "{estimate:?}");
+        assert_eq!(
+            estimate.verdict == Verdict::NotObservable,
+            !electrical,
+            "{estimate:?}"
+        );
+    }
+}
+
+#[test]
+fn nothing_free_and_nothing_measured_are_errors() {
+    let mut truth = Model::baseline(Motor::zk_22fc());
+    let mut scenario = record(&truth, 0.01, 9);
+    truth.fixed = truth.slots().iter().map(Slot::key).collect();
+    assert_eq!(
+        fit(&[truth.clone()], &scenario, &NOISE).unwrap_err(),
+        FitError::NothingFree
+    );
+    scenario.current_a.fill(f64::NAN);
+    scenario.speed_rad_s.fill(f64::NAN);
+    assert!(matches!(
+        predict(&truth, &scenario, &NOISE),
+        Err(FitError::NothingMeasured { .. })
+    ));
+}
