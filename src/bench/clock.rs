@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use crate::emulator::VirtualClock;
+
 /// Host time since the begin of the run, and waiting for an instant of it.
 pub trait Clock: Send {
     fn now_s(&self) -> f64;
@@ -48,19 +50,14 @@ impl Clock for MonotonicClock {
     }
 }
 
-/// Time that advances only by waiting: a run takes no time and is the same each time.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct VirtualClock {
-    now_s: f64,
-}
-
+/// Virtual time advances only by waiting: a run takes no time and is the same each time.
 impl Clock for VirtualClock {
     fn now_s(&self) -> f64 {
-        self.now_s
+        self.time_s()
     }
 
     fn sleep_until_s(&mut self, until_s: f64) {
-        self.now_s = self.now_s.max(until_s);
+        self.set_time_s(self.time_s().max(until_s));
     }
 
     fn is_real(&self) -> bool {

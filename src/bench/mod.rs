@@ -9,22 +9,31 @@
 //! ```
 
 mod bench_file;
+mod check;
 mod clock;
 mod guard;
 mod limits;
 mod plan;
 mod program;
+mod runner;
 mod session;
+mod snapshot;
 #[cfg(test)]
 mod testing;
+mod timing;
 
+pub use crate::emulator::VirtualClock;
 pub use bench_file::{
     BenchFile, BenchFileError, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME, EmulatorSection,
     LimitsSection, LinkSection, Port, Protocol, RunsSection,
 };
-pub use clock::{Clock, MonotonicClock, VirtualClock};
+pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check};
+pub use clock::{Clock, MonotonicClock};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use limits::{Limits, Nameplate};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
+pub use runner::{Bench, LiveEstimator, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
+pub use snapshot::{Snapshot, SnapshotCell, Target, TracePoint};
+pub use timing::Timing;

@@ -10,7 +10,7 @@ use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
 use super::program::Program;
 use crate::plant::{Input, Model, ModelError, Plant, Scenario, State, Trajectory};
-use crate::sample::{Channel, Demand, DriveState, Sample};
+use crate::sample::{Channel, DriveState, Sample};
 
 /// Points per control period at which the prediction is looked at: peaks lie between the host's samples.
 const POINTS_PER_PERIOD: usize = 10;
@@ -306,6 +306,7 @@ mod tests {
     use super::*;
     use crate::bench::bench_file::BenchFile;
     use crate::bench::testing::Wave;
+    use crate::sample::Demand;
 
     fn limits() -> Limits {
         Limits::for_motor(&Nameplate::zk_22fc(), 100.0)

@@ -122,6 +122,13 @@ impl Session {
         }
     }
 
+    /// Continues the sequence numbers of what was exchanged before, so that no late reply can be taken for a new one.
+    #[must_use]
+    pub const fn after_seq(mut self, seq: u64) -> Self {
+        self.seq = seq;
+        self
+    }
+
     pub const fn phase(&self) -> Phase {
         self.phase
     }
@@ -160,6 +167,9 @@ impl Session {
             Input::Cycle => self.cycle(now_s, actions),
             Input::Sample(sample) => self.sample(now_s, *sample, actions),
             Input::Lost(lost) => self.lost(now_s, &lost, actions),
+            Input::Missed(cycles) => {
+                self.event(now_s, "deadline_lost", json!({ "cycles": cycles }), actions);
+            }
             Input::Intent(intent) => self.intent(now_s, &intent, actions),
         }
     }

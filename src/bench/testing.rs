@@ -68,6 +68,7 @@ pub(super) struct ScriptedDrive {
     pub(super) demands: Vec<Demand>,
     pub(super) watchdog_s: Option<f64>,
     pub(super) stops: u32,
+    pub(super) is_emulator: bool,
     state: DriveState,
     time_s: f64,
     voltage_v: f64,
@@ -83,6 +84,7 @@ impl ScriptedDrive {
             demands: Vec::new(),
             watchdog_s: Some(0.2),
             stops: 0,
+            is_emulator: true,
             state: DriveState::Disabled,
             time_s: 0.0,
             voltage_v: 0.0,
@@ -114,7 +116,7 @@ impl DriveLink for ScriptedDrive {
         Ok(Identity {
             vendor: "drivebench".to_owned(),
             product: "script".to_owned(),
-            is_emulator: true,
+            is_emulator: self.is_emulator,
             watchdog_s: self.watchdog_s,
             ..Identity::default()
         })

@@ -14,6 +14,8 @@ pub enum Input {
     Cycle,
     Sample(Box<Sample>),
     Lost(Lost),
+    /// So many deadlines passed before this cycle began.
+    Missed(u64),
     Intent(Intent),
 }
 

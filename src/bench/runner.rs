@@ -1,0 +1,307 @@
+//! The loop that owns the link: absolute deadlines, one exchange per cycle, zero output at the end whatever happens.
+//!
+//! ```text
+//! wait for the deadline -> missed? -> intents, signals -> Cycle -> exchange -> Sample -> record, estimate, publish
+//! ```
+//!
+//! The same code runs in real time and, with the virtual clock and the drive in memory, faster than that and the same to
+//! the byte for each seed.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+
+use serde::Serialize;
+use serde_json::Value;
+
+use super::clock::Clock;
+use super::limits::Nameplate;
+use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Session};
+use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
+use super::timing::{Punctuality, Timing};
+use crate::drive::{DriveLink, LinkStatistics};
+use crate::recording::{CommandRow, Event, Manifest, Record};
+use crate::sample::{Command, Demand, ParameterEstimate, Sample};
+
+/// What estimates parameters while the run goes on; it is given every recorded row in order.
+pub trait LiveEstimator {
+    fn push(&mut self, sample: &Sample);
+
+    fn estimates(&self) -> Vec<ParameterEstimate>;
+}
+
+/// What a run is made with; all of it belongs to the calling thread.
+pub struct Bench<'a> {
+    pub link: &'a mut dyn DriveLink,
+    pub clock: &'a mut dyn Clock,
+    pub recorder: &'a mut dyn Record,
+    pub estimator: Option<&'a mut dyn LiveEstimator>,
+    /// From the screen; a screen that is gone sends nothing any more, and the run goes on.
+    pub intents: &'a Receiver<Intent>,
+    /// Set by Ctrl-C, SIGTERM and SIGHUP: once ramps down, a second time stops at once.
+    pub interrupted: &'a AtomicBool,
+    pub snapshots: &'a SnapshotCell,
+}
+
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    pub name: String,
+    pub target: Target,
+    pub rate_hz: f64,
+    pub motor: Nameplate,
+    /// Starts the program as soon as the session is safe, as a headless run does; else `Intent::Start` does.
+    pub auto_start: bool,
+}
+
+/// How a run went.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunSummary {
+    pub outcome: Outcome,
+    pub rows: u64,
+    pub duration_s: f64,
+    pub timing: Timing,
+    pub link: LinkStatistics,
+    pub estimates: Vec<ParameterEstimate>,
+    pub notices: Vec<Notice>,
+    /// Why zero output could not be confirmed at the very end, if it could not.
+    pub stop_error: Option<String>,
+    /// What the recorder could not write, if anything.
+    pub recorder_error: Option<String>,
+}
+
+impl RunSummary {
+    /// Fills in what a manifest says about how the run went.
+    pub fn describe(&self, manifest: &mut Manifest) {
+        manifest.outcome = Some(match &self.outcome {
+            Outcome::Done => "passed".to_owned(),
+            Outcome::Stopped => "stopped".to_owned(),
+            Outcome::Interrupted => "interrupted".to_owned(),
+            Outcome::Tripped(trip) => format!("safety trip: {}", trip.reason),
+            Outcome::LinkLost { reason } => format!("link lost: {reason}"),
+        });
+        manifest.link_statistics = serde_json::to_value(self.link).unwrap_or(Value::Null);
+        manifest.period_asked_s = Some(1.0 / self.timing.rate_asked_hz);
+        manifest.period_achieved_s =
+            (self.timing.rate_achieved_hz > 0.0).then(|| 1.0 / self.timing.rate_achieved_hz);
+        manifest.missed_cycles = Some(self.timing.missed_cycles);
+        manifest.lateness_p50_s = Some(self.timing.lateness_p50_s);
+        manifest.lateness_p99_s = Some(self.timing.lateness_p99_s);
+    }
+}
+
+/// Runs a session to its end. On return, and when something panics on the way, the drive has been told to stop.
+pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSummary {
+    let first = Snapshot {
+        name: options.name.clone(),
+        link: bench.link.name().0,
+        target: options.target,
+        ..Snapshot::default()
+    };
+    let mut runner = Runner {
+        publisher: Publisher::new(bench.snapshots.clone(), first, &options.motor),
+        session,
+        link: StopOnDrop(bench.link),
+        recorder: bench.recorder,
+        estimator: bench.estimator,
+        actions: Vec::new(),
+        inputs: VecDeque::new(),
+        punctuality: Punctuality::default(),
+        demand: Demand::Disable,
+        drive_minus_host_s: 0.0,
+        notices: Vec::new(),
+        outcome: None,
+    };
+    runner.go(bench.clock, bench.intents, bench.interrupted, options)
+}
+
+/// Zero output when the loop is left, on whatever path.
+struct StopOnDrop<'a>(&'a mut dyn DriveLink);
+
+impl Drop for StopOnDrop<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            // Nobody is left to tell; the drive's watchdog is behind this.
+            let _ = self.0.stop();
+        }
+    }
+}
+
+struct Runner<'a> {
+    session: Session,
+    link: StopOnDrop<'a>,
+    recorder: &'a mut dyn Record,
+    estimator: Option<&'a mut dyn LiveEstimator>,
+    publisher: Publisher,
+    actions: Vec<Action>,
+    inputs: VecDeque<Input>,
+    punctuality: Punctuality,
+    /// The command in force.
+    demand: Demand,
+    /// From host time to the samples' time axis, s.
+    drive_minus_host_s: f64,
+    notices: Vec<Notice>,
+    outcome: Option<Outcome>,
+}
+
+impl Runner<'_> {
+    fn go(
+        &mut self,
+        clock: &mut dyn Clock,
+        intents: &Receiver<Intent>,
+        interrupted: &AtomicBool,
+        options: &RunOptions,
+    ) -> RunSummary {
+        let period_s = 1.0 / options.rate_hz;
+        let begin_s = clock.now_s();
+        let mut cycle: u64 = 0;
+        let mut start_pending = options.auto_start;
+        while self.outcome.is_none() {
+            let mut due_s = begin_s + cycle as f64 * period_s;
+            clock.sleep_until_s(due_s);
+            let now_s = clock.now_s();
+            let missed = ((now_s - due_s) / period_s).floor().max(0.0) as u64;
+            if missed > 0 {
+                cycle += missed;
+                due_s = begin_s + cycle as f64 * period_s;
+                self.punctuality.missed(missed);
+                self.feed(clock, Input::Missed(missed));
+            }
+            self.punctuality.cycle(now_s, now_s - due_s);
+            if interrupted.swap(false, Ordering::AcqRel) {
+                self.feed(clock, Input::Intent(Intent::Quit));
+            }
+            while let Ok(intent) = intents.try_recv() {
+                self.feed(clock, Input::Intent(intent));
+            }
+            if start_pending && self.session.phase() == super::Phase::Safe {
+                start_pending = false;
+                self.feed(clock, Input::Intent(Intent::Start));
+                if self.session.phase() == super::Phase::Safe {
+                    // Refused: the reason is in the notices, and nobody is there to try again.
+                    self.feed(clock, Input::Intent(Intent::Stop));
+                }
+            }
+            self.feed(clock, Input::Cycle);
+            if self.publisher.is_due(now_s) {
+                self.publish(now_s, options.rate_hz, None);
+            }
+            cycle += 1;
+        }
+        // Whatever the session knows: the last word to the drive is zero output.
+        let stop_error = self.link.0.stop().err().map(|error| error.to_string());
+        let now_s = clock.now_s();
+        let outcome = self.outcome.take().unwrap_or(Outcome::Stopped);
+        self.publish(now_s, options.rate_hz, Some(outcome.name()));
+        let recorder = self.recorder.status();
+        RunSummary {
+            outcome,
+            rows: recorder.rows as u64,
+            duration_s: now_s - begin_s,
+            timing: self.punctuality.timing(options.rate_hz),
+            link: self.link.0.statistics(),
+            estimates: self.estimates(),
+            notices: std::mem::take(&mut self.notices),
+            stop_error,
+            recorder_error: recorder.error,
+        }
+    }
+
+    /// One input and everything that follows from it.
+    fn feed(&mut self, clock: &dyn Clock, input: Input) {
+        self.inputs.push_back(input);
+        while let Some(input) = self.inputs.pop_front() {
+            let mut actions = std::mem::take(&mut self.actions);
+            self.session.step(clock.now_s(), input, &mut actions);
+            for action in actions.drain(..) {
+                self.act(clock, action);
+            }
+            self.actions = actions;
+        }
+    }
+
+    fn act(&mut self, clock: &dyn Clock, action: Action) {
+        match action {
+            Action::Send(command) => self.exchange(clock, command),
+            Action::Row(sample) => {
+                self.recorder.row(&sample);
+                if let Some(estimator) = self.estimator.as_mut() {
+                    estimator.push(&sample);
+                }
+                self.publisher.sample(&sample, self.demand);
+            }
+            Action::Event(event) => self.recorder.event(self.event(event)),
+            Action::Notice(notice) => {
+                self.publisher.notice(notice.clone());
+                self.notices.push(notice);
+            }
+            Action::Finished(outcome) => self.outcome = Some(outcome),
+        }
+    }
+
+    fn exchange(&mut self, clock: &dyn Clock, command: Command) {
+        let sent_s = clock.now_s();
+        self.demand = command.demand;
+        if self.session.phase().is_recorded() {
+            self.recorder.command(&CommandRow {
+                command,
+                time_s: sent_s + self.drive_minus_host_s,
+                reference_rad_s: match command.demand {
+                    Demand::Speed(speed) => Some(speed),
+                    _ => None,
+                },
+            });
+        }
+        self.inputs.push_back(match self.link.0.exchange(command) {
+            Ok(sample) => {
+                if sample.time_s.is_finite() {
+                    self.drive_minus_host_s = sample.time_s - sent_s;
+                }
+                Input::Sample(Box::new(sample))
+            }
+            Err(error) => Input::Lost(Lost::from(&error)),
+        });
+    }
+
+    /// An event of the session on the samples' time axis.
+    fn event(&self, event: Value) -> Event {
+        let mut details = match event {
+            Value::Object(details) => details,
+            other => serde_json::Map::from_iter([("value".to_owned(), other)]),
+        };
+        let kind = details
+            .shift_remove("event")
+            .and_then(|kind| kind.as_str().map(str::to_owned))
+            .unwrap_or_default();
+        let seq = details.shift_remove("seq").and_then(|seq| seq.as_u64());
+        let host_s = details
+            .get("host_time_s")
+            .and_then(Value::as_f64)
+            .unwrap_or(0.0);
+        let mut out = Event::new(host_s + self.drive_minus_host_s, seq, kind);
+        out.details = details;
+        out
+    }
+
+    fn estimates(&self) -> Vec<ParameterEstimate> {
+        self.estimator
+            .as_ref()
+            .map(|estimator| estimator.estimates())
+            .unwrap_or_default()
+    }
+
+    fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
+        let estimates = self.estimates();
+        self.publisher.publish(
+            now_s,
+            &self.session,
+            self.link.0.statistics(),
+            self.punctuality.timing(rate_hz),
+            &self.recorder.status(),
+            estimates,
+            outcome,
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,95 @@
+//! What a screen needs to know of a run, published some twenty times a second; it never reaches back into the run.
+
+mod model_trace;
+mod publisher;
+
+pub(super) use publisher::Publisher;
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::guard::Trip;
+use super::session::{Notice, Phase};
+use super::timing::Timing;
+use crate::drive::{Identity, LinkStatistics};
+use crate::sample::{DriveState, ParameterEstimate};
+
+/// Software or copper: shown on every screen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Target {
+    /// The drive itself says that it is software.
+    Sim,
+    #[default]
+    Hardware,
+}
+
+impl Target {
+    pub const fn of(identity: &Identity) -> Self {
+        if identity.is_emulator {
+            Self::Sim
+        } else {
+            Self::Hardware
+        }
+    }
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sim => "SIM",
+            Self::Hardware => "HARDWARE",
+        }
+    }
+}
+
+/// One instant of the scope; NaN where a value is missing, so that a gap stays a gap.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TracePoint {
+    /// Since the first point of the run, s.
+    pub time_s: f64,
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    /// Free run of the model under the same voltage.
+    pub model_speed_rad_s: f64,
+}
+
+/// The state of a run at one instant; cloning copies a few words, two short lists and one shared trace.
+#[derive(Clone, Debug, Default)]
+pub struct Snapshot {
+    pub name: String,
+    pub link: String,
+    pub target: Target,
+    pub phase: Option<Phase>,
+    pub drive_state: Option<DriveState>,
+    pub elapsed_s: f64,
+    pub total_s: f64,
+    pub segment: Option<String>,
+    /// The last seconds, oldest first.
+    pub trace: Arc<Vec<TracePoint>>,
+    pub estimates: Arc<Vec<ParameterEstimate>>,
+    /// Whether the model of the trace is the nameplate's or the identified one.
+    pub model_is_identified: bool,
+    pub link_statistics: LinkStatistics,
+    pub timing: Timing,
+    pub rows: u64,
+    /// What the recorder could not write, if anything.
+    pub recorder_error: Option<String>,
+    /// The newest last.
+    pub notices: Vec<Notice>,
+    pub trip: Option<Trip>,
+    /// Set once, when the run is over.
+    pub outcome: Option<&'static str>,
+}
+
+/// The latest snapshot, shared between the runner and the screens. Neither waits for the other.
+#[derive(Clone, Debug, Default)]
+pub struct SnapshotCell(Arc<Mutex<Arc<Snapshot>>>);
+
+impl SnapshotCell {
+    pub fn latest(&self) -> Arc<Snapshot> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub fn publish(&self, snapshot: Snapshot) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
+    }
+}

@@ -1,0 +1,128 @@
+//! How punctual the cycles were.
+
+use serde::Serialize;
+
+/// Buckets per decade: a percentile is known to 8 %.
+const PER_DECADE: f64 = 30.0;
+/// Lateness below this counts as none, s.
+const SMALLEST_S: f64 = 1e-6;
+const BUCKETS: usize = 241;
+
+/// Lateness of cycles as a histogram: constant memory however long the run is.
+#[derive(Clone, Debug)]
+pub(super) struct Punctuality {
+    counts: Vec<u64>,
+    cycles: u64,
+    missed: u64,
+    worst_s: f64,
+    first_s: Option<f64>,
+    last_s: f64,
+}
+
+impl Default for Punctuality {
+    fn default() -> Self {
+        Self {
+            counts: vec![0; BUCKETS],
+            cycles: 0,
+            missed: 0,
+            worst_s: 0.0,
+            first_s: None,
+            last_s: 0.0,
+        }
+    }
+}
+
+impl Punctuality {
+    pub(super) fn cycle(&mut self, now_s: f64, late_s: f64) {
+        let bucket = (PER_DECADE * (late_s / SMALLEST_S).max(1.0).log10()).ceil() as usize;
+        self.counts[bucket.min(BUCKETS - 1)] += 1;
+        self.cycles += 1;
+        self.worst_s = self.worst_s.max(late_s);
+        self.first_s.get_or_insert(now_s);
+        self.last_s = now_s;
+    }
+
+    pub(super) fn missed(&mut self, cycles: u64) {
+        self.missed += cycles;
+    }
+
+    pub(super) fn timing(&self, rate_asked_hz: f64) -> Timing {
+        let span_s = self.last_s - self.first_s.unwrap_or(self.last_s);
+        Timing {
+            rate_asked_hz,
+            rate_achieved_hz: if span_s > 0.0 {
+                (self.cycles - 1) as f64 / span_s
+            } else {
+                0.0
+            },
+            lateness_p50_s: self.quantile_s(0.5),
+            lateness_p99_s: self.quantile_s(0.99),
+            lateness_max_s: self.worst_s,
+            cycles: self.cycles,
+            missed_cycles: self.missed,
+        }
+    }
+
+    /// Upper edge of the bucket in which the quantile lies.
+    fn quantile_s(&self, share: f64) -> f64 {
+        let rank = (share * self.cycles as f64).ceil().max(1.0) as u64;
+        let mut below = 0;
+        for (bucket, count) in self.counts.iter().enumerate() {
+            below += count;
+            if below >= rank && below > 0 {
+                let edge_s = SMALLEST_S * 10_f64.powf(bucket as f64 / PER_DECADE);
+                return if bucket == 0 {
+                    0.0
+                } else {
+                    edge_s.min(self.worst_s)
+                };
+            }
+        }
+        0.0
+    }
+}
+
+/// Asked and achieved rate, lateness, missed cycles.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Timing {
+    pub rate_asked_hz: f64,
+    pub rate_achieved_hz: f64,
+    pub lateness_p50_s: f64,
+    pub lateness_p99_s: f64,
+    pub lateness_max_s: f64,
+    pub cycles: u64,
+    /// Deadlines that passed without a cycle.
+    pub missed_cycles: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_within_a_bucket_and_the_worst_is_exact() {
+        let mut punctuality = Punctuality::default();
+        for cycle in 0..1000_u32 {
+            let late_s = if cycle < 985 { 100e-6 } else { 5e-3 };
+            punctuality.cycle(f64::from(cycle) * 0.01, late_s);
+        }
+        punctuality.missed(3);
+        let timing = punctuality.timing(100.0);
+        assert!((timing.lateness_p50_s - 100e-6).abs() < 9e-6);
+        assert!((timing.lateness_p99_s - 5e-3).abs() < 5e-4);
+        assert!((timing.lateness_max_s - 5e-3).abs() < 1e-12);
+        assert!((timing.rate_achieved_hz - 100.0).abs() < 1e-6);
+        assert_eq!((timing.cycles, timing.missed_cycles), (1000, 3));
+    }
+
+    #[test]
+    fn nothing_is_late_in_virtual_time() {
+        let mut punctuality = Punctuality::default();
+        assert!(punctuality.timing(1.0).rate_achieved_hz.abs() < f64::EPSILON);
+        punctuality.cycle(0.0, 0.0);
+        punctuality.cycle(0.5, 0.0);
+        let timing = punctuality.timing(2.0);
+        assert!(timing.lateness_p99_s.abs() < f64::EPSILON);
+        assert!((timing.rate_achieved_hz - 2.0).abs() < 1e-12);
+    }
+}
