@@ -2,3 +2,4 @@
 
 pub mod noise;
 pub mod output_error;
+pub mod start;
