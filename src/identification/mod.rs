@@ -3,3 +3,5 @@
 pub mod noise;
 pub mod output_error;
 pub mod start;
+mod verdict;
+pub mod weak_form;
