@@ -2,3 +2,6 @@
 
 pub mod noise;
 pub mod output_error;
+pub mod start;
+mod verdict;
+pub mod weak_form;

@@ -1,3 +1,4 @@
 //! Mathematics without physics: least squares, Levenberg-Marquardt, statistics.
 
+pub mod least_squares;
 pub mod levenberg_marquardt;

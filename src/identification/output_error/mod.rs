@@ -10,18 +10,18 @@
 
 mod covariance;
 mod free_run;
-mod verdict;
 
 use thiserror::Error;
 
 use crate::numerics::levenberg_marquardt::{self, Minimum, Options, Problem};
 use crate::plant::{Model, ModelError, Scenario, Slot, State, Trajectory};
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, Verdict};
 
 pub use covariance::BLOCK_S;
 pub use free_run::FreeRun;
 
 use super::noise::NoiseFloor;
+use super::verdict::judge;
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FitError {
@@ -100,7 +100,7 @@ fn fit_from(start: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Fi
             }
         })?;
     let model = problem.model_at(&minimum.x);
-    let parameters = verdict::estimates(&model, &problem, &minimum, scenario);
+    let parameters = estimates(&model, &problem, &minimum, scenario);
     Ok(Fit {
         nrms: (minimum.cost / problem.residual_len().max(1) as f64).sqrt(),
         start: problem.initial_state(&minimum.x),
@@ -111,6 +111,47 @@ fn fit_from(start: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Fi
         parameters,
         minimum,
     })
+}
+
+/// Estimates of every slot of `model`, free and fixed.
+fn estimates(
+    model: &Model,
+    problem: &FreeRun<'_>,
+    minimum: &Minimum,
+    scenario: &Scenario,
+) -> Vec<ParameterEstimate> {
+    let covariance = covariance::at_minimum(minimum, problem.rows(), scenario);
+    let times = &scenario.sample_time_s;
+    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let slopes = problem.slopes(&minimum.x);
+    model
+        .slots()
+        .iter()
+        .map(|slot| {
+            let key = slot.key();
+            let value = model.get(slot);
+            let Some(index) = problem
+                .free_slots()
+                .iter()
+                .position(|free| free.key() == key)
+            else {
+                let (std, reason) = (Some(0.0), None);
+                return ParameterEstimate {
+                    key,
+                    value,
+                    std,
+                    unit: slot.unit(),
+                    verdict: Verdict::Fixed,
+                    reason,
+                };
+            };
+            let variance = covariance[(index, index)];
+            let std = variance
+                .is_finite()
+                .then(|| variance.max(0.0).sqrt() * slopes[index].abs());
+            judge(slot, value.unwrap_or(f64::NAN), std, period_s)
+        })
+        .collect()
 }
 
 /// The model as given on a run: only the initial state is fitted, and only where the run does not start at rest.

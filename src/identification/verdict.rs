@@ -1,0 +1,55 @@
+//! What may be said of each fitted parameter.
+
+use crate::plant::{MotorKey, Slot};
+use crate::sample::{ParameterEstimate, Verdict};
+
+/// Relative standard deviation above which a positive parameter is not carried by the data.
+const NOT_OBSERVABLE: f64 = 0.5;
+/// Relative standard deviation below which it is settled.
+const SETTLED: f64 = 0.02;
+
+/// Judges one fitted value by its standard deviation; `None` or not finite: the data leave it undetermined.
+pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
+    let (key, unit) = (slot.key(), slot.unit());
+    let Some(std) = std.filter(|std| std.is_finite()) else {
+        return ParameterEstimate::not_observable(
+            &key,
+            unit,
+            "the run does not excite it: no unique value",
+        );
+    };
+    let relative = std / value.abs().max(f64::MIN_POSITIVE);
+    let positive = matches!(slot, Slot::Motor(_));
+    if positive && relative > NOT_OBSERVABLE {
+        let reason = match slot {
+            Slot::Motor(MotorKey::Inductance) => inductance_reason(period_s, relative),
+            _ => format!(
+                "relative uncertainty {:.0} %: the run does not excite it",
+                100.0 * relative
+            ),
+        };
+        return ParameterEstimate::not_observable(&key, unit, reason);
+    }
+    // An effect's coefficient may be zero within its uncertainty: that is a finding, not a failure.
+    let settled = relative <= SETTLED || !positive;
+    ParameterEstimate {
+        key,
+        value: Some(value),
+        std: Some(std),
+        unit,
+        verdict: if settled {
+            Verdict::Settled
+        } else {
+            Verdict::Searching
+        },
+        reason: (!settled).then(|| format!("relative uncertainty {:.1} %", 100.0 * relative)),
+    }
+}
+
+fn inductance_reason(period_s: f64, relative: f64) -> String {
+    let period_ms = 1e3 * period_s;
+    format!(
+        "relative uncertainty {:.0} % at a period of {period_ms:.1} ms: sample faster, or use burst capture",
+        100.0 * relative
+    )
+}
