@@ -11,7 +11,7 @@ pub enum Control {
     Disable,
     /// Zero output at once, state `Ready`.
     Stop,
-    /// Clears a latched fault, state `Disabled`; without a fault it does nothing.
+    /// Clears a latched fault whose cause is gone; output off, state `Disabled`, as `Disable` if there is no fault.
     ResetFault,
     /// Armature voltage, V; state `Running`.
     Voltage(f64),
@@ -118,16 +118,23 @@ impl CommandBlock {
             .get_mut(at..at + values.len())
             .ok_or(WriteError::NoRegister)?
             .copy_from_slice(values);
+        // A voltage must not become a speed because the control word alone was changed.
+        let wrote_set_point = at + values.len() == COMMAND_WORDS;
+        let control_changed = r::CONTROL.get(&next.words, COMMAND_ADDRESS)
+            != r::CONTROL.get(&self.words, COMMAND_ADDRESS);
+        if control_changed && !wrote_set_point {
+            next.forget_set_point();
+        }
         let command = DriveCommand::from_registers(&next.words).map_err(|_| WriteError::Range)?;
         *self = next;
-        self.forget_unless_running(command.control);
+        self.forget_unless_energised(command.control);
         Ok(command)
     }
 
     /// Takes a whole command, as the stream carries it.
     pub fn set(&mut self, command: DriveCommand) {
         self.words = command.to_registers();
-        self.forget_unless_running(command.control);
+        self.forget_unless_energised(command.control);
     }
 
     /// To be called when the drive stops itself (watchdog, fault): an old set-point must not come back with a
@@ -146,9 +153,16 @@ impl CommandBlock {
         self.words
     }
 
-    fn forget_unless_running(&mut self, control: Control) {
-        if control.code() < Control::Voltage(0.0).code() {
-            r::SET_POINT.put(&mut self.words, COMMAND_ADDRESS, 0);
+    fn forget_unless_energised(&mut self, control: Control) {
+        if matches!(
+            control,
+            Control::Disable | Control::Stop | Control::ResetFault
+        ) {
+            self.forget_set_point();
         }
+    }
+
+    fn forget_set_point(&mut self) {
+        r::SET_POINT.put(&mut self.words, COMMAND_ADDRESS, 0);
     }
 }

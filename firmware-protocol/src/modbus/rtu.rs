@@ -102,7 +102,8 @@ impl RtuReceiver {
         }
     }
 
-    /// Takes one byte; ask [`RtuReceiver::take_frame`] afterwards.
+    /// Takes one byte; ask [`RtuReceiver::take_frame`] afterwards, at the latest after [`MAX_FRAME`] bytes: what is
+    /// older may be dropped.
     pub fn push(&mut self, byte: u8) {
         if self.end == self.buffer.len() {
             // More than one longest frame unread: the caller never asked, the oldest goes.
@@ -118,7 +119,8 @@ impl RtuReceiver {
         self.gap = false;
     }
 
-    /// The line was silent for 3.5 characters or more: what is there is all there will be.
+    /// The line was silent for 3.5 characters or more: what is there is all there will be, a begun frame is dropped.
+    /// Behind an operating system's buffers (USB adapter, pty) silence is only certain after some 20 ms.
     /// Ask [`RtuReceiver::take_frame`] until it gives `None`.
     pub const fn idle(&mut self) {
         self.gap = true;

@@ -45,3 +45,49 @@ pub(super) fn decode(coded: &mut [u8]) -> Option<&[u8]> {
     }
     Some(&coded[..write])
 }
+
+#[cfg(test)]
+mod tests {
+    use std::vec::Vec;
+
+    use super::*;
+
+    /// The example encodings of the paper's usual summary, with the edges of a full block.
+    #[test]
+    fn known_encodings_both_ways() {
+        let run = |from: u8, to: u8| (from..=to).collect::<Vec<u8>>();
+        let cases: [(Vec<u8>, Vec<u8>); 9] = [
+            ([].into(), [1].into()),
+            ([0].into(), [1, 1].into()),
+            ([0, 0].into(), [1, 1, 1].into()),
+            (
+                [0x11, 0x22, 0, 0x33].into(),
+                [3, 0x11, 0x22, 2, 0x33].into(),
+            ),
+            ([0x11, 0, 0, 0].into(), [2, 0x11, 1, 1, 1].into()),
+            (run(1, 254), [&[255][..], &run(1, 254)].concat()),
+            (
+                [&[0][..], &run(1, 254)].concat(),
+                [&[1, 255][..], &run(1, 254)].concat(),
+            ),
+            (run(1, 255), [&[255][..], &run(1, 254), &[2, 255]].concat()),
+            (
+                [&run(2, 255)[..], &[0]].concat(),
+                [&[255][..], &run(2, 255), &[1, 1]].concat(),
+            ),
+        ];
+        for (plain, coded) in cases {
+            let mut out = [0xAA; 300];
+            let length = encode(&plain, &mut out);
+            assert_eq!(out[..length - 1], coded);
+            assert_eq!(out[length - 1], 0);
+            assert_eq!(decode(&mut out[..length - 1]), Some(&plain[..]));
+        }
+    }
+
+    #[test]
+    fn a_code_past_the_end_is_damage() {
+        assert_eq!(decode(&mut [3, 1]), None);
+        assert_eq!(decode(&mut [2, 1, 255, 1]), None);
+    }
+}

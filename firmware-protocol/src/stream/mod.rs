@@ -155,3 +155,83 @@ fn decode_plain(plain: &[u8]) -> Result<Frame, FrameError> {
         message,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use std::vec::Vec;
+
+    use super::*;
+
+    /// Decodes a frame with a right checksum around any content.
+    fn receive(body: &[u8]) -> Result<Frame, FrameError> {
+        let mut plain = Vec::from(body);
+        plain.extend(crc16(body).to_be_bytes());
+        let mut out = [0; MAX_FRAME];
+        let length = cobs::encode(&plain, &mut out);
+        push_all(&mut Decoder::new(), &out[..length])
+    }
+
+    fn push_all(decoder: &mut Decoder, bytes: &[u8]) -> Result<Frame, FrameError> {
+        bytes
+            .iter()
+            .find_map(|byte| decoder.push(*byte))
+            .expect("the bytes end with a delimiter")
+    }
+
+    #[test]
+    fn a_right_checksum_around_wrong_content_is_named() {
+        let hello = [1, VERSION, 0, 9, 0, 0, 0, 0];
+        assert_eq!(receive(&hello), Ok(Frame::ask(9, Message::Hello)));
+        let payload = |kind| Err(FrameError::Payload { kind, seq: 9 });
+        let one_too_many = [&hello[..], &[0]].concat();
+        assert_eq!(receive(&one_too_many), payload(1));
+        assert_eq!(receive(&hello[..7]), Err(FrameError::TooShort));
+        let mut other = hello;
+        other[1] = VERSION + 1;
+        assert_eq!(receive(&other), Err(FrameError::Version(VERSION + 1)));
+        other = hello;
+        other[0] = 0x55;
+        let unknown = FrameError::UnknownType { kind: 0x55, seq: 9 };
+        assert_eq!(receive(&other), Err(unknown));
+        let command = [2, VERSION, 0, 9, 0, 0, 0, 0];
+        for wrong in [
+            &[0, 3, 0, 0, 0][..],
+            &[0, 6, 0, 0, 0, 0],
+            &[0, 3, 0x80, 0, 0, 0],
+        ] {
+            assert_eq!(receive(&[&command[..], wrong].concat()), payload(2));
+        }
+        let telemetry = [0x82, VERSION, 0, 9, 0, 0, 0, 0];
+        assert_eq!(receive(&telemetry), payload(0x82));
+        // More samples than a block has, with enough bytes for them.
+        let mut block = Vec::from([0x87, VERSION, 0, 9, 0, 0, 0, 0, 0, 0, 33]);
+        block.resize(MAX_PLAIN - 2, 1);
+        assert_eq!(receive(&block), payload(0x87));
+    }
+
+    #[test]
+    fn a_line_that_never_ends_its_frame_is_one_damage_and_the_next_frame_is_whole() {
+        let mut decoder = Decoder::new();
+        for _ in 0..10_000 {
+            assert_eq!(decoder.push(1), None);
+        }
+        assert_eq!(decoder.push(0), Some(Err(FrameError::TooLong)));
+        assert_eq!(decoder.push(0), None, "an idle line may be zeros");
+        let mut out = [0; MAX_FRAME];
+        let hello = Frame::ask(3, Message::Hello);
+        let length = encode(&hello, &mut out);
+        assert_eq!(push_all(&mut decoder, &out[..length]), Ok(hello));
+    }
+
+    #[test]
+    fn the_longest_frame_fills_the_room_and_no_more() {
+        let mut longest = Vec::from([0x87, VERSION, 1, 1, 1, 1, 1, 1, 1, 1, 32]);
+        longest.resize(HEADER + MAX_PAYLOAD, 1);
+        let Ok(frame) = receive(&longest) else {
+            panic!("a full block is a message");
+        };
+        let mut out = [0; MAX_FRAME];
+        let length = encode(&frame, &mut out);
+        assert!(length <= MAX_FRAME && length + 1 >= MAX_FRAME, "{length}");
+    }
+}

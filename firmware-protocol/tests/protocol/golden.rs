@@ -1,0 +1,264 @@
+//! The golden vectors in `vectors/`: written from the code, read back and checked without it where that is possible.
+
+use std::fmt::Write as _;
+
+use firmware_protocol::modbus::{MAX_PDU, RtuReceiver, TcpReceiver, respond, rtu, tcp};
+use firmware_protocol::stream::{
+    self, CaptureBlock, CaptureStatus, Decoder, ErrorCode, Frame, Message, MessageType, Refusal,
+};
+use firmware_protocol::{
+    CaptureControl, CaptureSample, CaptureState, Control, DriveCommand, Status,
+};
+
+use crate::support::{Bank, UNIT, assert_fresh, file, hex, identity, telemetry, unhex};
+
+/// `(what it shows, request PDU)`; they run one after another against one drive.
+const DIALOGUE: &[(&str, &str)] = &[
+    ("the telemetry block in one request", "03 00 00 00 10"),
+    ("input registers mirror it", "04 00 00 00 10"),
+    ("the identity block", "03 00 40 00 11"),
+    (
+        "command 2: voltage 12.000 V",
+        "10 00 20 00 04 08 00 02 00 03 00 00 2e e0",
+    ),
+    (
+        "command 3: speed -10.000 rad/s, and the telemetry block",
+        "17 00 00 00 10 00 20 00 04 08 00 03 00 05 ff ff d8 f0",
+    ),
+    ("the command block reads back", "03 00 20 00 04"),
+    (
+        "stop by the control word alone: the set-point is forgotten",
+        "06 00 21 00 01",
+    ),
+    ("so it reads back as 0", "03 00 20 00 04"),
+    ("watchdog 100 ms", "06 00 49 00 64"),
+    ("watchdog off is refused", "06 00 49 00 00"),
+    ("telemetry is read-only", "06 00 07 00 01"),
+    ("half a set-point is refused", "06 00 22 00 01"),
+    ("control word 6 is refused", "06 00 21 00 06"),
+    ("no register at 16", "03 00 10 00 01"),
+    ("no registers at all", "03 00 00 00 00"),
+    ("126 registers are too many", "03 00 00 00 7e"),
+    ("a range past 65535", "03 ff ff 00 02"),
+    ("arm the capture", "06 00 80 00 01"),
+    (
+        "move the window to sample 40 and read its count and first sample",
+        "17 00 86 00 04 00 85 00 01 02 00 28",
+    ),
+    ("echo", "08 00 00 a5 37"),
+    ("device identification, basic", "2b 0e 01 00"),
+    ("device identification, object 1", "2b 0e 04 01"),
+    ("coils are not served", "01 00 00 00 01"),
+];
+
+#[test]
+fn the_modbus_vectors_are_fresh() {
+    let mut rtu_text = header("Modbus RTU, unit 1. `>` request, `<` response, `<` alone: silence.");
+    let mut tcp_text = header("Modbus TCP, unit 1. `>` request, `<` response.");
+    let (mut rtu_bank, mut tcp_bank) = (Bank::new(), Bank::new());
+    for (number, (shows, request)) in (1..).zip(DIALOGUE) {
+        let request = unhex(request);
+        let mut response = [0; MAX_PDU];
+        let length = respond(&mut rtu_bank, &request, &mut response);
+        let frames = [&request[..], &response[..length]].map(|pdu| {
+            let mut frame = [0; rtu::MAX_FRAME];
+            let length = rtu::encode_frame(UNIT, pdu, &mut frame);
+            hex(&frame[..length])
+        });
+        exchange(&mut rtu_text, shows, &frames);
+        let length = respond(&mut tcp_bank, &request, &mut response);
+        let frames = [&request[..], &response[..length]].map(|pdu| {
+            let mut frame = [0; tcp::MAX_FRAME];
+            let length = tcp::encode_frame(number, UNIT, pdu, &mut frame);
+            hex(&frame[..length])
+        });
+        exchange(&mut tcp_text, shows, &frames);
+    }
+    for (shows, frame) in [
+        ("wrong checksum: silence", "01 03 00 00 00 10 44 07"),
+        ("another unit: silence", "02 03 00 00 00 10 44 35"),
+    ] {
+        exchange(&mut rtu_text, shows, &[frame.to_owned(), String::new()]);
+    }
+    assert_fresh("vectors/modbus-rtu.txt", &rtu_text);
+    assert_fresh("vectors/modbus-tcp.txt", &tcp_text);
+}
+
+fn header(what: &str) -> String {
+    format!("# {what}\n# The lines are one dialogue with one drive, in this order.\n")
+}
+
+fn exchange(text: &mut String, shows: &str, [request, response]: &[String; 2]) {
+    let response = if response.is_empty() {
+        "<".to_owned()
+    } else {
+        format!("< {response}")
+    };
+    writeln!(text, "\n# {shows}\n> {request}\n{response}").expect("a string takes it");
+}
+
+/// Requests and responses of a committed file.
+fn exchanges(name: &str) -> Vec<(Vec<u8>, Vec<u8>)> {
+    let text = std::fs::read_to_string(file(name)).expect("the vectors are committed");
+    let side = |mark: char| {
+        let lines: Vec<_> = text.lines().filter_map(|l| l.strip_prefix(mark)).collect();
+        lines.into_iter().map(unhex).collect::<Vec<_>>()
+    };
+    side('>').into_iter().zip(side('<')).collect()
+}
+
+#[test]
+fn the_receivers_answer_the_committed_dialogues() {
+    let exchanges_rtu = exchanges("vectors/modbus-rtu.txt");
+    assert_eq!(exchanges_rtu.len(), DIALOGUE.len() + 2);
+    let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
+    for (request, response) in exchanges_rtu {
+        for byte in &request {
+            receiver.push(*byte);
+        }
+        receiver.idle();
+        let mut out = [0; rtu::MAX_FRAME];
+        let length = receiver
+            .take_frame()
+            .map_or(0, |frame| frame.answer(&mut bank, &mut out));
+        assert_eq!(hex(&out[..length]), hex(&response), "to {}", hex(&request));
+    }
+    let (mut receiver, mut bank) = (TcpReceiver::new(), Bank::new());
+    for (request, response) in exchanges("vectors/modbus-tcp.txt") {
+        let frame = request
+            .iter()
+            .find_map(|byte| receiver.push(*byte).expect("the header is right"))
+            .expect("a whole request");
+        let mut out = [0; tcp::MAX_FRAME];
+        let length = frame.answer(&mut bank, &mut out);
+        assert_eq!(hex(&out[..length]), hex(&response), "to {}", hex(&request));
+    }
+}
+
+/// One frame of every message type; the values are whole steps, so they survive exactly.
+fn frames() -> Vec<(&'static str, Frame)> {
+    let command = |seq, control| Frame::command(DriveCommand { seq, control });
+    let answer = |seq, message| Frame {
+        seq,
+        time_us: 1_000_000,
+        message,
+    };
+    let samples = [
+        CaptureSample {
+            voltage_v: 24.0,
+            current_a: -2.5,
+            speed_rad_s: 60.0,
+        },
+        CaptureSample {
+            voltage_v: f64::NAN,
+            current_a: 0.0,
+            speed_rad_s: -0.5,
+        },
+    ];
+    let mut stopped = telemetry();
+    stopped.status = Status(0);
+    vec![
+        ("hello", Frame::ask(1, Message::Hello)),
+        ("identity", answer(1, Message::Identity(identity()))),
+        ("command: disable", command(2, Control::Disable)),
+        ("command: voltage 12 V", command(3, Control::Voltage(12.0))),
+        (
+            "command: current -0.5 A",
+            command(4, Control::Current(-0.5)),
+        ),
+        (
+            "command: speed 100 rad/s",
+            command(5, Control::Speed(100.0)),
+        ),
+        (
+            "telemetry (24 V, -1.25 A, 60.5 rad/s, -1234.5678 rad, 48.2 V, 31.4 C)",
+            Frame::telemetry(5, telemetry()),
+        ),
+        ("telemetry, disabled", Frame::telemetry(6, stopped)),
+        (
+            "telemetry request",
+            Frame::ask(6, Message::TelemetryRequest),
+        ),
+        ("watchdog 100 ms", Frame::ask(7, Message::SetWatchdog(100))),
+        (
+            "capture: arm",
+            Frame::ask(8, Message::CaptureArm(CaptureControl::Arm)),
+        ),
+        (
+            "capture: how far?",
+            Frame::ask(9, Message::CaptureStatusRequest),
+        ),
+        (
+            "capture: complete, 2000 samples from 500000 us",
+            answer(
+                9,
+                Message::CaptureStatus(CaptureStatus {
+                    state: CaptureState::Complete,
+                    count: 2000,
+                    first_time_us: 500_000,
+                }),
+            ),
+        ),
+        (
+            "capture: samples from 1998 on",
+            Frame::ask(10, Message::CaptureRequest(1998)),
+        ),
+        (
+            "capture: two samples, the second without voltage",
+            answer(10, Message::CaptureBlock(CaptureBlock::new(1998, &samples))),
+        ),
+        (
+            "refused: command, not supported",
+            answer(
+                11,
+                Message::Error(Refusal {
+                    kind: MessageType::Command.code(),
+                    code: ErrorCode::NotSupported,
+                }),
+            ),
+        ),
+    ]
+}
+
+#[test]
+fn the_stream_vectors_are_fresh_and_read_back() {
+    let mut text = "# Native stream: one frame a line, delimiter included.\n".to_owned();
+    let mut kinds = std::collections::BTreeSet::new();
+    for (shows, frame) in frames() {
+        let mut out = [0; stream::MAX_FRAME];
+        let length = stream::encode(&frame, &mut out);
+        writeln!(text, "\n# {shows}\n{}", hex(&out[..length])).expect("a string takes it");
+        kinds.insert(frame.message.kind().code());
+    }
+    assert_fresh("vectors/stream.txt", &text);
+    assert_eq!(kinds.len(), MessageType::ALL.len(), "a type has no vector");
+
+    let committed = std::fs::read_to_string(file("vectors/stream.txt")).expect("committed");
+    let bytes: Vec<u8> = committed
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .flat_map(unhex)
+        .collect();
+    let mut decoder = Decoder::new();
+    let decoded: Vec<_> = bytes.iter().filter_map(|b| decoder.push(*b)).collect();
+    assert_eq!(decoded.len(), frames().len());
+    for ((shows, wanted), got) in frames().iter().zip(decoded) {
+        // NaN is not equal to itself; its text is.
+        assert_eq!(
+            format!("{:?}", got.unwrap()),
+            format!("{wanted:?}"),
+            "{shows}"
+        );
+    }
+}
+
+#[test]
+fn the_hello_frame_is_what_one_gets_by_hand() {
+    // 01 01 00 01 00 00 00 00 and the CRC-16/IBM-3740 of it, stuffed by hand.
+    let crc = stream::crc16(&[1, 1, 0, 1, 0, 0, 0, 0]).to_be_bytes();
+    let by_hand = [3, 1, 1, 2, 1, 1, 1, 1, 3, crc[0], crc[1], 0];
+    let mut out = [0; stream::MAX_FRAME];
+    let length = stream::encode(&Frame::ask(1, Message::Hello), &mut out);
+    assert_eq!(out[..length], by_hand);
+    assert_eq!(stream::crc16(b"123456789"), 0x29B1, "published check value");
+}

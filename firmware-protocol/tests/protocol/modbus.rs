@@ -1,0 +1,367 @@
+//! Slave codec: examples of the Modbus specification, every exception, framing.
+
+use crate::support::{Bank, UNIT, hex, unhex};
+use firmware_protocol::modbus::{
+    Exception, MAX_PDU, RegisterBank, RtuReceiver, TcpReceiver, expected_response_len, request_len,
+    respond, response_len, rtu, tcp,
+};
+use firmware_protocol::modbus::{Length, tcp::TcpError};
+
+fn ask(bank: &mut impl RegisterBank, request: &str) -> String {
+    let mut response = [0; MAX_PDU];
+    let length = respond(bank, &unhex(request), &mut response);
+    hex(&response[..length])
+}
+
+/// 65536 registers without rules.
+struct Memory(Vec<u16>);
+
+impl RegisterBank for Memory {
+    fn read(&mut self, address: u16, out: &mut [u16]) -> Result<(), Exception> {
+        let at = usize::from(address);
+        out.copy_from_slice(&self.0[at..at + out.len()]);
+        Ok(())
+    }
+    fn write(&mut self, address: u16, values: &[u16]) -> Result<(), Exception> {
+        let at = usize::from(address);
+        self.0[at..at + values.len()].copy_from_slice(values);
+        Ok(())
+    }
+    fn identification(&self, _object: u8) -> Option<&str> {
+        None
+    }
+}
+
+#[test]
+fn the_examples_of_the_modbus_specification_are_answered_as_printed_there() {
+    let mut memory = Memory(vec![0; 0x1_0000]);
+    memory.0[107..110].copy_from_slice(&[0x022B, 0x0000, 0x0064]);
+    assert_eq!(
+        ask(&mut memory, "03 00 6b 00 03"),
+        "03 06 02 2b 00 00 00 64"
+    );
+    memory.0[8] = 10;
+    assert_eq!(ask(&mut memory, "04 00 08 00 01"), "04 02 00 0a");
+    assert_eq!(ask(&mut memory, "06 00 01 00 03"), "06 00 01 00 03");
+    assert_eq!(memory.0[1], 3);
+    assert_eq!(
+        ask(&mut memory, "10 00 01 00 02 04 00 0a 01 02"),
+        "10 00 01 00 02"
+    );
+    assert_eq!(memory.0[1..3], [0x000A, 0x0102]);
+    assert_eq!(ask(&mut memory, "08 00 00 a5 37"), "08 00 00 a5 37");
+    memory.0[3..9].copy_from_slice(&[0x00FE, 0x0ACD, 1, 3, 0x000D, 0x00FF]);
+    assert_eq!(
+        ask(
+            &mut memory,
+            "17 00 03 00 06 00 0e 00 03 06 00 ff 00 ff 00 ff"
+        ),
+        "17 0c 00 fe 0a cd 00 01 00 03 00 0d 00 ff"
+    );
+    assert_eq!(memory.0[14..17], [0xFF; 3]);
+}
+
+#[test]
+fn function_23_writes_before_it_reads() {
+    let mut memory = Memory(vec![0; 0x1_0000]);
+    assert_eq!(
+        ask(&mut memory, "17 00 20 00 01 00 20 00 01 02 be ef"),
+        "17 02 be ef"
+    );
+}
+
+#[test]
+fn the_last_address_is_served_and_a_range_past_it_is_refused() {
+    let mut memory = Memory(vec![7; 0x1_0000]);
+    assert_eq!(ask(&mut memory, "03 ff ff 00 01"), "03 02 00 07");
+    assert_eq!(ask(&mut memory, "03 ff ff 00 02"), "83 02");
+    assert_eq!(ask(&mut memory, "10 ff ff 00 02 04 00 00 00 00"), "90 02");
+    assert_eq!(
+        ask(&mut memory, "17 00 00 00 01 ff ff 00 02 04 00 00 00 00"),
+        "97 02"
+    );
+    assert_eq!(
+        ask(&mut memory, "17 ff ff 00 02 00 00 00 01 02 00 00"),
+        "97 02"
+    );
+    assert_eq!(memory.0[0], 7, "a refused request has no effect");
+}
+
+#[test]
+fn wrong_quantities_lengths_and_functions_have_their_exceptions() {
+    let bank = &mut Bank::new();
+    for (request, answer) in [
+        ("03 00 00 00 00", "83 03"),
+        ("03 00 00 00 7e", "83 03"),
+        ("04 00 00 00 00", "84 03"),
+        ("03 00 00 00", "83 03"),
+        ("03 00 00 00 01 00", "83 03"),
+        ("06 00 20 00", "86 03"),
+        ("10 00 20 00 00 00", "90 03"),
+        ("10 00 20 00 01 04 00 00", "90 03"),
+        ("10 00 20 00 01 02 00", "90 03"),
+        ("17 00 00 00 00 00 20 00 01 02 00 00", "97 03"),
+        ("17 00 00 00 7e 00 20 00 01 02 00 00", "97 03"),
+        ("17 00 00 00 01 00 20 00 00 00", "97 03"),
+        ("17 00 00 00 01 00 20 00 01 03 00 00", "97 03"),
+        ("08 00 01 00 00", "88 01"),
+        ("08 00 00", "88 03"),
+        ("01 00 00 00 01", "81 01"),
+        ("07", "87 01"),
+        ("41", "c1 01"),
+        ("2b 0d 00 00", "ab 01"),
+        ("2b 0e 05 00", "ab 03"),
+        ("2b 0e 04 09", "ab 02"),
+        ("", ""),
+    ] {
+        assert_eq!(ask(bank, request), answer, "request {request}");
+    }
+    assert_eq!(bank.writes, 0);
+    let mut response = [0; MAX_PDU];
+    let memory = &mut Memory(vec![0; 256]);
+    assert_eq!(respond(memory, &[3, 0, 0, 0, 125], &mut response), 252);
+    for (function, most) in [(0x10_u8, 123_u8), (0x17, 121)] {
+        for (quantity, answer) in [(most, 0), (most + 1, 0x80)] {
+            let mut request = vec![function];
+            if function == 0x17 {
+                request.extend([0, 0, 0, 1]);
+            }
+            request.extend([0, 0, 0, quantity, 2 * quantity]);
+            request.resize(request.len() + 2 * usize::from(quantity), 0);
+            let mut response = [0; MAX_PDU];
+            respond(&mut Memory(vec![0; 256]), &request, &mut response);
+            assert_eq!(response[0], function | answer, "{quantity} registers");
+        }
+    }
+}
+
+#[test]
+fn the_table_guards_addresses_access_halves_and_ranges() {
+    let bank = &mut Bank::new();
+    for (request, answer) in [
+        ("03 00 10 00 01", "83 02"), // nothing at 16
+        ("03 00 0f 00 02", "83 02"), // runs out of the block
+        ("06 00 07 00 00", "86 02"), // telemetry is read-only
+        ("06 00 22 00 00", "86 02"), // half a set-point
+        ("10 00 20 00 03 06 00 00 00 03 00 00", "90 02"),
+        ("06 00 21 00 06", "86 03"),                // control word 6
+        ("06 00 49 00 00", "86 03"),                // watchdog off
+        ("06 00 49 13 89", "86 03"),                // watchdog 5001 ms
+        ("10 00 22 00 02 04 80 00 00 00", "90 03"), // set-point "not available"
+        ("17 00 10 00 01 00 49 00 01 02 00 64", "97 02"), // unreadable: nothing is written
+    ] {
+        assert_eq!(ask(bank, request), answer, "request {request}");
+    }
+    assert_eq!(bank.writes, 0);
+    assert_eq!(ask(bank, "06 00 49 13 88"), "06 00 49 13 88");
+    assert_eq!(ask(bank, "06 00 21 00 03"), "06 00 21 00 03");
+    assert_eq!(bank.writes, 2);
+}
+
+#[test]
+fn a_long_identification_comes_in_several_answers() {
+    let bank = &mut Bank::new();
+    bank.names = (0..=6).map(|id| (id, "x".repeat(100))).collect();
+    let mut seen = Vec::new();
+    let mut object = 0;
+    loop {
+        let mut response = [0; MAX_PDU];
+        let length = respond(bank, &[43, 14, 2, object], &mut response);
+        assert_eq!(response_len(&response[..length]), Length::Known(length));
+        let number = response[6];
+        seen.extend((0..usize::from(number)).map(|k| response[7 + 102 * k]));
+        if response[4] == 0 {
+            break;
+        }
+        assert!(response[5] > object, "no progress");
+        object = response[5];
+    }
+    assert_eq!(seen, [0, 1, 2, 3, 4, 5, 6]);
+    // An object that does not exist begins the stream anew; one longer than an answer is cut, not lost.
+    bank.names = vec![(0, "y".repeat(400)), (1, "z".to_owned())];
+    let mut response = [0; MAX_PDU];
+    assert_eq!(respond(bank, &[43, 14, 1, 77], &mut response), MAX_PDU);
+    assert_eq!(
+        (response[4], response[5], response[6], response[8]),
+        (0xFF, 1, 1, 244)
+    );
+}
+
+#[test]
+fn the_checksum_has_its_published_check_value() {
+    assert_eq!(rtu::crc16(b"123456789"), 0x4B37);
+    let mut frame = [0; rtu::MAX_FRAME];
+    let length = rtu::encode_frame(0x11, &unhex("03 00 6b 00 03"), &mut frame);
+    assert_eq!(hex(&frame[..length]), "11 03 00 6b 00 03 76 87");
+}
+
+fn frame(unit: u8, pdu: &str) -> Vec<u8> {
+    let mut frame = [0; rtu::MAX_FRAME];
+    let length = rtu::encode_frame(unit, &unhex(pdu), &mut frame);
+    frame[..length].to_vec()
+}
+
+/// Answers to everything found in `line`, with a silent gap after it if `gap`.
+fn serve(receiver: &mut RtuReceiver, bank: &mut Bank, line: &[u8], gap: bool) -> Vec<String> {
+    let mut answers = Vec::new();
+    let mut drain = |receiver: &mut RtuReceiver| {
+        while let Some(request) = receiver.take_frame() {
+            let mut out = [0; rtu::MAX_FRAME];
+            let length = request.answer(bank, &mut out);
+            answers.push(hex(&out[..length]));
+        }
+    };
+    for &byte in line {
+        receiver.push(byte);
+        drain(receiver);
+    }
+    if gap {
+        receiver.idle();
+        drain(receiver);
+    }
+    answers
+}
+
+#[test]
+fn silent_on_wrong_checksum_other_unit_and_broadcast_which_is_executed() {
+    let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
+    let mut damaged = frame(UNIT, "06 00 49 00 64");
+    damaged[3] ^= 1;
+    assert!(serve(&mut receiver, &mut bank, &damaged, true).is_empty());
+    let other = frame(2, "06 00 49 00 64");
+    assert!(serve(&mut receiver, &mut bank, &other, false).is_empty());
+    assert_eq!(bank.writes, 0);
+    let all = frame(0, "06 00 49 00 64");
+    assert_eq!(serve(&mut receiver, &mut bank, &all, false), [""]);
+    assert_eq!(bank.writes, 1);
+    assert_eq!(receiver.statistics().foreign, 1);
+}
+
+#[test]
+fn an_unknown_function_is_refused_after_the_gap() {
+    let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
+    let request = frame(UNIT, "41 01 02 03");
+    assert!(serve(&mut receiver, &mut bank, &request, false).is_empty());
+    let answers = serve(&mut receiver, &mut bank, &[], true);
+    assert_eq!(answers, [hex(&frame(UNIT, "c1 01"))]);
+}
+
+#[test]
+fn two_requests_back_to_back_get_two_answers() {
+    let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
+    let line = [frame(UNIT, "03 00 40 00 01"), frame(UNIT, "03 00 41 00 01")].concat();
+    let answers = serve(&mut receiver, &mut bank, &line, false);
+    assert_eq!(
+        answers,
+        [
+            hex(&frame(UNIT, "03 02 44 42")),
+            hex(&frame(UNIT, "03 02 00 01"))
+        ]
+    );
+}
+
+#[test]
+fn a_frame_is_found_behind_garbage_half_frames_and_the_answers_of_others() {
+    let good = frame(UNIT, "03 00 40 00 01");
+    for before in [
+        unhex("ff 00 55"),
+        // Looks like a long write to us: its length must not swallow the request for good.
+        unhex("01 10 00 20 00 7b f6"),
+        good[..5].to_vec(),
+        frame(7, "03 04 01 10 00 20"),
+        frame(7, "83 02"),
+        vec![UNIT; 700],
+        vec![0; 700],
+    ] {
+        let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
+        let line = [before.clone(), good.clone()].concat();
+        let answers = serve(&mut receiver, &mut bank, &line, true);
+        assert_eq!(answers.len(), 1, "after {}", hex(&before));
+        // A gap between the two is what a master leaves.
+        let mut answers = serve(&mut receiver, &mut bank, &before, true);
+        answers.extend(serve(&mut receiver, &mut bank, &good, false));
+        assert_eq!(answers.len(), 1, "a gap after {}", hex(&before));
+    }
+}
+
+#[test]
+fn a_receiver_that_is_never_asked_stays_bounded_and_finds_the_newest() {
+    let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
+    for _ in 0..5000 {
+        receiver.push(UNIT);
+    }
+    for byte in frame(UNIT, "03 00 40 00 01") {
+        receiver.push(byte);
+    }
+    assert_eq!(serve(&mut receiver, &mut bank, &[], true).len(), 1);
+    assert_eq!(receiver.statistics().skipped, 5000);
+}
+
+#[test]
+fn lengths_of_functions_that_only_others_serve() {
+    for (request, length) in [
+        ("05 00 01 ff 00", 5),
+        ("07", 1),
+        ("0f 00 13 00 0a 02 cd 01", 8),
+        ("14 0e 06 00 04 00 01 00 02 06 00 03 00 09 00 02", 16),
+        ("16 00 04 00 f2 00 25", 7),
+        ("18 04 de", 3),
+    ] {
+        assert_eq!(request_len(&unhex(request)), Length::Known(length));
+    }
+    for (response, length) in [
+        ("01 03 cd 6b 05", 5),
+        ("07 6d", 2),
+        ("0f 00 13 00 0a", 5),
+        ("11 02 01 ff", 4),
+        ("16 00 04 00 f2 00 25", 7),
+        ("2b 0e 01 01 00 00 02 00 01 61 01 02 62 63", 14),
+        ("ab 02", 2),
+    ] {
+        assert_eq!(response_len(&unhex(response)), Length::Known(length));
+    }
+    assert_eq!(request_len(&[0x41]), Length::Unknown);
+    assert_eq!(response_len(&[43, 13]), Length::Unknown);
+}
+
+#[test]
+fn lengths_for_pacing_are_those_of_real_answers() {
+    let bank = &mut Bank::new();
+    for request in [
+        "03 00 00 00 10",
+        "06 00 49 00 64",
+        "10 00 20 00 04 08 00 01 00 03 00 00 03 e8",
+        "17 00 00 00 10 00 20 00 04 08 00 01 00 03 00 00 03 e8",
+        "08 00 00 a5 37",
+    ] {
+        let request = unhex(request);
+        let mut response = [0; MAX_PDU];
+        let length = respond(bank, &request, &mut response);
+        assert_eq!(expected_response_len(&request), Some(length));
+        assert_eq!(response_len(&response[..length]), Length::Known(length));
+    }
+}
+
+#[test]
+fn tcp_repeats_transaction_and_unit_and_refuses_another_protocol() {
+    let mut receiver = TcpReceiver::new();
+    let request = unhex("ca fe 00 00 00 06 11 03 00 40 00 01");
+    let (last, first) = request.split_last().unwrap();
+    for &byte in first {
+        assert_eq!(receiver.push(byte), Ok(None));
+    }
+    let found = receiver.push(*last).unwrap().unwrap();
+    let mut out = [0; tcp::MAX_FRAME];
+    let length = found.answer(&mut Bank::new(), &mut out);
+    assert_eq!(hex(&out[..length]), "ca fe 00 00 00 05 11 03 02 44 42");
+    for (header, error) in [
+        ("00 00 00 01", TcpError::Protocol(1)),
+        ("00 00 00 00 00 01", TcpError::Length(1)),
+        ("00 00 00 00 00 ff", TcpError::Length(255)),
+    ] {
+        let mut receiver = TcpReceiver::new();
+        let outcome: Vec<_> = unhex(header).iter().map(|b| receiver.push(*b)).collect();
+        assert_eq!(outcome.last(), Some(&Err(error)));
+        assert_eq!(receiver.push(0), Err(error), "no way back");
+    }
+}

@@ -1,0 +1,214 @@
+//! The table's own consistency, and the typed views of its blocks.
+
+use crate::support::{identity, telemetry};
+use firmware_protocol::registers::{
+    self, ANGLE, Access, BUS_VOLTAGE, CURRENT, Kind, SPEED, VOLTAGE, WriteError,
+};
+use firmware_protocol::{
+    CaptureSample, CommandBlock, Control, DriveCommand, Fault, Identity, IdentityError, REGISTERS,
+    State, Status, Telemetry,
+};
+
+#[test]
+fn rows_rise_do_not_overlap_and_are_found_at_each_of_their_words() {
+    let mut owners = std::collections::HashMap::new();
+    for register in REGISTERS {
+        assert_eq!(register.words, register.kind.words(), "{}", register.name);
+        assert!(register.min >= register.kind.lowest() && register.max <= register.kind.highest());
+        for copy in 0..register.repeat {
+            for word in 0..u16::from(register.words) {
+                let address = register.address + copy * register.stride + word;
+                let before = owners.insert(address, register.name);
+                assert_eq!(before, None, "{} at {address}", register.name);
+                let (found, at) = registers::find(address).unwrap();
+                assert_eq!((found.name, u16::from(at)), (register.name, word));
+            }
+        }
+    }
+    let free = (0..=u16::MAX).filter(|address| registers::find(*address).is_some());
+    assert_eq!(
+        free.count(),
+        owners.len(),
+        "an address without an owner is found"
+    );
+    assert!(REGISTERS.is_sorted_by_key(|register| register.address));
+    let names: std::collections::HashSet<_> = REGISTERS.iter().map(|r| r.name).collect();
+    assert_eq!(names.len(), REGISTERS.len());
+}
+
+#[test]
+fn the_first_sixteen_are_the_telemetry_block_at_its_agreed_places() {
+    let block = telemetry().to_registers();
+    let wanted = [
+        0x0182, 0, 0x1234, 0x0102, 0x0304, 0x0102, 0x0000, 2400, 0xFF83, 3025, 0xFF43, 0x9EB2, 482,
+        314, 2400, 1,
+    ];
+    assert_eq!(block, wanted);
+    assert_eq!(Telemetry::from_registers(&block), telemetry());
+}
+
+#[test]
+fn values_saturate_round_and_say_when_they_are_missing() {
+    assert_eq!(VOLTAGE.encode(1e9), 32767);
+    assert_eq!(VOLTAGE.encode(-1e9), -32767);
+    assert_eq!(VOLTAGE.encode(f64::NEG_INFINITY), -32767);
+    assert_eq!(CURRENT.encode(0.014_9), 1);
+    assert_eq!(CURRENT.encode(-0.015_1), -2);
+    assert_eq!(SPEED.encode(f64::NAN), -32768);
+    assert!(SPEED.decode(-32768).is_nan());
+    assert_eq!(BUS_VOLTAGE.encode(f64::NAN), 0xFFFF);
+    assert_eq!(BUS_VOLTAGE.encode(1e9), 0xFFFE);
+    assert_eq!(BUS_VOLTAGE.decode(3).to_string(), "0.3");
+}
+
+#[test]
+fn the_angle_wraps_by_its_span_and_never_saturates() {
+    let angle = |radian| ANGLE.decode(ANGLE.encode(radian));
+    let half = Telemetry::ANGLE_SPAN_RAD / 2.0;
+    assert!((angle(half - 1.0) - (half - 1.0)).abs() < 1e-4);
+    assert!((angle(half + 1.0) - (1.0 - half)).abs() < 1e-4);
+    assert!((angle(-half - 1.0) - (half - 1.0)).abs() < 1e-4);
+}
+
+#[test]
+fn every_command_survives_the_block() {
+    for control in [
+        Control::Disable,
+        Control::Stop,
+        Control::ResetFault,
+        Control::Voltage(-24.125),
+        Control::Current(0.001),
+        Control::Speed(157.08),
+    ] {
+        let command = DriveCommand {
+            seq: 65535,
+            control,
+        };
+        assert_eq!(
+            DriveCommand::from_registers(&command.to_registers()),
+            Ok(command)
+        );
+    }
+    let nonsense = DriveCommand {
+        seq: 1,
+        control: Control::Speed(f64::NAN),
+    };
+    assert!(DriveCommand::from_registers(&nonsense.to_registers()).is_err());
+    assert!(DriveCommand::from_registers(&[0, 6, 0, 0]).is_err());
+}
+
+#[test]
+fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
+    let mut block = CommandBlock::default();
+    let run = |seq| DriveCommand {
+        seq,
+        control: Control::Voltage(12.0),
+    };
+    assert_eq!(block.write(32, &run(7).to_registers()), Ok(run(7)));
+    assert_eq!(block.write(33, &[1]).unwrap().control, Control::Stop);
+    assert_eq!(
+        block.write(33, &[3]).unwrap().control,
+        Control::Voltage(0.0)
+    );
+    assert_eq!(
+        block.write(34, &[0, 5000]).unwrap(),
+        DriveCommand {
+            seq: 7,
+            control: Control::Voltage(5.0)
+        }
+    );
+    assert_eq!(
+        block.write(33, &[5]).unwrap().control,
+        Control::Speed(0.0),
+        "5 V must not become 5 rad/s"
+    );
+    assert_eq!(
+        block.write(34, &[0, 5000]).unwrap().control,
+        Control::Speed(5.0)
+    );
+    assert_eq!(
+        block.write(32, &[8]).unwrap(),
+        DriveCommand {
+            seq: 8,
+            control: Control::Speed(5.0)
+        },
+        "a new number alone keeps the rest"
+    );
+    block.forget();
+    assert_eq!(
+        block.write(34, &[0, 5000]).unwrap().control,
+        Control::Disable
+    );
+    assert_eq!(
+        block.registers(),
+        [8, 0, 0, 0],
+        "no set-point is kept while stopped"
+    );
+    assert_eq!(
+        registers::check_write(35, &[0, 0]),
+        Err(WriteError::HalfValue)
+    );
+    let before = block;
+    assert!(block.write(31, &[0, 0]).is_err());
+    assert!(block.write(33, &[9]).is_err());
+    assert!(block.write(35, &[1]).is_err());
+    assert_eq!(block, before, "a refused write changes nothing");
+}
+
+#[test]
+fn identity_survives_and_a_stranger_is_named() {
+    let block = identity().to_registers();
+    assert_eq!(Identity::from_registers(&block), Ok(identity()));
+    let mut stranger = block;
+    stranger[0] = 0x7777;
+    assert_eq!(
+        Identity::from_registers(&stranger),
+        Err(IdentityError::Magic(0x7777))
+    );
+    let mut newer = block;
+    newer[1] += 1;
+    assert_eq!(
+        Identity::from_registers(&newer),
+        Err(IdentityError::Version(2))
+    );
+}
+
+#[test]
+fn codes_of_states_and_faults_are_their_positions() {
+    for (code, fault) in (0..).zip(Fault::ALL) {
+        assert_eq!((fault.code(), Fault::from_code(code)), (code, fault));
+    }
+    assert_eq!(Fault::from_code(999).code(), 999);
+    for state in [State::Disabled, State::Ready, State::Running, State::Fault] {
+        assert_eq!(
+            Status::new(state).with(Status::EMULATOR, true).state(),
+            Some(state)
+        );
+    }
+    assert_eq!(Status(4).state(), None);
+}
+
+#[test]
+fn captured_samples_stand_in_the_window_as_the_table_says() {
+    let sample = CaptureSample {
+        voltage_v: 24.0,
+        current_a: -2.0,
+        speed_rad_s: 10.0,
+    };
+    assert_eq!(sample.to_registers(), [2400, 0xFF38, 500]);
+    assert_eq!(
+        CaptureSample::from_registers(&sample.to_registers()),
+        sample
+    );
+    assert_eq!(registers::CAPTURE_WORDS, 127);
+    assert!(
+        REGISTERS
+            .iter()
+            .all(|r| r.access == Access::Read || r.repeat == 1)
+    );
+    assert!(
+        REGISTERS
+            .iter()
+            .all(|r| r.repeat == 1 || r.kind == Kind::I16)
+    );
+}

@@ -1,0 +1,145 @@
+//! A drive's registers for the tests, and the freshness check of generated files.
+
+use std::path::PathBuf;
+
+use firmware_protocol::modbus::{Exception, RegisterBank};
+use firmware_protocol::registers::{
+    self, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, TELEMETRY_ADDRESS,
+};
+use firmware_protocol::{
+    CommandBlock, DeviceKind, Fault, Identity, PROTOCOL_VERSION, State, Status, Telemetry,
+};
+
+pub(crate) const UNIT: u8 = 1;
+
+/// Plain memory behind the rules of the register table.
+pub(crate) struct Bank {
+    pub(crate) memory: Vec<u16>,
+    pub(crate) command: CommandBlock,
+    pub(crate) writes: usize,
+    pub(crate) names: Vec<(u8, String)>,
+}
+
+impl Bank {
+    pub(crate) fn new() -> Self {
+        let mut memory = vec![0; 512];
+        put(&mut memory, TELEMETRY_ADDRESS, &telemetry().to_registers());
+        put(&mut memory, IDENTITY_ADDRESS, &identity().to_registers());
+        let names = [(0, "drivebench"), (1, "DB-EMU"), (2, "1.2")];
+        Self {
+            memory,
+            command: CommandBlock::default(),
+            writes: 0,
+            names: names.map(|(id, text)| (id, text.to_owned())).to_vec(),
+        }
+    }
+}
+
+impl RegisterBank for Bank {
+    fn read(&mut self, address: u16, out: &mut [u16]) -> Result<(), Exception> {
+        if !registers::check_read(address, out.len()) {
+            return Err(Exception::IllegalAddress);
+        }
+        put(&mut self.memory, COMMAND_ADDRESS, &self.command.registers());
+        let at = usize::from(address);
+        out.copy_from_slice(&self.memory[at..at + out.len()]);
+        Ok(())
+    }
+
+    fn write(&mut self, address: u16, values: &[u16]) -> Result<(), Exception> {
+        registers::check_write(address, values)?;
+        let commands = usize::from(COMMAND_ADDRESS)..usize::from(COMMAND_ADDRESS) + COMMAND_WORDS;
+        if commands.contains(&usize::from(address)) {
+            let command = self.command.write(address, values)?;
+            registers::SEQUENCE_ECHO.put(&mut self.memory, 0, command.seq.into());
+        } else {
+            put(&mut self.memory, address, values);
+        }
+        self.writes += 1;
+        Ok(())
+    }
+
+    fn readable(&self, address: u16, quantity: usize) -> bool {
+        registers::check_read(address, quantity)
+    }
+
+    fn identification(&self, object: u8) -> Option<&str> {
+        let found = self.names.iter().find(|(id, _)| *id == object)?;
+        Some(&found.1)
+    }
+}
+
+fn put(memory: &mut [u16], address: u16, values: &[u16]) {
+    let at = usize::from(address);
+    memory[at..at + values.len()].copy_from_slice(values);
+}
+
+pub(crate) fn telemetry() -> Telemetry {
+    Telemetry {
+        status: Status::new(State::Running)
+            .with(Status::COMMAND_APPLIED, true)
+            .with(Status::EMULATOR, true),
+        fault: Fault::None,
+        seq: 0x1234,
+        time_us: 0x0102_0304,
+        applied_us: 0x0102_0000,
+        voltage_v: 24.0,
+        current_a: -1.25,
+        speed_rad_s: 60.5,
+        angle_rad: -1234.5678,
+        bus_v: 48.2,
+        temperature_c: 31.4,
+        voltage_cmd_v: 24.0,
+        protocol_version: PROTOCOL_VERSION,
+    }
+}
+
+pub(crate) fn identity() -> Identity {
+    Identity {
+        kind: DeviceKind(DeviceKind::EMULATOR | DeviceKind::VOLTAGE | DeviceKind::SPEED),
+        serial_number: 0x0001_86A1,
+        firmware_version: 0x0102,
+        current_limit_a: 12.0,
+        voltage_limit_v: 48.0,
+        speed_limit_rad_s: 180.0,
+        watchdog_ms: 200,
+        pole_pairs: 0,
+        rated_voltage_v: 42.0,
+        rated_current_a: 6.5,
+        rated_speed_rad_s: 104.72,
+        control_period_us: 100,
+        capture_period_us: 100,
+        capture_length: 2000,
+    }
+}
+
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    let words: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    words.join(" ")
+}
+
+pub(crate) fn unhex(text: &str) -> Vec<u8> {
+    text.split_whitespace()
+        .map(|byte| u8::from_str_radix(byte, 16).expect("the vectors are hexadecimal bytes"))
+        .collect()
+}
+
+/// A file of this crate.
+pub(crate) fn file(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// The committed file equals what the code says; `UPDATE_SPEC=1` writes it anew.
+pub(crate) fn assert_fresh(name: &str, wanted: &str) {
+    let path = file(name);
+    if std::env::var_os("UPDATE_SPEC").is_some_and(|value| value == "1")
+        && std::fs::read_to_string(&path).ok().as_deref() != Some(wanted)
+    {
+        std::fs::write(&path, wanted).expect("the crate's own folder can be written");
+    }
+    let found = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        found == wanted,
+        "{name} is not what the code says; run UPDATE_SPEC=1 cargo test -p firmware-protocol"
+    );
+}
