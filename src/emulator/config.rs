@@ -155,6 +155,10 @@ impl EmulatorConfig {
     }
 
     /// The configuration that `commission` uses when none is given: a ZK-22FC with a hidden effect.
+    #[expect(
+        clippy::missing_panics_doc,
+        reason = "the text is part of the program and a test parses it"
+    )]
     pub fn embedded_default() -> Self {
         Self::embedded(EMBEDDED[0].0).expect("a test parses every embedded configuration")
     }

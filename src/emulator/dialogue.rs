@@ -95,7 +95,7 @@ impl Dialogue {
             }
             Self::Stream(decoder) => {
                 if let Some(received) = decoder.push(byte)
-                    && let Some(answer) = answer_stream(drive, received)
+                    && let Some(answer) = answer_stream(drive, &received)
                 {
                     let mut frame = [0; stream::MAX_FRAME];
                     let length = stream::encode(&answer, &mut frame);

@@ -25,11 +25,11 @@ use super::truth::{MotorTruth, Plant, Reading, Sensors};
 pub(super) use self::stream::answer as answer_stream;
 
 /// Period of the drive's control and of the plant's integration.
-const TICK_US: u32 = 50;
+const TICK_US: u16 = 50;
 const TICK_S: f64 = TICK_US as f64 * 1e-6;
 const TICKS_PER_MS: u64 = 1000 / TICK_US as u64;
 /// Captured samples lie this far apart.
-const CAPTURE_TICKS: u64 = 2;
+const CAPTURE_TICKS: u16 = 2;
 /// The winding's thermal switch opens at 155 C (insulation class F) with 25 C around.
 const WINDING_TRIP_K: f64 = 130.0;
 
@@ -194,10 +194,7 @@ impl SoftDrive {
         }
         self.plant.advance(self.output.terminals, TICK_S);
         self.tick += 1;
-        if self.capture.is_due(self.tick, CAPTURE_TICKS) {
-            let reading = self.reading();
-            self.capture.record(self.tick, &reading);
-        }
+        self.record();
     }
 
     /// What makes the drive stop by itself.
@@ -252,15 +249,19 @@ impl SoftDrive {
         self.output_fresh = true;
         self.plant.hold(self.output.terminals);
         self.capture.command_applied();
-        if self.capture.is_due(self.tick, CAPTURE_TICKS) {
-            let reading = self.reading();
-            self.capture.record(self.tick, &reading);
-        }
+        self.record();
     }
 
     fn refresh_output(&mut self) {
         let control = (self.state == State::Running).then_some(self.control);
         self.output = self.output_stage.output(control, &self.plant);
+    }
+
+    fn record(&mut self) {
+        if self.capture.is_due(self.tick, CAPTURE_TICKS.into()) {
+            let reading = self.reading();
+            self.capture.record(self.tick, &reading);
+        }
     }
 
     fn reading(&mut self) -> Reading {
@@ -300,9 +301,9 @@ fn identity(config: &EmulatorConfig, seed: u64) -> Identity {
         rated_voltage_v: config.motor.rated_voltage_v,
         rated_current_a: config.motor.rated_current_a,
         rated_speed_rad_s: config.motor.rated_speed_rad_s,
-        control_period_us: TICK_US as u16,
-        capture_period_us: TICK_US as u16 * CAPTURE_TICKS as u16,
-        capture_length: capture::LENGTH as u16,
+        control_period_us: TICK_US,
+        capture_period_us: TICK_US * CAPTURE_TICKS,
+        capture_length: capture::LENGTH,
     }
 }
 
