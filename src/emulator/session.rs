@@ -46,7 +46,9 @@ impl Session<'_> {
         let (mut gone, mut broken) = (false, false);
         loop {
             let now = (self.clock)();
-            while let Some((at, byte)) = due(&mut incoming, now) {
+            // What a host wrote before it went still counts, at its own time: the drive then runs a little ahead.
+            let seen_until = if gone { f64::INFINITY } else { now };
+            while let Some((at, byte)) = due(&mut incoming, seen_until) {
                 self.drive.advance_to(at);
                 broken |= self.dialogue.push(byte, self.drive, &mut answers).is_err();
                 self.send(at, &mut answers, &mut outgoing);
@@ -58,14 +60,14 @@ impl Session<'_> {
                 self.dialogue.idle(self.drive, &mut answers);
                 self.send(now, &mut answers, &mut outgoing);
             }
-            while let Some((_, answer)) = due(&mut outgoing, now) {
-                if !gone {
-                    self.deliver(port, &answer);
-                    last_answer_s = Some(now);
-                }
+            if gone {
+                return None;
             }
-            let finished = (gone && incoming.is_empty()) || (broken && outgoing.is_empty());
-            if finished || self.stop.load(Ordering::Relaxed) {
+            while let Some((_, answer)) = due(&mut outgoing, now) {
+                self.deliver(port, &answer);
+                last_answer_s = Some(now);
+            }
+            if (broken && outgoing.is_empty()) || self.stop.load(Ordering::Relaxed) {
                 return last_answer_s;
             }
             // Bytes of one request are looked at together, each at its own time.
@@ -78,7 +80,7 @@ impl Session<'_> {
             .flatten()
             .fold(now + LONGEST_WAIT_S, f64::min);
             let wait = Duration::from_secs_f64((next_s - (self.clock)()).max(0.0));
-            if gone || incoming.len() >= LONGEST_QUEUE {
+            if incoming.len() >= LONGEST_QUEUE {
                 std::thread::sleep(wait);
                 continue;
             }
@@ -107,8 +109,9 @@ impl Session<'_> {
     }
 
     fn deliver(&self, port: &mut dyn Port, answer: &[u8]) {
-        let taken = port.write(answer);
+        // Counted first: who has the answer also finds it counted.
         self.counters.answers.fetch_add(1, Ordering::Relaxed);
+        let taken = port.write(answer);
         let dropped = answer.len() - taken;
         self.counters
             .bytes_dropped

@@ -13,7 +13,8 @@ mod registers;
 mod stream;
 
 use firmware_protocol::{
-    Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State, Status, Telemetry,
+    CommandBlock, Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State,
+    Status, Telemetry,
 };
 
 use self::capture::Capture;
@@ -55,7 +56,10 @@ pub struct SoftDrive {
     kicked_tick: u64,
     applied_unread: bool,
     tick: u64,
-    command_block: registers::CommandBlock,
+    command_block: CommandBlock,
+    /// The two other registers that the host writes.
+    capture_control: u16,
+    window_index: u16,
 }
 
 impl SoftDrive {
@@ -90,7 +94,9 @@ impl SoftDrive {
             kicked_tick: 0,
             applied_unread: false,
             tick: 0,
-            command_block: registers::CommandBlock::default(),
+            command_block: CommandBlock::default(),
+            capture_control: 0,
+            window_index: 0,
         }
     }
 
@@ -117,6 +123,7 @@ impl SoftDrive {
     /// Takes a command: it is applied on the next control tick, to which the drive advances.
     pub fn command(&mut self, command: DriveCommand) {
         self.step();
+        self.command_block.set(command);
         self.apply(command);
     }
 
@@ -203,11 +210,19 @@ impl SoftDrive {
         if self.state == State::Running && self.tick - self.kicked_tick >= limit_ticks {
             self.trip(Fault::Watchdog);
         }
-        if self.plant.speed_rad_s().abs() > self.identity.speed_limit_rad_s {
-            self.trip(Fault::OverSpeed);
+        for cause in [Fault::OverSpeed, Fault::OverTemperature] {
+            if self.persists(cause) {
+                self.trip(cause);
+            }
         }
-        if self.plant.winding_rise_k() > WINDING_TRIP_K {
-            self.trip(Fault::OverTemperature);
+    }
+
+    /// Whether the cause of a fault is there now.
+    fn persists(&self, fault: Fault) -> bool {
+        match fault {
+            Fault::OverSpeed => self.plant.speed_rad_s().abs() > self.identity.speed_limit_rad_s,
+            Fault::OverTemperature => self.plant.winding_rise_k() > WINDING_TRIP_K,
+            _ => false,
         }
     }
 
@@ -217,6 +232,8 @@ impl SoftDrive {
             self.state = State::Fault;
             self.fault = fault;
             self.output_fresh = false;
+            // An old set-point must not come back with a later write of a part of the block.
+            self.command_block.forget();
         }
     }
 
@@ -225,12 +242,12 @@ impl SoftDrive {
     fn apply(&mut self, command: DriveCommand) {
         let before = (self.state, self.control.code());
         match (self.state, command.control) {
-            (State::Fault, Control::ResetFault) => {
+            (State::Fault, Control::ResetFault) if !self.persists(self.fault) => {
                 self.state = State::Disabled;
                 self.fault = Fault::None;
             }
-            (State::Fault, _) | (_, Control::ResetFault) => {}
-            (_, Control::Disable) => self.state = State::Disabled,
+            (State::Fault, _) => {}
+            (_, Control::Disable | Control::ResetFault) => self.state = State::Disabled,
             (_, Control::Stop) => self.state = State::Ready,
             (_, set_point) => {
                 self.state = State::Running;

@@ -40,11 +40,11 @@ fn the_state_machine_is_the_table() {
         (Disabled, Voltage(5.0), Running),
         (Ready, Disable, Disabled),
         (Ready, Stop, Ready),
-        (Ready, ResetFault, Ready),
+        (Ready, ResetFault, Disabled),
         (Ready, Voltage(5.0), Running),
         (Running, Disable, Disabled),
         (Running, Stop, Ready),
-        (Running, ResetFault, Running),
+        (Running, ResetFault, Disabled),
         (Running, Voltage(5.0), Running),
         (Faulted, Disable, Faulted),
         (Faulted, Stop, Faulted),
@@ -342,10 +342,55 @@ fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
         sample.current_a
     );
     assert!((sample.voltage_v - 10.0).abs() < 0.1);
-    // Past the end the window is empty.
+    // Past the end the window is empty and says so.
     drive.write(r::WINDOW_INDEX.address, &[5000]).unwrap();
     drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
-    assert_eq!(window[0], 0);
+    assert_eq!((window[0], window[1]), (0, 0x8000));
+}
+
+#[test]
+fn a_fault_stays_while_its_cause_is_there() {
+    let mut config = plain();
+    config.limits.speed_limit_rad_s = 100.0;
+    config.limits.output_off = OutputOff::Open;
+    let mut drive = SoftDrive::new(&config, 1);
+    while drive.state() != State::Fault {
+        send(&mut drive, 1, Control::Voltage(60.0));
+    }
+    send(&mut drive, 2, Control::ResetFault);
+    assert!(drive.plant().speed_rad_s() > 100.0);
+    assert_eq!(drive.fault(), Fault::OverSpeed, "still too fast");
+    let next = drive.time_s() + 0.1;
+    drive.advance_to(next);
+    assert!(drive.plant().speed_rad_s() < 100.0);
+    assert_eq!(drive.fault(), Fault::OverSpeed, "latched");
+    send(&mut drive, 3, Control::ResetFault);
+    assert_eq!(drive.state(), State::Disabled);
+}
+
+#[test]
+fn an_old_set_point_does_not_come_back_with_the_control_word_alone() {
+    let mut drive = drive();
+    send(&mut drive, 1, Control::Voltage(24.0));
+    drive.advance_to(1.0);
+    assert_eq!(drive.fault(), Fault::Watchdog);
+    for word in [2, 3] {
+        drive.write(r::CONTROL.address, &[word]).unwrap();
+    }
+    assert_eq!(drive.state(), State::Running);
+    assert!(drive.telemetry().voltage_cmd_v == 0.0);
+}
+
+#[test]
+fn only_reading_the_status_word_clears_the_mark_of_a_new_command() {
+    let mut drive = drive();
+    send(&mut drive, 1, Control::Voltage(5.0));
+    let mut status = [0];
+    drive.read(r::CURRENT.address, &mut [0]).unwrap();
+    for expected in [true, false] {
+        drive.read(r::STATUS.address, &mut status).unwrap();
+        assert_eq!(Status(status[0]).has(Status::COMMAND_APPLIED), expected);
+    }
 }
 
 #[test]
