@@ -31,13 +31,14 @@ const TICK_S: f64 = TICK_US as f64 * 1e-6;
 const TICKS_PER_MS: u64 = 1000 / TICK_US as u64;
 /// Captured samples lie this far apart.
 const CAPTURE_TICKS: u16 = 2;
-/// The winding's thermal switch opens at 155 C (insulation class F) with 25 C around.
-const WINDING_TRIP_K: f64 = 130.0;
+/// Temperature around the motor.
+const AMBIENT_C: f64 = 25.0;
 
 /// The software drive. Time only moves in [`SoftDrive::advance_to`] and, by at most one tick, in
 /// [`SoftDrive::command`].
 pub struct SoftDrive {
     identity: Identity,
+    winding_limit_c: f64,
     specimen: MotorTruth,
     hidden: Vec<(&'static str, TrueParameter)>,
     plant: Plant,
@@ -78,6 +79,7 @@ impl SoftDrive {
             .collect();
         Self {
             identity: identity(config, seed),
+            winding_limit_c: config.limits.winding_limit_c,
             hidden,
             plant: Plant::new(specimen.clone(), &config.hidden),
             specimen,
@@ -221,7 +223,9 @@ impl SoftDrive {
     fn persists(&self, fault: Fault) -> bool {
         match fault {
             Fault::OverSpeed => self.plant.speed_rad_s().abs() > self.identity.speed_limit_rad_s,
-            Fault::OverTemperature => self.plant.winding_rise_k() > WINDING_TRIP_K,
+            Fault::OverTemperature => {
+                AMBIENT_C + self.plant.winding_rise_k() > self.winding_limit_c
+            }
             _ => false,
         }
     }

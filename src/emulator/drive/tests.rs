@@ -194,8 +194,12 @@ fn over_speed_trips() {
 fn a_hot_winding_trips() {
     let mut config = EmulatorConfig::embedded("zk-22fc-warming").unwrap();
     config.motor.load_torque_n_m = 100.0;
+    config.limits.winding_limit_c = 60.0;
     let mut drive = SoftDrive::new(&config, 1);
-    hold(&mut drive, Control::Current(9.0), 10.0);
+    // 2e-3/0.00393 K/(A2.s): 35 K take 0.85 s at 9 A.
+    hold(&mut drive, Control::Current(9.0), 0.7);
+    assert_eq!(drive.fault(), Fault::None);
+    hold(&mut drive, Control::Current(9.0), 0.3);
     assert_eq!(drive.fault(), Fault::OverTemperature);
 }
 
