@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
 use super::program::Program;
+use super::timing::whole;
 use crate::plant::{Input, Model, ModelError, Plant, Scenario, State, Trajectory};
 use crate::sample::{Channel, DriveState, Sample};
 
@@ -133,7 +134,7 @@ pub fn plan(
     let rms_current_a = (i2t / duration_s.max(trace.step_s)).sqrt();
     let mut plan = Plan {
         duration_s,
-        rows: (duration_s * rate_hz).ceil() as u64,
+        rows: whole((duration_s * rate_hz).ceil()) as u64,
         peak_voltage_v: peak(|segment| segment.peak_voltage_v),
         peak_current_a,
         peak_current_ratio: peak_current_a / motor.rated_current_a,
@@ -253,7 +254,7 @@ impl Trace {
             angle: Vec::new(),
             scored: 0..POINTS_PER_PERIOD,
         };
-        let periods = (program.duration_s() * rate_hz).ceil().max(1.0) as usize;
+        let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
         let mut points = Vec::with_capacity(periods * POINTS_PER_PERIOD);
         let (mut current_a, mut speed_rad_s, mut angle_rad) = (0.0, 0.0, 0.0);
         let mut out = Trajectory::default();

@@ -17,8 +17,8 @@ use serde_json::Value;
 use super::clock::Clock;
 use super::limits::Nameplate;
 use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Session};
-use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
-use super::timing::{Punctuality, Timing};
+use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
+use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{DriveLink, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use crate::sample::{Command, Demand, ParameterEstimate, Sample};
@@ -159,7 +159,7 @@ impl Runner<'_> {
             let mut due_s = begin_s + cycle as f64 * period_s;
             clock.sleep_until_s(due_s);
             let now_s = clock.now_s();
-            let missed = ((now_s - due_s) / period_s).floor().max(0.0) as u64;
+            let missed = whole((now_s - due_s) / period_s) as u64;
             if missed > 0 {
                 cycle += missed;
                 due_s = begin_s + cycle as f64 * period_s;
@@ -291,15 +291,15 @@ impl Runner<'_> {
 
     fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
         let estimates = self.estimates();
-        self.publisher.publish(
-            now_s,
-            &self.session,
-            self.link.0.statistics(),
-            self.punctuality.timing(rate_hz),
-            &self.recorder.status(),
+        let state = RunState {
+            session: &self.session,
+            link: self.link.0.statistics(),
+            timing: self.punctuality.timing(rate_hz),
+            recorder: self.recorder.status(),
             estimates,
             outcome,
-        );
+        };
+        self.publisher.publish(now_s, state);
     }
 }
 

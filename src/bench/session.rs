@@ -250,13 +250,13 @@ impl Session {
             return;
         }
         match (self.phase, state) {
-            (Phase::Connecting, Some(DriveState::Running | DriveState::Fault)) => {}
+            (Phase::Connecting, Some(DriveState::Running | DriveState::Fault))
+            | (Phase::Stopping, Some(DriveState::Running)) => {}
             (Phase::Connecting, _) => self.enter(Phase::Safe, now_s, actions),
             (Phase::Safe, Some(DriveState::Fault)) => {
                 notice(actions, Level::Warning, "the drive is in fault".to_owned());
                 self.enter(Phase::Connecting, now_s, actions);
             }
-            (Phase::Stopping, Some(DriveState::Running)) => {}
             (Phase::Stopping, _) => self.finish(true, now_s, actions),
             _ => {}
         }
@@ -385,15 +385,11 @@ impl Session {
     /// First request: ramp down. Second request: zero output at once.
     fn stop(&mut self, now_s: f64, outcome: Outcome, actions: &mut Vec<Action>) {
         match self.phase {
-            Phase::Connecting | Phase::Safe => {
+            Phase::Connecting | Phase::Safe | Phase::RampDown => {
                 self.ending = Some(outcome);
                 self.stop_now(now_s, actions);
             }
             Phase::Armed | Phase::Running => self.end(outcome, now_s, actions),
-            Phase::RampDown => {
-                self.ending = Some(outcome);
-                self.stop_now(now_s, actions);
-            }
             _ => {}
         }
     }
