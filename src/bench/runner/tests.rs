@@ -101,6 +101,10 @@ fn one_seed_gives_the_same_bytes_and_another_seed_others() {
 }
 
 /// Stalls once, by `stall_s`, when `at_s` has come.
+#[expect(
+    clippy::struct_field_names,
+    reason = "the unit suffix is the rule of the house"
+)]
 struct StallingClock {
     now_s: f64,
     at_s: f64,
@@ -234,10 +238,25 @@ fn a_link_that_is_gone_ends_the_run_and_is_described_in_the_manifest() {
 }
 
 #[test]
+fn a_drive_that_never_answers_or_stays_in_fault_does_not_hang_the_run() {
+    let silent = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::Timeout);
+    let summary = Scripted::new(silent, 0.0).run(None, |_| {});
+    assert!(matches!(summary.outcome, Outcome::LinkLost { .. }));
+    let faulty = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::TripWith(3));
+    let mut bench = Scripted::new(faulty, 0.0);
+    let summary = bench.run(None, |_| {});
+    assert!(matches!(&summary.outcome, Outcome::NotStarted { reason } if reason.contains("fault")));
+    assert!(bench.drive.demands.iter().all(|demand| !demand.energises()));
+}
+
+#[test]
 fn a_run_that_cannot_be_armed_ends_with_the_reason() {
     let drive = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::Missing(Channel::Current));
     let summary = Scripted::new(drive, 0.0).run(None, |_| {});
-    assert_eq!(summary.outcome, Outcome::Stopped);
+    assert_eq!(summary.outcome.exit_status(), 3);
+    assert!(
+        matches!(&summary.outcome, Outcome::NotStarted { reason } if reason.contains("current"))
+    );
     assert!(
         summary
             .notices
