@@ -11,6 +11,7 @@
 mod bench_file;
 mod check;
 mod clock;
+mod describe;
 mod guard;
 mod limits;
 mod plan;
@@ -29,6 +30,7 @@ pub use bench_file::{
 };
 pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check};
 pub use clock::{Clock, MonotonicClock};
+pub use describe::{layout, manifest};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use limits::{Limits, Nameplate};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
