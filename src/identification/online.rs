@@ -105,3 +105,7 @@ impl Online {
         self.scheme_3.excitation()
     }
 }
+
+#[cfg(test)]
+#[path = "online_tests.rs"]
+mod tests;

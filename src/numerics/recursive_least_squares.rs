@@ -1,13 +1,9 @@
-//! Recursive least squares with factored covariance and forgetting in the excited direction only.
+//! Recursive least squares with factored covariance and forgetting gated by excitation.
 //!
 //! `P = U D U'` (U unit upper triangular, D diagonal): Bierman, *Factorization Methods for Discrete Sequential
-//! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. Forgetting is
-//! directional (Cao and Schwartz, Automatica 36 (2000) 1725): `P += (1/lambda - 1) psi psi' / (psi' P^-1 psi)`, so
-//! a direction that the data leave alone keeps its information and cannot wind up.
+//! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. Wind-up cannot
+//! happen: a row forgets only if it brings news, and never beyond the prior variance.
 
-/// Forgetting pauses while the row carries less than this share of what a row carries in steady excitation: a regressor
-/// that is almost zero would otherwise wipe out what larger ones have taught.
-const LEAST_NEWS: f64 = 0.1;
 /// Rows that the parameters still follow freely say nothing about the noise: `psi' P psi` above this.
 const FREE_ROW: f64 = 10.0;
 
@@ -49,6 +45,10 @@ pub struct RecursiveLeastSquares<const N: usize> {
 }
 
 impl<const N: usize> RecursiveLeastSquares<N> {
+    /// Forgetting pauses while `psi' P psi` is below this many times `1 - lambda`. Its mean is the number of directions
+    /// that the rows excite: a machine at constant speed excites one, and the others would be forgotten for nothing.
+    const LEAST_NEWS: f64 = if N > 1 { 1.2 } else { 0.0 };
+
     /// `scale` gives the size of each parameter (positive), `prior` the variance of `parameter / scale` before any data
     /// in units of the noise variance; `forgetting` is limited to 0.5..1.
     pub fn new(start: [f64; N], scale: [f64; N], prior: f64, forgetting: f64) -> Self {
@@ -87,8 +87,12 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         if !news.is_finite() {
             return None;
         }
-        if news >= LEAST_NEWS * (1.0 - self.forgetting) {
-            self.forget(&psi);
+        if news >= Self::LEAST_NEWS * (1.0 - self.forgetting)
+            && (0..N).all(|j| self.ignorance(j) < 1.0)
+        {
+            for variance in &mut self.diagonal {
+                *variance /= self.forgetting;
+            }
         }
         let (gain, news) = self.measure(&psi);
         for (parameter, gain) in self.scaled.iter_mut().zip(&gain) {
@@ -113,34 +117,6 @@ impl<const N: usize> RecursiveLeastSquares<N> {
                 f * f * self.diagonal[j]
             })
             .sum()
-    }
-
-    /// Directional forgetting: a rank-one addition along `psi` (Agee and Turner's update of the factors).
-    fn forget(&mut self, psi: &[f64; N]) {
-        // v = U^-1 psi, so psi' P^-1 psi = sum v_j^2 / D_j.
-        let mut v = *psi;
-        for j in (0..N).rev() {
-            for i in 0..j {
-                v[i] -= self.upper[i][j] * v[j];
-            }
-        }
-        let information: f64 = (0..N).map(|j| v[j] * v[j] / self.diagonal[j]).sum();
-        let mut c = (1.0 / self.forgetting - 1.0) / information;
-        if !(c.is_finite() && c > 0.0) {
-            return;
-        }
-        let mut a = *psi;
-        for j in (0..N).rev() {
-            let before = self.diagonal[j];
-            let after = before + c * a[j] * a[j];
-            self.diagonal[j] = after;
-            let lift = c * a[j] / after;
-            for i in 0..j {
-                a[i] -= a[j] * self.upper[i][j];
-                self.upper[i][j] += lift * a[i];
-            }
-            c *= before / after;
-        }
     }
 
     /// Bierman's measurement update for unit noise: the gain, and `psi' P psi` before it.

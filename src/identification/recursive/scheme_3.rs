@@ -291,6 +291,10 @@ impl Scheme3 {
             volt_s += winding::voltage_integral(&interval);
         }
         let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
+        if volt_s == 0.0 && !self.readings.iter().any(|r| r.direction != 0) {
+            // At rest: nothing but noise, which would pass for certainty about zero.
+            return;
+        }
         let regressor =
             [charge, last.current_a - first.current_a, angle].map(|integral| integral / length_s);
         let Electrical::Starting(estimator) = &mut self.electrical else {
