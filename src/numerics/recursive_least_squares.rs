@@ -212,3 +212,148 @@ impl<const N: usize> RecursiveLeastSquares<N> {
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector3};
+    use rand::{Rng as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    const TRUE: [f64; 3] = [2.0, -0.03, 500.0];
+    const SCALE: [f64; 3] = [1.0, 0.01, 100.0];
+
+    fn row(random: &mut ChaCha8Rng) -> [f64; 3] {
+        [1.0, 100.0, 0.01].map(|size| size * random.random_range(-1.0..1.0))
+    }
+
+    fn noise(random: &mut ChaCha8Rng) -> f64 {
+        // Sum of twelve uniforms: variance one.
+        (0..12).map(|_| random.random_range(-0.5..0.5)).sum()
+    }
+
+    #[test]
+    fn equals_batch_weighted_least_squares() {
+        // Rich rows always bring news with lambda = 1 or in one dimension: the weights are then known in closed form.
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let mut recursive = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e12, 1.0);
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for _ in 0..300 {
+            let psi = row(&mut random);
+            let value = dot(&psi, &TRUE) + 0.1 * noise(&mut random);
+            recursive.update(&psi, value).unwrap();
+            let scaled = Vector3::from_fn(|j, _| psi[j] * SCALE[j]);
+            normal += scaled * scaled.transpose();
+            right += scaled * value;
+        }
+        let batch = normal.try_inverse().unwrap() * right;
+        for (j, found) in recursive.parameters().iter().enumerate() {
+            assert!((found / SCALE[j] - batch[j]).abs() < 1e-8, "{j} {found}");
+        }
+        let variance = recursive.noise_variance().unwrap();
+        assert!((variance / 0.01 - 1.0).abs() < 0.2, "{variance}");
+
+        let mut one = RecursiveLeastSquares::new([0.0], [1.0], 1e12, 0.9);
+        let (mut above, mut below) = (0.0, 0.0);
+        for _ in 0..100 {
+            let psi = random.random_range(0.5..1.5);
+            let value = 3.0 * psi + noise(&mut random);
+            one.update(&[psi], value).unwrap();
+            above = 0.9 * above + psi * value;
+            below = 0.9 * below + psi * psi;
+        }
+        assert!((one.parameters()[0] - above / below).abs() < 1e-9);
+    }
+
+    #[test]
+    fn standard_deviations_are_those_of_repeated_trials_under_forgetting() {
+        for carry in [0.0, 1.0] {
+            let (mut squares, mut claimed) = ([0.0; 3], [0.0; 3]);
+            for seed in 0..300 {
+                let mut random = ChaCha8Rng::seed_from_u64(seed);
+                let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e9, 0.97);
+                let mut before = noise(&mut random);
+                for _ in 0..300 {
+                    let psi = row(&mut random);
+                    let error = noise(&mut random);
+                    let value = dot(&psi, &TRUE) + 0.1 * (error - carry * before);
+                    before = error;
+                    let kind = RowNoise {
+                        carry,
+                        continues: true,
+                    };
+                    rls.update_row(&psi, value, kind).unwrap();
+                }
+                let (found, std) = (rls.parameters(), rls.standard_deviations().unwrap());
+                for j in 0..3 {
+                    squares[j] += (found[j] - TRUE[j]).powi(2) / 300.0;
+                    claimed[j] += std[j].powi(2) / 300.0;
+                }
+            }
+            for j in 0..3 {
+                let ratio = (claimed[j] / squares[j]).sqrt();
+                assert!((0.8..1.25).contains(&ratio), "carry {carry} {j} {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_million_rows_of_one_direction_neither_wind_up_nor_forget_the_others() {
+        let mut random = ChaCha8Rng::seed_from_u64(2);
+        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
+        for _ in 0..300 {
+            let psi = row(&mut random);
+            rls.update(&psi, dot(&psi, &TRUE) + 0.01 * noise(&mut random));
+        }
+        let psi = [1.0, 0.0, 0.01];
+        for _ in 0..1_000_000 {
+            rls.update(&psi, dot(&psi, &TRUE) + 0.01 * noise(&mut random))
+                .unwrap();
+        }
+        for (j, found) in rls.parameters().iter().enumerate() {
+            assert!((found / TRUE[j] - 1.0).abs() < 0.05, "{j} {found}");
+            assert!(rls.ignorance(j) > 0.0 && rls.ignorance(j) < 1e-3);
+        }
+        assert!(
+            rls.standard_deviations()
+                .unwrap()
+                .iter()
+                .all(|s| s.is_finite())
+        );
+    }
+
+    #[test]
+    fn a_jump_of_a_parameter_is_followed() {
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
+        for step in 0..1200 {
+            let truth = if step < 600 {
+                TRUE
+            } else {
+                [4.0, -0.03, 500.0]
+            };
+            let psi = row(&mut random);
+            rls.update(&psi, dot(&psi, &truth) + 0.01 * noise(&mut random));
+            if step == 599 {
+                assert!((rls.parameters()[0] - 2.0).abs() < 0.02);
+            }
+        }
+        assert!((rls.parameters()[0] - 4.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn what_is_not_finite_changes_nothing() {
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
+        for _ in 0..20 {
+            let psi = row(&mut random);
+            rls.update(&psi, dot(&psi, &TRUE));
+        }
+        let before = format!("{rls:?}");
+        assert_eq!(rls.update(&[1.0, f64::NAN, 0.0], 1.0), None);
+        assert_eq!(rls.update(&[1.0, 1.0, 0.0], f64::INFINITY), None);
+        assert_eq!(rls.update(&[1e200, 1e200, 0.0], 1.0), None);
+        assert_eq!(format!("{rls:?}"), before);
+    }
+}
