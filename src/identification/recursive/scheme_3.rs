@@ -32,6 +32,11 @@ const IGNORANT: f64 = 0.3;
 /// A gradient to the inductance below this many standard deviations of what the noise of the first sample makes of it
 /// is noise: taking it would pull the inductance away at rest.
 const GRADIENT_NOISE: f64 = 3.0;
+/// A current counts as one above so many standard deviations of its noise and above this share of the largest.
+const CURRENT_NOISE: f64 = 5.0;
+const CURRENT_SHARE: f64 = 0.01;
+/// Relative difference between the guess and the linear start that discards the guess.
+const GUESS_ERROR: f64 = 0.2;
 /// Factor by which one row may change a parameter.
 const LARGEST_STEP: f64 = 1.5;
 
@@ -86,19 +91,16 @@ struct Reading {
     direction: i8,
 }
 
-#[derive(Clone, Debug)]
-enum Electrical {
-    Starting(RecursiveLeastSquares<3>),
-    Running(RecursiveLeastSquares<3>),
-}
-
 /// The estimator: [`Self::voltage_applied`] and [`Self::push`] in the order of time.
 #[derive(Clone, Debug)]
 pub struct Scheme3 {
     memory: Memory,
     torque_n_m_per_a: Option<f64>,
-    start: Option<StartValues>,
-    electrical: Electrical,
+    guess: Option<Winding>,
+    /// The linear start, until it has handed over.
+    starting: Option<RecursiveLeastSquares<3>>,
+    /// The prediction-error step, from the guess or from the linear start.
+    running: Option<RecursiveLeastSquares<3>>,
     balance: MechanicalBalance,
     direction: Direction,
     readings: Vec<Reading>,
@@ -119,13 +121,14 @@ impl Scheme3 {
         Self {
             memory,
             torque_n_m_per_a,
-            start,
-            electrical: Electrical::Starting(RecursiveLeastSquares::new(
+            guess: start.map(|s| [s.resistance_ohm, s.inductance_h, s.back_emf_v_s_per_rad]),
+            starting: Some(RecursiveLeastSquares::new(
                 [0.0; 3],
                 START_SCALE,
                 START_PRIOR,
                 memory.electrical,
             )),
+            running: None,
             balance: MechanicalBalance::new(memory.mechanical),
             direction: Direction::default(),
             readings: Vec::with_capacity(32),
@@ -204,14 +207,17 @@ impl Scheme3 {
         }
     }
 
-    /// R, L, Ke once the prediction-error step runs.
+    /// R, L, Ke of the prediction-error step, before that the guess.
     fn winding(&self) -> Option<Winding> {
-        match &self.electrical {
-            Electrical::Running(estimator) => Some(estimator.parameters()),
-            Electrical::Starting(_) => self
-                .start
-                .map(|s| [s.resistance_ohm, s.inductance_h, s.back_emf_v_s_per_rad]),
-        }
+        self.running
+            .as_ref()
+            .map(RecursiveLeastSquares::parameters)
+            .or(self.guess)
+    }
+
+    /// What the verdicts on R, L, Ke rest on.
+    fn electrical(&self) -> Option<&RecursiveLeastSquares<3>> {
+        self.running.as_ref().or(self.starting.as_ref())
     }
 
     fn intervals(&self) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
@@ -248,34 +254,43 @@ impl Scheme3 {
     fn take_block(&mut self, begin_s: f64, end_s: f64) {
         let continues = begin_s.total_cmp(&self.last_end_s).is_eq();
         self.current_innovation_a = None;
-        if let Some(start) = self
-            .winding()
-            .filter(|_| matches!(self.electrical, Electrical::Starting(_)))
-        {
-            self.electrical = self.running(start);
-        }
-        if let Some(winding) = self.winding() {
-            self.take_prediction_error(&winding, end_s - begin_s, continues);
-        } else {
+        if !self.is_at_rest() {
             self.take_start_row(end_s - begin_s);
+            if self.running.is_none() {
+                self.running = self.guess.map(|guess| self.prediction_error(guess));
+            }
+            if let Some(winding) = self.winding() {
+                self.take_prediction_error(&winding, end_s - begin_s, continues);
+            }
         }
         self.last_end_s = end_s;
         let row = self.mechanical_row(begin_s, end_s);
         self.balance.take(&row);
     }
 
-    fn running(&self, start: Winding) -> Electrical {
+    /// Nothing applied, no motion, no current: such a block is noise, which would pass for certainty.
+    fn is_at_rest(&self) -> bool {
+        let begin_s = self.readings[0].time_s;
+        let held = self.voltage.partition_point(|event| event.0 <= begin_s);
+        let noise = self.current_noise_a().unwrap_or(0.0);
+        let least = (CURRENT_NOISE * noise).max(CURRENT_SHARE * self.largest_current_a);
+        self.voltage[held.saturating_sub(1)..]
+            .iter()
+            .all(|event| event.1 == 0.0)
+            && self
+                .readings
+                .iter()
+                .all(|r| r.direction == 0 && r.current_a.abs() <= least)
+    }
+
+    fn prediction_error(&self, start: Winding) -> RecursiveLeastSquares<3> {
         let noise = self
             .current_noise_a()
             .unwrap_or(0.0)
             .max(NOISE_SHARE * self.largest_current_a)
             .max(f64::MIN_POSITIVE.sqrt());
-        Electrical::Running(RecursiveLeastSquares::new(
-            start,
-            start,
-            (PRIOR / noise).powi(2),
-            self.memory.electrical,
-        ))
+        let prior = (PRIOR / noise).powi(2);
+        RecursiveLeastSquares::new(start, start, prior, self.memory.electrical)
     }
 
     /// Noise of one current sample, A: from the time before anything was applied.
@@ -284,6 +299,9 @@ impl Scheme3 {
     }
 
     fn take_start_row(&mut self, length_s: f64) {
+        if self.starting.is_none() {
+            return;
+        }
         let (mut charge, mut angle, mut volt_s) = (0.0, 0.0, 0.0);
         for (a, b, interval) in self.intervals() {
             charge += 0.5 * (a.current_a + b.current_a) * interval.length_s;
@@ -291,13 +309,9 @@ impl Scheme3 {
             volt_s += winding::voltage_integral(&interval);
         }
         let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
-        if volt_s == 0.0 && !self.readings.iter().any(|r| r.direction != 0) {
-            // At rest: nothing but noise, which would pass for certainty about zero.
-            return;
-        }
         let regressor =
             [charge, last.current_a - first.current_a, angle].map(|integral| integral / length_s);
-        let Electrical::Starting(estimator) = &mut self.electrical else {
+        let Some(estimator) = &mut self.starting else {
             return;
         };
         estimator.update(&regressor, volt_s / length_s);
@@ -310,7 +324,12 @@ impl Scheme3 {
                     .all(|(value, std)| *value > 0.0 && *std < START_UNCERTAINTY * value)
             });
         if certain {
-            self.electrical = self.running(found);
+            self.starting = None;
+            let far = |now: Winding| (0..3).any(|j| (now[j] / found[j] - 1.0).abs() > GUESS_ERROR);
+            // A guess that the data contradict is dropped whole: from far off the prediction-error step may go astray.
+            if self.running.as_ref().is_none_or(|r| far(r.parameters())) {
+                self.running = Some(self.prediction_error(found));
+            }
         }
     }
 
@@ -326,16 +345,15 @@ impl Scheme3 {
         });
         let share = length_s * winding[0] / winding[1];
         let carry = (-share).exp();
-        let noise = self.current_noise_a().or_else(|| match &self.electrical {
-            Electrical::Running(estimator) => estimator.noise_variance().map(f64::sqrt),
-            Electrical::Starting(_) => None,
-        });
+        let noise = self
+            .current_noise_a()
+            .or_else(|| Some(self.running.as_ref()?.noise_variance()?.sqrt()));
         if gradient[1].abs() < GRADIENT_NOISE * noise.unwrap_or(0.0) * share * carry {
             gradient[1] = 0.0;
         }
         let value = innovation + gradient.iter().sum::<f64>();
         let psi: [f64; 3] = std::array::from_fn(|j| gradient[j] / winding[j]);
-        let Electrical::Running(estimator) = &mut self.electrical else {
+        let Some(estimator) = &mut self.running else {
             return;
         };
         self.current_innovation_a =
@@ -379,11 +397,9 @@ impl Scheme3 {
 
     /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
     pub fn excitation(&self) -> [f64; 5] {
-        let electrical = match &self.electrical {
-            Electrical::Starting(estimator) | Electrical::Running(estimator) => {
-                [0, 1, 2].map(|j| estimator.ignorance(j))
-            }
-        };
+        let electrical = self.electrical().map_or([1.0; 3], |estimator| {
+            [0, 1, 2].map(|j| estimator.ignorance(j))
+        });
         let [a, b] = self.balance.ignorance();
         let [r, l, ke] = electrical;
         [r, l, ke, a, b].map(|ignorance| (1.0 - ignorance).clamp(0.0, 1.0))
@@ -399,7 +415,7 @@ impl Scheme3 {
         if let Some(given) = self.torque_n_m_per_a {
             return Some((given, 0.0));
         }
-        let (Electrical::Running(estimator) | Electrical::Starting(estimator)) = &self.electrical;
+        let estimator = self.electrical()?;
         let (value, std) = (
             estimator.parameters()[2],
             estimator.standard_deviations()?[2],
@@ -409,32 +425,7 @@ impl Scheme3 {
 
     /// R, L, Ke, J, Mc with verdicts.
     pub fn estimates(&self) -> Vec<ParameterEstimate> {
-        let (estimator, starting) = match &self.electrical {
-            Electrical::Starting(estimator) => (estimator, true),
-            Electrical::Running(estimator) => (estimator, false),
-        };
-        let values = estimator.parameters();
-        let stds = estimator.standard_deviations();
-        let mut out: Vec<ParameterEstimate> = (0..3)
-            .map(|j| {
-                let key = KEYS[j];
-                let excited = estimator.ignorance(j) < IGNORANT && values[j] > 0.0;
-                let Some(stds) = stds.filter(|_| excited && estimator.rows() >= START_ROWS) else {
-                    return ParameterEstimate::not_observable(
-                        key.key(),
-                        key.unit(),
-                        self.why_not(key, estimator.rows()),
-                    );
-                };
-                let mut judged =
-                    verdict::judge(&Slot::Motor(key), values[j], Some(stds[j]), self.period_s);
-                if starting && judged.verdict == Verdict::Settled {
-                    judged.verdict = Verdict::Searching;
-                    judged.reason = Some("from the linear start: biased by coarse sampling".into());
-                }
-                judged
-            })
-            .collect();
+        let mut out = self.electrical_estimates();
         out.extend(self.balance.estimates(
             self.torque_constant(),
             (
@@ -444,6 +435,42 @@ impl Scheme3 {
             self.period_s,
         ));
         out
+    }
+
+    fn electrical_estimates(&self) -> Vec<ParameterEstimate> {
+        let Some(estimator) = self.electrical() else {
+            return Vec::new();
+        };
+        let starting = self.running.is_none();
+        let values = estimator.parameters();
+        let stds = estimator
+            .standard_deviations()
+            .filter(|_| estimator.rows() >= START_ROWS);
+        let certain = |j: usize| {
+            estimator.ignorance(j) < IGNORANT
+                && stds.is_some_and(|stds| stds[j] < START_UNCERTAINTY * values[j])
+        };
+        // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: neither
+        // may be told from the linear start without the other.
+        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
+        let confounded = starting && moved && !(certain(0) && certain(2));
+        (0..3)
+            .map(|j| {
+                let key = KEYS[j];
+                let excited = estimator.ignorance(j) < IGNORANT && values[j] > 0.0 && !confounded;
+                let Some(stds) = stds.filter(|_| excited) else {
+                    let reason = self.why_not(key, estimator.rows());
+                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
+                };
+                let slot = Slot::Motor(key);
+                let mut judged = verdict::judge(&slot, values[j], Some(stds[j]), self.period_s);
+                if starting && judged.verdict == Verdict::Settled {
+                    judged.verdict = Verdict::Searching;
+                    judged.reason = Some("from the linear start: biased by coarse sampling".into());
+                }
+                judged
+            })
+            .collect()
     }
 
     fn why_not(&self, key: MotorKey, rows: u64) -> String {
