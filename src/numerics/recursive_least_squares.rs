@@ -170,6 +170,11 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         std::array::from_fn(|j| self.scaled[j] * self.scale[j])
     }
 
+    /// Changes the memory from the next row on; limited to 0.5..1.
+    pub fn set_forgetting(&mut self, forgetting: f64) {
+        self.forgetting = forgetting.clamp(0.5, 1.0);
+    }
+
     /// Moves the parameters, as a limit of physics may demand; covariance and noise stay.
     pub fn set_parameters(&mut self, parameters: &[f64; N]) {
         self.scaled = std::array::from_fn(|j| parameters[j] / self.scale[j]);

@@ -21,7 +21,7 @@ const LONGEST_GAP_S: f64 = 0.1;
 const START_SCALE: Winding = [1.0, 1e-2, 0.1];
 const START_PRIOR: f64 = 1e8;
 /// The linear start hands over at this many rows and this relative standard deviation.
-const START_ROWS: u64 = 12;
+const START_ROWS: u64 = 20;
 const START_UNCERTAINTY: f64 = 0.2;
 /// Relative prior standard deviation at the hand-over, and the noise it is counted in where none was measured: share of
 /// the largest current.
@@ -37,6 +37,9 @@ const CURRENT_NOISE: f64 = 5.0;
 const CURRENT_SHARE: f64 = 0.01;
 /// Relative difference between the guess and the linear start that discards the guess.
 const GUESS_ERROR: f64 = 0.2;
+/// Forgetting of the first rows of the prediction-error step (Ljung and Soderstrom, section 5.6), and how long it lasts.
+const EARLY_LOSS: f64 = 0.08;
+const EARLY_ROWS: f64 = 40.0;
 /// Factor by which one row may change a parameter.
 const LARGEST_STEP: f64 = 1.5;
 
@@ -356,6 +359,10 @@ impl Scheme3 {
         let Some(estimator) = &mut self.running else {
             return;
         };
+        // Short memory at first: early rows were linearised about a start that is some per cent off.
+        let age = f64::from(u32::try_from(estimator.rows()).unwrap_or(u32::MAX));
+        let lack = (1.0 - self.memory.electrical).max(EARLY_LOSS * (-age / EARLY_ROWS).exp());
+        estimator.set_forgetting(1.0 - lack);
         self.current_innovation_a =
             estimator.update_row(&psi, value, RowNoise { carry, continues });
         let moved = estimator.parameters();
