@@ -37,6 +37,10 @@ struct Bench {
 
 impl Bench {
     fn new(events: Vec<(f64, f64)>, times: Vec<f64>) -> Self {
+        Self::of(Motor::zk_22fc(), events, times)
+    }
+
+    fn of(motor: Motor, events: Vec<(f64, f64)>, times: Vec<f64>) -> Self {
         let scenario = Scenario {
             name: "r".into(),
             input: Input::Voltage,
@@ -48,7 +52,7 @@ impl Bench {
             speed_rad_s: vec![],
             angle: vec![],
         };
-        let out = Plant::new(&Model::baseline(Motor::zk_22fc()), Input::Voltage)
+        let out = Plant::new(&Model::baseline(motor), Input::Voltage)
             .unwrap()
             .simulate(&scenario, State::default());
         Self {
@@ -161,7 +165,8 @@ fn bench_noise_leaves_little_bias_and_intervals_that_cover() {
         assert!(covered.iter().all(|c| *c >= 32), "{covered:?}");
     }
     for seconds in [2.0, 6.0] {
-        let (bias, _) = seeds(0.01, seconds, OnlineConfig::default());
+        let (bias, covered) = seeds(0.01, seconds, OnlineConfig::default());
+        assert!(covered[..5].iter().all(|c| *c >= 32), "{covered:?}");
         assert!(bias[..5].iter().all(|b| b.abs() < 0.01), "{bias:?}");
     }
 }
@@ -264,4 +269,46 @@ fn irregular_stamps_and_late_tellings_change_little_and_the_bits_repeat() {
     }
     assert_eq!(live.estimates(), online.estimates());
     assert_eq!(live.innovation(), online.innovation());
+}
+
+fn every(period_s: f64, seconds: f64) -> Vec<f64> {
+    (0..(seconds / period_s).round() as usize)
+        .map(|k| k as f64 * period_s)
+        .collect()
+}
+
+#[test]
+fn a_small_fast_motor_is_found_too() {
+    let truth = [2.0, 0.002, 0.05, 1e-5, 0.01];
+    let motor = Motor::new("small")
+        .with(MotorKey::Resistance, truth[0])
+        .with(MotorKey::Inductance, truth[1])
+        .with(MotorKey::BackEmf, truth[2])
+        .with(MotorKey::Inertia, truth[3])
+        .with(MotorKey::LoadTorque, truth[4]);
+    let volts = steps(6.0).into_iter().map(|(t, u)| (t, u / 5.0)).collect();
+    // L/R is 1 ms, R J/Ke^2 is 8 ms.
+    for (period_s, limit) in [(0.0005, 0.01), (0.001, 0.02)] {
+        let bench = Bench::of(motor.clone(), Vec::clone(&volts), every(period_s, 6.0));
+        let found = errors(&bench.run(OnlineConfig::default()).estimates(), &truth);
+        println!("small {period_s} {found:.5?}");
+        assert!(found.iter().all(|e| e.abs() < limit), "{found:?}");
+    }
+}
+
+#[test]
+fn a_hotter_winding_and_twice_the_inertia_are_followed() {
+    let changed = Motor::zk_22fc()
+        .with(MotorKey::Resistance, 1.43)
+        .with(MotorKey::Inertia, 0.009);
+    for period_s in [0.001, 0.01] {
+        let mut online = Bench::regular(steps(4.0), period_s, 4.0).run(OnlineConfig::default());
+        let mut bench = Bench::of(changed.clone(), steps(8.0), every(period_s, 8.0));
+        bench.times.iter_mut().for_each(|t| *t += 5.0);
+        bench.events.iter_mut().for_each(|e| e.0 += 5.0);
+        bench.feed(&mut online, &bench.current, &bench.speed);
+        let found = errors(&online.estimates(), &[1.43, 0.0099, 0.3538, 0.009, 0.455]);
+        println!("changed {period_s} {found:.5?}");
+        assert!(found.iter().all(|e| e.abs() < 0.05), "{found:?}");
+    }
 }

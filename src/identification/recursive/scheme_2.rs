@@ -1,6 +1,9 @@
 //! Scheme 2 of paper A: inertia and load torque from current and speed, the torque constant known.
 //!
 //! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T` on consecutive samples with their true stamps.
+//! Under voltage steps on the motor of paper A (L/R = 9 ms) the trapezoid gives J 0.02 % low at T = 1 ms, 0.5 % at 5 ms,
+//! 1.5 % at 10 ms, and Mc up to 5 % off at 10 ms: more than the standard deviations, which know only the noise. Scheme 3
+//! corrects the integral and does not have this error.
 
 use super::direction::Direction;
 use super::mechanical::{MechanicalBalance, MechanicalRow};

@@ -4,6 +4,10 @@
 //! the closed form of `winding`; the innovation drives a recursive prediction-error step (Ljung and Soderstrom,
 //! *Theory and Practice of Recursive Identification* (1983), section 3.4) on (R, L, Ke). It starts from a linear
 //! regression on integrals, `int u = R int i + L di + Ke int w`, which coarse sampling biases by some per cent.
+//! Measured on the motor of paper A (L/R = 9 ms) under voltage steps, 30 mA and 0.15 rad/s of noise, 40 seeds, after 2 s:
+//! at T = 1 ms no bias above 0.1 %; at 10 ms R +0.04 %, L -0.2 %, others below 0.1 %. Noise on the regressors (the first
+//! sample of a block) is harmless there because a block moves the current by amperes; in steady state it is not, hence
+//! the gates below.
 //! Mechanical line: `mechanical`, with the integral of the current corrected for its curvature between samples.
 
 use super::direction::Direction;
@@ -40,6 +44,9 @@ const GUESS_ERROR: f64 = 0.2;
 /// Forgetting of the first rows of the prediction-error step (Ljung and Soderstrom, section 5.6), and how long it lasts.
 const EARLY_LOSS: f64 = 0.08;
 const EARLY_ROWS: f64 = 40.0;
+/// Relative error that the shape of the speed between samples leaves, times (T R/L)^2: measured on the motor of paper A at
+/// 5 to 20 ms (inductance; resistance and back-EMF less). It is part of the standard deviation.
+const COARSE: f64 = 0.002;
 /// Factor by which one row may change a parameter.
 const LARGEST_STEP: f64 = 1.5;
 
@@ -470,7 +477,13 @@ impl Scheme3 {
                     return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
                 };
                 let slot = Slot::Motor(key);
-                let mut judged = verdict::judge(&slot, values[j], Some(stds[j]), self.period_s);
+                let coarse = COARSE * (self.period_s * values[0] / values[1]).powi(2) * values[j];
+                let std = if starting {
+                    stds[j]
+                } else {
+                    stds[j].hypot(coarse)
+                };
+                let mut judged = verdict::judge(&slot, values[j], Some(std), self.period_s);
                 if starting && judged.verdict == Verdict::Settled {
                     judged.verdict = Verdict::Searching;
                     judged.reason = Some("from the linear start: biased by coarse sampling".into());
