@@ -64,8 +64,7 @@ impl Bench {
     }
 
     fn regular(events: Vec<(f64, f64)>, period_s: f64, seconds: f64) -> Self {
-        let rows = (seconds / period_s).round() as usize;
-        Self::new(events, (0..rows).map(|k| k as f64 * period_s).collect())
+        Self::new(events, every(period_s, seconds))
     }
 
     /// Bench noise, then the quantisation of registers: 1 mA and 0.01 rad/s.
@@ -272,8 +271,9 @@ fn irregular_stamps_and_late_tellings_change_little_and_the_bits_repeat() {
 }
 
 fn every(period_s: f64, seconds: f64) -> Vec<f64> {
-    (0..(seconds / period_s).round() as usize)
-        .map(|k| k as f64 * period_s)
+    (0..)
+        .map(|k| f64::from(k) * period_s)
+        .take_while(|time_s| *time_s < seconds - 0.5 * period_s)
         .collect()
 }
 

@@ -2,8 +2,10 @@
 //!
 //! `P = U D U'` (U unit upper triangular, D diagonal): Bierman, *Factorization Methods for Discrete Sequential
 //! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. Wind-up cannot
-//! happen: a row forgets only if it brings news, and never beyond the prior variance.
+//! happen: rows forget only while they bring news, and never beyond the prior variance.
 
+/// Rows over which the news is averaged.
+const NEWS_ROWS: f64 = 16.0;
 /// Rows that the parameters still follow freely say nothing about the noise: `psi' P psi` above this.
 const FREE_ROW: f64 = 10.0;
 
@@ -42,10 +44,11 @@ pub struct RecursiveLeastSquares<const N: usize> {
     noise_sum: f64,
     noise_weight: f64,
     rows: u64,
+    recent_news: f64,
 }
 
 impl<const N: usize> RecursiveLeastSquares<N> {
-    /// Forgetting pauses while `psi' P psi` is below this many times `1 - lambda`. Its mean is the number of directions
+    /// Forgetting pauses while the recent mean of `psi' P psi` is below this many times `1 - lambda`. In the mean it is the number of directions
     /// that the rows excite: a machine at constant speed excites one, and the others would be forgotten for nothing.
     const LEAST_NEWS: f64 = if N > 1 { 1.2 } else { 0.0 };
 
@@ -68,6 +71,7 @@ impl<const N: usize> RecursiveLeastSquares<N> {
             noise_sum: 0.0,
             noise_weight: 0.0,
             rows: 0,
+            recent_news: 1.0,
         }
     }
 
@@ -87,7 +91,8 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         if !news.is_finite() {
             return None;
         }
-        if news >= Self::LEAST_NEWS * (1.0 - self.forgetting)
+        self.recent_news += (news.min(1.0) - self.recent_news) / NEWS_ROWS;
+        if self.recent_news >= Self::LEAST_NEWS * (1.0 - self.forgetting)
             && (0..N).all(|j| self.ignorance(j) < 1.0)
         {
             for variance in &mut self.diagonal {
@@ -120,6 +125,10 @@ impl<const N: usize> RecursiveLeastSquares<N> {
     }
 
     /// Bierman's measurement update for unit noise: the gain, and `psi' P psi` before it.
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "triangular indices as the literature prints them"
+    )]
     fn measure(&mut self, psi: &[f64; N]) -> ([f64; N], f64) {
         let f: [f64; N] = std::array::from_fn(|j| {
             psi[j] + (0..j).map(|i| self.upper[i][j] * psi[i]).sum::<f64>()
