@@ -271,7 +271,7 @@ fn irregular_stamps_and_late_tellings_change_little_and_the_bits_repeat() {
 }
 
 fn every(period_s: f64, seconds: f64) -> Vec<f64> {
-    (0_u32..)
+    (0..u32::MAX)
         .map(|k| f64::from(k) * period_s)
         .take_while(|time_s| *time_s < seconds - 0.5 * period_s)
         .collect()
