@@ -11,7 +11,7 @@ pub enum Control {
     Disable,
     /// Zero output at once, state `Ready`.
     Stop,
-    /// Clears a latched fault, state `Disabled`; without a fault it does nothing.
+    /// Clears a latched fault whose cause is gone; output off, state `Disabled`, as `Disable` if there is no fault.
     ResetFault,
     /// Armature voltage, V; state `Running`.
     Voltage(f64),

@@ -1,1 +1,27 @@
-//! The software drive: plant, state machine, registers, watchdog, line pacing.
+//! The software drive: what stands in for a real drive, behind the same protocols.
+//!
+//! ```text
+//!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
+//!                                   ^ pure function of drive time
+//!   memory.rs  virtual time --------+
+//!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
+//! ```
+
+mod config;
+mod dialogue;
+mod drive;
+mod memory;
+mod pace;
+mod port;
+#[cfg(target_os = "linux")]
+mod pty;
+mod server;
+mod session;
+mod tcp;
+pub mod truth;
+
+pub use config::{EmulatorConfig, EmulatorConfigError, LimitsConfig, LineConfig, OutputOff};
+pub use dialogue::{LinkKind, UNIT};
+pub use drive::SoftDrive;
+pub use memory::{Latency, MemoryLink, VirtualClock};
+pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn};

@@ -2,11 +2,14 @@
 //!
 //! ```text
 //!   registers    the table and its blocks         properties   any bytes, any values, any splits
-//!   modbus       codec and framing by example     golden       vectors/ and SPEC.md against the code
+//!   modbus       codec and framing by example     golden       vectors/ against the code
+//!   specification  SPEC.md against the code
+//!   header       drivebench_protocol.h against the table
 //!   support      a bank of registers, hexadecimal text, freshness of generated files
 //! ```
 
 mod golden;
+mod header;
 mod modbus;
 mod properties;
 mod registers;

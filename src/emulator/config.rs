@@ -1,0 +1,343 @@
+//! The emulator's configuration: plant, hidden effects, limits, sensors, line.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::truth::effect::HiddenEffect;
+use super::truth::{MotorTruth, NoiseConfig, QuantisationConfig};
+use crate::config_text::{self, ConfigError};
+
+/// Embedded configurations: name and text.
+const EMBEDDED: [(&str, &str); 6] = [
+    (
+        "zk-22fc-hidden",
+        include_str!("../../bench-configs/emulators/zk-22fc-hidden.toml"),
+    ),
+    (
+        "zk-22fc-plain",
+        include_str!("../../bench-configs/emulators/zk-22fc-plain.toml"),
+    ),
+    (
+        "zk-22fc-viscous",
+        include_str!("../../bench-configs/emulators/zk-22fc-viscous.toml"),
+    ),
+    (
+        "zk-22fc-fan",
+        include_str!("../../bench-configs/emulators/zk-22fc-fan.toml"),
+    ),
+    (
+        "zk-22fc-brushes",
+        include_str!("../../bench-configs/emulators/zk-22fc-brushes.toml"),
+    ),
+    (
+        "zk-22fc-warming",
+        include_str!("../../bench-configs/emulators/zk-22fc-warming.toml"),
+    ),
+];
+
+/// A configuration that no drive can have.
+#[derive(Debug, Error)]
+pub enum EmulatorConfigError {
+    #[error(transparent)]
+    Text(#[from] ConfigError),
+    #[error("{file}: {key} = {value} is not allowed (expected {allowed})")]
+    Value {
+        file: String,
+        key: &'static str,
+        value: f64,
+        allowed: &'static str,
+    },
+    #[error("there is no embedded emulator {name:?}")]
+    Unknown { name: String },
+}
+
+impl EmulatorConfigError {
+    /// The next step.
+    pub fn help(&self) -> String {
+        match self {
+            Self::Text(error) => error.help.clone(),
+            Self::Value { .. } => {
+                "see bench-configs/emulators/example.toml for every key, its unit and its default"
+                    .to_owned()
+            }
+            Self::Unknown { name } => {
+                config_text::help_for_unknown(name, EMBEDDED.iter().map(|(name, _)| *name))
+            }
+        }
+    }
+}
+
+/// A software drive with its motor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EmulatorConfig {
+    /// R, L, Ke, J and Mc of the specimen each lie within this fraction of the nameplate; drawn from the seed.
+    #[serde(default)]
+    pub tolerance: f64,
+    /// Command silence after which the running drive stops itself, ms.
+    #[serde(default = "default_watchdog_ms")]
+    pub watchdog_ms: u16,
+    /// The nameplate.
+    pub motor: MotorTruth,
+    pub limits: LimitsConfig,
+    #[serde(default)]
+    pub noise: NoiseConfig,
+    #[serde(default)]
+    pub quantisation: QuantisationConfig,
+    #[serde(default)]
+    pub line: LineConfig,
+    /// What the host's model does not know.
+    #[serde(default)]
+    pub hidden: Vec<HiddenEffect>,
+}
+
+const fn default_watchdog_ms() -> u16 {
+    200
+}
+
+/// What the drive limits itself to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LimitsConfig {
+    /// The inverter lowers its voltage so that the current stays below this magnitude.
+    pub current_limit_a: f64,
+    /// Voltage of the intermediate circuit: the output cannot exceed it.
+    pub bus_v: f64,
+    /// The drive trips above this magnitude.
+    pub speed_limit_rad_s: f64,
+    #[serde(default)]
+    pub output_off: OutputOff,
+}
+
+/// What the motor's terminals see while the output is off.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OutputOff {
+    /// Both terminals on the same rail: the motor brakes electrically, within the current limit.
+    #[default]
+    ZeroVolt,
+    /// All switches off: the motor coasts.
+    Open,
+}
+
+/// The serial line that a pseudo-terminal stands for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LineConfig {
+    /// 0: as fast as the machine can.
+    pub baud: u32,
+    /// 10 for 8N1, 11 for 8E1 and 8N2.
+    pub bits_per_char: u8,
+    /// The drive thinks for so long before it answers.
+    pub turnaround_ms: f64,
+    /// Silence between Modbus frames; left out: 3.5 characters, and 1750 us above 19200 baud.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gap_us: Option<f64>,
+}
+
+impl Default for LineConfig {
+    fn default() -> Self {
+        Self {
+            baud: 115_200,
+            bits_per_char: 10,
+            turnaround_ms: 0.5,
+            gap_us: None,
+        }
+    }
+}
+
+impl EmulatorConfig {
+    /// Parses and checks a configuration; `file` names it in errors.
+    pub fn parse(file: &str, text: &str) -> Result<Self, EmulatorConfigError> {
+        let config: Self = config_text::parse(file, text)?;
+        config.check(file)?;
+        Ok(config)
+    }
+
+    /// The configuration that `commission` uses when none is given: a ZK-22FC with a hidden effect.
+    pub fn embedded_default() -> Self {
+        Self::embedded(EMBEDDED[0].0).expect("a test parses every embedded configuration")
+    }
+
+    /// An embedded configuration by name.
+    pub fn embedded(name: &str) -> Result<Self, EmulatorConfigError> {
+        let (_, text) = EMBEDDED
+            .iter()
+            .find(|(embedded, _)| *embedded == name)
+            .ok_or_else(|| EmulatorConfigError::Unknown {
+                name: name.to_owned(),
+            })?;
+        Self::parse(name, text)
+    }
+
+    /// Names of the embedded configurations, the default first.
+    pub fn embedded_names() -> impl Iterator<Item = &'static str> {
+        EMBEDDED.iter().map(|(name, _)| *name)
+    }
+
+    fn check(&self, file: &str) -> Result<(), EmulatorConfigError> {
+        let refuse = |key, value, allowed| {
+            Err(EmulatorConfigError::Value {
+                file: file.to_owned(),
+                key,
+                value,
+                allowed,
+            })
+        };
+        if let Some((key, value)) = self.motor.impossible() {
+            return refuse(key, value, "a positive number, for load_torque_n_m also 0");
+        }
+        if !(0.0..=0.5).contains(&self.tolerance) {
+            return refuse("tolerance", self.tolerance, "0 to 0.5");
+        }
+        if !(20..=5000).contains(&self.watchdog_ms) {
+            return refuse("watchdog_ms", self.watchdog_ms.into(), "20 to 5000");
+        }
+        let limits = [
+            ("current_limit_a", self.limits.current_limit_a, 655.0),
+            ("bus_v", self.limits.bus_v, 655.0),
+            ("speed_limit_rad_s", self.limits.speed_limit_rad_s, 1310.0),
+        ];
+        for (key, value, highest) in limits {
+            if !(value > 0.0 && value <= highest) {
+                return refuse(key, value, "above 0, at most what a register carries");
+            }
+        }
+        let sensors = [
+            ("noise.voltage_v", self.noise.voltage_v),
+            ("noise.current_a", self.noise.current_a),
+            ("noise.speed_rad_s", self.noise.speed_rad_s),
+            ("noise.bus_v", self.noise.bus_v),
+            ("quantisation.voltage_v", self.quantisation.voltage_v),
+            ("quantisation.current_a", self.quantisation.current_a),
+            ("quantisation.speed_rad_s", self.quantisation.speed_rad_s),
+            ("quantisation.angle_rad", self.quantisation.angle_rad),
+            ("line.turnaround_ms", self.line.turnaround_ms),
+            ("line.gap_us", self.line.gap_us.unwrap_or(0.0)),
+        ];
+        for (key, value) in sensors {
+            if !(value.is_finite() && value >= 0.0) {
+                return refuse(key, value, "0 or more");
+            }
+        }
+        if !(10..=12).contains(&self.line.bits_per_char) {
+            return refuse(
+                "line.bits_per_char",
+                self.line.bits_per_char.into(),
+                "10 to 12",
+            );
+        }
+        for (key, value, _) in self.hidden.iter().flat_map(HiddenEffect::parameters) {
+            let scale = key.ends_with("speed_rad_s") || key == "time_constant_s";
+            if !(value.is_finite() && (value > 0.0 || (value == 0.0 && !scale))) {
+                return refuse(key, value, "0 or more; a speed or time scale above 0");
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_embedded_configuration_is_valid_and_hides_what_its_name_says() {
+        let hidden: Vec<(&str, Vec<&str>)> = EmulatorConfig::embedded_names()
+            .map(|name| {
+                let config = EmulatorConfig::embedded(name).unwrap();
+                (name, config.hidden.iter().map(HiddenEffect::id).collect())
+            })
+            .collect();
+        assert_eq!(
+            hidden,
+            [
+                ("zk-22fc-hidden", vec!["stribeck_friction"]),
+                ("zk-22fc-plain", vec![]),
+                ("zk-22fc-viscous", vec!["viscous_friction"]),
+                ("zk-22fc-fan", vec!["quadratic_load"]),
+                ("zk-22fc-brushes", vec!["voltage_drop"]),
+                ("zk-22fc-warming", vec!["winding_heating"]),
+            ]
+        );
+        assert_eq!(EmulatorConfig::embedded_default().hidden.len(), 1);
+    }
+
+    const EXAMPLE: &str = include_str!("../../bench-configs/emulators/example.toml");
+
+    #[test]
+    fn the_example_documents_every_key() {
+        let config = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
+        assert_eq!(config.hidden.len(), HiddenEffect::IDS.len());
+        let mut full = config;
+        full.motor.torque_n_m_per_a = Some(0.35);
+        full.line.gap_us = Some(1750.0);
+        let text = toml::to_string(&full).unwrap();
+        for key in text.lines().filter_map(|line| line.split_once(" = ")) {
+            assert!(EXAMPLE.contains(&format!("{} = ", key.0)), "{}", key.0);
+        }
+    }
+
+    #[test]
+    fn the_example_states_the_defaults_as_they_are() {
+        // Every key with a default, left out.
+        let optional = [
+            "tolerance",
+            "watchdog_ms",
+            "output_off",
+            "voltage_v",
+            "bus_v = 0",
+            "angle_rad",
+        ];
+        let example = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
+        let short: String = EXAMPLE
+            .lines()
+            .filter(|line| !optional.iter().any(|key| line.starts_with(key)))
+            .flat_map(|line| [line, "\n"])
+            .collect();
+        let defaulted = EmulatorConfig::parse("short", &short).unwrap();
+        assert_eq!(defaulted.watchdog_ms, example.watchdog_ms);
+        assert_eq!(defaulted.limits, example.limits);
+        assert_eq!(example.line, LineConfig::default());
+    }
+
+    #[test]
+    fn a_typing_mistake_is_named_with_line_and_nearest_key() {
+        let text = EXAMPLE.replace("current_limit_a", "curent_limit_a");
+        let error = EmulatorConfig::parse("e.toml", &text).unwrap_err();
+        let EmulatorConfigError::Text(place) = &error else {
+            panic!("{error}");
+        };
+        let line = text
+            .lines()
+            .position(|line| line.starts_with("curent_limit_a"))
+            .unwrap();
+        assert_eq!(place.line, line + 1);
+        assert_eq!(error.help(), "did you mean `current_limit_a`?");
+    }
+
+    #[test]
+    fn an_unknown_key_of_an_effect_and_an_unknown_effect_are_refused() {
+        for (from, to) in [("drop_v", "drop_volts"), ("voltage_drop", "voltage_dorp")] {
+            let error = EmulatorConfig::parse("e.toml", &EXAMPLE.replace(from, to)).unwrap_err();
+            assert!(error.to_string().contains(to), "{error}");
+            assert_eq!(error.help(), format!("did you mean `{from}`?"));
+        }
+    }
+
+    #[test]
+    fn values_that_no_drive_can_have_are_refused() {
+        for (from, to) in [
+            ("tolerance = 0.0", "tolerance = 0.7"),
+            ("watchdog_ms = 200", "watchdog_ms = 5"),
+            ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = -1"),
+            ("stribeck_speed_rad_s = 10.0", "stribeck_speed_rad_s = 0"),
+            ("current_limit_a = 11.4", "current_limit_a = nan"),
+        ] {
+            assert!(EXAMPLE.contains(from), "{from}");
+            let error = EmulatorConfig::parse("e.toml", &EXAMPLE.replace(from, to)).unwrap_err();
+            let key = from.split(' ').next().unwrap();
+            assert!(error.to_string().contains(key), "{error}");
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! One conversation on one link: bytes of the host in, answers of the drive out.
+
+use std::fmt;
+use std::str::FromStr;
+
+use firmware_protocol::modbus::{RtuReceiver, TcpReceiver, rtu, tcp};
+use firmware_protocol::stream;
+
+use super::SoftDrive;
+use super::drive::answer_stream;
+
+/// The drive's address on a bus.
+pub const UNIT: u8 = 1;
+
+/// The protocol that the drive speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinkKind {
+    ModbusRtu,
+    ModbusTcp,
+    Stream,
+}
+
+impl LinkKind {
+    pub const ALL: [Self; 3] = [Self::ModbusRtu, Self::ModbusTcp, Self::Stream];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ModbusRtu => "modbus-rtu",
+            Self::ModbusTcp => "modbus-tcp",
+            Self::Stream => "stream",
+        }
+    }
+}
+
+impl fmt::Display for LinkKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for LinkKind {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|kind| kind.name() == text)
+            .ok_or_else(|| {
+                format!("link {text:?} is not known (expected modbus-rtu, modbus-tcp or stream)")
+            })
+    }
+}
+
+/// The peer speaks something else: the connection is to be closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unframeable;
+
+/// The receiving state of one session.
+pub(super) enum Dialogue {
+    ModbusRtu(Box<RtuReceiver>),
+    ModbusTcp(Box<TcpReceiver>),
+    Stream(Box<stream::Decoder>),
+}
+
+impl Dialogue {
+    pub(super) fn new(kind: LinkKind) -> Self {
+        match kind {
+            LinkKind::ModbusRtu => Self::ModbusRtu(Box::new(RtuReceiver::new(UNIT))),
+            LinkKind::ModbusTcp => Self::ModbusTcp(Box::default()),
+            LinkKind::Stream => Self::Stream(Box::default()),
+        }
+    }
+
+    /// Takes one byte at the drive's present time and appends what it makes the drive answer.
+    pub(super) fn push(
+        &mut self,
+        byte: u8,
+        drive: &mut SoftDrive,
+        answers: &mut Vec<Vec<u8>>,
+    ) -> Result<(), Unframeable> {
+        match self {
+            Self::ModbusRtu(receiver) => {
+                receiver.push(byte);
+                answer_rtu(receiver, drive, answers);
+            }
+            Self::ModbusTcp(receiver) => {
+                // 0 and 255: the device itself, whatever stands behind it.
+                if let Some(request) = receiver.push(byte).map_err(|_| Unframeable)?
+                    && matches!(request.unit, 0 | UNIT | 255)
+                {
+                    let mut frame = [0; tcp::MAX_FRAME];
+                    let length = request.answer(drive, &mut frame);
+                    answers.push(frame[..length].to_vec());
+                }
+            }
+            Self::Stream(decoder) => {
+                if let Some(received) = decoder.push(byte)
+                    && let Some(answer) = answer_stream(drive, received)
+                {
+                    let mut frame = [0; stream::MAX_FRAME];
+                    let length = stream::encode(&answer, &mut frame);
+                    answers.push(frame[..length].to_vec());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The line has been silent for a frame gap.
+    pub(super) fn idle(&mut self, drive: &mut SoftDrive, answers: &mut Vec<Vec<u8>>) {
+        if let Self::ModbusRtu(receiver) = self {
+            receiver.idle();
+            answer_rtu(receiver, drive, answers);
+        }
+    }
+}
+
+fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut SoftDrive, answers: &mut Vec<Vec<u8>>) {
+    while let Some(request) = receiver.take_frame() {
+        let mut frame = [0; rtu::MAX_FRAME];
+        let length = request.answer(drive, &mut frame);
+        if length > 0 {
+            answers.push(frame[..length].to_vec());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use firmware_protocol::stream::{Frame, Message};
+    use firmware_protocol::{Control, DriveCommand, Telemetry};
+
+    use super::*;
+    use crate::emulator::EmulatorConfig;
+
+    fn say(kind: LinkKind, bytes: &[u8]) -> Vec<Vec<u8>> {
+        let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
+        let mut dialogue = Dialogue::new(kind);
+        let mut answers = Vec::new();
+        for byte in bytes {
+            if dialogue.push(*byte, &mut drive, &mut answers).is_err() {
+                break;
+            }
+        }
+        dialogue.idle(&mut drive, &mut answers);
+        answers
+    }
+
+    fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+        let mut frame = [0; rtu::MAX_FRAME];
+        let length = rtu::encode_frame(unit, pdu, &mut frame);
+        frame[..length].to_vec()
+    }
+
+    #[test]
+    fn names_of_links_are_read_back() {
+        for kind in LinkKind::ALL {
+            assert_eq!(kind.to_string().parse(), Ok(kind));
+        }
+        assert!("modbus".parse::<LinkKind>().is_err());
+    }
+
+    #[test]
+    fn rtu_answers_its_own_unit_only_and_is_silent_on_broadcast_and_damage() {
+        let read = [3, 0, 0, 0, 16];
+        assert_eq!(say(LinkKind::ModbusRtu, &rtu_frame(1, &read))[0].len(), 37);
+        assert!(say(LinkKind::ModbusRtu, &rtu_frame(2, &read)).is_empty());
+        assert!(say(LinkKind::ModbusRtu, &rtu_frame(0, &read)).is_empty());
+        let mut damaged = rtu_frame(1, &read);
+        damaged[3] ^= 1;
+        assert!(say(LinkKind::ModbusRtu, &damaged).is_empty());
+    }
+
+    #[test]
+    fn exceptions_are_exact() {
+        let cases: [(&[u8], [u8; 2]); 6] = [
+            (&[7], [0x87, 1]),
+            (&[3, 0, 16, 0, 1], [0x83, 2]),
+            (&[3, 0, 0, 0, 0], [0x83, 3]),
+            (&[3, 0, 0, 0, 126], [0x83, 3]),
+            (&[6, 0, 0, 0, 1], [0x86, 2]),
+            (&[6, 0, 33, 0, 9], [0x86, 3]),
+        ];
+        for (request, expected) in cases {
+            let answers = say(LinkKind::ModbusRtu, &rtu_frame(1, request));
+            assert_eq!(answers, [rtu_frame(1, &expected)], "{request:?}");
+        }
+    }
+
+    #[test]
+    fn tcp_repeats_the_transaction_and_gives_up_on_another_protocol() {
+        let mut frame = [0; tcp::MAX_FRAME];
+        let length = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2], &mut frame);
+        let answers = say(LinkKind::ModbusTcp, &frame[..length]);
+        assert_eq!(answers[0][..9], [0x12, 0x34, 0, 0, 0, 7, 1, 3, 4]);
+        assert!(say(LinkKind::ModbusTcp, b"GET / HTTP/1.1\r\n\r\n").is_empty());
+    }
+
+    #[test]
+    fn the_stream_answers_a_command_with_the_sample_after_it() {
+        let command = DriveCommand {
+            seq: 700,
+            control: Control::Voltage(9.0),
+        };
+        let mut bytes = [0; stream::MAX_FRAME];
+        let length = stream::encode(&Frame::command(command), &mut bytes);
+        let answers = say(LinkKind::Stream, &bytes[..length]);
+        let mut decoder = stream::Decoder::new();
+        let answer = answers[0]
+            .iter()
+            .find_map(|byte| decoder.push(*byte))
+            .unwrap()
+            .unwrap();
+        assert_eq!(answer.seq, 700);
+        let Message::Telemetry(Telemetry {
+            seq, voltage_cmd_v, ..
+        }) = answer.message
+        else {
+            panic!("{answer:?}");
+        };
+        assert_eq!(seq, 700);
+        assert!((voltage_cmd_v - 9.0).abs() < 1e-9);
+    }
+}

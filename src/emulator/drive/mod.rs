@@ -1,0 +1,310 @@
+//! The software drive: state machine, watchdog and inverter around the true machine, as a pure function of drive time.
+//!
+//! ```text
+//! command block --> [ state machine ] --> [ output stage: loops, limits ] --> terminals --> [ truth ]
+//! watchdog, trips --^                                                                         |
+//! telemetry, capture <------------------------- sensors <-------------------------------------+
+//! registers.rs and stream.rs show all of it on the two protocols
+//! ```
+
+mod capture;
+mod output;
+mod registers;
+mod stream;
+
+use firmware_protocol::{
+    Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State, Status, Telemetry,
+};
+
+use self::capture::Capture;
+use self::output::{Output, OutputStage};
+use super::config::EmulatorConfig;
+use super::truth::effect::TrueParameter;
+use super::truth::{MotorTruth, Plant, Reading, Sensors};
+
+pub(super) use self::stream::answer as answer_stream;
+
+/// Period of the drive's control and of the plant's integration.
+const TICK_US: u32 = 50;
+const TICK_S: f64 = TICK_US as f64 * 1e-6;
+const TICKS_PER_MS: u64 = 1000 / TICK_US as u64;
+/// Captured samples lie this far apart.
+const CAPTURE_TICKS: u64 = 2;
+/// The winding's thermal switch opens at 155 C (insulation class F) with 25 C around.
+const WINDING_TRIP_K: f64 = 130.0;
+
+/// The software drive. Time only moves in [`SoftDrive::advance_to`] and, by at most one tick, in
+/// [`SoftDrive::command`].
+pub struct SoftDrive {
+    identity: Identity,
+    specimen: MotorTruth,
+    hidden: Vec<(&'static str, TrueParameter)>,
+    plant: Plant,
+    sensors: Sensors,
+    output_stage: OutputStage,
+    output: Output,
+    /// The output of this tick is decided already.
+    output_fresh: bool,
+    capture: Capture,
+    state: State,
+    fault: Fault,
+    /// The set-point in force while running.
+    control: Control,
+    seq: u16,
+    applied_tick: u64,
+    kicked_tick: u64,
+    applied_unread: bool,
+    tick: u64,
+    command_block: registers::CommandBlock,
+}
+
+impl SoftDrive {
+    /// A drive just powered up: disabled, motor cold and at rest, drive time 0. The seed fixes specimen and noise.
+    pub fn new(config: &EmulatorConfig, seed: u64) -> Self {
+        let specimen = config.motor.specimen(config.tolerance, seed);
+        let hidden = config
+            .hidden
+            .iter()
+            .flat_map(|effect| {
+                effect
+                    .parameters()
+                    .into_iter()
+                    .map(|parameter| (effect.id(), parameter))
+            })
+            .collect();
+        Self {
+            identity: identity(config, seed),
+            hidden,
+            plant: Plant::new(specimen.clone(), &config.hidden),
+            specimen,
+            sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), seed),
+            output_stage: OutputStage::new(&config.limits, &config.motor),
+            output: Output::off(config.limits.output_off, config.limits.bus_v),
+            output_fresh: false,
+            capture: Capture::default(),
+            state: State::Disabled,
+            fault: Fault::None,
+            control: Control::Disable,
+            seq: 0,
+            applied_tick: 0,
+            kicked_tick: 0,
+            applied_unread: false,
+            tick: 0,
+            command_block: registers::CommandBlock::default(),
+        }
+    }
+
+    /// Drive time, s.
+    pub fn time_s(&self) -> f64 {
+        self.tick as f64 * TICK_S
+    }
+
+    /// Lets drive time reach `time_s`; a time that has passed changes nothing.
+    pub fn advance_to(&mut self, time_s: f64) {
+        // The small addend keeps a time that was computed as n ticks from being read as one tick less.
+        let target = (time_s / TICK_S + 1e-6).floor();
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "the cast saturates; a negative time has passed"
+        )]
+        let target = target as u64;
+        while self.tick < target {
+            self.step();
+        }
+    }
+
+    /// Takes a command: it is applied on the next control tick, to which the drive advances.
+    pub fn command(&mut self, command: DriveCommand) {
+        self.step();
+        self.apply(command);
+    }
+
+    /// One sample at the present drive time.
+    pub fn telemetry(&mut self) -> Telemetry {
+        let reading = self.reading();
+        let status = Status::new(self.state)
+            .with(Status::CURRENT_LIMIT, self.output.current_limited)
+            .with(Status::VOLTAGE_LIMIT, self.output.voltage_limited)
+            .with(Status::WATCHDOG, self.fault == Fault::Watchdog)
+            .with(
+                Status::COMMAND_APPLIED,
+                std::mem::take(&mut self.applied_unread),
+            )
+            .with(Status::EMULATOR, true);
+        Telemetry {
+            status,
+            fault: self.fault,
+            seq: self.seq,
+            time_us: micros(self.tick),
+            applied_us: micros(self.applied_tick),
+            voltage_v: reading.voltage_v,
+            current_a: reading.current_a,
+            speed_rad_s: reading.speed_rad_s,
+            angle_rad: reading.angle_rad,
+            bus_v: reading.bus_v,
+            // This drive has no sensor in its output stage.
+            temperature_c: f64::NAN,
+            voltage_cmd_v: self.output.volts(),
+            protocol_version: PROTOCOL_VERSION,
+        }
+    }
+
+    pub const fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    pub const fn state(&self) -> State {
+        self.state
+    }
+
+    pub const fn fault(&self) -> Fault {
+        self.fault
+    }
+
+    /// The true parameters of this specimen: for tests, and for the one who reveals a mystery.
+    pub const fn truth(&self) -> &MotorTruth {
+        &self.specimen
+    }
+
+    /// The true parameters of the hidden effects, as `(effect id, parameter)`.
+    pub fn hidden(&self) -> &[(&'static str, TrueParameter)] {
+        &self.hidden
+    }
+
+    /// The true machine: for tests and for comparing a sensor with the truth.
+    pub const fn plant(&self) -> &Plant {
+        &self.plant
+    }
+
+    /// Changes the watchdog time; false if it is outside of what the register allows.
+    pub(in crate::emulator) fn set_watchdog_ms(&mut self, ms: u16) -> bool {
+        let allowed = firmware_protocol::registers::WATCHDOG.allows(ms.into());
+        if allowed {
+            self.identity.watchdog_ms = ms;
+        }
+        allowed
+    }
+
+    /// One control period: supervision, output, plant, capture.
+    fn step(&mut self) {
+        self.supervise();
+        if !std::mem::take(&mut self.output_fresh) {
+            self.refresh_output();
+        }
+        self.plant.advance(self.output.terminals, TICK_S);
+        self.tick += 1;
+        if self.capture.is_due(self.tick, CAPTURE_TICKS) {
+            let reading = self.reading();
+            self.capture.record(self.tick, &reading);
+        }
+    }
+
+    /// What makes the drive stop by itself.
+    fn supervise(&mut self) {
+        let limit_ticks = u64::from(self.identity.watchdog_ms) * TICKS_PER_MS;
+        if self.state == State::Running && self.tick - self.kicked_tick >= limit_ticks {
+            self.trip(Fault::Watchdog);
+        }
+        if self.plant.speed_rad_s().abs() > self.identity.speed_limit_rad_s {
+            self.trip(Fault::OverSpeed);
+        }
+        if self.plant.winding_rise_k() > WINDING_TRIP_K {
+            self.trip(Fault::OverTemperature);
+        }
+    }
+
+    fn trip(&mut self, fault: Fault) {
+        // The first cause stays.
+        if self.state != State::Fault {
+            self.state = State::Fault;
+            self.fault = fault;
+            self.output_fresh = false;
+        }
+    }
+
+    /// The state machine. Every command kicks the watchdog and is echoed, also where a latched fault keeps it from
+    /// having an effect: the echo with the state is how the host learns that.
+    fn apply(&mut self, command: DriveCommand) {
+        let before = (self.state, self.control.code());
+        match (self.state, command.control) {
+            (State::Fault, Control::ResetFault) => {
+                self.state = State::Disabled;
+                self.fault = Fault::None;
+            }
+            (State::Fault, _) | (_, Control::ResetFault) => {}
+            (_, Control::Disable) => self.state = State::Disabled,
+            (_, Control::Stop) => self.state = State::Ready,
+            (_, set_point) => {
+                self.state = State::Running;
+                self.control = set_point;
+            }
+        }
+        if before != (self.state, self.control.code()) {
+            self.output_stage.restart(&self.plant);
+        }
+        self.seq = command.seq;
+        self.applied_tick = self.tick;
+        self.kicked_tick = self.tick;
+        self.applied_unread = true;
+        // The new voltage stands at the terminals from this instant on.
+        self.refresh_output();
+        self.output_fresh = true;
+        self.plant.hold(self.output.terminals);
+        self.capture.command_applied();
+        if self.capture.is_due(self.tick, CAPTURE_TICKS) {
+            let reading = self.reading();
+            self.capture.record(self.tick, &reading);
+        }
+    }
+
+    fn refresh_output(&mut self) {
+        let control = (self.state == State::Running).then_some(self.control);
+        self.output = self.output_stage.output(control, &self.plant);
+    }
+
+    fn reading(&mut self) -> Reading {
+        let truth = Reading {
+            voltage_v: self.plant.terminal_v(),
+            current_a: self.plant.current_a(),
+            speed_rad_s: self.plant.speed_rad_s(),
+            angle_rad: self.plant.angle_rad(),
+            bus_v: self.identity.voltage_limit_v,
+        };
+        self.sensors.read(self.tick, truth)
+    }
+}
+
+/// Drive time as the protocols carry it.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the counter wraps, as the protocol says"
+)]
+const fn micros(tick: u64) -> u32 {
+    tick.wrapping_mul(TICK_US as u64) as u32
+}
+
+fn identity(config: &EmulatorConfig, seed: u64) -> Identity {
+    let [.., b3, b2, b1, b0] = seed.to_be_bytes();
+    Identity {
+        kind: DeviceKind(
+            DeviceKind::EMULATOR | DeviceKind::VOLTAGE | DeviceKind::CURRENT | DeviceKind::SPEED,
+        ),
+        serial_number: u32::from_be_bytes([b3, b2, b1, b0]),
+        firmware_version: 0x0001,
+        current_limit_a: config.limits.current_limit_a,
+        voltage_limit_v: config.limits.bus_v,
+        speed_limit_rad_s: config.limits.speed_limit_rad_s,
+        watchdog_ms: config.watchdog_ms,
+        pole_pairs: 0,
+        rated_voltage_v: config.motor.rated_voltage_v,
+        rated_current_a: config.motor.rated_current_a,
+        rated_speed_rad_s: config.motor.rated_speed_rad_s,
+        control_period_us: TICK_US as u16,
+        capture_period_us: TICK_US as u16 * CAPTURE_TICKS as u16,
+        capture_length: capture::LENGTH as u16,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,363 @@
+use firmware_protocol::modbus::{Exception, RegisterBank};
+use firmware_protocol::registers as r;
+use firmware_protocol::{CaptureControl, CaptureState};
+
+use super::*;
+use crate::emulator::config::OutputOff;
+
+fn plain() -> EmulatorConfig {
+    let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+    config.tolerance = 0.0;
+    config
+}
+
+fn drive() -> SoftDrive {
+    SoftDrive::new(&plain(), 1)
+}
+
+fn send(drive: &mut SoftDrive, seq: u16, control: Control) {
+    drive.command(DriveCommand { seq, control });
+}
+
+/// Keeps the drive fed with one control for `time_s`.
+fn hold(drive: &mut SoftDrive, control: Control, time_s: f64) {
+    let end = drive.time_s() + time_s;
+    while drive.time_s() < end {
+        send(drive, 7, control);
+        let next = (drive.time_s() + 0.01).min(end);
+        drive.advance_to(next);
+    }
+}
+
+#[test]
+fn the_state_machine_is_the_table() {
+    use Control::{Disable, ResetFault, Stop, Voltage};
+    use State::{Disabled, Fault as Faulted, Ready, Running};
+    let table = [
+        (Disabled, Disable, Disabled),
+        (Disabled, Stop, Ready),
+        (Disabled, ResetFault, Disabled),
+        (Disabled, Voltage(5.0), Running),
+        (Ready, Disable, Disabled),
+        (Ready, Stop, Ready),
+        (Ready, ResetFault, Ready),
+        (Ready, Voltage(5.0), Running),
+        (Running, Disable, Disabled),
+        (Running, Stop, Ready),
+        (Running, ResetFault, Running),
+        (Running, Voltage(5.0), Running),
+        (Faulted, Disable, Faulted),
+        (Faulted, Stop, Faulted),
+        (Faulted, ResetFault, Disabled),
+        (Faulted, Voltage(5.0), Faulted),
+    ];
+    for (from, control, to) in table {
+        let mut drive = drive();
+        match from {
+            Disabled => {}
+            Ready => send(&mut drive, 1, Stop),
+            Running => send(&mut drive, 1, Voltage(1.0)),
+            Faulted => {
+                send(&mut drive, 1, Voltage(1.0));
+                drive.advance_to(1.0);
+            }
+        }
+        assert_eq!(drive.state(), from);
+        send(&mut drive, 2, control);
+        assert_eq!(drive.state(), to, "{from:?} {control:?}");
+        let energised = drive.telemetry().voltage_cmd_v.abs() > 0.0;
+        assert_eq!(energised, to == Running, "{from:?} {control:?}");
+        assert_eq!(
+            drive.telemetry().seq,
+            2,
+            "echoed even where it has no effect"
+        );
+    }
+}
+
+#[test]
+fn the_watchdog_stops_the_motor_and_stays_latched() {
+    let mut drive = drive();
+    hold(&mut drive, Control::Voltage(60.0), 1.0);
+    assert!(drive.plant().speed_rad_s() > 150.0);
+    let silent_from = drive.time_s();
+    // Reading is not a sign of life.
+    while drive.time_s() < silent_from + 0.195 {
+        let next = drive.time_s() + 0.005;
+        drive.advance_to(next);
+        drive.telemetry();
+    }
+    assert_eq!(drive.state(), State::Running);
+    drive.advance_to(silent_from + 0.201);
+    let telemetry = drive.telemetry();
+    assert_eq!(telemetry.status.state(), Some(State::Fault));
+    assert_eq!(telemetry.fault, Fault::Watchdog);
+    assert!(telemetry.status.has(Status::WATCHDOG));
+    drive.advance_to(silent_from + 2.0);
+    assert!(
+        drive.plant().speed_rad_s() == 0.0,
+        "stopped without the host"
+    );
+    hold(&mut drive, Control::Voltage(60.0), 0.1);
+    assert!(
+        drive.plant().speed_rad_s() == 0.0,
+        "no restart without a reset"
+    );
+    send(&mut drive, 8, Control::ResetFault);
+    drive.advance_to(drive.time_s() + 0.1);
+    assert!(
+        drive.plant().speed_rad_s() == 0.0,
+        "no restart without a new set-point"
+    );
+    hold(&mut drive, Control::Voltage(60.0), 0.1);
+    assert!(drive.plant().speed_rad_s() > 1.0);
+    assert!(!drive.telemetry().status.has(Status::WATCHDOG));
+}
+
+#[test]
+fn a_command_is_stamped_with_the_tick_that_applied_it() {
+    let mut drive = drive();
+    drive.advance_to(0.010_02);
+    send(&mut drive, 300, Control::Voltage(12.0));
+    let telemetry = drive.telemetry();
+    assert_eq!(
+        (telemetry.seq, telemetry.applied_us, telemetry.time_us),
+        (300, 10_050, 10_050)
+    );
+    assert!((telemetry.voltage_cmd_v - 12.0).abs() < 1e-12);
+    assert!(
+        (telemetry.voltage_v - 12.0).abs() < 0.1,
+        "sampled after it was applied"
+    );
+    assert!(telemetry.status.has(Status::COMMAND_APPLIED));
+    drive.advance_to(0.020);
+    let later = drive.telemetry();
+    assert_eq!((later.applied_us, later.time_us), (10_050, 20_000));
+    assert!(!later.status.has(Status::COMMAND_APPLIED));
+    // 9.95 ms of 12 V at a shaft held by nothing: compare with the armature's exponential, speed still low.
+    assert!(later.current_a > 5.0);
+}
+
+#[test]
+fn the_drive_time_counter_wraps_and_time_never_goes_back() {
+    assert_eq!(
+        micros(1 << 32),
+        0_u32.wrapping_add(((1_u64 << 32) * 50 % (1 << 32)) as u32)
+    );
+    assert_eq!(micros(85_899_346), 4); // 4,294,967,300 us
+    let mut drive = drive();
+    drive.advance_to(0.5);
+    drive.advance_to(0.2);
+    assert!((drive.time_s() - 0.5).abs() < 1e-9);
+}
+
+#[test]
+fn the_current_stays_within_the_limit_in_both_directions() {
+    let mut drive = drive();
+    let mut limited = false;
+    for control in [110.0, -110.0, 0.0].map(Control::Voltage) {
+        for _ in 0..500 {
+            send(&mut drive, 1, control);
+            drive.advance_to(drive.time_s() + 0.001);
+            assert!(drive.plant().current_a().abs() < 11.4 * 1.001);
+            limited |= drive.telemetry().status.has(Status::CURRENT_LIMIT);
+        }
+    }
+    assert!(limited);
+    send(&mut drive, 1, Control::Voltage(0.0));
+    hold(&mut drive, Control::Voltage(30.0), 1.0);
+    assert!(!drive.telemetry().status.has(Status::CURRENT_LIMIT));
+}
+
+#[test]
+fn no_more_than_the_bus_voltage_comes_out() {
+    let mut config = plain();
+    config.limits.speed_limit_rad_s = 1000.0;
+    let mut drive = SoftDrive::new(&config, 1);
+    hold(&mut drive, Control::Voltage(500.0), 3.0);
+    let telemetry = drive.telemetry();
+    assert!((telemetry.voltage_cmd_v - 120.0).abs() < 1e-12);
+    assert!(telemetry.status.has(Status::VOLTAGE_LIMIT));
+}
+
+#[test]
+fn over_speed_trips() {
+    let mut config = plain();
+    config.limits.speed_limit_rad_s = 100.0;
+    let mut drive = SoftDrive::new(&config, 1);
+    hold(&mut drive, Control::Voltage(60.0), 1.0);
+    assert_eq!(
+        (drive.state(), drive.fault()),
+        (State::Fault, Fault::OverSpeed)
+    );
+    assert!(drive.plant().speed_rad_s() < 1.0);
+}
+
+#[test]
+fn a_hot_winding_trips() {
+    let mut config = EmulatorConfig::embedded("zk-22fc-warming").unwrap();
+    config.motor.load_torque_n_m = 100.0;
+    let mut drive = SoftDrive::new(&config, 1);
+    hold(&mut drive, Control::Current(9.0), 10.0);
+    assert_eq!(drive.fault(), Fault::OverTemperature);
+}
+
+#[test]
+fn the_inner_loops_reach_their_set_points() {
+    let mut config = plain();
+    config.tolerance = 0.1;
+    let mut drive = SoftDrive::new(&config, 4);
+    hold(&mut drive, Control::Current(3.0), 0.03);
+    assert!((drive.plant().current_a() - 3.0).abs() < 0.1);
+    hold(&mut drive, Control::Speed(120.0), 2.0);
+    assert!((drive.plant().speed_rad_s() - 120.0).abs() < 0.5);
+    hold(&mut drive, Control::Speed(-80.0), 2.0);
+    assert!((drive.plant().speed_rad_s() + 80.0).abs() < 0.5);
+}
+
+#[test]
+fn an_open_output_lets_the_motor_coast() {
+    let mut config = plain();
+    config.limits.output_off = OutputOff::Open;
+    let (mut open, mut short) = (SoftDrive::new(&config, 1), drive());
+    for drive in [&mut open, &mut short] {
+        hold(drive, Control::Voltage(60.0), 1.0);
+        send(drive, 9, Control::Stop);
+        drive.advance_to(1.5);
+    }
+    assert!(
+        open.plant().speed_rad_s() > 100.0,
+        "{}",
+        open.plant().speed_rad_s()
+    );
+    assert!(short.plant().speed_rad_s() == 0.0);
+}
+
+/// Everything that telemetry carries, as registers, over a script of commands and reads.
+fn trace(seed: u64) -> Vec<[u16; r::TELEMETRY_WORDS]> {
+    let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), seed);
+    (0..400)
+        .map(|cycle| {
+            drive.advance_to(f64::from(cycle) * 0.010_3);
+            let volts = 40.0 * (f64::from(cycle) * 0.05).sin();
+            send(&mut drive, 1, Control::Voltage(volts));
+            drive.telemetry().to_registers()
+        })
+        .collect()
+}
+
+#[test]
+fn one_seed_gives_one_trace_to_the_bit() {
+    assert_eq!(trace(42), trace(42));
+    assert_ne!(trace(42), trace(43));
+}
+
+#[test]
+fn how_often_the_drive_is_advanced_makes_no_difference() {
+    let (mut fine, mut coarse) = (drive(), drive());
+    for drive in [&mut fine, &mut coarse] {
+        send(drive, 1, Control::Voltage(24.0));
+    }
+    for step in 1..=1900 {
+        fine.advance_to(f64::from(step) * 1e-4);
+    }
+    coarse.advance_to(0.19);
+    assert_eq!(
+        fine.telemetry().to_registers(),
+        coarse.telemetry().to_registers()
+    );
+}
+
+#[test]
+fn registers_refuse_what_the_table_forbids() {
+    let mut drive = drive();
+    let refused = |result: Result<(), Exception>, expected| assert_eq!(result, Err(expected));
+    refused(drive.read(16, &mut [0]), Exception::IllegalAddress);
+    refused(drive.read(0, &mut [0; 17]), Exception::IllegalAddress);
+    refused(drive.read(250, &mut [0; 100]), Exception::IllegalAddress);
+    refused(drive.write(0, &[1]), Exception::IllegalAddress);
+    refused(drive.write(32, &[1, 3, 0, 0, 0]), Exception::IllegalAddress);
+    refused(drive.write(34, &[1]), Exception::IllegalAddress);
+    refused(drive.write(33, &[6]), Exception::IllegalValue);
+    refused(drive.write(73, &[19]), Exception::IllegalValue);
+    refused(drive.write(73, &[5001]), Exception::IllegalValue);
+    refused(drive.write(64, &[0]), Exception::IllegalAddress);
+    refused(drive.write(32, &[1, 3, 0x8000, 0]), Exception::IllegalValue);
+    assert_eq!(drive.state(), State::Disabled);
+    assert_eq!(drive.telemetry().seq, 0, "nothing of it had an effect");
+}
+
+#[test]
+fn registers_show_the_drive() {
+    let mut drive = drive();
+    drive.write(73, &[150]).unwrap();
+    let command = DriveCommand {
+        seq: 513,
+        control: Control::Voltage(-12.345),
+    };
+    drive
+        .write(r::COMMAND_ADDRESS, &command.to_registers())
+        .unwrap();
+    let mut block = [0; r::TELEMETRY_WORDS];
+    drive.read(0, &mut block).unwrap();
+    let telemetry = Telemetry::from_registers(&block);
+    assert_eq!(telemetry.seq, 513);
+    assert!((telemetry.voltage_cmd_v + 12.345).abs() <= 0.005 + 1e-9);
+    assert!(telemetry.temperature_c.is_nan());
+    let mut identity = [0; r::IDENTITY_WORDS];
+    drive.read(r::IDENTITY_ADDRESS, &mut identity).unwrap();
+    let identity = Identity::from_registers(&identity).unwrap();
+    assert_eq!(
+        (identity.watchdog_ms, identity.control_period_us),
+        (150, 50)
+    );
+    assert!(identity.kind.has(DeviceKind::EMULATOR));
+    let mut echoed = [0; r::COMMAND_WORDS];
+    drive.read(r::COMMAND_ADDRESS, &mut echoed).unwrap();
+    assert_eq!(echoed, command.to_registers());
+}
+
+#[test]
+fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
+    let mut drive = drive();
+    drive.advance_to(0.1);
+    drive
+        .write(r::CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()])
+        .unwrap();
+    drive.advance_to(0.2);
+    hold(&mut drive, Control::Voltage(10.0), 0.5);
+    let mut head = [0; 7];
+    drive.read(r::CAPTURE_ADDRESS, &mut head).unwrap();
+    assert_eq!(head[1], CaptureState::Complete.code());
+    assert_eq!(usize::from(head[2]), capture::LENGTH);
+    assert_eq!(r::CAPTURE_TIME.get(&head, r::CAPTURE_ADDRESS), 200_050);
+    drive.write(r::WINDOW_INDEX.address, &[20]).unwrap();
+    let mut window = [0; 1 + 40 * 3];
+    drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
+    assert_eq!(window[0], 40);
+    let sample =
+        firmware_protocol::CaptureSample::from_registers(&[window[1], window[2], window[3]]);
+    // Sample 20 is 2 ms after the step: i = U/R (1 - exp(-t R/L)), the shaft still almost at rest.
+    let expected = 10.0 / 1.1 * (1.0 - (-0.002_f64 / 0.009).exp());
+    assert!(
+        (sample.current_a - expected).abs() < 0.2,
+        "{} {expected}",
+        sample.current_a
+    );
+    assert!((sample.voltage_v - 10.0).abs() < 0.1);
+    // Past the end the window is empty.
+    drive.write(r::WINDOW_INDEX.address, &[5000]).unwrap();
+    drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
+    assert_eq!(window[0], 0);
+}
+
+#[test]
+fn the_specimen_differs_from_the_nameplate_within_tolerance() {
+    let config = EmulatorConfig::embedded_default();
+    let drive = SoftDrive::new(&config, 77);
+    let ratio = drive.truth().inertia_kg_m2 / config.motor.inertia_kg_m2;
+    assert!((ratio - 1.0).abs() <= 0.1 && (ratio - 1.0).abs() > 0.0);
+    let keys: Vec<&str> = drive.hidden().iter().map(|(_, (key, ..))| *key).collect();
+    assert_eq!(keys, ["stribeck_n_m", "stribeck_speed_rad_s"]);
+    assert_eq!(drive.identity().serial_number, 77);
+}

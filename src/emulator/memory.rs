@@ -1,0 +1,393 @@
+//! The drive in memory: a [`DriveLink`] in virtual time, through the real register codec.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use firmware_protocol::modbus::{Exception, RegisterBank};
+use firmware_protocol::registers::{
+    COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS, PROTOCOL_VERSION, TELEMETRY_ADDRESS,
+    TELEMETRY_WORDS,
+};
+use firmware_protocol::{Control, DeviceKind, DriveCommand, Fault, State, Telemetry};
+
+use super::SoftDrive;
+use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
+
+/// Times that a stop is asked for before it counts as failed.
+const STOP_ATTEMPTS: usize = 3;
+/// Counters of microseconds wrap here, s.
+const TIME_SPAN_S: f64 = 4_294.967_296;
+
+/// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct VirtualClock(Arc<AtomicU64>);
+
+impl VirtualClock {
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    pub fn set_time_s(&self, time_s: f64) {
+        self.0.store(time_s.to_bits(), Ordering::Release);
+    }
+
+    pub fn time_s(&self) -> f64 {
+        f64::from_bits(self.0.load(Ordering::Acquire))
+    }
+}
+
+/// How long request and reply are under way, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Latency {
+    /// From the host's clock to the drive applying the command and taking the sample.
+    pub request_s: f64,
+    /// From there to the host having the reply.
+    pub reply_s: f64,
+}
+
+impl Default for Latency {
+    /// What a request of 21 and a reply of 37 bytes take at 115200 baud with silent gaps.
+    fn default() -> Self {
+        Self {
+            request_s: 0.001_8,
+            reply_s: 0.005_5,
+        }
+    }
+}
+
+/// The software drive as a link, without a wire.
+pub struct MemoryLink {
+    drive: SoftDrive,
+    clock: VirtualClock,
+    latency: Latency,
+    statistics: LinkStatistics,
+    last_seq: u64,
+    time: Unwrapped,
+    applied_time: Unwrapped,
+    angle: Unwrapped,
+}
+
+impl MemoryLink {
+    pub const fn new(drive: SoftDrive, clock: VirtualClock, latency: Latency) -> Self {
+        Self {
+            drive,
+            clock,
+            latency,
+            statistics: LinkStatistics {
+                sent: 0,
+                ok: 0,
+                timeout: 0,
+                crc: 0,
+                mismatch: 0,
+                exception: 0,
+                io: 0,
+            },
+            last_seq: 0,
+            time: Unwrapped::new(TIME_SPAN_S),
+            applied_time: Unwrapped::new(TIME_SPAN_S),
+            angle: Unwrapped::new(Telemetry::ANGLE_SPAN_RAD),
+        }
+    }
+
+    /// The drive behind the link: its truth is for tests and for revealing a mystery.
+    pub const fn drive(&self) -> &SoftDrive {
+        &self.drive
+    }
+
+    /// One exchange with the register bank, counted.
+    fn ask<const N: usize>(
+        &mut self,
+        write: Option<(u16, &[u16])>,
+        address: u16,
+        request: &str,
+    ) -> Result<[u16; N], LinkError> {
+        self.statistics.sent += 1;
+        self.drive
+            .advance_to(self.clock.time_s() + self.latency.request_s);
+        let mut block = [0; N];
+        let answer = write
+            .map_or(Ok(()), |(address, values)| {
+                self.drive.write(address, values)
+            })
+            .and_then(|()| self.drive.read(address, &mut block));
+        match answer {
+            Ok(()) => {
+                self.statistics.ok += 1;
+                Ok(block)
+            }
+            Err(exception) => {
+                self.statistics.exception += 1;
+                Err(LinkError::Exception {
+                    link: self.name().0,
+                    request: request.to_owned(),
+                    code: exception.code(),
+                    name: exception_name(exception),
+                })
+            }
+        }
+    }
+
+    fn sample(&mut self, telemetry: &Telemetry, seq: u64) -> Sample {
+        let mut sample = Sample::at(self.time.follow(f64::from(telemetry.time_us) * 1e-6));
+        sample.host_time_s =
+            Some(self.clock.time_s() + self.latency.request_s + self.latency.reply_s);
+        sample.seq = Some(seq);
+        sample.state = Some(match telemetry.status.state() {
+            Some(State::Disabled) => DriveState::Disabled,
+            Some(State::Ready) => DriveState::Ready,
+            Some(State::Running) => DriveState::Running,
+            Some(State::Fault) | None => DriveState::Fault,
+        });
+        sample.status = Some(telemetry.status.0);
+        sample.fault = (telemetry.fault != Fault::None).then(|| telemetry.fault.code());
+        sample.applied = Some(Applied {
+            seq,
+            time_s: self
+                .applied_time
+                .follow(f64::from(telemetry.applied_us) * 1e-6),
+        });
+        sample.set(Channel::VoltageCmd, telemetry.voltage_cmd_v);
+        sample.set(Channel::Voltage, telemetry.voltage_v);
+        sample.set(Channel::Current, telemetry.current_a);
+        sample.set(Channel::Speed, telemetry.speed_rad_s);
+        sample.set(Channel::Angle, self.angle.follow(telemetry.angle_rad));
+        sample.set(Channel::Bus, telemetry.bus_v);
+        sample.set(Channel::Temperature, telemetry.temperature_c);
+        sample
+    }
+}
+
+impl DriveLink for MemoryLink {
+    fn name(&self) -> LinkName {
+        LinkName("sim:".to_owned())
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        let block: [u16; IDENTITY_WORDS] = self.ask(None, IDENTITY_ADDRESS, "read the identity")?;
+        let identity = firmware_protocol::Identity::from_registers(&block).map_err(|error| {
+            LinkError::Identity {
+                link: self.name().0,
+                reason: format!("the identity block cannot be read: {error:?}"),
+            }
+        })?;
+        let text = |object| {
+            self.drive
+                .identification(object)
+                .unwrap_or_default()
+                .to_owned()
+        };
+        Ok(Identity {
+            vendor: text(0),
+            product: text(4),
+            serial_number: identity.serial_number.to_string(),
+            firmware: text(2),
+            protocol_version: PROTOCOL_VERSION,
+            is_emulator: identity.kind.has(DeviceKind::EMULATOR),
+            watchdog_s: Some(f64::from(identity.watchdog_ms) * 1e-3),
+            current_limit_a: Some(identity.current_limit_a),
+            voltage_limit_v: Some(identity.voltage_limit_v),
+        })
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        let control = match command.demand {
+            Demand::Disable => Control::Disable,
+            Demand::Stop => Control::Stop,
+            Demand::ResetFault => Control::ResetFault,
+            Demand::Voltage(volts) => Control::Voltage(volts),
+            Demand::Current(amperes) => Control::Current(amperes),
+            Demand::Speed(speed) => Control::Speed(speed),
+        };
+        let block = DriveCommand {
+            seq: low_word(command.seq),
+            control,
+        }
+        .to_registers();
+        self.last_seq = command.seq;
+        let reply: [u16; TELEMETRY_WORDS] = self.ask(
+            Some((COMMAND_ADDRESS, &block)),
+            TELEMETRY_ADDRESS,
+            "write the command and read the telemetry",
+        )?;
+        let telemetry = Telemetry::from_registers(&reply);
+        Ok(self.sample(&telemetry, command.seq))
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        for _ in 0..STOP_ATTEMPTS {
+            let stop = Command {
+                seq: self.last_seq.wrapping_add(1),
+                demand: Demand::Stop,
+            };
+            if self.exchange(stop)?.state != Some(DriveState::Running) {
+                return Ok(());
+            }
+        }
+        Err(LinkError::Corrupt {
+            link: self.name().0,
+            reason: "the drive still runs after it was told to stop".to_owned(),
+        })
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.statistics
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// The part of a sequence number that travels.
+const fn low_word(seq: u64) -> u16 {
+    let [.., high, low] = seq.to_be_bytes();
+    u16::from_be_bytes([high, low])
+}
+
+const fn exception_name(exception: Exception) -> &'static str {
+    match exception {
+        Exception::IllegalFunction => "illegal function",
+        Exception::IllegalAddress => "illegal data address",
+        Exception::IllegalValue => "illegal data value",
+        Exception::DeviceFailure => "device failure",
+        Exception::Busy => "device busy",
+    }
+}
+
+/// A counter that wraps, followed over its wraps; it moves by less than half its span between two looks.
+struct Unwrapped {
+    span: f64,
+    last: Option<f64>,
+    turns: f64,
+}
+
+impl Unwrapped {
+    const fn new(span: f64) -> Self {
+        Self {
+            span,
+            last: None,
+            turns: 0.0,
+        }
+    }
+
+    fn follow(&mut self, raw: f64) -> f64 {
+        if let Some(last) = self.last.replace(raw) {
+            if raw - last > 0.5 * self.span {
+                self.turns -= 1.0;
+            } else if last - raw > 0.5 * self.span {
+                self.turns += 1.0;
+            }
+        }
+        raw + self.turns * self.span
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::emulator::EmulatorConfig;
+
+    fn link(seed: u64) -> (MemoryLink, VirtualClock) {
+        let clock = VirtualClock::new();
+        let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), seed);
+        (
+            MemoryLink::new(drive, clock.clone(), Latency::default()),
+            clock,
+        )
+    }
+
+    fn volts(seq: u64, volts: f64) -> Command {
+        Command {
+            seq,
+            demand: Demand::Voltage(volts),
+        }
+    }
+
+    #[test]
+    fn it_says_that_it_is_an_emulator_and_what_it_limits() {
+        let (mut link, _) = link(9);
+        let identity = link.identify().unwrap();
+        assert!(identity.is_emulator);
+        assert_eq!(identity.watchdog_s, Some(0.2));
+        assert_eq!(identity.current_limit_a, Some(11.4));
+        assert_eq!(identity.voltage_limit_v, Some(120.0));
+        assert_eq!(identity.serial_number, "9");
+    }
+
+    #[test]
+    fn the_sample_is_taken_after_the_command_and_the_latency_is_visible() {
+        let (mut link, clock) = link(1);
+        clock.set_time_s(1.0);
+        let sample = link.exchange(volts(70_000, 24.0)).unwrap();
+        let applied = sample.applied.unwrap();
+        assert_eq!((sample.seq, applied.seq), (Some(70_000), 70_000));
+        assert!((1.001_8..=1.001_851).contains(&applied.time_s));
+        assert!(sample.time_s >= applied.time_s);
+        assert!((sample.host_time_s.unwrap() - 1.007_3).abs() < 1e-9);
+        assert_eq!(sample.get(Channel::VoltageCmd), Some(24.0));
+        assert!((sample.get(Channel::Voltage).unwrap() - 24.0).abs() < 0.2);
+        assert_eq!(sample.state, Some(DriveState::Running));
+        assert_eq!(sample.get(Channel::Temperature), None, "missing, not zero");
+    }
+
+    #[test]
+    fn values_carry_the_quantisation_of_the_registers() {
+        let (mut link, clock) = link(1);
+        for cycle in 0..50_u32 {
+            clock.set_time_s(f64::from(cycle) * 0.01);
+            let sample = link.exchange(volts(cycle.into(), 24.0)).unwrap();
+            let steps = sample.get(Channel::Speed).unwrap() / 0.02;
+            assert!((steps - steps.round()).abs() < 1e-6);
+        }
+        assert!(link.drive().plant().speed_rad_s() > 20.0);
+    }
+
+    #[test]
+    fn two_links_of_one_seed_agree_to_the_bit() {
+        let ((mut a, clock_a), (mut b, clock_b)) = (link(5), link(5));
+        for cycle in 0..200_u32 {
+            let time = f64::from(cycle) * 0.01;
+            clock_a.set_time_s(time);
+            clock_b.set_time_s(time);
+            let command = volts(cycle.into(), 30.0 * (time * 7.0).sin());
+            assert_eq!(a.exchange(command).unwrap(), b.exchange(command).unwrap());
+        }
+    }
+
+    #[test]
+    fn a_command_that_means_nothing_is_refused_and_counted() {
+        let (mut link, _) = link(1);
+        let error = link.exchange(volts(1, f64::NAN)).unwrap_err();
+        assert!(matches!(error, LinkError::Exception { code: 3, .. }));
+        link.exchange(volts(2, 5.0)).unwrap();
+        link.stop().unwrap();
+        let statistics = link.statistics();
+        assert!(statistics.balances());
+        assert_eq!((statistics.sent, statistics.exception), (3, 1));
+    }
+
+    #[test]
+    fn silence_of_the_host_ends_in_a_fault_that_the_sample_names() {
+        let (mut link, clock) = link(1);
+        link.exchange(volts(1, 20.0)).unwrap();
+        clock.set_time_s(0.5);
+        let sample = link.exchange(volts(2, 20.0)).unwrap();
+        assert_eq!(sample.state, Some(DriveState::Fault));
+        assert_eq!(sample.fault, Some(Fault::Watchdog.code()));
+        let reset = Command {
+            seq: 3,
+            demand: Demand::ResetFault,
+        };
+        assert_eq!(link.exchange(reset).unwrap().fault, None);
+    }
+
+    #[test]
+    fn counters_are_followed_over_their_wraps_in_both_directions() {
+        let mut counter = Unwrapped::new(10.0);
+        let seen: Vec<f64> = [8.0, 9.0, 1.0, 9.5, 0.5]
+            .map(|raw| counter.follow(raw))
+            .into();
+        assert_eq!(seen, [8.0, 9.0, 11.0, 9.5, 10.5]);
+    }
+}

@@ -1,0 +1,132 @@
+//! The timing of a serial line: without it a pseudo-terminal is a hundred times faster than any wire.
+//!
+//! ```text
+//! host writes   |rrrrrrrr|                      request, one character after the other
+//! drive                  ^applied |gap|turnaround|aaaaaaaaaaaa|  answer
+//! host reads                                                  ^  the whole answer
+//! ```
+
+use super::config::LineConfig;
+
+/// Characters of silence that end a Modbus RTU frame, and the fixed time above 19200 baud
+/// (MODBUS over Serial Line V1.02, 2.5.1.1).
+const GAP_CHARS: f64 = 3.5;
+const FIXED_GAP_S: f64 = 0.001_75;
+const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
+
+/// One line: when it is free again, and what travels how long. Times are those of the caller's clock, s.
+#[derive(Clone, Debug)]
+pub(super) struct Pace {
+    char_s: f64,
+    gap_s: f64,
+    turnaround_s: f64,
+    free_from_s: f64,
+}
+
+impl Pace {
+    /// A serial line; `with_gaps`: frames are told apart by silence.
+    pub(super) fn serial(line: &LineConfig, with_gaps: bool) -> Self {
+        let char_s = if line.baud == 0 {
+            0.0
+        } else {
+            f64::from(line.bits_per_char) / f64::from(line.baud)
+        };
+        let standard_gap_s = match line.baud {
+            0 => 0.0,
+            baud if baud > FIXED_GAP_ABOVE_BAUD => FIXED_GAP_S,
+            _ => GAP_CHARS * char_s,
+        };
+        let gap_s = line.gap_us.map_or(standard_gap_s, |us| us * 1e-6);
+        Self {
+            char_s,
+            gap_s: if with_gaps { gap_s } else { 0.0 },
+            turnaround_s: line.turnaround_ms * 1e-3,
+            free_from_s: f64::NEG_INFINITY,
+        }
+    }
+
+    /// A network connection: only the drive itself takes time.
+    pub(super) fn network(line: &LineConfig) -> Self {
+        Self {
+            char_s: 0.0,
+            gap_s: 0.0,
+            turnaround_s: line.turnaround_ms * 1e-3,
+            free_from_s: f64::NEG_INFINITY,
+        }
+    }
+
+    /// Silence that ends a frame, s.
+    pub(super) const fn gap_s(&self) -> f64 {
+        self.gap_s
+    }
+
+    /// When the next byte of the host, handed over at `now_s`, has come in as a whole.
+    pub(super) const fn arrival_s(&mut self, now_s: f64) -> f64 {
+        self.free_from_s = self.free_from_s.max(now_s) + self.char_s;
+        self.free_from_s
+    }
+
+    /// When an answer of `bytes` to a request that ended at `end_s` has arrived; the line is busy until the gap after it.
+    pub(super) fn delivery_s(&mut self, end_s: f64, bytes: usize) -> f64 {
+        let start = self.free_from_s.max(end_s) + self.gap_s + self.turnaround_s;
+        let delivered = start + bytes as f64 * self.char_s;
+        self.free_from_s = delivered + self.gap_s;
+        delivered
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn exchange_s(line: &LineConfig, with_gaps: bool, request: usize, answer: usize) -> f64 {
+        let mut pace = Pace::serial(line, with_gaps);
+        let end = (0..request).fold(0.0, |_, _| pace.arrival_s(10.0));
+        pace.delivery_s(end, answer) - 10.0
+    }
+
+    #[test]
+    fn an_exchange_takes_its_wire_time() {
+        let line = LineConfig::default();
+        // FC23 r16 w4: 21 + 37 characters of 86.8 us, one gap, turnaround.
+        let expected = 58.0 * 10.0 / 115_200.0 + 0.001_75 + 0.000_5;
+        assert!((exchange_s(&line, true, 21, 37) - expected).abs() < 1e-12);
+        assert!((exchange_s(&line, false, 21, 37) - (expected - 0.001_75)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn slow_lines_have_the_gap_of_three_and_a_half_characters_and_parity_costs_a_bit() {
+        let slow = LineConfig {
+            baud: 9600,
+            turnaround_ms: 0.0,
+            ..LineConfig::default()
+        };
+        assert!((exchange_s(&slow, true, 8, 25) - (33.0 + 3.5) * 10.0 / 9600.0).abs() < 1e-12);
+        let parity = LineConfig {
+            bits_per_char: 11,
+            ..slow
+        };
+        assert!((exchange_s(&parity, true, 8, 25) - (33.0 + 3.5) * 11.0 / 9600.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_next_request_waits_for_the_line() {
+        let mut pace = Pace::serial(&LineConfig::default(), true);
+        let end = pace.arrival_s(0.0);
+        let delivered = pace.delivery_s(end, 10);
+        let next = pace.arrival_s(0.0);
+        assert!((next - delivered - 0.001_75 - 10.0 / 115_200.0).abs() < 1e-12);
+        assert!((pace.arrival_s(5.0) - 5.0 - 10.0 / 115_200.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn without_a_baud_rate_only_the_turnaround_is_left() {
+        let line = LineConfig {
+            baud: 0,
+            ..LineConfig::default()
+        };
+        assert!((exchange_s(&line, true, 21, 37) - 0.000_5).abs() < 1e-12);
+        let mut network = Pace::network(&line);
+        assert!((network.arrival_s(1.0) - 1.0).abs() < 1e-12);
+    }
+}

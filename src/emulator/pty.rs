@@ -1,0 +1,168 @@
+//! A pseudo-terminal as serial port: one fresh pair per session, behind a stable path.
+//!
+//! ```text
+//! stable path --symlink--> /dev/pts/N (slave: the host opens it) <==> master (raw, non-blocking: the drive)
+//! ```
+//!
+//! Why fresh: after the last close of a slave its master reports the hang-up for ever, hands bytes written meanwhile to
+//! the next client, and keeps the exclusive mark of a killed client. Why no slave is kept open: the hang-up would never
+//! show. Linux only: there, raw mode can be set on the master.
+
+use std::fs;
+use std::io::{self, ErrorKind, Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use nix::fcntl::OFlag;
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::pty::{PtyMaster, grantpt, posix_openpt, ptsname_r, unlockpt};
+use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
+use nix::sys::time::TimeSpec;
+
+use super::port::{Gone, Port};
+
+/// The drive's end of a pseudo-terminal.
+pub(super) struct PtyPort {
+    master: PtyMaster,
+    slave: PathBuf,
+}
+
+impl PtyPort {
+    /// A fresh pair, raw before anyone knows its name.
+    pub(super) fn open() -> io::Result<Self> {
+        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+        let master = posix_openpt(flags)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        let mut termios = tcgetattr(&master)?;
+        cfmakeraw(&mut termios);
+        tcsetattr(&master, SetArg::TCSANOW, &termios)?;
+        let slave = PathBuf::from(ptsname_r(&master)?);
+        Ok(Self { master, slave })
+    }
+
+    /// Makes `stable` lead to this pair; the change is atomic. What is there and is no symlink is left alone.
+    pub(super) fn publish(&self, stable: &Path) -> io::Result<()> {
+        if fs::symlink_metadata(stable).is_ok_and(|existing| !existing.file_type().is_symlink()) {
+            return Err(io::Error::new(
+                ErrorKind::AlreadyExists,
+                "something that is not a symlink is there",
+            ));
+        }
+        let mut fresh = stable.as_os_str().to_owned();
+        fresh.push(".new");
+        match fs::remove_file(&fresh) {
+            Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        symlink(&self.slave, &fresh)?;
+        fs::rename(&fresh, stable)
+    }
+
+    /// Removes `stable` if it still leads here.
+    pub(super) fn unpublish(&self, stable: &Path) {
+        if fs::read_link(stable).is_ok_and(|target| target == self.slave) {
+            // Nothing can be done about a path that cannot be removed, and nothing depends on it.
+            let _ = fs::remove_file(stable);
+        }
+    }
+}
+
+impl Port for PtyPort {
+    fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone> {
+        let mut fds = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
+        // An interrupted wait is a short wait.
+        let _ = ppoll(&mut fds, Some(TimeSpec::from_duration(timeout)), None);
+        match (&self.master).read(buffer) {
+            Ok(0) => Err(Gone),
+            Ok(bytes) => Ok(bytes),
+            Err(error)
+                if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
+            {
+                Ok(0)
+            }
+            // EIO: the last slave was closed and everything it wrote has been read.
+            Err(_) => Err(Gone),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> usize {
+        let mut taken = 0;
+        while taken < bytes.len() {
+            match (&self.master).write(&bytes[taken..]) {
+                Ok(0) => break,
+                Ok(count) => taken += count,
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(_) => break,
+            }
+        }
+        taken
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nobody_there_is_not_a_hang_up_and_a_close_is_one() {
+        let mut port = PtyPort::open().unwrap();
+        let mut buffer = [0; 64];
+        assert_eq!(
+            port.read_within(&mut buffer, Duration::from_millis(1)),
+            Ok(0)
+        );
+        let host = fs::File::options()
+            .read(true)
+            .write(true)
+            .open(&port.slave)
+            .unwrap();
+        // Control characters would be eaten, echoed or changed on a cooked terminal.
+        let bytes = [0x03, 0x04, 0x0D, 0x0A, 0x11, 0x13, 0x1A, 0x7F, 0xFF, 0x00];
+        (&host).write_all(&bytes).unwrap();
+        drop(host);
+        let mut seen = Vec::new();
+        loop {
+            match port.read_within(&mut buffer, Duration::from_secs(5)) {
+                Ok(0) => panic!("neither bytes nor hang-up"),
+                Ok(count) => seen.extend_from_slice(&buffer[..count]),
+                Err(Gone) => break,
+            }
+        }
+        assert_eq!(seen, bytes);
+    }
+
+    #[test]
+    fn a_host_that_does_not_read_blocks_nobody() {
+        let mut port = PtyPort::open().unwrap();
+        let _host = fs::File::options()
+            .read(true)
+            .write(true)
+            .open(&port.slave)
+            .unwrap();
+        let taken = port.write(&vec![0x55; 1 << 20]);
+        assert!(taken < 1 << 20);
+    }
+
+    #[test]
+    fn the_stable_path_moves_on_and_a_file_is_never_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let stable = folder.path().join("drive");
+        let (first, second) = (PtyPort::open().unwrap(), PtyPort::open().unwrap());
+        first.publish(&stable).unwrap();
+        second.publish(&stable).unwrap();
+        assert_eq!(fs::read_link(&stable).unwrap(), second.slave);
+        first.unpublish(&stable);
+        assert!(
+            fs::symlink_metadata(&stable).is_ok(),
+            "it leads to the second by now"
+        );
+        second.unpublish(&stable);
+        assert!(fs::symlink_metadata(&stable).is_err());
+        fs::write(&stable, "mine").unwrap();
+        assert!(first.publish(&stable).is_err());
+        assert_eq!(fs::read_to_string(&stable).unwrap(), "mine");
+    }
+}

@@ -1,0 +1,331 @@
+//! The software drive in real time. This file owns the clock: drive time is the monotonic time since the start.
+//!
+//! When a host goes, the drive runs on: its own watchdog stops the motor.
+
+use std::io;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use super::dialogue::{Dialogue, LinkKind, UNIT};
+use super::pace::Pace;
+use super::port::Port;
+#[cfg(target_os = "linux")]
+use super::pty::PtyPort;
+use super::session::{Counters, Session};
+use super::tcp::TcpPorts;
+use super::{EmulatorConfig, SoftDrive};
+
+/// How long a host gets to read the last answer before its pseudo-terminal goes: what is unread then is lost.
+const LAST_ANSWER_S: f64 = 0.05;
+/// Between two looks for a host on the network.
+const ACCEPT_PERIOD: Duration = Duration::from_millis(5);
+
+/// Where the drive is to be found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Endpoint {
+    /// A pseudo-terminal behind this path, a symlink that stays the same over sessions.
+    Pty(PathBuf),
+    /// A TCP port; 0: any free one.
+    Tcp(SocketAddr),
+}
+
+impl Endpoint {
+    /// A pseudo-terminal behind a path in the temporary folder that no other drive uses.
+    pub fn temporary_pty() -> Self {
+        static COUNT: AtomicU64 = AtomicU64::new(0);
+        let name = format!(
+            "drivebench-{}-{}.pty",
+            std::process::id(),
+            COUNT.fetch_add(1, Ordering::Relaxed)
+        );
+        Self::Pty(std::env::temp_dir().join(name))
+    }
+}
+
+/// Why the drive cannot be served.
+#[derive(Debug, Error)]
+pub enum ServerError {
+    #[error("pseudo-terminal {}: {source}", .path.display())]
+    Pty { path: PathBuf, source: io::Error },
+    #[error("tcp {address}: {source}")]
+    Tcp {
+        address: SocketAddr,
+        source: io::Error,
+    },
+    #[error("link {link} does not run over {over} (expected {allowed})")]
+    Transport {
+        link: LinkKind,
+        over: &'static str,
+        allowed: &'static str,
+    },
+    #[error("the emulator's thread ended before it was ready")]
+    Thread,
+}
+
+impl ServerError {
+    /// The next step.
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Pty { .. } => "give another --pty path, in a folder that you may write",
+            Self::Tcp { .. } => "give another --listen address; port 0 takes any free port",
+            Self::Transport { .. } => {
+                "modbus-rtu and stream run over --pty, modbus-tcp and stream over --listen"
+            }
+            Self::Thread => "start it again with RUST_BACKTRACE=1 and report what it prints",
+        }
+    }
+}
+
+/// The line that `emulate` prints when the drive can be opened.
+pub fn ready_line(link: LinkKind, address: &str, config: &EmulatorConfig) -> String {
+    format!(
+        "ready {link} {address} unit={UNIT} baud={} profile=own",
+        config.line.baud
+    )
+}
+
+/// A served drive; dropping it stops it.
+pub struct ServerHandle {
+    address: String,
+    ready_line: String,
+    stop: Arc<AtomicBool>,
+    counters: Arc<Counters>,
+    thread: Option<JoinHandle<Result<(), ServerError>>>,
+}
+
+impl ServerHandle {
+    /// The path to open, or `HOST:PORT`.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// The line that says so.
+    pub fn ready_line(&self) -> &str {
+        &self.ready_line
+    }
+
+    /// Sessions begun so far.
+    pub fn sessions(&self) -> u64 {
+        self.counters.sessions.load(Ordering::Relaxed)
+    }
+
+    /// Answers sent so far.
+    pub fn answers(&self) -> u64 {
+        self.counters.answers.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of answers that a host did not take.
+    pub fn bytes_dropped(&self) -> u64 {
+        self.counters.bytes_dropped.load(Ordering::Relaxed)
+    }
+
+    /// Ends the service soon; the drive is gone then, as if it had lost its power.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Stops and waits for the end.
+    pub fn join(mut self) -> Result<(), ServerError> {
+        self.stop();
+        self.thread.take().map_or(Ok(()), |thread| {
+            thread.join().unwrap_or(Err(ServerError::Thread))
+        })
+    }
+}
+
+impl Drop for ServerHandle {
+    fn drop(&mut self) {
+        self.stop();
+        if let Some(thread) = self.thread.take() {
+            // Its result was for `join`; who drops the handle does not ask.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Serves the drive on a thread of its own; returns once it can be opened.
+pub fn spawn(
+    config: EmulatorConfig,
+    seed: u64,
+    link: LinkKind,
+    endpoint: Endpoint,
+) -> Result<ServerHandle, ServerError> {
+    let (stop, counters) = (
+        Arc::new(AtomicBool::new(false)),
+        Arc::new(Counters::default()),
+    );
+    let (ready, readiness) = mpsc::channel();
+    let thread = {
+        let (stop, counters) = (Arc::clone(&stop), Arc::clone(&counters));
+        thread::spawn(move || {
+            let server = Server::new(&config, seed, link, &stop, &counters);
+            server.serve(&endpoint, |address| {
+                // Whoever does not wait for it does not need it.
+                let _ = ready.send((address.to_owned(), ready_line(link, address, &config)));
+            })
+        })
+    };
+    let Ok((address, ready_line)) = readiness.recv() else {
+        let ended = thread.join().unwrap_or(Err(ServerError::Thread));
+        return Err(ended.err().unwrap_or(ServerError::Thread));
+    };
+    Ok(ServerHandle {
+        address,
+        ready_line,
+        stop,
+        counters,
+        thread: Some(thread),
+    })
+}
+
+/// Serves the drive on this thread until `stop` is set; calls `ready` with the address once it can be opened.
+pub fn serve(
+    config: &EmulatorConfig,
+    seed: u64,
+    link: LinkKind,
+    endpoint: &Endpoint,
+    stop: &AtomicBool,
+    ready: impl FnOnce(&str),
+) -> Result<(), ServerError> {
+    Server::new(config, seed, link, stop, &Counters::default()).serve(endpoint, ready)
+}
+
+struct Server<'a> {
+    config: &'a EmulatorConfig,
+    link: LinkKind,
+    drive: SoftDrive,
+    start: Instant,
+    stop: &'a AtomicBool,
+    counters: &'a Counters,
+}
+
+impl<'a> Server<'a> {
+    fn new(
+        config: &'a EmulatorConfig,
+        seed: u64,
+        link: LinkKind,
+        stop: &'a AtomicBool,
+        counters: &'a Counters,
+    ) -> Self {
+        Self {
+            config,
+            link,
+            drive: SoftDrive::new(config, seed),
+            start: now(),
+            stop,
+            counters,
+        }
+    }
+
+    fn serve(mut self, endpoint: &Endpoint, ready: impl FnOnce(&str)) -> Result<(), ServerError> {
+        match (endpoint, self.link) {
+            (Endpoint::Pty(_), LinkKind::ModbusTcp) => Err(ServerError::Transport {
+                link: self.link,
+                over: "a pseudo-terminal",
+                allowed: "modbus-rtu or stream",
+            }),
+            (Endpoint::Tcp(_), LinkKind::ModbusRtu) => Err(ServerError::Transport {
+                link: self.link,
+                over: "TCP",
+                allowed: "modbus-tcp or stream",
+            }),
+            (Endpoint::Pty(path), _) => {
+                self.serve_pty(path, ready)
+                    .map_err(|source| ServerError::Pty {
+                        path: path.clone(),
+                        source,
+                    })
+            }
+            (Endpoint::Tcp(address), _) => {
+                self.serve_tcp(*address, ready)
+                    .map_err(|source| ServerError::Tcp {
+                        address: *address,
+                        source,
+                    })
+            }
+        }
+    }
+
+    #[cfg(target_os = "linux")]
+    fn serve_pty(&mut self, stable: &Path, ready: impl FnOnce(&str)) -> io::Result<()> {
+        let mut port = PtyPort::open()?;
+        port.publish(stable)?;
+        ready(&stable.to_string_lossy());
+        let with_gaps = self.link == LinkKind::ModbusRtu;
+        let pace = Pace::serial(&self.config.line, with_gaps);
+        while !self.stopped() {
+            let last_answer_s = self.session(&mut port, pace.clone());
+            if self.stopped() {
+                let passed_s = last_answer_s.map(|at| self.start.elapsed().as_secs_f64() - at);
+                let left_s = passed_s.map_or(0.0, |passed| (LAST_ANSWER_S - passed).max(0.0));
+                thread::sleep(Duration::from_secs_f64(left_s));
+                break;
+            }
+            // The path leads to the next pair before this one goes.
+            let next = PtyPort::open()?;
+            next.publish(stable)?;
+            port = next;
+        }
+        port.unpublish(stable);
+        Ok(())
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn serve_pty(&mut self, _stable: &Path, _ready: impl FnOnce(&str)) -> io::Result<()> {
+        Err(io::Error::new(
+            io::ErrorKind::Unsupported,
+            "pseudo-terminals are served on Linux only; use TCP",
+        ))
+    }
+
+    fn serve_tcp(&mut self, address: SocketAddr, ready: impl FnOnce(&str)) -> io::Result<()> {
+        let ports = TcpPorts::bind(address)?;
+        ready(&ports.address()?.to_string());
+        let pace = Pace::network(&self.config.line);
+        while !self.stopped() {
+            if let Some(mut port) = ports.accept() {
+                self.session(&mut port, pace.clone());
+            } else {
+                thread::sleep(ACCEPT_PERIOD);
+                self.drive.advance_to(self.start.elapsed().as_secs_f64());
+            }
+        }
+        Ok(())
+    }
+
+    fn session(&mut self, port: &mut dyn Port, pace: Pace) -> Option<f64> {
+        let start = self.start;
+        Session {
+            dialogue: Dialogue::new(self.link),
+            pace,
+            drive: &mut self.drive,
+            clock: &|| start.elapsed().as_secs_f64(),
+            stop: self.stop,
+            counters: self.counters,
+        }
+        .serve(port)
+    }
+
+    fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "this file owns the emulator's clock"
+)]
+fn now() -> Instant {
+    Instant::now()
+}
+
+#[cfg(all(test, target_os = "linux"))]
+#[path = "server_tests.rs"]
+mod tests;

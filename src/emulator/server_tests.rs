@@ -1,0 +1,322 @@
+//! End to end: hosts that are not ours, over real pseudo-terminals and sockets.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+
+use firmware_protocol::modbus::rtu;
+use firmware_protocol::registers::{COMMAND_WORDS, TELEMETRY_WORDS};
+use firmware_protocol::stream::{self, Frame, Message};
+use firmware_protocol::{Control, DriveCommand, State, Telemetry};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use std::os::fd::AsFd;
+use tokio_modbus::client::{Reader, Writer};
+use tokio_modbus::slave::SlaveContext;
+use tokio_modbus::{Slave, prelude};
+
+use super::*;
+
+fn config(baud: u32) -> EmulatorConfig {
+    let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+    config.line.baud = baud;
+    config
+}
+
+fn pty(link: LinkKind, baud: u32) -> ServerHandle {
+    spawn(config(baud), 1, link, Endpoint::temporary_pty()).unwrap()
+}
+
+fn open(server: &ServerHandle) -> File {
+    File::options()
+        .read(true)
+        .write(true)
+        .open(server.address())
+        .unwrap()
+}
+
+/// Bytes that come within a second of silence at most, until `enough` are there.
+fn receive(host: &mut File, enough: usize) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut buffer = [0; 512];
+    while bytes.len() < enough {
+        let mut fds = [PollFd::new(host.as_fd(), PollFlags::POLLIN)];
+        if poll(&mut fds, PollTimeout::from(1000_u16)).unwrap() == 0 {
+            break;
+        }
+        let count = host.read(&mut buffer).unwrap();
+        bytes.extend_from_slice(&buffer[..count]);
+    }
+    bytes
+}
+
+fn rtu_frame(pdu: &[u8]) -> Vec<u8> {
+    let mut frame = [0; rtu::MAX_FRAME];
+    let length = rtu::encode_frame(UNIT, pdu, &mut frame);
+    frame[..length].to_vec()
+}
+
+/// FC23: writes a command, reads the sixteen registers of the telemetry.
+fn exchange_pdu(command: DriveCommand) -> Vec<u8> {
+    let mut pdu = vec![23, 0, 0, 0, 16, 0, 32, 0, 4, 8];
+    let words: [u16; COMMAND_WORDS] = command.to_registers();
+    pdu.extend(words.iter().flat_map(|word| word.to_be_bytes()));
+    pdu
+}
+
+fn telemetry(frame: &[u8]) -> Telemetry {
+    assert_eq!(frame.len(), 5 + 2 * TELEMETRY_WORDS, "{frame:02x?}");
+    assert_eq!(rtu::crc16(frame), 0);
+    let mut block = [0; TELEMETRY_WORDS];
+    for (slot, pair) in block.iter_mut().zip(frame[3..35].chunks_exact(2)) {
+        *slot = u16::from_be_bytes([pair[0], pair[1]]);
+    }
+    Telemetry::from_registers(&block)
+}
+
+fn volts(seq: u16, volts: f64) -> DriveCommand {
+    DriveCommand {
+        seq,
+        control: Control::Voltage(volts),
+    }
+}
+
+fn exchange(host: &mut File, command: DriveCommand) -> Telemetry {
+    host.write_all(&rtu_frame(&exchange_pdu(command))).unwrap();
+    telemetry(&receive(host, 37))
+}
+
+#[test]
+fn the_ready_line_is_the_contract() {
+    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let expected = format!(
+        "ready modbus-rtu {} unit=1 baud=115200 profile=own",
+        server.address()
+    );
+    assert_eq!(server.ready_line(), expected);
+    let path = server.address().to_owned();
+    server.join().unwrap();
+    assert!(std::fs::symlink_metadata(path).is_err(), "cleaned up");
+}
+
+#[test]
+fn an_exchange_on_a_line_takes_at_least_its_wire_time() {
+    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let mut host = open(&server);
+    // 21 + 37 characters of ten bits, the gap before the answer and the turnaround.
+    let wire_s = 58.0 * 10.0 / 115_200.0 + 0.001_75 + 0.000_5;
+    let mut drive_times = Vec::new();
+    for seq in 0..20 {
+        let start = now();
+        let telemetry = exchange(&mut host, volts(seq, 12.0));
+        let took = start.elapsed().as_secs_f64();
+        assert!(took >= wire_s, "{took} s");
+        assert_eq!(telemetry.seq, seq);
+        assert_eq!(telemetry.time_us, telemetry.applied_us);
+        drive_times.push(telemetry.applied_us);
+    }
+    // The drive's own clock says the same: one cycle has two gaps.
+    for pair in drive_times.windows(2) {
+        assert!(f64::from(pair[1] - pair[0]) * 1e-6 >= wire_s + 0.001_75 - 2.0 * 50e-6);
+    }
+    assert_eq!(server.answers(), 20);
+}
+
+#[test]
+fn a_second_session_works_and_gets_no_stale_bytes() {
+    let server = pty(LinkKind::ModbusRtu, 0);
+    let mut first = open(&server);
+    exchange(&mut first, volts(1, 6.0));
+    // A request whose answer nobody reads.
+    first
+        .write_all(&rtu_frame(&exchange_pdu(volts(2, 6.0))))
+        .unwrap();
+    while server.answers() < 2 {
+        thread::sleep(Duration::from_millis(1));
+    }
+    drop(first);
+    for session in 2..5_u16 {
+        while server.sessions() < session.into() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        let mut host = open(&server);
+        let telemetry = exchange(&mut host, volts(100 + session, 6.0));
+        assert_eq!(telemetry.seq, 100 + session);
+        assert_eq!(receive_now(&mut host), 0, "nothing but the answer");
+    }
+}
+
+/// Bytes that are there already.
+fn receive_now(host: &mut File) -> usize {
+    let mut fds = [PollFd::new(host.as_fd(), PollFlags::POLLIN)];
+    if poll(&mut fds, PollTimeout::from(30_u16)).unwrap() == 0 {
+        return 0;
+    }
+    host.read(&mut [0; 512]).unwrap()
+}
+
+#[test]
+fn a_host_that_goes_leaves_the_motor_to_the_watchdog() {
+    let server = pty(LinkKind::ModbusRtu, 0);
+    let mut host = open(&server);
+    assert_eq!(
+        exchange(&mut host, volts(1, 24.0)).status.state(),
+        Some(State::Running)
+    );
+    drop(host);
+    thread::sleep(Duration::from_millis(250));
+    while server.sessions() < 2 {
+        thread::sleep(Duration::from_millis(1));
+    }
+    let telemetry = exchange(&mut open(&server), volts(2, 24.0));
+    assert_eq!(telemetry.status.state(), Some(State::Fault));
+    assert_eq!(telemetry.fault, firmware_protocol::Fault::Watchdog);
+    assert!(telemetry.voltage_cmd_v == 0.0);
+}
+
+#[test]
+fn a_command_written_just_before_the_close_still_counts() {
+    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let mut host = open(&server);
+    exchange(&mut host, volts(1, 24.0));
+    let stop = DriveCommand {
+        seq: 2,
+        control: Control::Stop,
+    };
+    host.write_all(&rtu_frame(&exchange_pdu(stop))).unwrap();
+    drop(host);
+    while server.sessions() < 2 {
+        thread::sleep(Duration::from_millis(1));
+    }
+    let mut host = open(&server);
+    host.write_all(&rtu_frame(&[3, 0, 0, 0, 16])).unwrap();
+    let telemetry = telemetry(&receive(&mut host, 37));
+    assert_eq!(
+        (telemetry.seq, telemetry.status.state()),
+        (2, Some(State::Ready))
+    );
+}
+
+#[test]
+fn noise_costs_one_request_at_most() {
+    let server = pty(LinkKind::ModbusRtu, 0);
+    let mut host = open(&server);
+    host.write_all(&[0x01, 0x03, 0xFF, 0x00, 0x55]).unwrap();
+    host.write_all(&rtu_frame(&[3, 0, 0, 0, 16])).unwrap();
+    let mut answer = receive(&mut host, 37);
+    if answer.is_empty() {
+        host.write_all(&rtu_frame(&[3, 0, 0, 0, 16])).unwrap();
+        answer = receive(&mut host, 37);
+    }
+    telemetry(&answer);
+}
+
+#[test]
+fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
+    let server = pty(LinkKind::ModbusRtu, 115_200);
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
+    runtime.block_on(async {
+        let port = tokio_serial::SerialStream::open(&tokio_serial::new(server.address(), 115_200))
+            .unwrap();
+        let mut host = prelude::rtu::attach_slave(port, Slave(UNIT));
+        let words = host.read_holding_registers(0, 16).await.unwrap().unwrap();
+        assert_eq!(
+            (words.len(), words[15]),
+            (16, firmware_protocol::PROTOCOL_VERSION)
+        );
+        assert_eq!(
+            host.read_input_registers(0, 16).await.unwrap().unwrap()[15],
+            words[15]
+        );
+        let command = volts(77, 10.0).to_registers();
+        host.write_multiple_registers(32, &command)
+            .await
+            .unwrap()
+            .unwrap();
+        let words = host
+            .read_write_multiple_registers(0, 16, 32, &volts(78, 10.0).to_registers())
+            .await
+            .unwrap()
+            .unwrap();
+        assert_eq!(words[2], 78);
+        let refused = host.read_holding_registers(16, 1).await.unwrap();
+        assert_eq!(
+            refused,
+            Err(tokio_modbus::ExceptionCode::IllegalDataAddress)
+        );
+        host.set_slave(Slave(9));
+        let foreign =
+            tokio::time::timeout(Duration::from_millis(60), host.read_holding_registers(0, 1));
+        assert!(foreign.await.is_err(), "silent for another unit");
+    });
+}
+
+#[test]
+fn tokio_modbus_reads_over_tcp_one_host_after_the_other() {
+    let address = "127.0.0.1:0".parse().unwrap();
+    let server = spawn(config(0), 1, LinkKind::ModbusTcp, Endpoint::Tcp(address)).unwrap();
+    assert!(!server.address().ends_with(":0"));
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
+    for seq in [5, 6] {
+        runtime.block_on(async {
+            let mut host = prelude::tcp::connect_slave(server.address().parse().unwrap(), Slave(1))
+                .await
+                .unwrap();
+            let words = host
+                .read_write_multiple_registers(0, 16, 32, &volts(seq, 1.0).to_registers())
+                .await
+                .unwrap()
+                .unwrap();
+            assert_eq!(words[2], seq);
+        });
+    }
+}
+
+#[test]
+fn the_stream_runs_over_both_transports() {
+    let question = {
+        let mut bytes = [0; stream::MAX_FRAME];
+        let length = stream::encode(&Frame::command(volts(9, 3.0)), &mut bytes);
+        bytes[..length].to_vec()
+    };
+    let answer = |host: &mut dyn Read| {
+        let mut decoder = stream::Decoder::new();
+        let mut byte = [0];
+        loop {
+            host.read_exact(&mut byte).unwrap();
+            if let Some(frame) = decoder.push(byte[0]) {
+                break frame.unwrap();
+            }
+        }
+    };
+    let serial = pty(LinkKind::Stream, 921_600);
+    let mut host = open(&serial);
+    host.write_all(&question).unwrap();
+    let over_serial = answer(&mut host);
+    let address = "127.0.0.1:0".parse().unwrap();
+    let network = spawn(config(0), 1, LinkKind::Stream, Endpoint::Tcp(address)).unwrap();
+    let mut host = TcpStream::connect(network.address()).unwrap();
+    host.write_all(&question).unwrap();
+    for frame in [over_serial, answer(&mut host)] {
+        assert_eq!(frame.seq, 9);
+        assert!(matches!(frame.message, Message::Telemetry(telemetry) if telemetry.seq == 9));
+    }
+}
+
+#[test]
+fn what_cannot_be_served_is_refused_with_the_reason() {
+    let error = spawn(config(0), 1, LinkKind::ModbusTcp, Endpoint::temporary_pty())
+        .err()
+        .unwrap();
+    assert!(error.to_string().contains("modbus-tcp does not run over"));
+    let nowhere = Endpoint::Pty("/nonexistent/folder/drive".into());
+    let error = spawn(config(0), 1, LinkKind::ModbusRtu, nowhere)
+        .err()
+        .unwrap();
+    assert!(error.to_string().contains("/nonexistent/folder/drive"));
+}

@@ -1,0 +1,74 @@
+//! The drive on the network: one host at a time.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::time::Duration;
+
+use super::port::{Gone, Port};
+
+/// Shorter waits are slept: the kernel rounds a socket's timeout up to its own tick.
+const SHORTEST_SOCKET_WAIT: Duration = Duration::from_millis(5);
+/// A host that takes nothing for so long loses the answer.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Waits for hosts.
+pub(super) struct TcpPorts {
+    listener: TcpListener,
+}
+
+impl TcpPorts {
+    pub(super) fn bind(address: SocketAddr) -> io::Result<Self> {
+        let listener = TcpListener::bind(address)?;
+        listener.set_nonblocking(true)?;
+        Ok(Self { listener })
+    }
+
+    /// The address in use, also where port 0 was asked for.
+    pub(super) fn address(&self) -> io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+
+    /// The next host, if one waits.
+    pub(super) fn accept(&self) -> Option<TcpPort> {
+        let (stream, _) = self.listener.accept().ok()?;
+        // A host that is gone again shows with the first read.
+        stream.set_nonblocking(false).ok()?;
+        stream.set_nodelay(true).ok()?;
+        stream.set_write_timeout(Some(WRITE_TIMEOUT)).ok()?;
+        Some(TcpPort { stream })
+    }
+}
+
+/// A connected host.
+pub(super) struct TcpPort {
+    stream: TcpStream,
+}
+
+impl Port for TcpPort {
+    fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone> {
+        if timeout < SHORTEST_SOCKET_WAIT {
+            std::thread::sleep(timeout);
+            return Ok(0);
+        }
+        self.stream
+            .set_read_timeout(Some(timeout))
+            .map_err(|_| Gone)?;
+        match self.stream.read(buffer) {
+            Ok(0) => Err(Gone),
+            Ok(count) => Ok(count),
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+                ) =>
+            {
+                Ok(0)
+            }
+            Err(_) => Err(Gone),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> usize {
+        self.stream.write_all(bytes).map_or(0, |()| bytes.len())
+    }
+}

@@ -1,0 +1,93 @@
+//! Copper that warms up: winding and frame as two heat stores.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Mechanism, MotorTruth, TrueParameter};
+
+/// Temperature coefficient of copper at 25 C, 1/K.
+const COPPER_PER_K: f64 = 0.00393;
+/// Heat capacity of the frame as a multiple of the winding's.
+const FRAME_CAPACITY_RATIO: f64 = 30.0;
+/// Thermal resistance frame to ambient as a share of winding to frame.
+const FRAME_RESISTANCE_RATIO: f64 = 0.1;
+
+/// Resistance that rises by `gain_per_a2_s` per A^2 s of load and forgets with `time_constant_s`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WindingHeating {
+    pub gain_per_a2_s: f64,
+    pub time_constant_s: f64,
+}
+
+impl WindingHeating {
+    pub(super) fn parameters(&self) -> Vec<TrueParameter> {
+        vec![
+            ("gain_per_a2_s", self.gain_per_a2_s, "1/(A2.s)"),
+            ("time_constant_s", self.time_constant_s, "s"),
+        ]
+    }
+
+    pub(super) fn build(&self, _motor: &MotorTruth) -> Box<dyn Mechanism> {
+        Box::new(CopperAndFrame {
+            rise_per_a2_s: self.gain_per_a2_s / COPPER_PER_K,
+            time_constant_s: self.time_constant_s,
+            winding_k: 0.0,
+            frame_k: 0.0,
+        })
+    }
+}
+
+/// Two-node network with the loss of the *hot* copper:
+/// dTw/dt = k (1 + a Tw) i^2 - (Tw - Tf)/tau, dTf/dt = ((Tw - Tf) - Tf/0.1)/(30 tau), R = R25 (1 + a Tw).
+/// The host's catalogue has one node and the loss of the cold copper.
+struct CopperAndFrame {
+    /// k, K/(A^2 s).
+    rise_per_a2_s: f64,
+    time_constant_s: f64,
+    winding_k: f64,
+    frame_k: f64,
+}
+
+impl Mechanism for CopperAndFrame {
+    fn resistance_factor(&self) -> f64 {
+        1.0 + COPPER_PER_K * self.winding_k
+    }
+
+    fn winding_rise_k(&self) -> Option<f64> {
+        Some(self.winding_k)
+    }
+
+    fn advance(&mut self, step_s: f64, current_a: f64, _speed_rad_s: f64) {
+        let heat = self.rise_per_a2_s * self.resistance_factor() * current_a * current_a;
+        let across = self.winding_k - self.frame_k;
+        let frame_rate = (across - self.frame_k / FRAME_RESISTANCE_RATIO)
+            / (FRAME_CAPACITY_RATIO * self.time_constant_s);
+        self.winding_k += step_s * (heat - across / self.time_constant_s);
+        self.frame_k += step_s * frame_rate;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::motor::zk_22fc;
+    use super::*;
+
+    #[test]
+    fn warms_with_the_stated_gain_and_cools_again() {
+        let mut winding = WindingHeating {
+            gain_per_a2_s: 2e-3,
+            time_constant_s: 20.0,
+        }
+        .build(&zk_22fc());
+        for _ in 0..2_000 {
+            winding.advance(50e-6, 5.0, 0.0);
+        }
+        // 0.1 s at 25 A^2: 2e-3 * 2.5 = 0.5 %
+        assert!((winding.resistance_factor() - 1.005).abs() < 3e-5);
+        for _ in 0..400_000 {
+            winding.advance(50e-6, 0.0, 0.0);
+        }
+        let left = (winding.resistance_factor() - 1.0) / 0.005;
+        assert!((0.3..0.45).contains(&left), "one time constant: {left}");
+    }
+}

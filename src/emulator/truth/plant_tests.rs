@@ -1,0 +1,191 @@
+use proptest::prelude::*;
+
+use super::super::effect::{StribeckFriction, ViscousFriction};
+use super::super::motor::zk_22fc;
+use super::*;
+
+const H: f64 = 50e-6;
+
+fn run(plant: &mut Plant, terminals: Terminals, time_s: f64, step_s: f64) {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a small count"
+    )]
+    for _ in 0..(time_s / step_s).round() as usize {
+        plant.advance(terminals, step_s);
+    }
+}
+
+#[test]
+fn a_locked_current_rises_exponentially_to_u_over_r() {
+    let mut motor = zk_22fc();
+    motor.load_torque_n_m = 10.0;
+    let mut plant = Plant::new(motor, &[]);
+    run(&mut plant, Terminals::Voltage(1.1), 0.009, H);
+    // Ta = L/R = 9 ms: one time constant.
+    assert!((plant.current_a() - (1.0 - (-1.0_f64).exp())).abs() < 1e-9);
+    assert_eq!(plant.motion(), Motion::Stuck);
+    assert!(plant.angle_rad() == 0.0);
+}
+
+#[test]
+fn stiction_holds_below_coulomb_and_breaks_above() {
+    // Mc/Kt = 1.286 A, so 1.4146 V breaks away.
+    for (volts, moves) in [(1.41, false), (-1.41, false), (1.42, true), (-1.42, true)] {
+        let mut plant = Plant::new(zk_22fc(), &[]);
+        run(&mut plant, Terminals::Voltage(volts), 1.0, H);
+        assert_eq!(plant.speed_rad_s().abs() > 0.0, moves, "{volts} V");
+        assert!(plant.speed_rad_s() * volts >= 0.0);
+    }
+}
+
+#[test]
+fn static_friction_beyond_coulomb_holds_longer() {
+    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
+        stribeck_n_m: 0.16,
+        stribeck_speed_rad_s: 10.0,
+    })];
+    // (Mc + Ms) R/Kt = 1.912 V
+    for (volts, moves) in [(1.90, false), (1.93, true)] {
+        let mut plant = Plant::new(zk_22fc(), &stribeck);
+        run(&mut plant, Terminals::Voltage(volts), 1.0, H);
+        assert_eq!(plant.angle_rad().abs() > 0.0, moves, "{volts} V");
+    }
+}
+
+#[test]
+fn no_load_speed_is_where_the_voltage_balances() {
+    let mut plant = Plant::new(zk_22fc(), &[]);
+    run(&mut plant, Terminals::Voltage(110.0), 2.0, H);
+    let current = 0.455 / 0.3538;
+    assert!((plant.current_a() - current).abs() < 1e-9);
+    assert!((plant.speed_rad_s() - (110.0 - 1.1 * current) / 0.3538).abs() < 1e-7);
+}
+
+#[test]
+fn an_open_circuit_coasts_down_on_a_straight_line_and_stays_at_rest() {
+    let mut plant = Plant::new(zk_22fc(), &[]);
+    run(&mut plant, Terminals::Voltage(60.0), 2.0, H);
+    let open = Terminals::Open { bus_v: 120.0 };
+    run(&mut plant, open, 0.01, H);
+    assert!(plant.current_a() == 0.0);
+    let start = plant.speed_rad_s();
+    run(&mut plant, open, 1.0, H);
+    // dw/dt = -Mc/J = -101.1 rad/s2
+    let expected = start - 0.455 / 0.0045;
+    assert!((plant.speed_rad_s() - expected).abs() < 1e-9);
+    assert!(
+        (plant.terminal_v() - 0.3538 * expected).abs() < 1e-9,
+        "back-EMF at the terminals"
+    );
+    run(&mut plant, open, 1.0, H);
+    assert_eq!(plant.motion(), Motion::Stuck);
+    assert!(plant.speed_rad_s() == 0.0);
+}
+
+#[test]
+fn energy_in_is_heat_and_friction_and_what_is_stored() {
+    let mut plant = Plant::new(zk_22fc(), &[]);
+    let h = 1e-6;
+    let (mut supplied, mut heat, mut friction) = (0.0, 0.0, 0.0);
+    for volts in [60.0, -30.0] {
+        for _ in 0..150_000 {
+            let (i0, w0) = (plant.current_a(), plant.speed_rad_s());
+            plant.advance(Terminals::Voltage(volts), h);
+            let (i1, w1) = (plant.current_a(), plant.speed_rad_s());
+            supplied += volts * 0.5 * (i0 + i1) * h;
+            heat += 1.1 * 0.5 * (i0 * i0 + i1 * i1) * h;
+            friction += 0.455 * 0.5 * (w0.abs() + w1.abs()) * h;
+        }
+    }
+    let stored =
+        0.5 * 0.0099 * plant.current_a().powi(2) + 0.5 * 0.0045 * plant.speed_rad_s().powi(2);
+    let balance = supplied - heat - friction - stored;
+    assert!(balance.abs() < 1e-7 * heat, "{balance} J of {supplied} J");
+}
+
+/// Speed after a start, a reversal through stick and a stop, for one step length.
+fn reversal(hidden: &[HiddenEffect], step_s: f64) -> f64 {
+    let mut plant = Plant::new(zk_22fc(), hidden);
+    for volts in [20.0, -4.0, 0.5, -12.0] {
+        run(&mut plant, Terminals::Voltage(volts), 0.08, step_s);
+    }
+    plant.speed_rad_s()
+}
+
+#[test]
+fn halving_the_step_shows_fourth_order_through_stick_and_reversal() {
+    let exact = reversal(&[], 20e-6);
+    let error = |step: f64| (reversal(&[], step) - exact).abs();
+    // Over three halvings: where an event lies within its step moves a single ratio.
+    let order = (error(2e-3) / error(0.25e-3)).log2() / 3.0;
+    assert!((3.5..4.8).contains(&order), "order {order}");
+    assert!((reversal(&[], H) - exact).abs() < 1e-9);
+}
+
+#[test]
+fn with_a_bristle_the_step_still_converges() {
+    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
+        stribeck_n_m: 0.16,
+        stribeck_speed_rad_s: 10.0,
+    })];
+    let exact = reversal(&stribeck, 1e-6);
+    let error = |step: f64| (reversal(&stribeck, step) - exact).abs();
+    assert!(error(H) < 2e-3 * exact.abs(), "{} of {exact}", error(H));
+    assert!(error(H / 4.0) < 0.5 * error(H));
+}
+
+#[test]
+fn drag_lowers_the_speed_by_its_torque() {
+    let viscous = [HiddenEffect::ViscousFriction(ViscousFriction {
+        viscous_n_m_s_per_rad: 4e-4,
+    })];
+    let mut plant = Plant::new(zk_22fc(), &viscous);
+    run(&mut plant, Terminals::Voltage(110.0), 3.0, H);
+    let w: f64 = plant.speed_rad_s();
+    let drag = 4e-4 * 586.4 * (w / 586.4).asinh();
+    assert!((0.3538 * plant.current_a() - 0.455 - drag).abs() < 1e-9);
+}
+
+#[test]
+fn the_voltage_for_a_current_brings_that_current() {
+    let mut plant = Plant::new(zk_22fc(), &[]);
+    for _ in 0..2000 {
+        let volts = plant.voltage_for_current(8.0, H);
+        plant.advance(Terminals::Voltage(volts), H);
+        assert!((plant.current_a() - 8.0).abs() < 1e-3);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Whatever the voltage, the speed never chatters: once stuck below the breakaway voltage it stays stuck.
+    #[test]
+    fn rest_is_rest(start in -100.0..100.0_f64, hold in -1.4..1.4_f64) {
+        let mut plant = Plant::new(zk_22fc(), &[]);
+        run(&mut plant, Terminals::Voltage(start), 0.2, H);
+        run(&mut plant, Terminals::Voltage(hold), 3.0, H);
+        prop_assert_eq!(plant.motion(), Motion::Stuck);
+        let angle = plant.angle_rad();
+        run(&mut plant, Terminals::Voltage(hold), 0.5, H);
+        prop_assert!(plant.angle_rad().to_bits() == angle.to_bits());
+    }
+
+    /// The machine has no preferred direction.
+    #[test]
+    fn mirrored_voltage_gives_mirrored_motion(levels in prop::collection::vec(-60.0..60.0_f64, 1..6)) {
+        let hidden = [HiddenEffect::StribeckFriction(StribeckFriction {
+            stribeck_n_m: 0.16,
+            stribeck_speed_rad_s: 10.0,
+        })];
+        let (mut plus, mut minus) = (Plant::new(zk_22fc(), &hidden), Plant::new(zk_22fc(), &hidden));
+        for level in levels {
+            run(&mut plus, Terminals::Voltage(level), 0.05, H);
+            run(&mut minus, Terminals::Voltage(-level), 0.05, H);
+            prop_assert!(plus.speed_rad_s().to_bits() == (-minus.speed_rad_s()).to_bits()
+                || (plus.speed_rad_s() == 0.0 && minus.speed_rad_s() == 0.0));
+        }
+    }
+}

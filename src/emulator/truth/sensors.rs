@@ -1,0 +1,157 @@
+//! What the sensors make of the truth: noise and quantisation.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+const NOISE_STREAM: u64 = 2;
+/// Generator words kept for each tick; the four normal numbers of a tick use eight, seldom a few more.
+const WORDS_PER_TICK: u128 = 64;
+
+/// Standard deviation of the white Gaussian noise of each sensor.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NoiseConfig {
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    pub bus_v: f64,
+}
+
+/// Smallest step of each sensor; 0: as fine as the registers carry.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct QuantisationConfig {
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    pub angle_rad: f64,
+}
+
+/// Electrical and mechanical quantities at one tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reading {
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    pub angle_rad: f64,
+    pub bus_v: f64,
+}
+
+/// The sensors of one drive. Noise is a function of seed and tick only: it does not depend on how often is read.
+#[derive(Clone, Debug)]
+pub struct Sensors {
+    noise: NoiseConfig,
+    quantisation: QuantisationConfig,
+    rng: ChaCha8Rng,
+}
+
+impl Sensors {
+    pub fn new(noise: NoiseConfig, quantisation: QuantisationConfig, seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(NOISE_STREAM);
+        Self {
+            noise,
+            quantisation,
+            rng,
+        }
+    }
+
+    /// What is read at `tick` when `truth` is the case.
+    pub fn read(&mut self, tick: u64, truth: Reading) -> Reading {
+        self.rng.set_word_pos(u128::from(tick) * WORDS_PER_TICK);
+        let mut noisy = |value: f64, std: f64| {
+            let normal: f64 = self.rng.sample(StandardNormal);
+            value + std * normal
+        };
+        let voltage_v = noisy(truth.voltage_v, self.noise.voltage_v);
+        let current_a = noisy(truth.current_a, self.noise.current_a);
+        let speed_rad_s = noisy(truth.speed_rad_s, self.noise.speed_rad_s);
+        let bus_v = noisy(truth.bus_v, self.noise.bus_v);
+        Reading {
+            voltage_v: quantised(voltage_v, self.quantisation.voltage_v),
+            current_a: quantised(current_a, self.quantisation.current_a),
+            speed_rad_s: quantised(speed_rad_s, self.quantisation.speed_rad_s),
+            angle_rad: quantised(truth.angle_rad, self.quantisation.angle_rad),
+            bus_v,
+        }
+    }
+}
+
+fn quantised(value: f64, step: f64) -> f64 {
+    if step > 0.0 {
+        (value / step).round() * step
+    } else {
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sensors(seed: u64) -> Sensors {
+        Sensors::new(
+            NoiseConfig {
+                voltage_v: 0.02,
+                current_a: 0.03,
+                speed_rad_s: 0.15,
+                bus_v: 0.1,
+            },
+            QuantisationConfig::default(),
+            seed,
+        )
+    }
+
+    #[test]
+    fn noise_is_white_and_has_the_stated_size() {
+        let mut sensors = sensors(5);
+        let speeds: Vec<f64> = (0..20_000)
+            .map(|tick| sensors.read(tick, Reading::default()).speed_rad_s)
+            .collect();
+        let n = speeds.len() as f64;
+        let mean = speeds.iter().sum::<f64>() / n;
+        let variance = speeds.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
+        let lag_one = speeds
+            .windows(2)
+            .map(|pair| (pair[0] - mean) * (pair[1] - mean))
+            .sum::<f64>()
+            / n;
+        // Four standard errors of each statistic.
+        assert!(mean.abs() < 4.0 * 0.15 / n.sqrt());
+        assert!((variance / 0.0225 - 1.0).abs() < 4.0 * (2.0 / n).sqrt());
+        assert!((lag_one / variance).abs() < 4.0 / n.sqrt());
+    }
+
+    #[test]
+    fn noise_depends_on_seed_and_tick_and_on_nothing_else() {
+        let mut often = sensors(5);
+        for tick in 0..100 {
+            often.read(tick, Reading::default());
+        }
+        let late = often.read(77, Reading::default());
+        assert_eq!(late, sensors(5).read(77, Reading::default()));
+        assert_ne!(late, sensors(6).read(77, Reading::default()));
+    }
+
+    #[test]
+    fn a_sensor_reads_multiples_of_its_step() {
+        let mut sensors = Sensors::new(
+            NoiseConfig::default(),
+            QuantisationConfig {
+                current_a: 0.25,
+                ..QuantisationConfig::default()
+            },
+            0,
+        );
+        let truth = Reading {
+            current_a: 1.13,
+            speed_rad_s: 1.13,
+            ..Reading::default()
+        };
+        let read = sensors.read(0, truth);
+        assert!((read.current_a - 1.25).abs() < 1e-12);
+        assert!((read.speed_rad_s - 1.13).abs() < 1e-12);
+    }
+}
