@@ -74,12 +74,13 @@ impl CommissionReport<'_> {
         };
         page.lead(tone, word, self.headline());
         self.ladder_section(&mut page);
-        page.section("Parameters");
-        page.table(tables::parameters(
-            self.nameplate,
-            self.parameters_before,
-            self.parameters_after,
-        ));
+        // Where nothing was added there is one model, not a model before and after.
+        let (before, after) = if self.after.is_some() {
+            (self.parameters_before, self.parameters_after)
+        } else {
+            (&[][..], self.parameters_before)
+        };
+        tables::parameter_section(&mut page, self.nameplate, before, after);
         self.effect_section(&mut page);
         self.comparison_section(&mut page);
         self.where_section(&mut page);
@@ -208,9 +209,10 @@ impl CommissionReport<'_> {
                 card.id,
                 card.equation
             ));
-            page.facts(vec![
-                ("possible causes".to_owned(), card.causes.to_owned()),
-                ("remedy".to_owned(), card.remedy.to_owned()),
+            page.list(vec![
+                format!("Possible causes: {}.", card.causes),
+                format!("Looks like: {}.", card.looks_like),
+                format!("Remedy: {}.", card.remedy),
             ]);
         }
         let rivals: Vec<String> = self
@@ -304,9 +306,12 @@ impl CommissionReport<'_> {
                 Status::RuledOut => "ruled out",
                 Status::NotExcited => "not excited",
             };
+            // A size is worth showing only where the effect pays; else the evidence says what would have been seen.
+            let paid = matches!(candidate.status, Status::Supported | Status::Possible);
             let parameters: Vec<String> = candidate
                 .parameters
                 .iter()
+                .filter(|_| paid)
                 .map(|p| {
                     let key = p.key.rsplit('.').next().unwrap_or(&p.key);
                     format!(
@@ -319,16 +324,24 @@ impl CommissionReport<'_> {
                 .collect();
             vec![
                 Cell::text(candidate.rank.to_string()),
-                Cell::code(candidate.effect).with_note(candidate.evidence.clone()),
+                Cell::code(candidate.effect),
                 Cell::text(status),
                 Cell::text(format!(
                     "{} -> {}",
                     significant(candidate.holdout_before, 3),
                     significant(candidate.holdout_after, 3)
                 )),
-                Cell::text(format!("{:.0} %", candidate.explained_percent + 0.0)),
+                Cell::text(format!(
+                    "{} %",
+                    number::fixed(candidate.explained_percent, 0)
+                )),
                 Cell::text(format!("{:.0} %", 100.0 * candidate.probability)),
-                Cell::text(parameters.join("; ")),
+                Cell::text(if parameters.is_empty() {
+                    "-".to_owned()
+                } else {
+                    parameters.join("; ")
+                })
+                .with_note(capitalised(&candidate.evidence)),
             ]
         });
         page.table(Table {
@@ -339,7 +352,7 @@ impl CommissionReport<'_> {
                 "held-out error",
                 "explains",
                 "ranks first",
-                "parameters ± std",
+                "size ± std, evidence",
             ],
             rows: rows.collect(),
         });
@@ -380,9 +393,9 @@ fn place(location: &FailureLocation) -> String {
     let sentence = capitalised(&location.sentence);
     if location.variable == "speed_rad_s" {
         format!(
-            "{sentence} ({:.0} to {:.0} r/min)",
-            rpm_from_rad_s(location.from) + 0.0,
-            rpm_from_rad_s(location.to) + 0.0
+            "{sentence} [{} to {} r/min]",
+            number::fixed(rpm_from_rad_s(location.from), 0),
+            number::fixed(rpm_from_rad_s(location.to), 0)
         )
     } else {
         sentence

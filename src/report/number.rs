@@ -60,13 +60,25 @@ pub fn with_std(value: f64, std: f64) -> String {
     }
 }
 
+/// A fixed number of decimals; what rounds to zero has no sign.
+pub fn fixed(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return MISSING.to_owned();
+    }
+    let text = format!("{value:.decimals$}");
+    let nothing = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
+    text.strip_prefix('-')
+        .filter(|_| nothing)
+        .map_or_else(|| text.clone(), str::to_owned)
+}
+
 /// A speed in both units.
 pub fn speed(speed_rad_s: f64) -> String {
     if speed_rad_s.is_finite() {
         format!(
-            "{} rad/s ({:.0} r/min)",
+            "{} rad/s ({} r/min)",
             significant(speed_rad_s, 3),
-            rpm_from_rad_s(speed_rad_s) + 0.0
+            fixed(rpm_from_rad_s(speed_rad_s), 0)
         )
     } else {
         MISSING.to_owned()
@@ -76,7 +88,7 @@ pub fn speed(speed_rad_s: f64) -> String {
 /// A percentage with one decimal.
 pub fn percent(value: f64) -> String {
     if value.is_finite() {
-        format!("{:.1} %", value + 0.0)
+        format!("{} %", fixed(value, 1))
     } else {
         MISSING.to_owned()
     }
@@ -152,6 +164,10 @@ mod tests {
         ] {
             assert_eq!(significant(value, digits), text);
         }
+        assert_eq!(
+            (fixed(-0.04, 1).as_str(), fixed(-0.06, 1).as_str()),
+            ("0.0", "-0.1")
+        );
         assert_eq!(speed(-12.0), "-12.0 rad/s (-115 r/min)");
     }
 

@@ -1,6 +1,6 @@
 //! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
 
-use super::number::significant;
+use super::number::{fixed, significant};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::{Panel, PanelPlot, Series, Style};
 use super::{Context, Facts, tables};
@@ -68,8 +68,7 @@ impl RunReport<'_> {
         page.table(signals(run));
         page.list(run.notes.clone());
         if !self.parameters.is_empty() {
-            page.section("Parameters");
-            page.table(tables::parameters(self.nameplate, &[], self.parameters));
+            tables::parameter_section(&mut page, self.nameplate, &[], self.parameters);
         }
         if !self.timing.is_empty() {
             page.section("Timing");
@@ -91,7 +90,7 @@ fn signals(run: &Run) -> Table {
         let range = |value: f64| {
             let text = significant(value, 4);
             if channel.unit() == "rad/s" && value.is_finite() {
-                Cell::text(text).with_note(format!("{:.0} r/min", rpm_from_rad_s(value) + 0.0))
+                Cell::text(text).with_note(format!("{} r/min", fixed(rpm_from_rad_s(value), 0)))
             } else {
                 Cell::text(text)
             }

@@ -7,7 +7,7 @@ use crate::plant::Model;
 use crate::sample::ParameterEstimate;
 
 /// Parameters side by side, keyed by `after`'s order; `before` may be empty.
-pub(super) fn parameters(
+fn parameters(
     nameplate: Option<&Model>,
     before: &[ParameterEstimate],
     after: &[ParameterEstimate],
@@ -67,12 +67,37 @@ fn estimate(parameter: Option<&ParameterEstimate>, nameplate: Option<f64>) -> [C
         && found.is_finite()
         && parameter.verdict != crate::sample::Verdict::Fixed
     {
-        value = value.with_note(format!(
-            "{:+.1} % of nameplate",
-            100.0 * (found / given - 1.0)
-        ));
+        let difference = number::fixed(100.0 * (found / given - 1.0), 1);
+        value = value.with_note(format!("{difference} % off the nameplate"));
     }
-    [value, Cell::text(number::verdict(parameter))]
+    [value, Cell::text(parameter.verdict.name())]
+}
+
+/// Parameters with their verdicts, and below them the reason of every verdict that has one.
+pub(super) fn parameter_section(
+    page: &mut Page,
+    nameplate: Option<&Model>,
+    before: &[ParameterEstimate],
+    after: &[ParameterEstimate],
+) {
+    page.section("Parameters");
+    page.table(parameters(nameplate, before, after));
+    let two = !before.is_empty();
+    let reason = |when: &str, parameter: &ParameterEstimate| {
+        let when = if two {
+            format!(" ({when})")
+        } else {
+            String::new()
+        };
+        let verdict = number::verdict(parameter);
+        parameter
+            .reason
+            .as_ref()
+            .map(|_| format!("{}{when}: {verdict}", parameter.key))
+    };
+    let mut reasons: Vec<String> = before.iter().filter_map(|p| reason("before", p)).collect();
+    reasons.extend(after.iter().filter_map(|p| reason("after", p)));
+    page.list(reasons);
 }
 
 /// Conditions of the measurement, at the end of every report.

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::*;
 use crate::diagnosis::{
-    Comparison, Diagnosis, DiagnosisVerdict, Evidence, HoldoutFrom, Rung, compare, diagnose,
+    Comparison, Diagnosis, DiagnosisVerdict, Evidence, HoldoutFrom, Rung, Score, compare, diagnose,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, Fit};
@@ -92,7 +92,6 @@ fn no_fit() -> Fit {
 
 fn comparison(factor: f64) -> Comparison {
     use crate::diagnosis::{FailureLocation, ResidualLights};
-    // The fields of a signal are not all exported: the contract's own JSON form is, so build from the public parts.
     let mut comparison = tiny_comparison();
     for signal in [
         &mut comparison.signals.speed_rad_s,
@@ -351,6 +350,11 @@ fn commission(truth: &Model, name: &str) -> String {
         free_run(&found.baseline.model),
         named.then(|| free_run(&found.model.model)),
     );
+    let rung = |model: &Model| Rung {
+        effects: model.effect_ids(),
+        holdout_rmse: Score::of(model, confirm, &evidence.noise).unwrap().nrms,
+    };
+    let confirmed = [rung(&found.baseline.model), rung(&found.model.model)];
     let report = CommissionReport {
         title: "ZK-22FC on the emulator",
         context: &context(),
@@ -361,7 +365,7 @@ fn commission(truth: &Model, name: &str) -> String {
         after: after.as_ref(),
         diagnosis: &found,
         ladder: &found.ladder,
-        confirm: None,
+        confirm: Some(&confirmed),
         series: Some(ConfirmRun {
             scenario: confirm,
             before: &old,

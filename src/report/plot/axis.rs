@@ -122,7 +122,9 @@ pub fn labels(ticks: &[f64]) -> Vec<String> {
     };
     let last = (step.log10() + 1e-6).floor() as i32;
     if last < -4 || size >= 1e6 {
-        let digits = ((size.max(step) / step).log10() + 1e-6).floor().max(0.0) as usize;
+        // Enough digits that the last one is that of the step.
+        let first = (size.max(step).log10() + 1e-6).floor() as i32;
+        let digits = (first - last).max(0) as usize;
         return ticks
             .iter()
             .map(|tick| {
