@@ -101,10 +101,11 @@ impl CommissionReport<'_> {
             Target::Unknown => String::new(),
             target => format!(" on {}", target.name()),
         };
-        format!(
-            "Commission{target}, {} runs",
-            self.context.run_folders.len()
-        )
+        match self.context.run_folders.len() {
+            0 => format!("Commission{target}"),
+            1 => format!("Commission{target}, one run"),
+            runs => format!("Commission{target}, {runs} runs"),
+        }
     }
 
     fn headline(&self) -> String {
@@ -127,6 +128,12 @@ impl CommissionReport<'_> {
         }
         sentence.push('.');
         sentence
+    }
+
+    /// Both comparisons with what their model is called; where nothing was added there is but one model.
+    fn comparisons(&self) -> [(&'static str, Option<&Comparison>); 2] {
+        let [before, after] = model_names(self.after.is_some());
+        [(before, Some(self.before)), (after, self.after)]
     }
 
     fn unit_of_error(&self) -> &'static str {
@@ -237,7 +244,7 @@ impl CommissionReport<'_> {
         }
         let mut rows = Vec::new();
         for (name, unit, get) in SIGNALS {
-            for (label, comparison) in [("before", Some(self.before)), ("after", self.after)] {
+            for (label, comparison) in self.comparisons() {
                 if let Some(signal) = comparison.and_then(get) {
                     rows.push(signal_row(name, unit, label, &signal));
                 }
@@ -256,15 +263,14 @@ impl CommissionReport<'_> {
             ],
             rows,
         });
-        let lights = [("before", Some(self.before)), ("after", self.after)];
         page.list(
-            lights
+            self.comparisons()
                 .into_iter()
                 .filter_map(|(label, comparison)| {
                     let residual = comparison?.residual;
                     let white = if residual.white { "only noise is left" } else { "there is more than noise in it" };
                     Some(format!(
-                        "Residual {label}: {white} ({:.0} % of the autocorrelation lags lie outside their 99 % band; 1 % \
+                        "Residual of the {label}: {white} ({:.0} % of the autocorrelation lags lie outside their 99 % band; 1 % \
                          is chance).",
                         100.0 * residual.autocorrelation_outside_99_percent
                     ))
@@ -275,10 +281,11 @@ impl CommissionReport<'_> {
 
     fn where_section(&self, page: &mut Page) {
         page.section("Where the model fails");
-        for (label, comparison) in [("Before", Some(self.before)), ("After", self.after)] {
+        for (label, comparison) in self.comparisons() {
             let Some(comparison) = comparison else {
                 continue;
             };
+            let label = capitalised(label);
             if comparison.locations.is_empty() {
                 page.paragraph(format!(
                     "{label}: the error follows no speed, current, angle or time."
@@ -402,6 +409,14 @@ fn place(location: &FailureLocation) -> String {
     }
 }
 
+const fn model_names(changed: bool) -> [&'static str; 2] {
+    if changed {
+        ["model before", "model after"]
+    } else {
+        ["model", ""]
+    }
+}
+
 fn rung_name(rung: &Rung) -> String {
     if rung.effects.is_empty() {
         "baseline".to_owned()
@@ -472,21 +487,22 @@ fn signal_panels(
     let mut residual = Panel::new(format!("{name}, simulated - measured"), unit).with_height(110.0);
     // A signal that was not measured has nothing to be compared with.
     let seen = measured.iter().any(|value| value.is_finite());
+    let [before, after] = model_names(run.after.is_some());
+    let style = if run.after.is_some() {
+        Style::Before
+    } else {
+        Style::After
+    };
     let models = [
-        ("before", Style::Before, Some(run.before)),
-        ("after", Style::After, run.after),
+        (before, style, Some(run.before)),
+        (after, Style::After, run.after),
     ];
     for (label, style, trajectory) in models {
         let Some(trajectory) = trajectory.filter(|_| seen) else {
             continue;
         };
         let values = simulated(trajectory);
-        signal = signal.with(Series::sampled(
-            format!("model {label}"),
-            style,
-            time_s,
-            values,
-        ));
+        signal = signal.with(Series::sampled(label, style, time_s, values));
         let error: Vec<f64> = values
             .iter()
             .zip(measured)

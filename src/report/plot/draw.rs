@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use crate::report::escape::escape;
 
-/// Mean width of a character of the 12 px labels, px; only used to keep labels apart.
-pub(super) const CHARACTER_PX: f64 = 6.7;
+/// Width of a character of the 12 px labels, px, in the wider of the usual fonts; only used to keep labels apart.
+pub(super) const CHARACTER_PX: f64 = 7.2;
 
 /// A coordinate; one decimal of a pixel is finer than any screen.
 pub(super) fn px(value: f64) -> String {

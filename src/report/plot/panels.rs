@@ -302,18 +302,18 @@ fn heading(out: &mut String, panel: &Panel, x: Scale, top: f64) {
         text(out, "unit", x.to_px + 7.0, base, unit);
     }
     if let Some(band) = &panel.band {
+        text(out, "legend end", right, base, &band.label);
         right -= width(&band.label);
-        text(out, "legend", right, base, &band.label);
         rectangle(out, "band", right - SAMPLE - 5.0, base - 9.0, SAMPLE, 10.0);
-        right -= SAMPLE + 22.0;
+        right -= SAMPLE + 18.0;
     }
     for series in panel.series.iter().rev() {
+        text(out, "legend end", right, base, &series.label);
         right -= width(&series.label);
-        text(out, "legend", right, base, &series.label);
         let at = base - 4.0;
         let class = format!("key {}", series.style.class());
         line(out, &class, (right - SAMPLE - 5.0, at), (right - 5.0, at));
-        right -= SAMPLE + 22.0;
+        right -= SAMPLE + 18.0;
     }
 }
 
