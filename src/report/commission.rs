@@ -111,20 +111,19 @@ impl CommissionReport<'_> {
     fn headline(&self) -> String {
         let mut sentence = capitalised(&self.diagnosis.sentence);
         if let Some([before, after]) = self.confirm {
-            sentence.push_str(&if self.after.is_some() {
+            let (old, new) = (
+                significant(before.holdout_rmse, 3),
+                significant(after.holdout_rmse, 3),
+            );
+            let unit = self.unit_of_error();
+            let confirmed = if self.after.is_some() {
                 format!(
-                    ". Confirmed on a run of its own: error {} before, {} after, in units of {}",
-                    significant(before.holdout_rmse, 3),
-                    significant(after.holdout_rmse, 3),
-                    self.unit_of_error(),
+                    ". On a run that neither fitted nor selected: {old} before, {new} after, in units of {unit}"
                 )
             } else {
-                format!(
-                    ". On a confirming run: error {} in units of {}",
-                    significant(before.holdout_rmse, 3),
-                    self.unit_of_error()
-                )
-            });
+                format!(". On a run that neither fitted nor selected: {old}, in units of {unit}")
+            };
+            sentence.push_str(&confirmed);
         }
         sentence.push('.');
         sentence

@@ -17,7 +17,8 @@ pub fn significant(value: f64, digits: usize) -> String {
     let digits = digits.max(1);
     let exponent = exponent_of(value, digits);
     if value == 0.0 || PLAIN.contains(&exponent) {
-        let decimals = (digits as i32 - 1 - exponent).max(0) as usize;
+        let wanted = i32::try_from(digits).unwrap_or(i32::MAX);
+        let decimals = places(wanted - 1 - exponent);
         format!(
             "{:.*}",
             if value == 0.0 { 0 } else { decimals },
@@ -43,7 +44,7 @@ pub fn with_std(value: f64, std: f64) -> String {
         return format!("{} ± 0", significant(value, 5));
     }
     if PLAIN.contains(&leading) {
-        let decimals = (-last).max(0) as usize;
+        let decimals = places(-last);
         format!(
             "{:.decimals$} ± {:.decimals$}",
             rounded(value, last),
@@ -51,7 +52,7 @@ pub fn with_std(value: f64, std: f64) -> String {
         )
     } else {
         let unit = 10f64.powi(leading);
-        let decimals = (leading - last).max(0) as usize;
+        let decimals = places(leading - last);
         format!(
             "({:.decimals$} ± {:.decimals$})e{leading}",
             value / unit + 0.0,
@@ -111,8 +112,13 @@ pub fn verdict(parameter: &ParameterEstimate) -> String {
     }
 }
 
+/// Decimals to write; none where the last digit stands left of the point.
+pub(super) fn places(decimals: i32) -> usize {
+    usize::try_from(decimals).unwrap_or(0)
+}
+
 /// Power of ten of the first digit after rounding to `digits`; 0 for zero.
-fn exponent_of(value: f64, digits: usize) -> i32 {
+pub(super) fn exponent_of(value: f64, digits: usize) -> i32 {
     format!("{value:.*e}", digits - 1)
         .rsplit_once('e')
         .and_then(|(_, exponent)| exponent.parse().ok())

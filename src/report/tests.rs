@@ -290,7 +290,7 @@ fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
         ));
     }
     let period_s = 0.004;
-    let samples = (7.5 / period_s) as usize;
+    let samples = 1875;
     let mut scenario = Scenario {
         name: format!("run {shift}"),
         input: Input::Voltage,
@@ -415,7 +415,8 @@ fn the_page_of_a_run_is_whole() {
     let mut run = Run::new("first <run>", scenario.sample_time_s.clone()).unwrap();
     let mut command = vec![f64::NAN; run.rows()];
     for (time_s, value) in &scenario.events {
-        command[(time_s / 0.004).round() as usize] = *value;
+        let row = run.time_s().partition_point(|t| *t < time_s - 1e-9);
+        command[row] = *value;
     }
     run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
         .unwrap();

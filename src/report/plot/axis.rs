@@ -1,5 +1,7 @@
 //! Axes: the range that is shown, round tick values, and where a value falls in the picture.
 
+use crate::report::number::{exponent_of, places};
+
 /// The range of values along an axis; always finite and wider than nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Domain {
@@ -67,6 +69,12 @@ impl Scale {
     }
 }
 
+/// Share of a step that is rounding, not distance.
+const ROUNDING: f64 = 1e-7;
+/// Digits that tell any two doubles apart, and digits in which rounding does not show.
+const ALL_DIGITS: usize = 17;
+const SAFE_DIGITS: usize = 7;
+
 /// Round values (1, 2 or 5 times a power of ten apart) inside the domain, at most `most` of them.
 pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
     let span = domain.to - domain.from;
@@ -74,9 +82,7 @@ pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
     if !(span.is_finite() && span > 0.0) {
         return Vec::new();
     }
-    let power = (span / most as f64).log10().floor() as i32;
-    // A tenth of a millionth of a step is rounding, not distance.
-    const ROUNDING: f64 = 1e-7;
+    let power = exponent_of(span / most as f64, ALL_DIGITS);
     for (factor, power) in [
         (1.0, power),
         (2.0, power),
@@ -100,8 +106,9 @@ pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
             if step <= 0.0 || first.abs().max(last.abs()) > 1e12 {
                 return Vec::new();
             }
-            return (0..=(last - first) as usize)
-                .map(|k| multiple(first + k as f64) + 0.0)
+            return std::iter::successors(Some(first), |k| Some(k + 1.0))
+                .take_while(|k| *k <= last)
+                .map(|k| multiple(k) + 0.0)
                 .collect();
         }
     }
@@ -120,11 +127,11 @@ pub fn labels(ticks: &[f64]) -> Vec<String> {
     } else {
         size.max(1e-300)
     };
-    let last = (step.log10() + 1e-6).floor() as i32;
+    let last = exponent_of(step, SAFE_DIGITS);
     if last < -4 || size >= 1e6 {
         // Enough digits that the last one is that of the step.
-        let first = (size.max(step).log10() + 1e-6).floor() as i32;
-        let digits = (first - last).max(0) as usize;
+        let first = exponent_of(size.max(step), SAFE_DIGITS);
+        let digits = places(first - last);
         return ticks
             .iter()
             .map(|tick| {
@@ -136,7 +143,7 @@ pub fn labels(ticks: &[f64]) -> Vec<String> {
             })
             .collect();
     }
-    let decimals = (-last).max(0) as usize;
+    let decimals = places(-last);
     ticks
         .iter()
         .map(|tick| format!("{tick:.decimals$}"))

@@ -68,27 +68,27 @@ pub fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> Pieces {
     let width = (to - from) / columns.max(1) as f64;
     let column = |time: f64| ((time - from) / width).floor();
     let mut out = Pieces::new();
+    let mut line = Vec::new();
     let mut last_time = f64::NEG_INFINITY;
     for piece in pieces.iter().filter(|piece| !piece.is_empty()) {
-        if out.is_empty() || piece[0].0 - last_time > width {
-            out.push(Vec::new());
+        if piece[0].0 - last_time > width && !line.is_empty() {
+            out.push(std::mem::take(&mut line));
         }
         last_time = piece[piece.len() - 1].0;
-        let line = out.last_mut().expect("a piece has just been opened");
-        let mut begin = 0;
-        while begin < piece.len() {
-            let here = column(piece[begin].0);
-            let length = piece[begin..]
-                .iter()
-                .take_while(|point| column(point.0) == here)
-                .count();
-            push_extremes(line, &piece[begin..begin + length], |time| {
-                column(time) == here
-            });
-            begin += length;
+        for points in piece.chunk_by(|a, b| same_number(column(a.0), column(b.0))) {
+            let here = column(points[0].0);
+            push_extremes(&mut line, points, |time| same_number(column(time), here));
         }
     }
+    if !line.is_empty() {
+        out.push(line);
+    }
     out
+}
+
+/// Whether two whole numbers are the same one.
+fn same_number(a: f64, b: f64) -> bool {
+    (a - b).abs() < 0.5
 }
 
 /// Adds the smallest and largest point of one column in order of time, and the last one, from which the line goes on.

@@ -13,8 +13,10 @@ const RIGHT: f64 = 58.0;
 const HEAD: f64 = 24.0;
 const GAP: f64 = 12.0;
 const FOOT: f64 = 40.0;
-/// Columns for decimation: one to a pixel.
-const COLUMNS: usize = (WIDTH - LEFT - RIGHT) as usize;
+/// Columns for decimation: one to a pixel between the margins.
+const COLUMNS: usize = 776;
+/// Ticks along a value axis at most.
+const VALUE_TICKS: usize = 6;
 
 /// What a line stands for; each has a colour, a width and a dash pattern of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -240,8 +242,7 @@ fn draw_panel(out: &mut String, panel: &Panel, x: Scale, time_ticks: &[f64], top
     for tick in time_ticks {
         line(out, "grid", (x.px(*tick), upper), (x.px(*tick), lower));
     }
-    let most = ((panel.height / 24.0) as usize).max(6);
-    let value_ticks = ticks(y.domain, most);
+    let value_ticks = ticks(y.domain, VALUE_TICKS);
     for (label, tick) in labels(&value_ticks).iter().zip(&value_ticks) {
         let class = if tick.abs() > 0.0 {
             "grid"
@@ -252,7 +253,7 @@ fn draw_panel(out: &mut String, panel: &Panel, x: Scale, time_ticks: &[f64], top
         text(out, "tick end", x.from_px - 7.0, y.px(*tick) + 4.0, label);
     }
     if let Some((_, factor)) = panel.second {
-        let second = ticks(y.domain.scaled(factor), most);
+        let second = ticks(y.domain.scaled(factor), VALUE_TICKS);
         for (label, tick) in labels(&second).iter().zip(&second) {
             let at = y.px(tick / factor);
             line(out, "mark", (x.to_px, at), (x.to_px + 4.0, at));
