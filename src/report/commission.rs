@@ -236,8 +236,9 @@ impl CommissionReport<'_> {
             page.figure(
                 plot(run).svg("measured and simulated current and speed over time"),
                 format!(
-                    "Run {}: free run of the models from the voltage alone. A line is broken where samples are missing.",
-                    run.scenario.name
+                    "Free run of the model over {:?} from its {} alone. A line is broken where samples are missing.",
+                    run.scenario.name,
+                    input_name(run.scenario.input).0,
                 ),
             );
         }
@@ -431,15 +432,19 @@ fn capitalised(sentence: &str) -> String {
     })
 }
 
+const fn input_name(input: Input) -> (&'static str, &'static str) {
+    match input {
+        Input::Voltage => ("voltage", "V"),
+        Input::Current => ("current as input", "A"),
+        Input::Torque => ("torque as input", "N.m"),
+    }
+}
+
 /// Input, both signals and both residuals over one time axis.
 fn plot(run: ConfirmRun<'_>) -> PanelPlot {
     let scenario = run.scenario;
     let end_s = scenario.sample_time_s.last().copied().unwrap_or(0.0);
-    let (name, unit) = match scenario.input {
-        Input::Voltage => ("voltage", "V"),
-        Input::Current => ("current as input", "A"),
-        Input::Torque => ("torque as input", "N.m"),
-    };
+    let (name, unit) = input_name(scenario.input);
     let input = Series::held("command", Style::Command, &scenario.events, end_s);
     let current = signal_panels(
         run,

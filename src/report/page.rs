@@ -349,6 +349,7 @@ fn padded(row: &[Cell], width: usize) -> impl Iterator<Item = Cell> + '_ {
 
 /// Whether a cell is to be kept on one line: it begins like a number.
 fn is_number(text: &str) -> bool {
-    text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '-' | '(' | '+'))
+    text.trim_start_matches(['-', '(', '+'])
+        .starts_with(|c: char| c.is_ascii_digit())
         && text.len() < 40
 }

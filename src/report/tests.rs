@@ -47,6 +47,12 @@ fn assert_balanced(html: &str) {
     assert!(open.is_empty(), "left open: {open:?}");
 }
 
+#[test]
+#[should_panic(expected = "</p> after")]
+fn the_checker_sees_tags_that_cross() {
+    assert_balanced("<p><b>x</p></b>");
+}
+
 fn estimate(
     key: &str,
     value: f64,
@@ -274,6 +280,17 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
     let html = report.html();
     assert_balanced(&html);
     assert!(html.contains("software drive &lt;1&gt;"));
+    // On hardware nobody knows the truth, whatever the caller passes.
+    let hardware = Context {
+        target: Target::Hardware,
+        ..context()
+    };
+    let on_hardware = CommissionReport {
+        context: &hardware,
+        ..report.clone()
+    };
+    assert!(report.text().contains("Truth of the emulator"));
+    assert!(!on_hardware.text().contains("Truth"));
     assert!(!html.contains("http"), "nothing is fetched from elsewhere");
 }
 

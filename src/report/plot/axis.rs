@@ -187,11 +187,11 @@ mod tests {
     proptest! {
         #[test]
         fn ticks_are_round_inside_increasing_and_few(
-            from in -1e6..1e6f64, power in -6..9i32, mantissa in 1.0..10.0f64, most in 6..15usize,
+            place in -1e6..1e6f64, power in -12..12i32, mantissa in 1.0..10.0f64, most in 6..15usize,
         ) {
             let span = mantissa * 10f64.powi(power);
+            let from = place * span;
             let range = domain(from, from + span);
-            prop_assume!(range.to - range.from > 1e-9 * from.abs());
             let found = ticks(range, most);
             prop_assert!(found.len() >= 2 && found.len() <= most, "{found:?}");
             let step = found[1] - found[0];

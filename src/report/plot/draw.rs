@@ -4,9 +4,6 @@ use std::fmt::Write;
 
 use crate::report::escape::escape;
 
-/// Width of a character of the 12 px labels, px, in the wider of the usual fonts; only used to keep labels apart.
-pub(super) const CHARACTER_PX: f64 = 7.2;
-
 /// A coordinate; one decimal of a pixel is finer than any screen.
 pub(super) fn px(value: f64) -> String {
     // Anything that is not a number would void the whole picture: callers pass finite values only.
@@ -47,7 +44,15 @@ pub(super) fn rectangle(out: &mut String, class: &str, x: f64, y: f64, width: f6
     );
 }
 
-/// Width that a label takes, px.
+/// Width that a 12 px label takes in the widest of the usual fonts (`DejaVu Sans`), px; keeps labels apart.
 pub(super) fn width(content: &str) -> f64 {
-    CHARACTER_PX * content.chars().count() as f64
+    content
+        .chars()
+        .map(|character| match character {
+            'i' | 'j' | 'l' | '.' | ',' | ' ' => 3.8,
+            'f' | 'r' | 't' | '-' => 4.9,
+            'm' | 'w' | 'M' | 'W' | '%' => 11.8,
+            _ => 7.7,
+        })
+        .sum()
 }
