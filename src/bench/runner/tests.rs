@@ -32,9 +32,17 @@ fn options() -> RunOptions {
 }
 
 fn emulated(emulator_seed: u64, run_seed: u64) -> (RunSummary, MemoryRecorder, SnapshotCell) {
+    emulated_with(&EmulatorConfig::embedded_default(), emulator_seed, run_seed)
+}
+
+fn emulated_with(
+    config: &EmulatorConfig,
+    emulator_seed: u64,
+    run_seed: u64,
+) -> (RunSummary, MemoryRecorder, SnapshotCell) {
     let bench = BenchFile::embedded_default();
     let mut clock = VirtualClock::new();
-    let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), emulator_seed);
+    let drive = SoftDrive::new(config, emulator_seed);
     let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
     let guard = Guard::new(bench.limits(), &bench.motor, Some(11.4));
     let session = Session::new(Box::new(bench.program(run_seed).unwrap()), guard);
@@ -402,4 +410,28 @@ fn cost_of_a_step_and_of_a_whole_run() {
         plan.energy_j,
         plan.duration_s
     );
+}
+
+/// `cargo test --release --lib bench::runner::tests::what -- --ignored --nocapture`
+#[test]
+#[ignore = "a measurement: what the diagnosis makes of the embedded bench's three runs"]
+fn what_the_default_excitation_reveals() {
+    use crate::diagnosis::{Evidence, diagnose};
+    use crate::plant::{Model, Scenario};
+    for name in EmulatorConfig::embedded_names() {
+        for emulator_seed in 1..=3 {
+            let config = EmulatorConfig::embedded(name).unwrap();
+            let [fit, select, confirm] = [1, 2, 3].map(|run_seed| {
+                let recorder = emulated_with(&config, emulator_seed, run_seed).1;
+                Scenario::from_run(&recorder.run("r").unwrap()).unwrap()
+            });
+            let model = Model::baseline(BenchFile::embedded_default().motor.motor());
+            let evidence = Evidence::new(fit, Some(select), Some(confirm));
+            let found = diagnose(&model, evidence, false).unwrap();
+            println!(
+                "{name} seed {emulator_seed}: {:?} {:?} explained {:?}",
+                found.verdict, found.effects, found.explained_percent
+            );
+        }
+    }
 }
