@@ -105,8 +105,16 @@ pub struct LimitsConfig {
     pub bus_v: f64,
     /// The drive trips above this magnitude.
     pub speed_limit_rad_s: f64,
+    /// The thermal switch in the winding opens above this temperature (with 25 C around).
+    #[serde(default = "default_winding_limit_c")]
+    pub winding_limit_c: f64,
     #[serde(default)]
     pub output_off: OutputOff,
+}
+
+/// Insulation class H.
+const fn default_winding_limit_c() -> f64 {
+    180.0
 }
 
 /// What the motor's terminals see while the output is off.
@@ -155,6 +163,10 @@ impl EmulatorConfig {
     }
 
     /// The configuration that `commission` uses when none is given: a ZK-22FC with a hidden effect.
+    #[expect(
+        clippy::missing_panics_doc,
+        reason = "the text is part of the program and a test parses it"
+    )]
     pub fn embedded_default() -> Self {
         Self::embedded(EMBEDDED[0].0).expect("a test parses every embedded configuration")
     }
@@ -197,10 +209,15 @@ impl EmulatorConfig {
             ("current_limit_a", self.limits.current_limit_a, 655.0),
             ("bus_v", self.limits.bus_v, 655.0),
             ("speed_limit_rad_s", self.limits.speed_limit_rad_s, 1310.0),
+            ("winding_limit_c", self.limits.winding_limit_c, 1000.0),
         ];
         for (key, value, highest) in limits {
             if !(value > 0.0 && value <= highest) {
-                return refuse(key, value, "above 0, at most what a register carries");
+                return refuse(
+                    key,
+                    value,
+                    "above 0; at most what a register carries, or 1000 C",
+                );
             }
         }
         let sensors = [
@@ -283,6 +300,7 @@ mod tests {
         // Every key with a default, left out.
         let optional = [
             "tolerance",
+            "winding_limit_c",
             "watchdog_ms",
             "output_off",
             "voltage_v",

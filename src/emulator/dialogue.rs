@@ -95,7 +95,7 @@ impl Dialogue {
             }
             Self::Stream(decoder) => {
                 if let Some(received) = decoder.push(byte)
-                    && let Some(answer) = answer_stream(drive, received)
+                    && let Some(answer) = answer_stream(drive, &received)
                 {
                     let mut frame = [0; stream::MAX_FRAME];
                     let length = stream::encode(&answer, &mut frame);
@@ -129,6 +129,7 @@ fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut SoftDrive, answers: &mut V
 mod tests {
     use firmware_protocol::stream::{Frame, Message};
     use firmware_protocol::{Control, DriveCommand, Telemetry};
+    use proptest::prelude::*;
 
     use super::*;
     use crate::emulator::EmulatorConfig;
@@ -220,5 +221,43 @@ mod tests {
         };
         assert_eq!(seq, 700);
         assert!((voltage_cmd_v - 9.0).abs() < 1e-9);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Whatever comes in, the drive neither panics nor becomes deaf: after a silence it answers the next request.
+        #[test]
+        fn noise_never_makes_the_drive_deaf(noise in prop::collection::vec(any::<u8>(), 0..400)) {
+            let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
+            for (kind, request) in [
+                (LinkKind::ModbusRtu, rtu_frame(1, &[3, 0, 0, 0, 16])),
+                // An empty frame ends whatever the noise began.
+                (LinkKind::Stream, {
+                    let mut bytes = [0; stream::MAX_FRAME];
+                    let length = stream::encode(&Frame::ask(7, Message::Hello), &mut bytes);
+                    [&[0], &bytes[..length]].concat()
+                }),
+            ] {
+                let mut dialogue = Dialogue::new(kind);
+                let mut answers = Vec::new();
+                for byte in &noise {
+                    prop_assert!(dialogue.push(*byte, &mut drive, &mut answers).is_ok());
+                }
+                dialogue.idle(&mut drive, &mut answers);
+                answers.clear();
+                for byte in &request {
+                    prop_assert!(dialogue.push(*byte, &mut drive, &mut answers).is_ok());
+                }
+                prop_assert_eq!(answers.last().map(|answer| answer.len() >= 37), Some(true));
+            }
+            let mut dialogue = Dialogue::new(LinkKind::ModbusTcp);
+            for byte in &noise {
+                // A wrong header ends the connection; anything else is served.
+                if dialogue.push(*byte, &mut drive, &mut Vec::new()).is_err() {
+                    break;
+                }
+            }
+        }
     }
 }

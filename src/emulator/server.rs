@@ -326,6 +326,7 @@ fn now() -> Instant {
     Instant::now()
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 #[path = "server_tests.rs"]
 mod tests;

@@ -19,6 +19,8 @@ use super::*;
 fn config(baud: u32) -> EmulatorConfig {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
     config.line.baud = baud;
+    // Under load the host of a test may be late.
+    config.watchdog_ms = 5000;
     config
 }
 
@@ -34,13 +36,13 @@ fn open(server: &ServerHandle) -> File {
         .unwrap()
 }
 
-/// Bytes that come within a second of silence at most, until `enough` are there.
+/// Bytes, with five seconds of silence between them at most, until `enough` are there.
 fn receive(host: &mut File, enough: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut buffer = [0; 512];
     while bytes.len() < enough {
         let mut fds = [PollFd::new(host.as_fd(), PollFlags::POLLIN)];
-        if poll(&mut fds, PollTimeout::from(1000_u16)).unwrap() == 0 {
+        if poll(&mut fds, PollTimeout::from(5000_u16)).unwrap() == 0 {
             break;
         }
         let count = host.read(&mut buffer).unwrap();
@@ -156,7 +158,9 @@ fn receive_now(host: &mut File) -> usize {
 
 #[test]
 fn a_host_that_goes_leaves_the_motor_to_the_watchdog() {
-    let server = pty(LinkKind::ModbusRtu, 0);
+    let mut config = config(0);
+    config.watchdog_ms = 200;
+    let server = spawn(config, 1, LinkKind::ModbusRtu, Endpoint::temporary_pty()).unwrap();
     let mut host = open(&server);
     assert_eq!(
         exchange(&mut host, volts(1, 24.0)).status.state(),

@@ -46,7 +46,9 @@ impl Session<'_> {
         let (mut gone, mut broken) = (false, false);
         loop {
             let now = (self.clock)();
-            while let Some((at, byte)) = incoming.pop_front_if(|(at, _)| *at <= now) {
+            // What a host wrote before it went still counts, at its own time: the drive then runs a little ahead.
+            let seen_until = if gone { f64::INFINITY } else { now };
+            while let Some((at, byte)) = due(&mut incoming, seen_until) {
                 self.drive.advance_to(at);
                 broken |= self.dialogue.push(byte, self.drive, &mut answers).is_err();
                 self.send(at, &mut answers, &mut outgoing);
@@ -58,18 +60,18 @@ impl Session<'_> {
                 self.dialogue.idle(self.drive, &mut answers);
                 self.send(now, &mut answers, &mut outgoing);
             }
-            while let Some((_, answer)) = outgoing.pop_front_if(|(due, _)| *due <= now) {
-                if !gone {
-                    self.deliver(port, &answer);
-                    last_answer_s = Some(now);
-                }
+            if gone {
+                return None;
             }
-            let finished = (gone && incoming.is_empty()) || (broken && outgoing.is_empty());
-            if finished || self.stop.load(Ordering::Relaxed) {
+            while let Some((_, answer)) = due(&mut outgoing, now) {
+                self.deliver(port, &answer);
+                last_answer_s = Some(now);
+            }
+            if (broken && outgoing.is_empty()) || self.stop.load(Ordering::Relaxed) {
                 return last_answer_s;
             }
             // Bytes of one request are looked at together, each at its own time.
-            let due = [
+            let next_s = [
                 incoming.back().map(|(at, _)| *at),
                 outgoing.front().map(|(due, _)| *due),
                 silent_from_s,
@@ -77,8 +79,8 @@ impl Session<'_> {
             .into_iter()
             .flatten()
             .fold(now + LONGEST_WAIT_S, f64::min);
-            let wait = Duration::from_secs_f64((due - (self.clock)()).max(0.0));
-            if gone || incoming.len() >= LONGEST_QUEUE {
+            let wait = Duration::from_secs_f64((next_s - (self.clock)()).max(0.0));
+            if incoming.len() >= LONGEST_QUEUE {
                 std::thread::sleep(wait);
                 continue;
             }
@@ -107,11 +109,21 @@ impl Session<'_> {
     }
 
     fn deliver(&self, port: &mut dyn Port, answer: &[u8]) {
-        let taken = port.write(answer);
+        // Counted first: who has the answer also finds it counted.
         self.counters.answers.fetch_add(1, Ordering::Relaxed);
+        let taken = port.write(answer);
         let dropped = answer.len() - taken;
         self.counters
             .bytes_dropped
             .fetch_add(u64::try_from(dropped).unwrap_or(0), Ordering::Relaxed);
+    }
+}
+
+/// The first entry, if its time has come.
+fn due<T>(queue: &mut VecDeque<(f64, T)>, now_s: f64) -> Option<(f64, T)> {
+    if queue.front()?.0 <= now_s {
+        queue.pop_front()
+    } else {
+        None
     }
 }

@@ -5,7 +5,7 @@ use firmware_protocol::{CaptureControl, CaptureSample, CaptureState};
 use crate::emulator::truth::Reading;
 
 /// Samples that one capture holds: 0.4 s at 100 us.
-pub(super) const LENGTH: usize = 4096;
+pub(super) const LENGTH: u16 = 4096;
 
 /// The record and its trigger.
 #[derive(Default)]
@@ -53,7 +53,7 @@ impl Capture {
             current_a: reading.current_a,
             speed_rad_s: reading.speed_rad_s,
         });
-        if self.samples.len() == LENGTH {
+        if self.count() == LENGTH {
             self.state = CaptureState::Complete;
         }
     }

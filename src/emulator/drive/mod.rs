@@ -13,7 +13,8 @@ mod registers;
 mod stream;
 
 use firmware_protocol::{
-    Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State, Status, Telemetry,
+    CommandBlock, Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State,
+    Status, Telemetry,
 };
 
 use self::capture::Capture;
@@ -25,18 +26,19 @@ use super::truth::{MotorTruth, Plant, Reading, Sensors};
 pub(super) use self::stream::answer as answer_stream;
 
 /// Period of the drive's control and of the plant's integration.
-const TICK_US: u32 = 50;
+const TICK_US: u16 = 50;
 const TICK_S: f64 = TICK_US as f64 * 1e-6;
 const TICKS_PER_MS: u64 = 1000 / TICK_US as u64;
 /// Captured samples lie this far apart.
-const CAPTURE_TICKS: u64 = 2;
-/// The winding's thermal switch opens at 155 C (insulation class F) with 25 C around.
-const WINDING_TRIP_K: f64 = 130.0;
+const CAPTURE_TICKS: u16 = 2;
+/// Temperature around the motor.
+const AMBIENT_C: f64 = 25.0;
 
 /// The software drive. Time only moves in [`SoftDrive::advance_to`] and, by at most one tick, in
 /// [`SoftDrive::command`].
 pub struct SoftDrive {
     identity: Identity,
+    winding_limit_c: f64,
     specimen: MotorTruth,
     hidden: Vec<(&'static str, TrueParameter)>,
     plant: Plant,
@@ -55,7 +57,10 @@ pub struct SoftDrive {
     kicked_tick: u64,
     applied_unread: bool,
     tick: u64,
-    command_block: registers::CommandBlock,
+    command_block: CommandBlock,
+    /// The two other registers that the host writes.
+    capture_control: u16,
+    window_index: u16,
 }
 
 impl SoftDrive {
@@ -74,6 +79,7 @@ impl SoftDrive {
             .collect();
         Self {
             identity: identity(config, seed),
+            winding_limit_c: config.limits.winding_limit_c,
             hidden,
             plant: Plant::new(specimen.clone(), &config.hidden),
             specimen,
@@ -90,7 +96,9 @@ impl SoftDrive {
             kicked_tick: 0,
             applied_unread: false,
             tick: 0,
-            command_block: registers::CommandBlock::default(),
+            command_block: CommandBlock::default(),
+            capture_control: 0,
+            window_index: 0,
         }
     }
 
@@ -117,6 +125,7 @@ impl SoftDrive {
     /// Takes a command: it is applied on the next control tick, to which the drive advances.
     pub fn command(&mut self, command: DriveCommand) {
         self.step();
+        self.command_block.set(command);
         self.apply(command);
     }
 
@@ -194,10 +203,7 @@ impl SoftDrive {
         }
         self.plant.advance(self.output.terminals, TICK_S);
         self.tick += 1;
-        if self.capture.is_due(self.tick, CAPTURE_TICKS) {
-            let reading = self.reading();
-            self.capture.record(self.tick, &reading);
-        }
+        self.record();
     }
 
     /// What makes the drive stop by itself.
@@ -206,11 +212,21 @@ impl SoftDrive {
         if self.state == State::Running && self.tick - self.kicked_tick >= limit_ticks {
             self.trip(Fault::Watchdog);
         }
-        if self.plant.speed_rad_s().abs() > self.identity.speed_limit_rad_s {
-            self.trip(Fault::OverSpeed);
+        for cause in [Fault::OverSpeed, Fault::OverTemperature] {
+            if self.persists(cause) {
+                self.trip(cause);
+            }
         }
-        if self.plant.winding_rise_k() > WINDING_TRIP_K {
-            self.trip(Fault::OverTemperature);
+    }
+
+    /// Whether the cause of a fault is there now.
+    fn persists(&self, fault: Fault) -> bool {
+        match fault {
+            Fault::OverSpeed => self.plant.speed_rad_s().abs() > self.identity.speed_limit_rad_s,
+            Fault::OverTemperature => {
+                AMBIENT_C + self.plant.winding_rise_k() > self.winding_limit_c
+            }
+            _ => false,
         }
     }
 
@@ -220,6 +236,8 @@ impl SoftDrive {
             self.state = State::Fault;
             self.fault = fault;
             self.output_fresh = false;
+            // An old set-point must not come back with a later write of a part of the block.
+            self.command_block.forget();
         }
     }
 
@@ -228,12 +246,12 @@ impl SoftDrive {
     fn apply(&mut self, command: DriveCommand) {
         let before = (self.state, self.control.code());
         match (self.state, command.control) {
-            (State::Fault, Control::ResetFault) => {
+            (State::Fault, Control::ResetFault) if !self.persists(self.fault) => {
                 self.state = State::Disabled;
                 self.fault = Fault::None;
             }
-            (State::Fault, _) | (_, Control::ResetFault) => {}
-            (_, Control::Disable) => self.state = State::Disabled,
+            (State::Fault, _) => {}
+            (_, Control::Disable | Control::ResetFault) => self.state = State::Disabled,
             (_, Control::Stop) => self.state = State::Ready,
             (_, set_point) => {
                 self.state = State::Running;
@@ -252,15 +270,19 @@ impl SoftDrive {
         self.output_fresh = true;
         self.plant.hold(self.output.terminals);
         self.capture.command_applied();
-        if self.capture.is_due(self.tick, CAPTURE_TICKS) {
-            let reading = self.reading();
-            self.capture.record(self.tick, &reading);
-        }
+        self.record();
     }
 
     fn refresh_output(&mut self) {
         let control = (self.state == State::Running).then_some(self.control);
         self.output = self.output_stage.output(control, &self.plant);
+    }
+
+    fn record(&mut self) {
+        if self.capture.is_due(self.tick, CAPTURE_TICKS.into()) {
+            let reading = self.reading();
+            self.capture.record(self.tick, &reading);
+        }
     }
 
     fn reading(&mut self) -> Reading {
@@ -300,9 +322,9 @@ fn identity(config: &EmulatorConfig, seed: u64) -> Identity {
         rated_voltage_v: config.motor.rated_voltage_v,
         rated_current_a: config.motor.rated_current_a,
         rated_speed_rad_s: config.motor.rated_speed_rad_s,
-        control_period_us: TICK_US as u16,
-        capture_period_us: TICK_US as u16 * CAPTURE_TICKS as u16,
-        capture_length: capture::LENGTH as u16,
+        control_period_us: TICK_US,
+        capture_period_us: TICK_US * CAPTURE_TICKS,
+        capture_length: capture::LENGTH,
     }
 }
 

@@ -3,9 +3,9 @@
 use firmware_protocol::modbus::{Exception, RegisterBank};
 use firmware_protocol::registers::{
     self as r, CAPTURE_ADDRESS, CAPTURE_WINDOW_SAMPLES, CAPTURE_WORDS, COMMAND_ADDRESS,
-    COMMAND_WORDS, IDENTITY_ADDRESS, TELEMETRY_ADDRESS, TELEMETRY_WORDS, check_read, check_write,
+    IDENTITY_ADDRESS, TELEMETRY_ADDRESS, TELEMETRY_WORDS, check_read, check_write,
 };
-use firmware_protocol::{CaptureControl, CaptureSample, DriveCommand};
+use firmware_protocol::{CaptureControl, CaptureSample};
 
 use super::{SoftDrive, micros};
 
@@ -13,35 +13,23 @@ const VENDOR: &str = "drivebench";
 const PRODUCT_CODE: &str = "soft-drive";
 const PRODUCT_NAME: &str = "drivebench software drive";
 
-/// What was last written to the command block, and the window that the host looks through.
-#[derive(Default)]
-pub(super) struct CommandBlock {
-    words: [u16; COMMAND_WORDS],
-    window_index: u16,
-}
-
 impl RegisterBank for SoftDrive {
     fn read(&mut self, address: u16, out: &mut [u16]) -> Result<(), Exception> {
         if !check_read(address, out.len()) {
             return Err(Exception::IllegalAddress);
         }
-        let last = usize::from(address) + out.len();
         if usize::from(address) < usize::from(TELEMETRY_ADDRESS) + TELEMETRY_WORDS {
-            copy(
-                TELEMETRY_ADDRESS,
-                &self.telemetry().to_registers(),
-                address,
-                out,
-            );
+            let unread = self.applied_unread;
+            let telemetry = self.telemetry().to_registers();
+            copy(TELEMETRY_ADDRESS, &telemetry, address, out);
+            // Only who reads the status word has seen that a command was applied.
+            self.applied_unread = unread && address > r::STATUS.address;
         }
-        copy(COMMAND_ADDRESS, &self.command_block.words, address, out);
-        copy(
-            IDENTITY_ADDRESS,
-            &self.identity().to_registers(),
-            address,
-            out,
-        );
-        if last > usize::from(CAPTURE_ADDRESS) {
+        let command = self.command_block.registers();
+        copy(COMMAND_ADDRESS, &command, address, out);
+        let identity = self.identity().to_registers();
+        copy(IDENTITY_ADDRESS, &identity, address, out);
+        if usize::from(address) + out.len() > usize::from(CAPTURE_ADDRESS) {
             copy(CAPTURE_ADDRESS, &self.capture_registers(), address, out);
         }
         Ok(())
@@ -57,20 +45,16 @@ impl RegisterBank for SoftDrive {
             }
         } else if address == r::CAPTURE_CONTROL.address {
             let control = CaptureControl::from_code(first).ok_or(Exception::IllegalValue)?;
+            self.capture_control = first;
             self.control_capture(control);
         } else if address == r::WINDOW_INDEX.address {
-            self.command_block.window_index = first;
+            self.window_index = first;
         } else {
-            let mut words = self.command_block.words;
-            let at = usize::from(address - COMMAND_ADDRESS);
-            words
-                .get_mut(at..at + values.len())
-                .ok_or(Exception::IllegalAddress)?
-                .copy_from_slice(values);
-            let command =
-                DriveCommand::from_registers(&words).map_err(|_| Exception::IllegalValue)?;
-            self.command_block.words = words;
-            self.command(command);
+            let mut block = self.command_block;
+            let command = block.write(address, values)?;
+            self.step();
+            self.command_block = block;
+            self.apply(command);
         }
         Ok(())
     }
@@ -97,12 +81,13 @@ impl SoftDrive {
 
     fn capture_registers(&self) -> [u16; CAPTURE_WORDS] {
         let mut block = [0; CAPTURE_WORDS];
-        let index = self.command_block.window_index;
+        let index = self.window_index;
         let window = self
             .capture
             .samples(index, usize::from(CAPTURE_WINDOW_SAMPLES));
         let state = self.capture.state().code();
         let counts = [
+            (r::CAPTURE_CONTROL, self.capture_control.into()),
             (r::CAPTURE_STATE, state.into()),
             (r::CAPTURE_COUNT, self.capture.count().into()),
             (r::CAPTURE_TIME, micros(self.capture.first_tick()).into()),
@@ -114,7 +99,12 @@ impl SoftDrive {
         }
         let start = usize::from(r::WINDOW_VOLTAGE.address - CAPTURE_ADDRESS);
         let slots = block[start..].chunks_exact_mut(CaptureSample::WORDS);
-        for (slot, sample) in slots.zip(window) {
+        let missing = CaptureSample {
+            voltage_v: f64::NAN,
+            current_a: f64::NAN,
+            speed_rad_s: f64::NAN,
+        };
+        for (slot, sample) in slots.zip(window.iter().chain(std::iter::repeat(&missing))) {
             slot.copy_from_slice(&sample.to_registers());
         }
         block

@@ -10,14 +10,14 @@ use super::{SoftDrive, micros};
 /// The answer to what the decoder gave; `None` where nothing that could be answered was understood.
 pub(in crate::emulator) fn answer(
     drive: &mut SoftDrive,
-    received: Result<Frame, FrameError>,
+    received: &Result<Frame, FrameError>,
 ) -> Option<Frame> {
     let (seq, message) = match received {
-        Ok(frame) => (frame.seq, respond(drive, &frame)?),
+        Ok(frame) => (frame.seq, respond(drive, frame)?),
         Err(FrameError::UnknownType { kind, seq }) => {
-            (seq, refusal(kind, ErrorCode::UnknownMessage))
+            (*seq, refusal(*kind, ErrorCode::UnknownMessage))
         }
-        Err(FrameError::Payload { kind, seq }) => (seq, refusal(kind, ErrorCode::BadPayload)),
+        Err(FrameError::Payload { kind, seq }) => (*seq, refusal(*kind, ErrorCode::BadPayload)),
         Err(_) => return None,
     };
     Some(Frame {

@@ -31,7 +31,7 @@ impl QuadraticLoad {
     }
 }
 
-/// torque = T_n |w/w_n|^1.95 sgn(w). The host's catalogue has k w |w|.
+/// `T = T_n |w/w_n|^1.95 sgn(w)`. The host's catalogue has `k w |w|`.
 struct Fan {
     torque_at_rated_n_m: f64,
     rated_speed_rad_s: f64,
