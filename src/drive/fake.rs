@@ -14,8 +14,8 @@ use firmware_protocol::registers::{
     TELEMETRY_WORDS,
 };
 use firmware_protocol::stream::{Decoder, Frame, MAX_FRAME, Message, encode};
-use firmware_protocol::{State, Status};
 use firmware_protocol::{Control, DeviceKind, DriveCommand, Identity, Telemetry};
+use firmware_protocol::{State, Status};
 use nix::fcntl::OFlag;
 use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
@@ -200,9 +200,9 @@ impl Ear {
             Receiver::Stream(decoder) => {
                 let question = decoder.push(byte)?.unwrap();
                 let answer = match question.message {
-                    Message::Hello => Message::Identity(
-                        Identity::from_registers(&self.toy.identity).unwrap(),
-                    ),
+                    Message::Hello => {
+                        Message::Identity(Identity::from_registers(&self.toy.identity).unwrap())
+                    }
                     Message::Command(command) => {
                         self.toy.apply(command);
                         Message::Telemetry(self.toy.telemetry())
@@ -306,4 +306,7 @@ impl RegisterBank for Toy {
     }
 }
 
-const _: () = assert!(TELEMETRY_WORDS == 16, "the toy's telemetry is read in one request");
+const _: () = assert!(
+    TELEMETRY_WORDS == 16,
+    "the toy's telemetry is read in one request"
+);

@@ -193,9 +193,13 @@ impl Inner {
 
     /// Moves the reply out of what was received, if it is there.
     fn accept(&mut self) -> io::Result<()> {
-        let found = search(self.kind, &self.request, &self.received, self.line.echoes).map_err(
-            |_| io::Error::new(ErrorKind::ConnectionAborted, "the peer speaks no Modbus TCP"),
-        )?;
+        let found =
+            search(self.kind, &self.request, &self.received, self.line.echoes).map_err(|_| {
+                io::Error::new(
+                    ErrorKind::ConnectionAborted,
+                    "the peer speaks no Modbus TCP",
+                )
+            })?;
         if let Some((begin, end)) = found.reply {
             let echo = if found.echo { self.request.len() } else { 0 };
             self.line.echoes |= found.echo;
