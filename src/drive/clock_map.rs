@@ -178,11 +178,7 @@ mod tests {
                 f64::from(k % 20) * 1e-3
             };
             let sampled_s = sent_s + 0.002;
-            map.observe(
-                sent_s,
-                sent_s + 0.004 + late_s,
-                sampled_s * 1.000_05 - 7.0,
-            );
+            map.observe(sent_s, sent_s + 0.004 + late_s, sampled_s * 1.000_05 - 7.0);
         }
         assert!((map.drift_ppm().unwrap() - 50.0).abs() < 2.0);
         assert!((map.offset_s(30.0).unwrap() - (-7.0 + 30.0 * 5e-5)).abs() < 1e-4);

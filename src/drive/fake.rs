@@ -14,8 +14,8 @@ use firmware_protocol::registers::{
     TELEMETRY_WORDS,
 };
 use firmware_protocol::stream::{Decoder, Frame, MAX_FRAME, Message, encode};
-use firmware_protocol::{State, Status};
 use firmware_protocol::{Control, DeviceKind, DriveCommand, Identity, Telemetry};
+use firmware_protocol::{State, Status};
 use nix::fcntl::OFlag;
 use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
@@ -65,7 +65,7 @@ impl Fake {
         tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
         let target = ptsname_r(&master).unwrap().parse().unwrap();
         let port = File::from(std::os::fd::OwnedFd::from(master));
-        Self::start(target, script, language, identity, move || Some(port))
+        Self::start(target, script, language, identity, move |_| Some(port))
     }
 
     pub(super) fn over_tcp(
@@ -75,10 +75,17 @@ impl Fake {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let target = format!("tcp:{}", listener.local_addr().unwrap());
         let target = target.parse().unwrap();
-        Self::start(target, script, language, identity_block(), move || {
-            let (stream, _): (TcpStream, _) = listener.accept().ok()?;
-            stream.set_nonblocking(true).ok()?;
-            Some(stream)
+        listener.set_nonblocking(true).unwrap();
+        Self::start(target, script, language, identity_block(), move |stop| {
+            // A test that fails before it connects must not hang here.
+            while !stop.load(Ordering::Relaxed) {
+                if let Ok((stream, _)) = listener.accept() {
+                    stream.set_nonblocking(true).ok()?;
+                    return Some::<TcpStream>(stream);
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            None
         })
     }
 
@@ -87,13 +94,13 @@ impl Fake {
         script: impl FnMut(Asked) -> Vec<Say> + Send + 'static,
         language: Language,
         identity: [u16; IDENTITY_WORDS],
-        port: impl FnOnce() -> Option<P> + Send + 'static,
+        port: impl FnOnce(&AtomicBool) -> Option<P> + Send + 'static,
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let thread = {
             let stop = Arc::clone(&stop);
             std::thread::spawn(move || {
-                if let Some(port) = port() {
+                if let Some(port) = port(&stop) {
                     serve(port, Box::new(script), language, identity, &stop);
                 }
             })
@@ -200,9 +207,9 @@ impl Ear {
             Receiver::Stream(decoder) => {
                 let question = decoder.push(byte)?.unwrap();
                 let answer = match question.message {
-                    Message::Hello => Message::Identity(
-                        Identity::from_registers(&self.toy.identity).unwrap(),
-                    ),
+                    Message::Hello => {
+                        Message::Identity(Identity::from_registers(&self.toy.identity).unwrap())
+                    }
                     Message::Command(command) => {
                         self.toy.apply(command);
                         Message::Telemetry(self.toy.telemetry())
@@ -306,4 +313,7 @@ impl RegisterBank for Toy {
     }
 }
 
-const _: () = assert!(TELEMETRY_WORDS == 16, "the toy's telemetry is read in one request");
+const _: () = assert!(
+    TELEMETRY_WORDS == 16,
+    "the toy's telemetry is read in one request"
+);

@@ -99,12 +99,9 @@ impl Guard {
     /// Waits until the line was silent for `quiet`; false when it never was before `deadline`.
     pub(super) async fn silence(&self, quiet: Duration, deadline: Instant) -> io::Result<bool> {
         loop {
-            let mut waiting = true;
+            // When the time is over this is looked at once more: nothing new must not count as something.
             let byte = poll_fn(|cx| match self.inner().discard(cx) {
-                Ok(0) if waiting => {
-                    waiting = false;
-                    Poll::Pending
-                }
+                Ok(0) => Poll::Pending,
                 result => Poll::Ready(result),
             });
             match tokio::time::timeout(quiet, byte).await {
@@ -193,9 +190,13 @@ impl Inner {
 
     /// Moves the reply out of what was received, if it is there.
     fn accept(&mut self) -> io::Result<()> {
-        let found = search(self.kind, &self.request, &self.received, self.line.echoes).map_err(
-            |_| io::Error::new(ErrorKind::ConnectionAborted, "the peer speaks no Modbus TCP"),
-        )?;
+        let found =
+            search(self.kind, &self.request, &self.received, self.line.echoes).map_err(|_| {
+                io::Error::new(
+                    ErrorKind::ConnectionAborted,
+                    "the peer speaks no Modbus TCP",
+                )
+            })?;
         if let Some((begin, end)) = found.reply {
             let echo = if found.echo { self.request.len() } else { 0 };
             self.line.echoes |= found.echo;

@@ -116,14 +116,20 @@ impl ModbusLink {
             RegisterTable::Input => Request::ReadInputRegisters(address, count),
         };
         let words = usize::from(count);
-        self.read_with_retries(&what, 8, 5 + 2 * words, request, |response| match response {
-            Response::ReadHoldingRegisters(values) | Response::ReadInputRegisters(values)
-                if values.len() == words =>
-            {
-                Ok(values)
-            }
-            other => Err(format!("{other:?}")),
-        })
+        self.read_with_retries(
+            &what,
+            8,
+            5 + 2 * words,
+            request,
+            |response| match response {
+                Response::ReadHoldingRegisters(values) | Response::ReadInputRegisters(values)
+                    if values.len() == words =>
+                {
+                    Ok(values)
+                }
+                other => Err(format!("{other:?}")),
+            },
+        )
         .map(|answer| answer.value)
     }
 
@@ -385,9 +391,10 @@ impl DriveLink for ModbusLink {
             IDENTITY_ADDRESS,
             quantity(IDENTITY_WORDS),
         )?;
-        let block = block.as_slice().try_into().map_err(|_| {
-            self.mismatch(format!("{} registers of identity", block.len()))
-        })?;
+        let block = block
+            .as_slice()
+            .try_into()
+            .map_err(|_| self.mismatch(format!("{} registers of identity", block.len())))?;
         let block = firmware_protocol::Identity::from_registers(block)
             .map_err(|error| identity_error(&self.name, error))?;
         let mut identity = identity(&block);
@@ -419,16 +426,13 @@ impl DriveLink for ModbusLink {
             Err(error) => return Err(error),
         }
         // The origin of the time axis.
-        let ask = || {
-            Request::ReadHoldingRegisters(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS))
-        };
+        let ask = || Request::ReadHoldingRegisters(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS));
         let bytes = 5 + 2 * TELEMETRY_WORDS;
-        let answer = self.read_with_retries("the telemetry", 8, bytes, ask, |response| {
-            match response {
+        let answer =
+            self.read_with_retries("the telemetry", 8, bytes, ask, |response| match response {
                 Response::ReadHoldingRegisters(values) => telemetry(&values),
                 other => Err(format!("{other:?}")),
-            }
-        })?;
+            })?;
         self.timeline
             .note(answer.value.time_us, answer.sent_s, answer.received_s);
         Ok(identity)

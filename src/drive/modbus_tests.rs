@@ -81,8 +81,14 @@ fn identity_limits_and_time_origin_are_read() {
     let mut link = link(&fake, PATIENT_MS);
     let identity = link.identify().unwrap();
     assert_eq!(identity.serial_number, "4711");
-    assert_eq!((identity.vendor.as_str(), identity.firmware.as_str()), ("toy", "toy"));
-    assert!(!identity.is_emulator, "only the drive's own word makes it an emulator");
+    assert_eq!(
+        (identity.vendor.as_str(), identity.firmware.as_str()),
+        ("toy", "toy")
+    );
+    assert!(
+        !identity.is_emulator,
+        "only the drive's own word makes it an emulator"
+    );
     assert_eq!(identity.watchdog_s, Some(0.25));
     assert_eq!(identity.current_limit_a, Some(11.4));
     assert_eq!(identity.voltage_limit_v, None);
@@ -104,7 +110,17 @@ fn another_version_and_another_map_are_refused() {
     block[1] = 9;
     let fake = Fake::over_pty(Language::Rtu, block, honest);
     let error = link(&fake, PATIENT_MS).identify().unwrap_err();
-    assert!(matches!(error, LinkError::Version { found: 9, expected: 1, .. }), "{error}");
+    assert!(
+        matches!(
+            error,
+            LinkError::Version {
+                found: 9,
+                expected: 1,
+                ..
+            }
+        ),
+        "{error}"
+    );
     block[0] = 0;
     let fake = Fake::over_pty(Language::Rtu, block, honest);
     let error = link(&fake, PATIENT_MS).identify().unwrap_err();
@@ -128,7 +144,10 @@ fn a_late_reply_never_becomes_the_next_value() {
     });
     let mut link = link(&fake, BRIEF_MS);
     let errors = ten_exchanges(&mut link);
-    assert!(matches!(errors[0], (3, LinkError::Timeout { .. })), "{errors:?}");
+    assert!(
+        matches!(errors[0], (3, LinkError::Timeout { .. })),
+        "{errors:?}"
+    );
     assert!(errors.len() <= 2, "{errors:?}");
     assert!(link.statistics().timeout >= 1);
 }
@@ -157,7 +176,9 @@ fn a_drive_that_lags_by_one_reply_is_resynchronised() {
 
 #[test]
 fn a_reply_that_comes_after_the_deadline_is_waited_out() {
-    let fake = rtu(at_command(2, |reply| vec![Say::WaitMs(300), Say::Bytes(reply)]));
+    let fake = rtu(at_command(2, |reply| {
+        vec![Say::WaitMs(300), Say::Bytes(reply)]
+    }));
     let mut link = link(&fake, BRIEF_MS);
     let errors = ten_exchanges(&mut link);
     assert_eq!(errors[0].0, 2);
@@ -178,7 +199,10 @@ fn a_reply_of_an_older_command_is_a_mismatch() {
     let mut link = link(&fake, PATIENT_MS);
     let errors = ten_exchanges(&mut link);
     assert_eq!(errors.len(), 1);
-    assert!(matches!(errors[0], (5, LinkError::Mismatch { .. })), "{errors:?}");
+    assert!(
+        matches!(errors[0], (5, LinkError::Mismatch { .. })),
+        "{errors:?}"
+    );
     assert_eq!(link.statistics().mismatch, 1);
 }
 
@@ -213,7 +237,11 @@ fn garbage_around_a_reply_costs_nothing() {
 fn a_reply_in_pieces_is_put_together() {
     let fake = rtu(at_command(4, |reply| {
         let (a, b) = reply.split_at(11);
-        vec![Say::Bytes(a.to_vec()), Say::WaitMs(50), Say::Bytes(b.to_vec())]
+        vec![
+            Say::Bytes(a.to_vec()),
+            Say::WaitMs(50),
+            Say::Bytes(b.to_vec()),
+        ]
     }));
     let mut link = link(&fake, PATIENT_MS);
     assert!(ten_exchanges(&mut link).is_empty());
@@ -223,11 +251,40 @@ fn a_reply_in_pieces_is_put_together() {
 fn damage_and_foreign_frames_cost_their_cycle_and_have_their_class() {
     type Damage = fn(Vec<u8>) -> Vec<u8>;
     let cases: [(&str, Damage, fn(&LinkError) -> bool); 5] = [
-        ("truncated", |mut r| { r.truncate(20); r }, |e| matches!(e, LinkError::Corrupt { .. })),
-        ("one byte lost", |mut r| { r.remove(9); r }, |e| matches!(e, LinkError::Corrupt { .. })),
-        ("bit flipped", |mut r| { r[12] ^= 4; r }, |e| matches!(e, LinkError::Corrupt { .. })),
-        ("other unit", |r| reframe(2, &r[1..r.len() - 2]), |e| matches!(e, LinkError::Mismatch { .. })),
-        ("other function", |r| reframe(1, &[&[3], &r[2..r.len() - 2]].concat()), |e| matches!(e, LinkError::Mismatch { .. })),
+        (
+            "truncated",
+            |mut r| {
+                r.truncate(20);
+                r
+            },
+            |e| matches!(e, LinkError::Corrupt { .. }),
+        ),
+        (
+            "one byte lost",
+            |mut r| {
+                r.remove(9);
+                r
+            },
+            |e| matches!(e, LinkError::Corrupt { .. }),
+        ),
+        (
+            "bit flipped",
+            |mut r| {
+                r[12] ^= 4;
+                r
+            },
+            |e| matches!(e, LinkError::Corrupt { .. }),
+        ),
+        (
+            "other unit",
+            |r| reframe(2, &r[1..r.len() - 2]),
+            |e| matches!(e, LinkError::Mismatch { .. }),
+        ),
+        (
+            "other function",
+            |r| reframe(1, &[&[3], &r[2..r.len() - 2]].concat()),
+            |e| matches!(e, LinkError::Mismatch { .. }),
+        ),
     ];
     for (name, damage, class) in cases {
         let fake = rtu(at_command(4, move |reply| vec![Say::Bytes(damage(reply))]));
@@ -260,7 +317,13 @@ fn an_exception_has_its_name_and_the_link_lives_on() {
 
 #[test]
 fn silence_ends_at_the_deadline() {
-    let fake = rtu(|asked| if asked.command > 2 { Vec::new() } else { honest(asked) });
+    let fake = rtu(|asked| {
+        if asked.command > 2 {
+            Vec::new()
+        } else {
+            honest(asked)
+        }
+    });
     let mut link = link(&fake, BRIEF_MS);
     link.exchange(volts(1)).unwrap();
     link.exchange(volts(2)).unwrap();
@@ -298,10 +361,7 @@ fn a_line_that_babbles_is_given_up_in_time() {
 #[test]
 fn a_peer_that_vanishes_is_noticed_at_once_and_for_good() {
     let hang_up = || at_command(3, |_| vec![Say::HangUp]);
-    let fakes = [
-        rtu(hang_up()),
-        Fake::over_tcp(Language::Tcp, hang_up()),
-    ];
+    let fakes = [rtu(hang_up()), Fake::over_tcp(Language::Tcp, hang_up())];
     for fake in fakes {
         let mut link = link(&fake, 20_000.0);
         link.exchange(volts(1)).unwrap();
@@ -334,7 +394,10 @@ fn over_tcp_a_late_reply_is_dropped_by_its_transaction() {
     });
     let mut link = link(&fake, BRIEF_MS);
     let errors = ten_exchanges(&mut link);
-    assert!(matches!(errors[..], [(3, LinkError::Timeout { .. })]), "{errors:?}");
+    assert!(
+        matches!(errors[..], [(3, LinkError::Timeout { .. })]),
+        "{errors:?}"
+    );
 }
 
 #[test]
@@ -372,8 +435,16 @@ fn raw_registers_are_read_and_a_wrong_address_is_an_exception() {
     let mut link = link(&fake, PATIENT_MS);
     let words = link.read_registers(RegisterTable::Holding, 64, 2).unwrap();
     assert_eq!(words, [0x4442, 1]);
-    let error = link.read_registers(RegisterTable::Input, 5000, 1).unwrap_err();
-    assert!(matches!(error, LinkError::Exception { code: 2, .. }), "{error}");
+    let error = link
+        .read_registers(RegisterTable::Input, 5000, 1)
+        .unwrap_err();
+    assert!(
+        matches!(error, LinkError::Exception { code: 2, .. }),
+        "{error}"
+    );
     let error = link.write_registers(64, &[1]).unwrap_err();
-    assert!(matches!(error, LinkError::Exception { code: 2, .. }), "{error}");
+    assert!(
+        matches!(error, LinkError::Exception { code: 2, .. }),
+        "{error}"
+    );
 }

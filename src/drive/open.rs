@@ -205,7 +205,15 @@ mod tests {
             by_path.parse(),
             Ok(Target::Serial { path, .. }) if path == by_path
         ));
-        for wrong in ["", "tcp:", "tcp:host", "tcp::502", "tcp:host:0", "tcp:host:x", "udp:a:1"] {
+        for wrong in [
+            "",
+            "tcp:",
+            "tcp:host",
+            "tcp::502",
+            "tcp:host:0",
+            "tcp:host:x",
+            "udp:a:1",
+        ] {
             assert!(wrong.parse::<Target>().is_err(), "{wrong}");
         }
     }

@@ -7,10 +7,7 @@ use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::{Channel, Origin};
 
 /// The profiles that are built in: name and text.
-const EMBEDDED: [(&str, &str); 1] = [(
-    "own",
-    include_str!("../../bench-configs/drives/own.toml"),
-)];
+const EMBEDDED: [(&str, &str); 1] = [("own", include_str!("../../bench-configs/drives/own.toml"))];
 
 /// A drive as its configuration file describes it.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -300,7 +297,11 @@ mod tests {
             ("unit = 1 ", "unit = 0 ", "link.unit"),
             ("baud = 115200 ", "baud = 0 ", "link.baud"),
             ("reply_ms = 1.0", "reply_ms = nan", "link.reply_ms"),
-            ("# deadline_ms = 50.0", "deadline_ms = 0.0", "link.deadline_ms"),
+            (
+                "# deadline_ms = 50.0",
+                "deadline_ms = 0.0",
+                "link.deadline_ms",
+            ),
             ("# current_a = 11.4", "current_a = -1.0", "limits.current_a"),
         ] {
             let error = DriveProfile::parse("x.toml", &own.replace(from, to)).unwrap_err();

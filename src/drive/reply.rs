@@ -166,7 +166,11 @@ mod tests {
             let search = rtu(&request, &[&other, &reply], false);
             assert_eq!(search.reply, Some((other.len(), other.len() + 9)));
         }
-        assert!(rtu(&request, &[&frame(1, &[0x83, 2])], false).reply.is_some());
+        assert!(
+            rtu(&request, &[&frame(1, &[0x83, 2])], false)
+                .reply
+                .is_some()
+        );
         let mut damaged = reply.clone();
         damaged[4] ^= 1;
         assert_eq!(rtu(&request, &[&damaged], false), Search::default());
@@ -182,8 +186,15 @@ mod tests {
         let stale = frame(1, &[8, 0, 0, 0x12, 0x35]);
         assert_eq!(rtu(&probe, &[&stale], false).reply, None);
         let write = frame(1, &[16, 0, 32, 0, 1, 2, 0, 5]);
-        assert!(rtu(&write, &[&frame(1, &[16, 0, 32, 0, 1])], false).reply.is_some());
-        assert_eq!(rtu(&write, &[&frame(1, &[16, 0, 33, 0, 1])], false).reply, None);
+        assert!(
+            rtu(&write, &[&frame(1, &[16, 0, 32, 0, 1])], false)
+                .reply
+                .is_some()
+        );
+        assert_eq!(
+            rtu(&write, &[&frame(1, &[16, 0, 33, 0, 1])], false).reply,
+            None
+        );
     }
 
     #[test]

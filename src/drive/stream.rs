@@ -395,21 +395,13 @@ impl DriveLink for StreamLink {
         });
         self.last_seq = command.seq;
         let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
-        let answer = self.ask(
-            &question,
-            "the command",
-            allowed,
-            |message| match message {
-                Message::Telemetry(telemetry) => Some(*telemetry),
-                _ => None,
-            },
-        )?;
-        Ok(self.timeline.sample(
-            &answer.value,
-            command.seq,
-            answer.sent_s,
-            answer.received_s,
-        ))
+        let answer = self.ask(&question, "the command", allowed, |message| match message {
+            Message::Telemetry(telemetry) => Some(*telemetry),
+            _ => None,
+        })?;
+        Ok(self
+            .timeline
+            .sample(&answer.value, command.seq, answer.sent_s, answer.received_s))
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {

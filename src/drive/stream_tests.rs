@@ -77,24 +77,57 @@ fn late_and_repeated_answers_never_become_a_value() {
         _ => honest(asked),
     });
     let errors = ten_exchanges(&mut link(&fake, BRIEF_MS));
-    assert!(matches!(errors[..], [(3, LinkError::Timeout { .. })]), "{errors:?}");
+    assert!(
+        matches!(errors[..], [(3, LinkError::Timeout { .. })]),
+        "{errors:?}"
+    );
 }
 
 #[test]
 fn damage_garbage_refusals_and_foreign_answers_have_their_class() {
     type Case = (&'static str, fn(Vec<u8>) -> Vec<u8>, fn(&LinkError) -> bool);
     let cases: [Case; 5] = [
-        ("bit flipped", |mut a| { a[9] ^= 4; a }, |e| matches!(e, LinkError::Corrupt { .. })),
-        ("truncated", |mut a| { a.truncate(20); a }, |e| matches!(e, LinkError::Corrupt { .. })),
-        ("garbage instead", |_| vec![7; 30], |e| matches!(e, LinkError::Corrupt { .. })),
+        (
+            "bit flipped",
+            |mut a| {
+                a[9] ^= 4;
+                a
+            },
+            |e| matches!(e, LinkError::Corrupt { .. }),
+        ),
+        (
+            "truncated",
+            |mut a| {
+                a.truncate(20);
+                a
+            },
+            |e| matches!(e, LinkError::Corrupt { .. }),
+        ),
+        (
+            "garbage instead",
+            |_| vec![7; 30],
+            |e| matches!(e, LinkError::Corrupt { .. }),
+        ),
         (
             "an identity instead",
-            |_| stream_frame(4, 0, Message::Identity(firmware_protocol::Identity::default())),
+            |_| {
+                stream_frame(
+                    4,
+                    0,
+                    Message::Identity(firmware_protocol::Identity::default()),
+                )
+            },
             |e| matches!(e, LinkError::Mismatch { .. }),
         ),
         (
             "another number",
-            |_| stream_frame(3, 0, Message::Telemetry(firmware_protocol::Telemetry::default())),
+            |_| {
+                stream_frame(
+                    3,
+                    0,
+                    Message::Telemetry(firmware_protocol::Telemetry::default()),
+                )
+            },
             |e| matches!(e, LinkError::Mismatch { .. }),
         ),
     ];
@@ -129,19 +162,43 @@ fn a_refusal_is_an_exception_by_name() {
     });
     let errors = ten_exchanges(&mut link(&fake, PATIENT_MS));
     assert!(
-        matches!(errors[..], [(4, LinkError::Exception { name: "not supported", .. })]),
+        matches!(
+            errors[..],
+            [(
+                4,
+                LinkError::Exception {
+                    name: "not supported",
+                    ..
+                }
+            )]
+        ),
         "{errors:?}"
     );
 }
 
 #[test]
 fn silence_ends_at_the_deadline() {
-    let fake = pty(|asked| if asked.command > 1 { Vec::new() } else { honest(asked) });
+    let fake = pty(|asked| {
+        if asked.command > 1 {
+            Vec::new()
+        } else {
+            honest(asked)
+        }
+    });
     let mut link = link(&fake, BRIEF_MS);
     link.exchange(volts(1)).unwrap();
     let start = now();
     let error = link.exchange(volts(2)).unwrap_err();
-    assert!(matches!(error, LinkError::Timeout { deadline_ms: 150, .. }), "{error}");
+    assert!(
+        matches!(
+            error,
+            LinkError::Timeout {
+                deadline_ms: 150,
+                ..
+            }
+        ),
+        "{error}"
+    );
     assert!(start.elapsed() >= Duration::from_millis(149));
     assert!(start.elapsed() < Duration::from_secs(3));
 }

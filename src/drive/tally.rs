@@ -126,12 +126,34 @@ mod tests {
         let link = String::new;
         let ends: [Result<(), LinkError>; 7] = [
             Ok(()),
-            Err(LinkError::Timeout { link: link(), deadline_ms: 1, request: link() }),
-            Err(LinkError::Corrupt { link: link(), reason: link() }),
-            Err(LinkError::Mismatch { link: link(), reason: link() }),
-            Err(LinkError::Exception { link: link(), request: link(), code: 2, name: "x" }),
-            Err(LinkError::Gone { link: link(), reason: link() }),
-            Err(LinkError::Version { link: link(), found: 2, expected: 1 }),
+            Err(LinkError::Timeout {
+                link: link(),
+                deadline_ms: 1,
+                request: link(),
+            }),
+            Err(LinkError::Corrupt {
+                link: link(),
+                reason: link(),
+            }),
+            Err(LinkError::Mismatch {
+                link: link(),
+                reason: link(),
+            }),
+            Err(LinkError::Exception {
+                link: link(),
+                request: link(),
+                code: 2,
+                name: "x",
+            }),
+            Err(LinkError::Gone {
+                link: link(),
+                reason: link(),
+            }),
+            Err(LinkError::Version {
+                link: link(),
+                found: 2,
+                expected: 1,
+            }),
         ];
         let mut tally = Tally::default();
         for end in &ends {

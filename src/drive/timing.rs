@@ -108,8 +108,14 @@ mod tests {
         assert!((cycle - expected).abs() < 1e-12);
         let slow = LineTiming::serial(&settings, 9600, true);
         assert!((slow.gap().as_secs_f64() - 3.5 * 10.0 / 9600.0).abs() < 1e-8);
-        assert_eq!(LineTiming::network(&settings).shortest_cycle_s(21, 37), None);
-        assert_eq!(LineTiming::serial(&settings, 9600, false).gap(), Duration::ZERO);
+        assert_eq!(
+            LineTiming::network(&settings).shortest_cycle_s(21, 37),
+            None
+        );
+        assert_eq!(
+            LineTiming::serial(&settings, 9600, false).gap(),
+            Duration::ZERO
+        );
     }
 
     #[test]
