@@ -65,7 +65,7 @@ impl Fake {
         tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
         let target = ptsname_r(&master).unwrap().parse().unwrap();
         let port = File::from(std::os::fd::OwnedFd::from(master));
-        Self::start(target, script, language, identity, move || Some(port))
+        Self::start(target, script, language, identity, move |_| Some(port))
     }
 
     pub(super) fn over_tcp(
@@ -75,10 +75,17 @@ impl Fake {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let target = format!("tcp:{}", listener.local_addr().unwrap());
         let target = target.parse().unwrap();
-        Self::start(target, script, language, identity_block(), move || {
-            let (stream, _): (TcpStream, _) = listener.accept().ok()?;
-            stream.set_nonblocking(true).ok()?;
-            Some(stream)
+        listener.set_nonblocking(true).unwrap();
+        Self::start(target, script, language, identity_block(), move |stop| {
+            // A test that fails before it connects must not hang here.
+            while !stop.load(Ordering::Relaxed) {
+                if let Ok((stream, _)) = listener.accept() {
+                    stream.set_nonblocking(true).ok()?;
+                    return Some::<TcpStream>(stream);
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            None
         })
     }
 
@@ -87,13 +94,13 @@ impl Fake {
         script: impl FnMut(Asked) -> Vec<Say> + Send + 'static,
         language: Language,
         identity: [u16; IDENTITY_WORDS],
-        port: impl FnOnce() -> Option<P> + Send + 'static,
+        port: impl FnOnce(&AtomicBool) -> Option<P> + Send + 'static,
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let thread = {
             let stop = Arc::clone(&stop);
             std::thread::spawn(move || {
-                if let Some(port) = port() {
+                if let Some(port) = port(&stop) {
                     serve(port, Box::new(script), language, identity, &stop);
                 }
             })

@@ -99,12 +99,9 @@ impl Guard {
     /// Waits until the line was silent for `quiet`; false when it never was before `deadline`.
     pub(super) async fn silence(&self, quiet: Duration, deadline: Instant) -> io::Result<bool> {
         loop {
-            let mut waiting = true;
+            // When the time is over this is looked at once more: nothing new must not count as something.
             let byte = poll_fn(|cx| match self.inner().discard(cx) {
-                Ok(0) if waiting => {
-                    waiting = false;
-                    Poll::Pending
-                }
+                Ok(0) => Poll::Pending,
                 result => Poll::Ready(result),
             });
             match tokio::time::timeout(quiet, byte).await {
