@@ -156,7 +156,8 @@ fn round_trips_per_second() {
             link.exchange(Command { seq, demand }).unwrap();
         }
         let rate = count as f64 / start.elapsed().as_secs_f64();
-        assert_eq!(server.answers(), link.statistics().sent);
+        // The drive counts an answer after it is written: the last may not be counted yet.
+        assert!(link.statistics().sent - server.answers() <= 1);
         let trips = link.round_trips().unwrap();
         println!(
             "{kind} baud {baud}: {rate:.0} /s, p50 {:.0} us, p99 {:.0} us, longest {:.0} us, shortest cycle {:?}",
