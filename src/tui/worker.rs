@@ -1,0 +1,79 @@
+//! How the thread that does the work tells the screen that it is done.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+const WORKING: u8 = 0;
+const FINISHED: u8 = 1;
+const LEAVE: u8 = 2;
+
+/// Whether the worker still works; ordered, and it never goes back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum WorkerState {
+    Working,
+    /// Nothing more will happen; the screen stays until it is closed.
+    Finished,
+    /// Nothing more will happen and nobody may be there to press a key (SIGTERM, SIGHUP): the screen closes.
+    Leave,
+}
+
+/// Shared between worker and screen.
+#[derive(Clone, Debug, Default)]
+pub struct WorkerCell(Arc<AtomicU8>);
+
+impl WorkerCell {
+    /// The work is over; the screen shows the end until `q`.
+    pub fn finish(&self) {
+        self.0.fetch_max(FINISHED, Ordering::AcqRel);
+    }
+
+    /// The work is over and the screen is to close by itself, as after SIGTERM or SIGHUP.
+    pub fn leave(&self) {
+        self.0.fetch_max(LEAVE, Ordering::AcqRel);
+    }
+
+    /// Calls `finish` when dropped: held by the worker, it covers every return and a panic.
+    #[must_use = "the work counts as finished as soon as this is dropped"]
+    pub fn finish_on_drop(&self) -> FinishOnDrop {
+        FinishOnDrop(self.clone())
+    }
+
+    pub(super) fn state(&self) -> WorkerState {
+        match self.0.load(Ordering::Acquire) {
+            WORKING => WorkerState::Working,
+            FINISHED => WorkerState::Finished,
+            _ => WorkerState::Leave,
+        }
+    }
+}
+
+/// See [`WorkerCell::finish_on_drop`].
+#[derive(Debug)]
+pub struct FinishOnDrop(WorkerCell);
+
+impl Drop for FinishOnDrop {
+    fn drop(&mut self) {
+        self.0.finish();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_worker_that_panics_has_finished_and_leave_is_not_taken_back() {
+        let cell = WorkerCell::default();
+        let inner = cell.clone();
+        let worker = std::thread::spawn(move || {
+            let _guard = inner.finish_on_drop();
+            assert_eq!(inner.state(), WorkerState::Working);
+            std::panic::resume_unwind(Box::new("on purpose"));
+        });
+        assert!(worker.join().is_err());
+        assert_eq!(cell.state(), WorkerState::Finished);
+        cell.leave();
+        cell.finish();
+        assert_eq!(cell.state(), WorkerState::Leave);
+    }
+}
