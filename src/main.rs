@@ -1,1 +1,7 @@
-fn main() {}
+//! The `drivebench` program; everything is in the library.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    drivebench::cli::main()
+}

@@ -246,17 +246,31 @@ impl BenchFile {
     }
 
     /// The emulated ZK-22FC with a hidden effect.
+    ///
+    /// # Panics
+    /// Never: a test reads the embedded text.
     pub fn embedded_default() -> Self {
         Self::parse(EMBEDDED_NAME, EMBEDDED_DEFAULT).expect("a test parses the embedded bench")
     }
 
     /// The effective configuration as text; it reads back as the same bench.
+    ///
+    /// # Panics
+    /// Never: every field has a TOML form.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a bench file has only tables, numbers and strings")
     }
 
     pub fn port(&self) -> Port {
-        Port::parse(&self.link.port).expect("checked on reading")
+        // Not of a special form: a path, which opening will judge.
+        Port::parse(&self.link.port).unwrap_or_else(|| Port::Serial(self.link.port.clone()))
+    }
+
+    /// Takes another port, as `--port` does.
+    pub fn set_port(&mut self, text: &str) -> Result<(), BenchFileError> {
+        check_port("command line", "--port", text)?;
+        text.clone_into(&mut self.link.port);
+        Ok(())
     }
 
     pub fn period_s(&self) -> f64 {
@@ -321,13 +335,7 @@ impl BenchFile {
                 "a name that can stand in a folder's name",
             );
         }
-        if Port::parse(&self.link.port).is_none() {
-            return refuse(
-                "link.port".to_owned(),
-                format!("{:?}", self.link.port),
-                "emulator, sim:, tcp:HOST:PORT or the path of a serial port",
-            );
-        }
+        check_port(file, "link.port", &self.link.port)?;
         if !(1.0..=2000.0).contains(&self.link.rate_hz) {
             return refuse(
                 "link.rate_hz".to_owned(),
@@ -366,11 +374,12 @@ impl BenchFile {
             }
         }
         let limits = self.limits();
-        if limits.link_silence_s < 2.0 * self.period_s() {
+        // A single reply that is waited for to its deadline must not look like a host that stood still.
+        if limits.link_silence_s < self.period_s() + self.deadline_s() {
             return refuse(
                 "limits.link_silence_s".to_owned(),
                 limits.link_silence_s.to_string(),
-                "at least two periods of link.rate_hz",
+                "at least one period of link.rate_hz and link.deadline_ms together",
             );
         }
         if let (Some(low), Some(high)) = (limits.bus_min_v, limits.bus_max_v)
@@ -388,6 +397,18 @@ impl BenchFile {
                 file: file.to_owned(),
                 error,
             })
+    }
+}
+
+fn check_port(file: &str, key: &str, text: &str) -> Result<(), BenchFileError> {
+    match Port::parse(text) {
+        Some(_) => Ok(()),
+        None => Err(BenchFileError::Value {
+            file: file.to_owned(),
+            key: key.to_owned(),
+            value: format!("{text:?}"),
+            allowed: "emulator, sim:, tcp:HOST:PORT or the path of a serial port",
+        }),
     }
 }
 

@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::clock::Clock;
 use super::limits::Limits;
+use super::timing::quantile;
 use crate::drive::{DriveLink, Identity, LinkError};
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
@@ -231,12 +232,8 @@ impl Checker<'_> {
         {
             return Err(error);
         }
-        round_trips_s.sort_by(f64::total_cmp);
-        let at = |share: f64| {
-            let rank = (share * (round_trips_s.len() - 1) as f64).ceil() as usize;
-            round_trips_s[rank]
-        };
-        let (median_s, tail_s) = (at(0.5), at(0.99));
+        let median_s = quantile(&mut round_trips_s, 0.5);
+        let tail_s = quantile(&mut round_trips_s, 0.99);
         let shortest_s = self.link.shortest_cycle_s().unwrap_or(0.0);
         let reachable_hz = 1.0 / median_s.max(shortest_s).max(1e-6);
         self.report.round_trip_p50_s = median_s;

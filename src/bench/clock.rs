@@ -33,6 +33,13 @@ impl MonotonicClock {
     }
 }
 
+impl MonotonicClock {
+    /// The instant that its zero stands for, so that a link can stamp in the same time.
+    pub const fn origin(&self) -> Instant {
+        self.origin
+    }
+}
+
 impl Clock for MonotonicClock {
     fn now_s(&self) -> f64 {
         self.origin.elapsed().as_secs_f64()

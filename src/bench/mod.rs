@@ -11,8 +11,10 @@
 mod bench_file;
 mod check;
 mod clock;
+mod describe;
 mod guard;
 mod limits;
+mod live_online;
 mod plan;
 mod program;
 mod runner;
@@ -29,8 +31,10 @@ pub use bench_file::{
 };
 pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check};
 pub use clock::{Clock, MonotonicClock};
+pub use describe::{layout, manifest};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use limits::{Limits, Nameplate};
+pub use live_online::{LiveOnline, replay};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
 pub use runner::{Bench, LiveEstimator, RunOptions, RunSummary, run};

@@ -16,15 +16,20 @@ use serde_json::Value;
 
 use super::clock::Clock;
 use super::limits::Nameplate;
-use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Session};
-use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
-use super::timing::{Punctuality, Timing};
+use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Phase, Session};
+use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
+use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{DriveLink, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
-use crate::sample::{Command, Demand, ParameterEstimate, Sample};
+use crate::sample::{Command, Demand, DriveState, ParameterEstimate, Sample};
 
-/// What estimates parameters while the run goes on; it is given every recorded row in order.
+/// A drive that is not safe after this time is not going to be by itself, s.
+const CONNECT_TIME_S: f64 = 5.0;
+
+/// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
 pub trait LiveEstimator {
+    fn command(&mut self, command: &CommandRow);
+
     fn push(&mut self, sample: &Sample);
 
     fn estimates(&self) -> Vec<ParameterEstimate>;
@@ -78,6 +83,7 @@ impl RunSummary {
             Outcome::Interrupted => "interrupted".to_owned(),
             Outcome::Tripped(trip) => format!("safety trip: {}", trip.reason),
             Outcome::LinkLost { reason } => format!("link lost: {reason}"),
+            Outcome::NotStarted { reason } => format!("not started: {reason}"),
         });
         manifest.link_statistics = serde_json::to_value(self.link).unwrap_or(Value::Null);
         manifest.period_asked_s = Some(1.0 / self.timing.rate_asked_hz);
@@ -110,6 +116,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         drive_minus_host_s: 0.0,
         notices: Vec::new(),
         outcome: None,
+        not_started: None,
     };
     runner.go(bench.clock, bench.intents, bench.interrupted, options)
 }
@@ -141,6 +148,8 @@ struct Runner<'a> {
     drive_minus_host_s: f64,
     notices: Vec<Notice>,
     outcome: Option<Outcome>,
+    /// Why an automatic start was given up.
+    not_started: Option<String>,
 }
 
 impl Runner<'_> {
@@ -159,7 +168,7 @@ impl Runner<'_> {
             let mut due_s = begin_s + cycle as f64 * period_s;
             clock.sleep_until_s(due_s);
             let now_s = clock.now_s();
-            let missed = ((now_s - due_s) / period_s).floor().max(0.0) as u64;
+            let missed = whole((now_s - due_s) / period_s) as u64;
             if missed > 0 {
                 cycle += missed;
                 due_s = begin_s + cycle as f64 * period_s;
@@ -173,13 +182,8 @@ impl Runner<'_> {
             while let Ok(intent) = intents.try_recv() {
                 self.feed(clock, Input::Intent(intent));
             }
-            if start_pending && self.session.phase() == super::Phase::Safe {
-                start_pending = false;
-                self.feed(clock, Input::Intent(Intent::Start));
-                if self.session.phase() == super::Phase::Safe {
-                    // Refused: the reason is in the notices, and nobody is there to try again.
-                    self.feed(clock, Input::Intent(Intent::Stop));
-                }
+            if start_pending {
+                start_pending = !self.try_start(clock, now_s - begin_s);
             }
             self.feed(clock, Input::Cycle);
             if self.publisher.is_due(now_s) {
@@ -190,7 +194,10 @@ impl Runner<'_> {
         // Whatever the session knows: the last word to the drive is zero output.
         let stop_error = self.link.0.stop().err().map(|error| error.to_string());
         let now_s = clock.now_s();
-        let outcome = self.outcome.take().unwrap_or(Outcome::Stopped);
+        let outcome = match (self.outcome.take(), self.not_started.take()) {
+            (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
+            (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
+        };
         self.publish(now_s, options.rate_hz, Some(outcome.name()));
         let recorder = self.recorder.status();
         RunSummary {
@@ -204,6 +211,28 @@ impl Runner<'_> {
             stop_error,
             recorder_error: recorder.error,
         }
+    }
+
+    /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
+    /// nobody is there to try again. Returns whether the matter is settled.
+    fn try_start(&mut self, clock: &dyn Clock, waited_s: f64) -> bool {
+        if self.session.phase() == Phase::Safe {
+            self.feed(clock, Input::Intent(Intent::Start));
+            if self.session.phase() != Phase::Safe {
+                return true;
+            }
+            self.not_started = self.notices.last().map(|notice| notice.text.clone());
+        } else if waited_s > CONNECT_TIME_S {
+            let state = self.session.last_sample().and_then(|sample| sample.state);
+            let state = state.map_or("unknown", DriveState::name);
+            self.not_started = Some(format!(
+                "the drive is in state {state:?} for {CONNECT_TIME_S} s, it must be disabled or ready"
+            ));
+        } else {
+            return false;
+        }
+        self.feed(clock, Input::Intent(Intent::Stop));
+        true
     }
 
     /// One input and everything that follows from it.
@@ -242,14 +271,18 @@ impl Runner<'_> {
         let sent_s = clock.now_s();
         self.demand = command.demand;
         if self.session.phase().is_recorded() {
-            self.recorder.command(&CommandRow {
+            let row = CommandRow {
                 command,
                 time_s: sent_s + self.drive_minus_host_s,
                 reference_rad_s: match command.demand {
                     Demand::Speed(speed) => Some(speed),
                     _ => None,
                 },
-            });
+            };
+            self.recorder.command(&row);
+            if let Some(estimator) = self.estimator.as_mut() {
+                estimator.command(&row);
+            }
         }
         self.inputs.push_back(match self.link.0.exchange(command) {
             Ok(sample) => {
@@ -291,15 +324,15 @@ impl Runner<'_> {
 
     fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
         let estimates = self.estimates();
-        self.publisher.publish(
-            now_s,
-            &self.session,
-            self.link.0.statistics(),
-            self.punctuality.timing(rate_hz),
-            &self.recorder.status(),
+        let state = RunState {
+            session: &self.session,
+            link: self.link.0.statistics(),
+            timing: self.punctuality.timing(rate_hz),
+            recorder: self.recorder.status(),
             estimates,
             outcome,
-        );
+        };
+        self.publisher.publish(now_s, state);
     }
 }
 

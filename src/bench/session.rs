@@ -11,12 +11,14 @@
 //! by itself. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
+mod ending;
+mod intents;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 
 use serde_json::{Value, json};
 
-use super::guard::{Causes, Guard, Trip};
+use super::guard::{Causes, Guard};
 use super::program::Program;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
@@ -26,6 +28,9 @@ const STOP_CONFIRM_S: f64 = 1.0;
 const COME_TO_REST_S: f64 = 2.0;
 /// Share of the speed limit below which the shaft counts as at rest.
 const REST_SHARE: f64 = 0.01;
+
+/// Longest wait for the first valid reply, s.
+const FIRST_REPLY_S: f64 = 3.0;
 
 /// Where a session stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -87,6 +92,7 @@ pub struct Session {
     phase: Phase,
     seq: u64,
     inputs: u64,
+    begun_s: Option<f64>,
     start_wanted: bool,
     reset_wanted: bool,
     /// Host time at which the program began.
@@ -109,6 +115,7 @@ impl Session {
             phase: Phase::Connecting,
             seq: 0,
             inputs: 0,
+            begun_s: None,
             start_wanted: false,
             reset_wanted: false,
             started_s: None,
@@ -182,6 +189,13 @@ impl Session {
         if self.phase == Phase::Running && self.elapsed_s(now_s) >= self.program.duration_s() {
             self.end(Outcome::Done, now_s, actions);
         }
+        let waited_s = now_s - *self.begun_s.get_or_insert(now_s);
+        if self.phase == Phase::Connecting && self.drive.is_none() && waited_s > FIRST_REPLY_S {
+            self.ending = Some(Outcome::LinkLost {
+                reason: format!("no valid reply within {FIRST_REPLY_S} s"),
+            });
+            self.finish(false, now_s, actions);
+        }
         if self.phase == Phase::Stopping {
             self.finish_if_late(now_s, actions);
         }
@@ -250,13 +264,13 @@ impl Session {
             return;
         }
         match (self.phase, state) {
-            (Phase::Connecting, Some(DriveState::Running | DriveState::Fault)) => {}
+            (Phase::Connecting, Some(DriveState::Running | DriveState::Fault))
+            | (Phase::Stopping, Some(DriveState::Running)) => {}
             (Phase::Connecting, _) => self.enter(Phase::Safe, now_s, actions),
             (Phase::Safe, Some(DriveState::Fault)) => {
                 notice(actions, Level::Warning, "the drive is in fault".to_owned());
                 self.enter(Phase::Connecting, now_s, actions);
             }
-            (Phase::Stopping, Some(DriveState::Running)) => {}
             (Phase::Stopping, _) => self.finish(true, now_s, actions),
             _ => {}
         }
@@ -278,187 +292,6 @@ impl Session {
             self.ending = Some(ending);
             self.finish(false, now_s, actions);
         }
-    }
-
-    fn intent(&mut self, now_s: f64, intent: &Intent, actions: &mut Vec<Action>) {
-        let detail = match intent {
-            Intent::Mark(text) => json!({ "intent": intent.name(), "text": text }),
-            _ => json!({ "intent": intent.name() }),
-        };
-        self.event(now_s, "intent", detail, actions);
-        let refused = match intent {
-            Intent::Arm => self.arm(now_s, actions),
-            Intent::Start => {
-                let result = if self.phase == Phase::Safe {
-                    self.arm(now_s, actions)
-                } else {
-                    Ok(())
-                };
-                if self.phase == Phase::Armed {
-                    self.start_wanted = true;
-                    result
-                } else {
-                    result.and(Err(format!(
-                        "cannot start: the session is {}",
-                        self.phase.name()
-                    )))
-                }
-            }
-            Intent::Stop => {
-                self.stop(now_s, Outcome::Stopped, actions);
-                Ok(())
-            }
-            Intent::Quit => {
-                self.stop(now_s, Outcome::Interrupted, actions);
-                Ok(())
-            }
-            Intent::ResetFault if self.phase.is_energised() => {
-                Err("a fault is reset only with the output off".to_owned())
-            }
-            Intent::ResetFault => {
-                self.reset_wanted = true;
-                Ok(())
-            }
-            Intent::Rearm => self.rearm(now_s, actions),
-            Intent::Mark(_) => Ok(()),
-        };
-        if let Err(reason) = refused {
-            self.event(
-                now_s,
-                "refused",
-                json!({ "intent": intent.name(), "reason": reason }),
-                actions,
-            );
-            notice(actions, Level::Warning, reason);
-        }
-    }
-
-    /// Output on at zero, if motor and drive are at rest and what is limited can be watched.
-    fn arm(&mut self, now_s: f64, actions: &mut Vec<Action>) -> Result<(), String> {
-        if self.phase != Phase::Safe {
-            return Err(format!("cannot arm: the session is {}", self.phase.name()));
-        }
-        let sample = self
-            .drive
-            .as_ref()
-            .ok_or("cannot arm: no valid sample yet")?;
-        self.guard
-            .check_rest(sample)
-            .map_err(|error| format!("cannot arm: {error}"))?;
-        let needs_angle = self.guard.limits().travel_rad.is_some();
-        for (channel, needed) in [
-            (Channel::Current, true),
-            (Channel::Speed, true),
-            (Channel::Angle, needs_angle),
-        ] {
-            if needed && !self.guard.has_seen(channel) {
-                return Err(format!(
-                    "cannot arm: the drive gives no {}, so its limit cannot be watched",
-                    channel.name()
-                ));
-            }
-        }
-        self.guard.begin(now_s, sample);
-        self.enter(Phase::Armed, now_s, actions);
-        Ok(())
-    }
-
-    /// From an ended session back to safe, explicitly; the ended run stays ended.
-    fn rearm(&mut self, now_s: f64, actions: &mut Vec<Action>) -> Result<(), String> {
-        if !self.phase.is_final() {
-            return Err(format!(
-                "nothing to re-arm: the session is {}",
-                self.phase.name()
-            ));
-        }
-        self.guard
-            .rearm(now_s, self.drive.as_ref())
-            .map_err(|error| format!("cannot re-arm: {error}"))?;
-        self.start_wanted = false;
-        self.started_s = None;
-        self.segment = None;
-        self.ending = None;
-        self.enter(Phase::Safe, now_s, actions);
-        Ok(())
-    }
-
-    /// First request: ramp down. Second request: zero output at once.
-    fn stop(&mut self, now_s: f64, outcome: Outcome, actions: &mut Vec<Action>) {
-        match self.phase {
-            Phase::Connecting | Phase::Safe => {
-                self.ending = Some(outcome);
-                self.stop_now(now_s, actions);
-            }
-            Phase::Armed | Phase::Running => self.end(outcome, now_s, actions),
-            Phase::RampDown => {
-                self.ending = Some(outcome);
-                self.stop_now(now_s, actions);
-            }
-            _ => {}
-        }
-    }
-
-    fn end(&mut self, outcome: Outcome, now_s: f64, actions: &mut Vec<Action>) {
-        self.ending = Some(outcome);
-        self.ramp_since_s = now_s;
-        self.enter(Phase::RampDown, now_s, actions);
-    }
-
-    fn trip(&mut self, now_s: f64, trip: &Trip, actions: &mut Vec<Action>) {
-        let detail = json!({ "trip": trip });
-        self.event(now_s, "trip", detail, actions);
-        if self.phase.is_final() {
-            return;
-        }
-        notice(actions, Level::Error, trip.reason.clone());
-        self.ending = Some(if trip.kind.is_link() {
-            Outcome::LinkLost {
-                reason: trip.reason.clone(),
-            }
-        } else {
-            Outcome::Tripped(trip.clone())
-        });
-        self.stop_now(now_s, actions);
-    }
-
-    fn stop_now(&mut self, now_s: f64, actions: &mut Vec<Action>) {
-        self.stopping_since_s = now_s;
-        if self.ramp_since_s <= self.started_s.unwrap_or(now_s) {
-            self.ramp_since_s = now_s;
-        }
-        self.enter(Phase::Stopping, now_s, actions);
-    }
-
-    fn finish_if_late(&mut self, now_s: f64, actions: &mut Vec<Action>) {
-        if now_s - self.stopping_since_s > STOP_CONFIRM_S {
-            self.finish(false, now_s, actions);
-        }
-    }
-
-    fn finish(&mut self, confirmed: bool, now_s: f64, actions: &mut Vec<Action>) {
-        let outcome = self.ending.take().unwrap_or(Outcome::Stopped);
-        let phase = match &outcome {
-            Outcome::Done => Phase::Done,
-            Outcome::Stopped | Outcome::Interrupted => Phase::Stopped,
-            Outcome::Tripped(_) => Phase::Tripped,
-            Outcome::LinkLost { .. } => Phase::LinkLost,
-        };
-        if !confirmed {
-            notice(
-                actions,
-                Level::Error,
-                "stop NOT confirmed by the drive: its watchdog must have stopped the motor"
-                    .to_owned(),
-            );
-        }
-        self.enter(phase, now_s, actions);
-        self.event(
-            now_s,
-            "finished",
-            json!({ "outcome": outcome.name(), "stop_confirmed": confirmed }),
-            actions,
-        );
-        actions.push(Action::Finished(outcome));
     }
 
     fn may_run(&self) -> bool {

@@ -3,7 +3,7 @@
 mod model_trace;
 mod publisher;
 
-pub(super) use publisher::Publisher;
+pub(super) use publisher::{Publisher, RunState};
 
 use std::sync::{Arc, Mutex, PoisonError};
 

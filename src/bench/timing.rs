@@ -34,7 +34,7 @@ impl Default for Punctuality {
 
 impl Punctuality {
     pub(super) fn cycle(&mut self, now_s: f64, late_s: f64) {
-        let bucket = (PER_DECADE * (late_s / SMALLEST_S).max(1.0).log10()).ceil() as usize;
+        let bucket = whole((PER_DECADE * (late_s / SMALLEST_S).max(1.0).log10()).ceil());
         self.counts[bucket.min(BUCKETS - 1)] += 1;
         self.cycles += 1;
         self.worst_s = self.worst_s.max(late_s);
@@ -65,7 +65,7 @@ impl Punctuality {
 
     /// Upper edge of the bucket in which the quantile lies.
     fn quantile_s(&self, share: f64) -> f64 {
-        let rank = (share * self.cycles as f64).ceil().max(1.0) as u64;
+        let rank = whole((share * self.cycles as f64).ceil()).max(1) as u64;
         let mut below = 0;
         for (bucket, count) in self.counts.iter().enumerate() {
             below += count;
@@ -80,6 +80,28 @@ impl Punctuality {
         }
         0.0
     }
+}
+
+/// The number of whole units in a finite number that is not negative; larger than `usize` never occurs here.
+pub(super) fn whole(value: f64) -> usize {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "truncation is what is wanted; the cast saturates"
+    )]
+    {
+        value as usize
+    }
+}
+
+/// The smallest value that at least `share` of the values do not exceed; 0 without any. Sorts them.
+pub(super) fn quantile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let rank = whole((share * values.len() as f64).ceil()).max(1);
+    values
+        .get(rank.min(values.len()).wrapping_sub(1))
+        .copied()
+        .unwrap_or(0.0)
 }
 
 /// Asked and achieved rate, lateness, missed cycles.

@@ -1,1 +1,97 @@
-//! x
+//! The command line: one file per subcommand, thin. Results go to stdout, progress and messages to stderr.
+//!
+//! ```text
+//! arguments -> load (runs, model, bench file) -> library call -> text or JSON -> exit status
+//! ```
+
+mod add;
+mod commission;
+mod compare;
+mod data;
+mod diagnose;
+mod effects;
+mod emulate;
+mod failure;
+mod identify;
+mod live;
+mod output;
+mod pages;
+mod plan;
+mod run;
+mod screen;
+mod simulate;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Exit statuses, as `--help` prints them.
+const EXIT_STATUSES: &str = "\
+Exit status:
+  0    done and passed (any verdict of diagnose)
+  1    done, acceptance failed (--min-fit, an effect that was refused)
+  2    usage or configuration
+  3    link or device
+  4    safety trip
+  5    no requested parameter can be identified from the data
+  6    internal error
+  130  interrupted, after a safe stop";
+
+/// Talks to a motor drive, identifies the motor on line, and names the physical effect its model is missing.
+#[derive(Parser)]
+#[command(name = "drivebench", version, after_help = EXIT_STATUSES)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Commission(commission::Arguments),
+    Emulate(emulate::Arguments),
+    Plan(plan::Arguments),
+    Run(run::Arguments),
+    Identify(identify::Arguments),
+    Simulate(simulate::Arguments),
+    Compare(compare::Arguments),
+    Diagnose(diagnose::Arguments),
+    Add(add::Arguments),
+    Remove(add::Arguments),
+    Effects(effects::Arguments),
+}
+
+/// Runs the program with the process's arguments.
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // clap knows where help and errors belong; a broken pipe there is nobody's concern.
+            let _ = error.print();
+            return ExitCode::from(if error.use_stderr() {
+                failure::USAGE
+            } else {
+                0
+            });
+        }
+    };
+    let done = match arguments.command {
+        Command::Commission(arguments) => commission::execute(arguments),
+        Command::Emulate(arguments) => emulate::execute(arguments),
+        Command::Plan(arguments) => plan::execute(&arguments),
+        Command::Run(arguments) => run::execute(arguments),
+        Command::Identify(arguments) => identify::execute(&arguments),
+        Command::Simulate(arguments) => simulate::execute(&arguments),
+        Command::Compare(arguments) => compare::execute(&arguments),
+        Command::Diagnose(arguments) => diagnose::execute(&arguments),
+        Command::Add(arguments) => add::execute(&arguments, true),
+        Command::Remove(arguments) => add::execute(&arguments, false),
+        Command::Effects(arguments) => effects::execute(&arguments),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.print();
+            ExitCode::from(failure.status)
+        }
+    }
+}

@@ -2,3 +2,4 @@
 
 pub mod least_squares;
 pub mod levenberg_marquardt;
+pub mod recursive_least_squares;

@@ -130,9 +130,10 @@ impl Shaper {
         }
         let mut target_v = wanted_v;
         if let Some(winding_v) = self.winding_v {
+            // Still within the voltage limit: the back-EMF is, and so was the target.
             let inside = target_v.clamp(back_emf_v - winding_v, back_emf_v + winding_v);
             causes.winding = (inside - target_v).abs() > 0.0;
-            target_v = inside.clamp(-limit_v, limit_v);
+            target_v = inside;
         }
         let step_v = self.slew_v_per_s * (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
         let next_v = target_v.clamp(self.output_v - step_v, self.output_v + step_v);

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::Trace;
+use super::trace::Trace;
 use crate::bench::limits::Nameplate;
 use crate::plant::MotorKey;
 

@@ -3,10 +3,14 @@ use std::sync::mpsc::{Sender, channel};
 
 use super::*;
 use crate::bench::bench_file::BenchFile;
+use crate::bench::clock::MonotonicClock;
 use crate::bench::guard::Guard;
+use crate::bench::live_online::{LiveOnline, replay};
 use crate::bench::session::Phase;
 use crate::bench::testing::{Fault, ScriptedDrive, Wave};
+use crate::bench::timing::quantile;
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+use crate::identification::online::OnlineConfig;
 use crate::recording::{Layout, MemoryRecorder};
 use crate::sample::Channel;
 
@@ -30,14 +34,23 @@ fn options() -> RunOptions {
 }
 
 fn emulated(emulator_seed: u64, run_seed: u64) -> (RunSummary, MemoryRecorder, SnapshotCell) {
+    emulated_with(&EmulatorConfig::embedded_default(), emulator_seed, run_seed)
+}
+
+fn emulated_with(
+    config: &EmulatorConfig,
+    emulator_seed: u64,
+    run_seed: u64,
+) -> (RunSummary, MemoryRecorder, SnapshotCell) {
     let bench = BenchFile::embedded_default();
     let mut clock = VirtualClock::new();
-    let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), emulator_seed);
+    let drive = SoftDrive::new(config, emulator_seed);
     let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
     let guard = Guard::new(bench.limits(), &bench.motor, Some(11.4));
     let session = Session::new(Box::new(bench.program(run_seed).unwrap()), guard);
     let mut recorder = MemoryRecorder::new(layout());
     let snapshots = SnapshotCell::default();
+    let mut live = LiveOnline::new(layout(), OnlineConfig::default());
     let (_keep, intents) = channel();
     let summary = run(
         session,
@@ -45,7 +58,7 @@ fn emulated(emulator_seed: u64, run_seed: u64) -> (RunSummary, MemoryRecorder, S
             link: &mut link,
             clock: &mut clock,
             recorder: &mut recorder,
-            estimator: None,
+            estimator: Some(&mut live),
             intents: &intents,
             interrupted: &AtomicBool::new(false),
             snapshots: &snapshots,
@@ -100,7 +113,43 @@ fn one_seed_gives_the_same_bytes_and_another_seed_others() {
     assert_ne!(one.samples_csv(), emulated(1, 2).1.samples_csv());
 }
 
+#[test]
+fn the_live_estimates_are_near_the_truth_and_a_replay_gives_them_to_the_bit() {
+    let plain = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+    for seed in 1..=3 {
+        let (summary, recorder, _) = emulated_with(&plain, seed, 1);
+        let again = replay(&recorder.run("r").unwrap(), OnlineConfig::default()).estimates();
+        assert_eq!(summary.estimates.len(), 5);
+        for (live, replayed) in summary.estimates.iter().zip(&again) {
+            assert_eq!(
+                live.value.map(f64::to_bits),
+                replayed.value.map(f64::to_bits),
+                "{}",
+                live.key
+            );
+            assert_eq!(live.std.map(f64::to_bits), replayed.std.map(f64::to_bits));
+        }
+        let truth = SoftDrive::new(&plain, seed).truth().clone();
+        for (key, value, share) in [
+            ("resistance_ohm", truth.resistance_ohm, 0.05),
+            ("back_emf_v_s_per_rad", truth.back_emf_v_s_per_rad, 0.02),
+            ("inertia_kg_m2", truth.inertia_kg_m2, 0.05),
+        ] {
+            let found = summary.estimates.iter().find(|found| found.key == key);
+            let found = found.and_then(|found| found.value).unwrap();
+            assert!(
+                (found / value - 1.0).abs() < share,
+                "{key}: {found}, true {value}"
+            );
+        }
+    }
+}
+
 /// Stalls once, by `stall_s`, when `at_s` has come.
+#[expect(
+    clippy::struct_field_names,
+    reason = "the unit suffix is the rule of the house"
+)]
 struct StallingClock {
     now_s: f64,
     at_s: f64,
@@ -234,10 +283,25 @@ fn a_link_that_is_gone_ends_the_run_and_is_described_in_the_manifest() {
 }
 
 #[test]
+fn a_drive_that_never_answers_or_stays_in_fault_does_not_hang_the_run() {
+    let silent = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::Timeout);
+    let summary = Scripted::new(silent, 0.0).run(None, |_| {});
+    assert!(matches!(summary.outcome, Outcome::LinkLost { .. }));
+    let faulty = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::TripWith(3));
+    let mut bench = Scripted::new(faulty, 0.0);
+    let summary = bench.run(None, |_| {});
+    assert!(matches!(&summary.outcome, Outcome::NotStarted { reason } if reason.contains("fault")));
+    assert!(bench.drive.demands.iter().all(|demand| !demand.energises()));
+}
+
+#[test]
 fn a_run_that_cannot_be_armed_ends_with_the_reason() {
     let drive = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::Missing(Channel::Current));
     let summary = Scripted::new(drive, 0.0).run(None, |_| {});
-    assert_eq!(summary.outcome, Outcome::Stopped);
+    assert_eq!(summary.outcome.exit_status(), 3);
+    assert!(
+        matches!(&summary.outcome, Outcome::NotStarted { reason } if reason.contains("current"))
+    );
     assert!(
         summary
             .notices
@@ -249,6 +313,8 @@ fn a_run_that_cannot_be_armed_ends_with_the_reason() {
 struct Bomb(u32);
 
 impl LiveEstimator for Bomb {
+    fn command(&mut self, _: &CommandRow) {}
+
     fn push(&mut self, _: &Sample) {
         self.0 -= 1;
         assert!(self.0 > 0, "boom");
@@ -278,4 +344,131 @@ fn intents_of_the_screen_reach_the_session() {
     assert_eq!(summary.outcome, Outcome::Stopped);
     let events = bench.recorder.events_jsonl();
     assert!(events.contains("\"text\":\"begin\""), "{events}");
+}
+
+#[test]
+fn in_real_time_every_deadline_is_either_kept_or_counted() {
+    let mut clock = MonotonicClock::start();
+    let begin_s = clock.now_s();
+    let mut drive = ScriptedDrive::new(0.005);
+    let bench = BenchFile::embedded_default();
+    let limits = crate::bench::limits::Limits {
+        // A loaded test machine may well stand still for longer than a bench may.
+        link_silence_s: 20.0,
+        ..bench.limits()
+    };
+    let program = Wave {
+        duration_s: 0.3,
+        demand: |_| Demand::Voltage(5.0),
+    };
+    let (_keep, intents) = channel();
+    let summary = run(
+        Session::new(Box::new(program), Guard::new(limits, &bench.motor, None)),
+        Bench {
+            link: &mut drive,
+            clock: &mut clock,
+            recorder: &mut MemoryRecorder::new(layout()),
+            estimator: None,
+            intents: &intents,
+            interrupted: &AtomicBool::new(false),
+            snapshots: &SnapshotCell::default(),
+        },
+        &RunOptions {
+            rate_hz: 200.0,
+            ..options()
+        },
+    );
+    assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
+    let deadlines = summary.timing.cycles + summary.timing.missed_cycles;
+    let passed = whole((clock.now_s() - begin_s) / 0.005) as u64 + 1;
+    assert!(deadlines <= passed, "no cycle runs ahead of its deadline");
+    assert!(deadlines + 2 >= whole(summary.duration_s / 0.005) as u64);
+    assert!(summary.timing.rate_achieved_hz <= 201.0);
+}
+
+/// `cargo test --release --lib bench::runner::tests::cost -- --ignored --nocapture`
+#[test]
+#[ignore = "a measurement, not a test"]
+fn cost_of_a_step_and_of_a_whole_run() {
+    let clock = MonotonicClock::start();
+    let begin_s = clock.now_s();
+    let (summary, ..) = emulated(1, 1);
+    let run_s = clock.now_s() - begin_s;
+    println!(
+        "virtual run: {:.1} s in {:.1} ms, {} rows",
+        summary.duration_s,
+        1e3 * run_s,
+        summary.rows
+    );
+    let bench = BenchFile::embedded_default();
+    let guard = Guard::new(bench.limits(), &bench.motor, None);
+    let mut session = Session::new(Box::new(bench.program(1).unwrap()), guard);
+    let mut drive = ScriptedDrive::new(0.01);
+    let mut actions = Vec::new();
+    let mut steps_s = Vec::new();
+    for cycle in 0..1200_u32 {
+        let now_s = f64::from(cycle) * 0.01;
+        if cycle == 5 {
+            session.step(now_s, Input::Intent(Intent::Start), &mut actions);
+        }
+        actions.clear();
+        let from_s = clock.now_s();
+        session.step(now_s, Input::Cycle, &mut actions);
+        let sent = actions.iter().find_map(|action| match action {
+            Action::Send(command) => Some(*command),
+            _ => None,
+        });
+        let between_s = clock.now_s();
+        let sample = drive.exchange(sent.unwrap()).unwrap();
+        let again_s = clock.now_s();
+        session.step(now_s, Input::Sample(Box::new(sample)), &mut actions);
+        steps_s.push(between_s - from_s + clock.now_s() - again_s);
+    }
+    let median_s = quantile(&mut steps_s, 0.5);
+    let tail_s = quantile(&mut steps_s, 0.99);
+    println!(
+        "cycle and sample together: median {:.2} us, 99 % {:.2} us",
+        1e6 * median_s,
+        1e6 * tail_s
+    );
+    let program = bench.program(1).unwrap();
+    let from_s = clock.now_s();
+    let plan = crate::bench::plan(&program, &bench.motor, &bench.limits(), 100.0, Some(11.4));
+    println!("plan: {:.1} ms", 1e3 * (clock.now_s() - from_s));
+    let plan = plan.unwrap();
+    println!(
+        "peak {:.2} A ({:.2} rated), {:.1} rad/s, travel {:.0} rad, rms {:.2} A, I2t {:.0} A2.s, {:.0} J, {:.2} s",
+        plan.peak_current_a,
+        plan.peak_current_ratio,
+        plan.peak_speed_rad_s,
+        plan.travel_rad,
+        plan.rms_current_a,
+        plan.i2t_a2_s,
+        plan.energy_j,
+        plan.duration_s
+    );
+}
+
+/// `cargo test --release --lib bench::runner::tests::what -- --ignored --nocapture`
+#[test]
+#[ignore = "a measurement: what the diagnosis makes of the embedded bench's three runs"]
+fn what_the_default_excitation_reveals() {
+    use crate::diagnosis::{Evidence, diagnose};
+    use crate::plant::{Model, Scenario};
+    for name in EmulatorConfig::embedded_names() {
+        for emulator_seed in 1..=3 {
+            let config = EmulatorConfig::embedded(name).unwrap();
+            let [fit, select, confirm] = [1, 2, 3].map(|run_seed| {
+                let recorder = emulated_with(&config, emulator_seed, run_seed).1;
+                Scenario::from_run(&recorder.run("r").unwrap()).unwrap()
+            });
+            let model = Model::baseline(BenchFile::embedded_default().motor.motor());
+            let evidence = Evidence::new(fit, Some(select), Some(confirm));
+            let found = diagnose(&model, evidence, false).unwrap();
+            println!(
+                "{name} seed {emulator_seed}: {:?} {:?} explained {:?}",
+                found.verdict, found.effects, found.explained_percent
+            );
+        }
+    }
 }

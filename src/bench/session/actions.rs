@@ -93,7 +93,13 @@ pub enum Outcome {
     Stopped,
     Interrupted,
     Tripped(Trip),
-    LinkLost { reason: String },
+    LinkLost {
+        reason: String,
+    },
+    /// The session could not be armed, so nothing moved.
+    NotStarted {
+        reason: String,
+    },
 }
 
 impl Outcome {
@@ -104,6 +110,7 @@ impl Outcome {
             Self::Interrupted => "interrupted",
             Self::Tripped(_) => "tripped",
             Self::LinkLost { .. } => "link_lost",
+            Self::NotStarted { .. } => "not_started",
         }
     }
 
@@ -113,7 +120,7 @@ impl Outcome {
             Self::Done => 0,
             Self::Stopped | Self::Interrupted => 130,
             Self::Tripped(_) => 4,
-            Self::LinkLost { .. } => 3,
+            Self::LinkLost { .. } | Self::NotStarted { .. } => 3,
         }
     }
 }

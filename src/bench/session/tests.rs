@@ -1,3 +1,5 @@
+use proptest::prelude::*;
+
 use super::*;
 use crate::bench::guard::TripKind;
 use crate::bench::limits::{Limits, Nameplate};
@@ -301,4 +303,73 @@ fn every_intent_is_an_event_with_its_number() {
     assert_eq!(mark["text"], "here");
     assert_eq!(mark["seq"], 13);
     assert!(mark["input"].as_u64().unwrap() > 13);
+}
+
+fn any_input() -> impl Strategy<Value = Input> {
+    let number =
+        prop_oneof![40 => -0.3..0.3f64, 4 => -30.0..30.0f64, 1 => Just(f64::NAN), 1 => Just(1e9)];
+    let state = prop_oneof![
+        20 => Just(Some(DriveState::Running)),
+        20 => Just(Some(DriveState::Disabled)),
+        1 => Just(Some(DriveState::Fault)),
+        1 => Just(None),
+    ];
+    let sample = (number.clone(), number, state).prop_map(|(current, speed, state)| {
+        let mut sample = Sample::at(0.0)
+            .with(Channel::Current, current)
+            .with(Channel::Speed, speed);
+        sample.state = state;
+        Input::Sample(Box::new(sample))
+    });
+    let intent = prop_oneof![
+        4 => Just(Intent::Start),
+        2 => Just(Intent::Arm),
+        1 => Just(Intent::Stop),
+        1 => Just(Intent::ResetFault),
+        1 => Just(Intent::Mark("m".to_owned())),
+    ];
+    prop_oneof![
+        8 => Just(Input::Cycle),
+        8 => sample,
+        1 => Just(Input::Lost(Lost::Transient("late".to_owned()))),
+        1 => Just(Input::Missed(2)),
+        2 => intent.prop_map(Input::Intent),
+    ]
+}
+
+proptest! {
+    /// In any order of any inputs: no set-point leaves before a start was asked for, and none after an end or a trip,
+    /// because nothing here re-arms.
+    #[test]
+    fn no_set_point_before_a_start_and_none_after_an_end(
+        inputs in prop::collection::vec((any_input(), 0.0..0.02f64), 1..400),
+    ) {
+        let mut session = session();
+        let (mut now_s, mut time_s) = (0.0, 0.0);
+        let (mut asked, mut over) = (false, false);
+        for (input, step_s) in inputs {
+            now_s += step_s;
+            let input = match input {
+                Input::Sample(mut sample) => {
+                    time_s += 0.01;
+                    sample.time_s = time_s;
+                    Input::Sample(sample)
+                }
+                other => other,
+            };
+            asked |= matches!(&input, Input::Intent(Intent::Start | Intent::Arm));
+            let mut actions = Vec::new();
+            session.step(now_s, input, &mut actions);
+            for action in actions {
+                match action {
+                    Action::Send(command) if command.demand.energises() => {
+                        prop_assert!(asked && !over, "{command:?}");
+                    }
+                    Action::Finished(_) => over = true,
+                    Action::Event(event) if event["event"] == "trip" => over = true,
+                    _ => {}
+                }
+            }
+        }
+    }
 }

@@ -19,6 +19,17 @@ const NOTICES: usize = 50;
 /// Snapshots per second of the run.
 const SNAPSHOT_RATE_HZ: f64 = 20.0;
 
+/// What the runner knows at one instant.
+pub(in crate::bench) struct RunState<'a> {
+    pub(in crate::bench) session: &'a Session,
+    pub(in crate::bench) link: LinkStatistics,
+    pub(in crate::bench) timing: Timing,
+    pub(in crate::bench) recorder: RecorderStatus,
+    pub(in crate::bench) estimates: Vec<ParameterEstimate>,
+    /// Only at the end.
+    pub(in crate::bench) outcome: Option<&'static str>,
+}
+
 pub(in crate::bench) struct Publisher {
     cell: SnapshotCell,
     snapshot: Snapshot,
@@ -66,17 +77,15 @@ impl Publisher {
         now_s >= self.next_s
     }
 
-    /// Publishes the present state; `outcome` at the end.
-    pub(in crate::bench) fn publish(
-        &mut self,
-        now_s: f64,
-        session: &Session,
-        link: LinkStatistics,
-        timing: Timing,
-        recorder: &RecorderStatus,
-        estimates: Vec<ParameterEstimate>,
-        outcome: Option<&'static str>,
-    ) {
+    pub(in crate::bench) fn publish(&mut self, now_s: f64, state: RunState<'_>) {
+        let RunState {
+            session,
+            link,
+            timing,
+            recorder,
+            estimates,
+            outcome,
+        } = state;
         self.next_s = now_s + 1.0 / SNAPSHOT_RATE_HZ;
         if !self.model.is_identified() {
             self.model.learn(&estimates);
@@ -93,7 +102,7 @@ impl Publisher {
         snapshot.link_statistics = link;
         snapshot.timing = timing;
         snapshot.rows = recorder.rows as u64;
-        snapshot.recorder_error.clone_from(&recorder.error);
+        snapshot.recorder_error = recorder.error;
         snapshot.trip = session.guard().tripped().cloned();
         snapshot.outcome = outcome;
         self.cell.publish(snapshot.clone());

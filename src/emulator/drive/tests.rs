@@ -217,6 +217,42 @@ fn the_inner_loops_reach_their_set_points() {
 }
 
 #[test]
+fn the_inner_loops_do_not_depend_on_how_often_the_host_repeats_itself() {
+    let (mut once, mut often) = (drive(), drive());
+    send(&mut once, 1, Control::Current(3.0));
+    send(&mut often, 1, Control::Current(3.0));
+    for _ in 0..400 {
+        send(&mut often, 2, Control::Current(3.0));
+    }
+    once.advance_to(often.time_s());
+    let currents = [once.plant().current_a(), often.plant().current_a()];
+    assert_eq!(currents[0].to_bits(), currents[1].to_bits(), "{currents:?}");
+}
+
+#[test]
+fn a_loop_takes_over_without_a_bump() {
+    let mut drive = drive();
+    hold(&mut drive, Control::Voltage(60.0), 1.0);
+    let speed = drive.plant().speed_rad_s();
+    for _ in 0..2000 {
+        send(&mut drive, 1, Control::Speed(speed));
+        assert!((drive.plant().speed_rad_s() - speed).abs() < 0.1);
+    }
+}
+
+#[test]
+fn the_speed_loop_does_not_wind_up_in_the_current_limit() {
+    let mut drive = drive();
+    let mut highest = 0.0_f64;
+    for _ in 0..40_000 {
+        send(&mut drive, 1, Control::Speed(250.0));
+        highest = highest.max(drive.plant().speed_rad_s());
+    }
+    assert!(drive.plant().speed_rad_s() > 249.0);
+    assert!(highest < 1.1 * 250.0, "{highest}");
+}
+
+#[test]
 fn an_open_output_lets_the_motor_coast() {
     let mut config = plain();
     config.limits.output_off = OutputOff::Open;

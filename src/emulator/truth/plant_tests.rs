@@ -55,6 +55,20 @@ fn static_friction_beyond_coulomb_holds_longer() {
 }
 
 #[test]
+fn the_shaft_breaks_away_with_its_friction_fully_built_up() {
+    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
+        stribeck_n_m: 0.16,
+        stribeck_speed_rad_s: 10.0,
+    })];
+    let mut plant = Plant::new(zk_22fc(), &stribeck);
+    // The current passes the breakaway level after 35 ms; 5 ms later the surplus is a few mN.m. Without the bristle's
+    // torque it would be 160 mN.m, and the speed 0.1 rad/s.
+    run(&mut plant, Terminals::Voltage(1.95), 0.040, H);
+    let speed = plant.speed_rad_s();
+    assert!(speed > 0.0 && speed < 0.02, "{speed}");
+}
+
+#[test]
 fn no_load_speed_is_where_the_voltage_balances() {
     let mut plant = Plant::new(zk_22fc(), &[]);
     run(&mut plant, Terminals::Voltage(110.0), 2.0, H);

@@ -90,4 +90,20 @@ mod tests {
         let left = (winding.resistance_factor() - 1.0) / 0.005;
         assert!((0.3..0.45).contains(&left), "one time constant: {left}");
     }
+
+    #[test]
+    fn the_loss_grows_with_the_resistance() {
+        let mut winding = WindingHeating {
+            gain_per_a2_s: 2e-3,
+            time_constant_s: 20.0,
+        }
+        .build(&zk_22fc());
+        for _ in 0..400_000 {
+            winding.advance(50e-6, 5.0, 0.0);
+        }
+        // At 5 A gain i^2 = 1/tau: hot loss and cooling grow alike and the rise is gain i^2 t = 1 (the cold copper's
+        // would be 0.63), a little more with a frame that warms up.
+        let rise = winding.resistance_factor() - 1.0;
+        assert!((1.0..1.1).contains(&rise), "{rise}");
+    }
 }

@@ -1,0 +1,51 @@
+//! What the record of a run says about itself before the run begins.
+
+use serde_json::json;
+
+use super::bench_file::BenchFile;
+use super::check::CheckReport;
+use crate::drive::LinkName;
+use crate::recording::{Layout, Manifest};
+use crate::sample::{Channel, Origin};
+
+/// Columns of `samples.csv`: the command, and what the drive was found to give.
+pub fn layout(signals: &[Channel]) -> Layout {
+    let mut channels = vec![Channel::VoltageCmd];
+    channels.extend(signals.iter().filter(|channel| !channel.is_commanded()));
+    Layout::of_drive(&channels)
+}
+
+/// A manifest with the bench as used, the drive as found and the origin of each signal. A quantity that the drive
+/// computes instead of measuring is for the drive profile to mark with `Manifest::set_origin`.
+pub fn manifest(
+    bench: &BenchFile,
+    run_seed: u64,
+    link: &LinkName,
+    report: &CheckReport,
+    waived: bool,
+) -> Manifest {
+    let mut manifest = Manifest {
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        protocol_version: Some(report.identity.protocol_version),
+        name: bench.name.clone(),
+        seed: Some(run_seed),
+        link: link.0.clone(),
+        identity: json!(report.identity),
+        host: json!({ "os": std::env::consts::OS, "architecture": std::env::consts::ARCH }),
+        period_asked_s: Some(bench.period_s()),
+        ..Manifest::default()
+    };
+    manifest.configs.insert("bench".to_owned(), bench.to_toml());
+    manifest.set_origin(Channel::VoltageCmd, Origin::Commanded);
+    for channel in report
+        .signals
+        .iter()
+        .filter(|channel| !channel.is_commanded())
+    {
+        manifest.set_origin(*channel, Origin::Measured);
+    }
+    if waived && report.watchdog_proven_s.is_none() {
+        manifest.waivers.push("watchdog".to_owned());
+    }
+    manifest
+}

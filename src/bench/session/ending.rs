@@ -1,0 +1,71 @@
+//! How a session ends: ramp down, stop until it is confirmed, say how it went.
+
+use serde_json::json;
+
+use super::{Action, Level, Outcome, Phase, STOP_CONFIRM_S, Session, notice};
+use crate::bench::guard::Trip;
+
+impl Session {
+    pub(super) fn end(&mut self, outcome: Outcome, now_s: f64, actions: &mut Vec<Action>) {
+        self.ending = Some(outcome);
+        self.ramp_since_s = now_s;
+        self.enter(Phase::RampDown, now_s, actions);
+    }
+
+    pub(super) fn trip(&mut self, now_s: f64, trip: &Trip, actions: &mut Vec<Action>) {
+        let detail = json!({ "trip": trip });
+        self.event(now_s, "trip", detail, actions);
+        if self.phase.is_final() {
+            return;
+        }
+        notice(actions, Level::Error, trip.reason.clone());
+        self.ending = Some(if trip.kind.is_link() {
+            Outcome::LinkLost {
+                reason: trip.reason.clone(),
+            }
+        } else {
+            Outcome::Tripped(trip.clone())
+        });
+        self.stop_now(now_s, actions);
+    }
+
+    pub(super) fn stop_now(&mut self, now_s: f64, actions: &mut Vec<Action>) {
+        self.stopping_since_s = now_s;
+        if self.ramp_since_s <= self.started_s.unwrap_or(now_s) {
+            self.ramp_since_s = now_s;
+        }
+        self.enter(Phase::Stopping, now_s, actions);
+    }
+
+    pub(super) fn finish_if_late(&mut self, now_s: f64, actions: &mut Vec<Action>) {
+        if now_s - self.stopping_since_s > STOP_CONFIRM_S {
+            self.finish(false, now_s, actions);
+        }
+    }
+
+    pub(super) fn finish(&mut self, confirmed: bool, now_s: f64, actions: &mut Vec<Action>) {
+        let outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        let phase = match &outcome {
+            Outcome::Done => Phase::Done,
+            Outcome::Stopped | Outcome::Interrupted | Outcome::NotStarted { .. } => Phase::Stopped,
+            Outcome::Tripped(_) => Phase::Tripped,
+            Outcome::LinkLost { .. } => Phase::LinkLost,
+        };
+        if !confirmed {
+            notice(
+                actions,
+                Level::Error,
+                "stop NOT confirmed by the drive: its watchdog must have stopped the motor"
+                    .to_owned(),
+            );
+        }
+        self.enter(phase, now_s, actions);
+        self.event(
+            now_s,
+            "finished",
+            json!({ "outcome": outcome.name(), "stop_confirmed": confirmed }),
+            actions,
+        );
+        actions.push(Action::Finished(outcome));
+    }
+}

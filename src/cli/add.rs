@@ -1,0 +1,172 @@
+//! `add` and `remove`: one effect more or less, before and after; never overwrites the model.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use super::data::{EvidenceArguments, prepare};
+use super::diagnose::parameter_text;
+use super::failure::{Failure, REFUSED, USAGE};
+use super::{compare, output};
+use crate::config_text::help_for_unknown;
+use crate::diagnosis::{AddResult, add, remove};
+use crate::plant::{FileHistory, FittedValue, ModelFile, effect};
+
+/// Refit a model with an effect added (removed) and show the held-out error before and after
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  drivebench add stribeck_friction --model model.toml --run runs/a --holdout runs/b --output model2.toml"
+)]
+pub(super) struct Arguments {
+    /// Id of the effect, as `drivebench effects` lists them
+    effect: String,
+    /// Model file; without it the run folder's, else a fitted baseline
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Run folder, samples.csv, or any CSV with --map
+    #[arg(long)]
+    run: PathBuf,
+    /// Where to write the new model; without it the model is printed
+    #[arg(long, value_name = "MODEL2.toml")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    evidence: EvidenceArguments,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments, adding: bool) -> Result<(), Failure> {
+    let known: Vec<&str> = effect::CATALOGUE
+        .iter()
+        .map(|effect| effect.card().id)
+        .collect();
+    let chosen = effect::find(&arguments.effect).ok_or_else(|| {
+        let help = help_for_unknown(&arguments.effect, known.iter().copied());
+        Failure::with_help(
+            USAGE,
+            format!("effect {:?} is not in the catalogue", arguments.effect),
+            help,
+        )
+    })?;
+    if let Some(path) = arguments.output.as_ref().filter(|path| path.exists()) {
+        let headline = format!(
+            "{}: exists already, and models are never overwritten",
+            path.display()
+        );
+        return Err(Failure::with_help(
+            USAGE,
+            headline,
+            "choose another name for --output",
+        ));
+    }
+    let prepared = prepare(
+        &arguments.run,
+        arguments.model.as_ref(),
+        &arguments.evidence,
+    )?;
+    let model = &prepared.model.file.model;
+    let result = if adding {
+        // Refused here with a clear word rather than as a failed fit.
+        model.with_effect(chosen.card().id)?;
+        add(chosen, model, prepared.evidence)?
+    } else {
+        model.without_effect(chosen.card().id)?;
+        remove(chosen, model, prepared.evidence)?
+    };
+    let file = model_file(
+        &result,
+        &prepared.model.file.history,
+        &prepared.run.run.name,
+    );
+    if let Some(path) = arguments.output.as_ref().filter(|_| result.accepted) {
+        std::fs::write(path, file.to_toml()).map_err(|error| {
+            Failure::with_help(
+                USAGE,
+                format!("{}: cannot write: {error}", path.display()),
+                "check the folder",
+            )
+        })?;
+        output::message(&format!("model written to {}", path.display()));
+    }
+    let mut value = serde_json::to_value(&result).unwrap_or_default();
+    // The contract shows the signals of `compare` under before and after.
+    for side in ["before", "after"] {
+        value[side] = value[side]["signals"].take();
+    }
+    value["rows_dropped"] = prepared.run.run.rows_dropped.into();
+    value["model"] = file.to_toml().into();
+    let print_model = arguments.output.is_none() && result.accepted;
+    output::result(&value, arguments.json, |_| {
+        text(&result, print_model.then(|| file.to_toml()))
+    })?;
+    if result.accepted {
+        Ok(())
+    } else {
+        Err(Failure::new(REFUSED, format!("refused: {}", result.reason)))
+    }
+}
+
+/// The new model with its history.
+fn model_file(result: &AddResult, before: &FileHistory, run: &str) -> ModelFile {
+    let fitted = result.fit.parameters.iter().filter_map(|parameter| {
+        Some(FittedValue {
+            key: parameter.key.clone(),
+            std: parameter.std.filter(|std| *std > 0.0)?,
+        })
+    });
+    let mut history = FileHistory {
+        fitted: fitted.collect(),
+        ..before.clone()
+    };
+    history.fitted_on = vec![run.to_owned()];
+    for rung in &result.ladder {
+        let effects = if rung.effects.is_empty() {
+            "baseline".to_owned()
+        } else {
+            rung.effects.join(" + ")
+        };
+        let line = format!(
+            "{effects}: held-out error {:.3} times the noise",
+            rung.holdout_rmse
+        );
+        if history.ladder.last() != Some(&line) {
+            history.ladder.push(line);
+        }
+    }
+    ModelFile {
+        model: result.fit.model.clone(),
+        history,
+    }
+}
+
+fn text(result: &AddResult, model: Option<String>) -> String {
+    let mut text = format!(
+        "{}: {}\n",
+        if result.accepted {
+            "accepted"
+        } else {
+            "refused"
+        },
+        result.reason
+    );
+    let _ = write!(
+        text,
+        "\nbefore\n{}\nafter\n{}",
+        compare::text(&result.before),
+        compare::text(&result.after)
+    );
+    for parameter in &result.parameters {
+        let _ = writeln!(text, "{}", parameter_text(parameter));
+    }
+    if let Some([before, after]) = &result.confirm {
+        let _ = writeln!(
+            text,
+            "on the confirming run: {:.2} -> {:.2} times the noise",
+            before.holdout_rmse, after.holdout_rmse
+        );
+    }
+    if let Some(model) = model {
+        let _ = write!(text, "\n{model}");
+    }
+    text
+}

@@ -1,0 +1,227 @@
+//! `commission`: the whole loop, guided; the screen and the headless run drive the same state machine.
+
+use std::sync::atomic::Ordering;
+
+use super::failure::{Failure, INTERNAL, INTERRUPTED};
+use super::live::{LiveArguments, Rig, Strings};
+use super::{data, output, pages, screen};
+use crate::plant::{FittedValue, Model, ModelFile, Scenario};
+use crate::recording::{RunFile, RunFolder};
+use crate::workflow::{
+    Commission, CommissionResult, Progress, ProgressCell, Role, RunRecord, StepState, Task,
+};
+
+/// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench commission --headless                       the emulated motor with a hidden effect
+  drivebench commission --headless --emulator zk-22fc-plain   the same motor without one
+  drivebench commission bench.toml --port /dev/ttyUSB0   a real drive, on the screen")]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    live: LiveArguments,
+}
+
+pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+    let (strings, intents) = Strings::new()?;
+    if arguments.live.is_headless() {
+        let mut told = Told::default();
+        let done = commission(&arguments.live, &strings, |progress| told.tell(progress))?;
+        return finish(arguments.live.json, &done);
+    }
+    let (json, progress) = (arguments.live.json, ProgressCell::default());
+    let shown = progress.clone();
+    let done = screen::watch(strings, intents, Some(shown), move |strings| {
+        commission(&arguments.live, strings, |latest| {
+            progress.publish(latest.clone())
+        })
+    })?;
+    finish(json, &done)
+}
+
+fn finish(json: bool, (result, text): &(CommissionResult, String)) -> Result<(), Failure> {
+    output::result(result, json, |_| text.clone())
+}
+
+/// Carries the loop's tasks out until it is finished; returns the result and its text.
+fn commission(
+    arguments: &LiveArguments,
+    strings: &Strings,
+    mut publish: impl FnMut(&Progress),
+) -> Result<(CommissionResult, String), Failure> {
+    let mut rig = Rig::open(arguments)?;
+    let mut workflow = Commission::new(Model::baseline(rig.bench.motor.motor()));
+    if let Some(emulator) = &rig.emulator {
+        workflow.set_truth(
+            emulator
+                .hidden
+                .iter()
+                .map(|effect| effect.id().to_owned())
+                .collect(),
+        );
+    }
+    let mut folders = Vec::new();
+    publish(&workflow.progress());
+    while workflow.task() != Task::Finished {
+        if strings.interrupted.load(Ordering::Acquire) {
+            return Err(Failure::new(
+                INTERRUPTED,
+                "interrupted; nothing is energised, what was recorded is kept",
+            ));
+        }
+        if let Err(failure) = step(&mut workflow, &mut rig, &mut folders, strings, &mut publish) {
+            workflow.failed(failure.headline());
+            publish(&workflow.progress());
+            return Err(failure);
+        }
+        publish(&workflow.progress());
+    }
+    let result = workflow
+        .result()
+        .cloned()
+        .ok_or_else(|| Failure::new(INTERNAL, "the loop ended without a result"))?;
+    let text = pages::commission(workflow.scenarios(), &result, &rig)?.text;
+    let mut progress = workflow.progress();
+    progress.report = text.lines().map(str::to_owned).collect();
+    publish(&progress);
+    Ok((result, text))
+}
+
+fn step(
+    workflow: &mut Commission,
+    rig: &mut Rig,
+    folders: &mut Vec<RunFolder>,
+    strings: &Strings,
+    publish: &mut impl FnMut(&Progress),
+) -> Result<(), Failure> {
+    let runs = rig.bench.runs;
+    match workflow.task() {
+        Task::Check => workflow.checked(&rig.check()?),
+        Task::Plan => {
+            for seed in [runs.select, runs.confirm, runs.repeat] {
+                rig.plan(seed)?;
+            }
+            workflow.planned(&rig.plan(runs.fit)?);
+        }
+        Task::Record(role) => {
+            let seed = match role {
+                Role::Fit => runs.fit,
+                Role::Select => runs.select,
+                Role::Confirm => runs.confirm,
+                Role::Repeat => runs.repeat,
+            };
+            let name = format!("{}-{}", rig.bench.name, role.name());
+            let recorded = rig.record(&name, seed, strings)?;
+            if let Some(failure) = recorded.failure() {
+                return Err(failure);
+            }
+            // Read back from the disk: what is analysed is what anyone can replay.
+            let loaded = data::load(recorded.folder.path(), None)?;
+            let record = RunRecord {
+                role: role.name(),
+                folder: Some(recorded.folder.path().display().to_string()),
+                rows: recorded.summary.rows,
+                rate_hz: recorded.summary.timing.rate_achieved_hz,
+                missed_cycles: recorded.summary.timing.missed_cycles,
+            };
+            workflow.recorded(
+                role,
+                Scenario::from_run(&loaded.run)?,
+                record,
+                recorded.summary.estimates.clone(),
+            );
+            folders.push(recorded.folder);
+        }
+        Task::Analyse => workflow.analyse(|progress| publish(&progress))?,
+        Task::Save => {
+            let line = save(workflow, rig, folders)?;
+            workflow.saved(line);
+        }
+        Task::Finished => {}
+    }
+    Ok(())
+}
+
+/// Model, result and report into every run folder of the loop.
+fn save(workflow: &Commission, rig: &Rig, folders: &[RunFolder]) -> Result<String, Failure> {
+    let result = workflow
+        .result()
+        .ok_or_else(|| Failure::new(INTERNAL, "nothing to save"))?;
+    let fit = &result.diagnosis.model;
+    let mut file = ModelFile {
+        model: fit.model.clone(),
+        ..ModelFile::default()
+    };
+    file.history.fitted_on = folders
+        .iter()
+        .take(1)
+        .map(|folder| folder.path().display().to_string())
+        .collect();
+    file.history.fitted = fit
+        .parameters
+        .iter()
+        .filter_map(|p| {
+            Some(FittedValue {
+                key: p.key.clone(),
+                std: p.std.filter(|std| *std > 0.0)?,
+            })
+        })
+        .collect();
+    file.history.ladder = result
+        .ladder
+        .iter()
+        .map(|rung| {
+            format!(
+                "{:?}: held-out error {:.3} times the noise",
+                rung.effects, rung.holdout_rmse
+            )
+        })
+        .collect();
+    let json = serde_json::to_string_pretty(result)
+        .map_err(|error| Failure::new(INTERNAL, format!("the result has no JSON form: {error}")))?;
+    let page = pages::commission(workflow.scenarios(), result, rig)?.html;
+    let mut reports = Vec::new();
+    for folder in folders {
+        folder.write(RunFile::Model, &file.to_toml())?;
+        folder.write(RunFile::Result, &json)?;
+        reports.push(folder.write(RunFile::Report, &page)?);
+    }
+    Ok(reports
+        .first()
+        .map_or_else(String::new, |path| path.display().to_string()))
+}
+
+/// Progress on stderr: each step once when it begins and once with its figure.
+#[derive(Default)]
+struct Told {
+    lines: Vec<(StepState, String)>,
+}
+
+impl Told {
+    fn tell(&mut self, progress: &Progress) {
+        let total = progress.steps.len();
+        self.lines
+            .resize(total, (StepState::Waiting, String::new()));
+        for (index, step) in progress.steps.iter().enumerate() {
+            let now = (step.state, step.line.clone());
+            if now == self.lines[index] {
+                continue;
+            }
+            let number = index + 1;
+            match step.state {
+                StepState::Waiting => {}
+                StepState::Active => {
+                    output::message(&format!("[{number:>2}/{total}] {} ...", step.title))
+                }
+                StepState::Done => output::message(&format!(
+                    "[{number:>2}/{total}] {}: {}",
+                    step.title, step.line
+                )),
+                StepState::Failed => {
+                    output::message(&format!("[{number:>2}/{total}] {} failed", step.title))
+                }
+            }
+            self.lines[index] = now;
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! `compare`: the model as given beside the measurement.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use super::data::{EvidenceArguments, prepare};
+use super::failure::{Failure, REFUSED};
+use super::output;
+use crate::diagnosis::{Comparison, ErrorOf, SignalComparison, compare};
+
+/// Compare a model with a run: fit, error, noise floor, and where it fails
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90"
+)]
+pub(super) struct Arguments {
+    /// Run folder, samples.csv, or any CSV with --map
+    run: PathBuf,
+    /// Model file; without it the run folder's, else a fitted baseline
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Exit with status 1 when a held-out fit is below this, in per cent
+    #[arg(long, value_name = "P")]
+    min_fit: Option<f64>,
+    #[command(flatten)]
+    evidence: EvidenceArguments,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let prepared = prepare(
+        &arguments.run,
+        arguments.model.as_ref(),
+        &arguments.evidence,
+    )?;
+    let mut model = prepared.model.file.model;
+    let mut evidence = prepared.evidence;
+    if prepared.model.from == "baseline" {
+        let (with_scale, fit) = evidence.with_baseline(&model)?;
+        (evidence, model) = (with_scale, fit.model);
+    }
+    model.require_complete()?;
+    let comparison = compare(&model, &evidence, ErrorOf::Model)?;
+    let mut value = serde_json::to_value(&comparison).unwrap_or_default();
+    value["rows_dropped"] = prepared.run.run.rows_dropped.into();
+    value["model"] = prepared.model.from.into();
+    output::result(&value, arguments.json, |_| text(&comparison))?;
+    check_fit(&comparison, arguments.min_fit)
+}
+
+fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
+    let Some(least) = min_fit else { return Ok(()) };
+    let signals = [
+        ("speed", comparison.signals.speed_rad_s),
+        ("current", comparison.signals.current_a),
+    ];
+    for (name, signal) in signals {
+        if let Some(signal) = signal.filter(|signal| signal.holdout.fit_percent < least) {
+            let found = signal.holdout.fit_percent;
+            return Err(Failure::new(
+                REFUSED,
+                format!("held-out {name} fit {found:.1} % is below {least} %"),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The comparison as a small table, the hold-out first.
+pub(super) fn text(comparison: &Comparison) -> String {
+    let mut text = String::from(
+        "signal   fit held-out   rmse held-out   noise floor   fit training   one-step rmse\n",
+    );
+    let mut row = |name: &str, unit: &str, signal: Option<SignalComparison>| {
+        let Some(signal) = signal else { return };
+        let floor = signal
+            .noise_floor
+            .map_or_else(|| "unknown".to_owned(), |floor| format!("{floor:.3}"));
+        let _ = writeln!(
+            text,
+            "{name:<8} {:>10.2} % {:>9.3} {unit:<5} {floor:>12} {:>12.2} % {:>15.3}",
+            signal.holdout.fit_percent,
+            signal.holdout.rmse,
+            signal.fit_percent,
+            signal.one_step_rmse
+        );
+    };
+    row("speed", "rad/s", comparison.signals.speed_rad_s);
+    row("current", "A", comparison.signals.current_a);
+    let white = if comparison.residual.white {
+        "white: nothing but noise is left"
+    } else {
+        "not white"
+    };
+    let _ = writeln!(text, "residual {white}");
+    for location in comparison.locations.iter().take(3) {
+        let _ = writeln!(text, "where    {}", location.sentence);
+    }
+    text
+}

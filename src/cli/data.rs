@@ -1,0 +1,168 @@
+//! Runs and models named on the command line.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::failure::{Failure, USAGE};
+use super::output;
+use crate::diagnosis::Evidence;
+use crate::identification::start;
+use crate::plant::{Model, ModelFile, Motor, Scenario};
+use crate::recording::{ColumnMap, LoadedRun, open_run};
+use crate::sample::{Channel, Origin, Run};
+
+/// How foreign columns are read.
+#[derive(Args, Clone, Debug, Default)]
+pub(super) struct MapArguments {
+    /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755
+    #[arg(long, value_name = "MAP")]
+    pub(super) map: Option<String>,
+    /// Another map for the hold-out and the confirming run
+    #[arg(long, value_name = "MAP")]
+    pub(super) map_holdout: Option<String>,
+}
+
+impl MapArguments {
+    fn parse(text: Option<&String>) -> Result<Option<ColumnMap>, Failure> {
+        Ok(text.map(|text| text.parse::<ColumnMap>()).transpose()?)
+    }
+
+    pub(super) fn of_run(&self) -> Result<Option<ColumnMap>, Failure> {
+        Self::parse(self.map.as_ref())
+    }
+
+    pub(super) fn of_holdout(&self) -> Result<Option<ColumnMap>, Failure> {
+        Self::parse(self.map_holdout.as_ref().or(self.map.as_ref()))
+    }
+}
+
+/// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
+pub(super) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Failure> {
+    let mut loaded = open_run(path, map)?;
+    derive_speed(&mut loaded)?;
+    output::warn(&loaded.warnings);
+    Ok(loaded)
+}
+
+/// Speed by differences over one sample before and after, at the angle's own stamps.
+fn derive_speed(loaded: &mut LoadedRun) -> Result<(), Failure> {
+    let run: &mut Run = &mut loaded.run;
+    if run.points(Channel::Speed).next().is_some() {
+        return Ok(());
+    }
+    let Some(angle) = run.column(Channel::Angle) else {
+        return Ok(());
+    };
+    let rows: Vec<usize> = (0..run.rows())
+        .filter(|row| angle[*row].is_finite())
+        .collect();
+    let mut speed = vec![f64::NAN; run.rows()];
+    for window in rows.windows(3) {
+        let (before, here, after) = (window[0], window[1], window[2]);
+        speed[here] = (angle[after] - angle[before]) / (run.time_s()[after] - run.time_s()[before]);
+    }
+    run.set_column(Channel::Speed, speed, Origin::Derived)
+        .map_err(|error| Failure::new(USAGE, error.to_string()))?;
+    let note = "speed_rad_s was derived from angle_rad by central differences".to_owned();
+    loaded.warnings.push(note.clone());
+    loaded.run.notes.push(note);
+    Ok(())
+}
+
+/// A model with the place it came from.
+pub(super) struct ChosenModel {
+    pub(super) file: ModelFile,
+    pub(super) from: String,
+}
+
+/// The model file, else the run folder's, else the five-parameter baseline with values yet to be found.
+pub(super) fn model(path: Option<&PathBuf>, run: &LoadedRun) -> Result<ChosenModel, Failure> {
+    let in_folder = run
+        .folder
+        .as_ref()
+        .map(|folder| folder.join("model.toml"))
+        .filter(|file| file.exists());
+    let Some(path) = path.cloned().or(in_folder) else {
+        output::message("no model given: the five-parameter baseline is fitted to the run first");
+        let file = ModelFile {
+            model: Model::baseline(Motor::new("fitted")),
+            ..ModelFile::default()
+        };
+        return Ok(ChosenModel {
+            file,
+            from: "baseline".to_owned(),
+        });
+    };
+    Ok(ChosenModel {
+        file: read_model(&path)?,
+        from: path.display().to_string(),
+    })
+}
+
+pub(super) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
+    let name = path.display().to_string();
+    let text = read_text(path)?;
+    Ok(ModelFile::parse(&name, &text)?)
+}
+
+pub(super) fn read_text(path: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(path).map_err(|error| {
+        Failure::with_help(
+            USAGE,
+            format!("{}: cannot read: {error}", path.display()),
+            "check the path",
+        )
+    })
+}
+
+/// Fit run, hold-out and confirming run of a command, and the model that they judge.
+#[derive(Args, Clone, Debug)]
+pub(super) struct EvidenceArguments {
+    /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out
+    #[arg(long, value_name = "RUN2")]
+    pub(super) holdout: Option<PathBuf>,
+    /// A third run, from which the headline error is reported
+    #[arg(long, value_name = "RUN3")]
+    pub(super) confirm: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) map: MapArguments,
+}
+
+/// Everything that `compare`, `diagnose`, `add` and `remove` need.
+pub(super) struct Prepared {
+    pub(super) run: LoadedRun,
+    pub(super) model: ChosenModel,
+    pub(super) evidence: Evidence,
+}
+
+pub(super) fn prepare(
+    run: &Path,
+    model_path: Option<&PathBuf>,
+    args: &EvidenceArguments,
+) -> Result<Prepared, Failure> {
+    let run = load(run, args.map.of_run()?.as_ref())?;
+    let mut model = model(model_path, &run)?;
+    let fit_run = Scenario::from_run(&run.run)?;
+    let other_map = args.map.of_holdout()?;
+    let other = |path: Option<&PathBuf>| -> Result<Option<Scenario>, Failure> {
+        let Some(path) = path else { return Ok(None) };
+        Ok(Some(Scenario::from_run(
+            &load(path, other_map.as_ref())?.run,
+        )?))
+    };
+    if fit_run.input_channel == Channel::VoltageCmd {
+        output::message("voltage_cmd_v serves as the voltage");
+    }
+    model.file.model = start::complete(&model.file.model, &fit_run)?;
+    let evidence = Evidence::new(
+        fit_run,
+        other(args.holdout.as_ref())?,
+        other(args.confirm.as_ref())?,
+    );
+    Ok(Prepared {
+        run,
+        model,
+        evidence,
+    })
+}

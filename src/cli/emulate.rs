@@ -1,0 +1,82 @@
+//! `emulate`: the software drive for other programs.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use super::data::read_text;
+use super::failure::{Failure, INTERNAL, LINK, USAGE};
+use super::{live, output};
+use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, ready_line, serve};
+
+/// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty /tmp/drive
+  drivebench run --port /tmp/drive --headless"
+)]
+pub(super) struct Arguments {
+    /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
+    emulator: Option<String>,
+    /// modbus-rtu, modbus-tcp or stream
+    #[arg(long, default_value = "modbus-rtu")]
+    link: String,
+    /// Path of the pseudo-terminal's symlink; without it one in the temporary folder
+    #[arg(long, value_name = "PATH", conflicts_with = "listen")]
+    pty: Option<PathBuf>,
+    /// TCP address, as 127.0.0.1:1502; port 0 takes a free one
+    #[arg(long, value_name = "ADDR")]
+    listen: Option<SocketAddr>,
+    /// Draws the specimen within its tolerance, and the sensor noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Register map to answer with; only our own so far
+    #[arg(long, default_value = "own")]
+    profile: String,
+}
+
+pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+    if arguments.profile != "own" {
+        let headline = format!("profile {:?} cannot be emulated", arguments.profile);
+        return Err(Failure::with_help(USAGE, headline, "allowed: own"));
+    }
+    let link: LinkKind = arguments.link.parse().map_err(|_| {
+        let headline = format!("link {:?} is not known", arguments.link);
+        Failure::with_help(USAGE, headline, "allowed: modbus-rtu, modbus-tcp, stream")
+    })?;
+    let config = match &arguments.emulator {
+        None => EmulatorConfig::embedded_default(),
+        Some(name) if PathBuf::from(name).exists() => {
+            EmulatorConfig::parse(name, &read_text(name.as_ref())?)
+                .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?
+        }
+        Some(name) => live::emulator_config(name)?,
+    };
+    let endpoint = match (arguments.pty, arguments.listen) {
+        (Some(path), _) => Endpoint::Pty(path),
+        (None, Some(address)) => Endpoint::Tcp(address),
+        (None, None) if link == LinkKind::ModbusTcp => {
+            Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)))
+        }
+        (None, None) => Endpoint::temporary_pty(),
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [
+        signal_hook::consts::SIGINT,
+        signal_hook::consts::SIGTERM,
+        signal_hook::consts::SIGHUP,
+    ] {
+        signal_hook::flag::register(signal, Arc::clone(&stop)).map_err(|error| {
+            Failure::new(
+                INTERNAL,
+                format!("cannot watch for signal {signal}: {error}"),
+            )
+        })?;
+    }
+    serve(&config, arguments.seed, link, &endpoint, &stop, |address| {
+        // A caller that does not read the line does not need it.
+        let _ = output::line(&ready_line(link, address, &config));
+    })
+    .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))
+}

@@ -1,0 +1,93 @@
+//! Why a command ended without success: one headline, one help line, one exit status.
+
+use crate::config_text::ConfigError;
+use crate::identification::output_error::FitError;
+use crate::plant::{ModelError, ScenarioError};
+use crate::recording::RecordingError;
+
+pub(super) const REFUSED: u8 = 1;
+pub(super) const USAGE: u8 = 2;
+pub(super) const LINK: u8 = 3;
+pub(super) const TRIP: u8 = 4;
+pub(super) const NOT_IDENTIFIABLE: u8 = 5;
+pub(super) const INTERNAL: u8 = 6;
+pub(super) const INTERRUPTED: u8 = 130;
+
+#[derive(Debug)]
+pub(super) struct Failure {
+    pub(super) status: u8,
+    headline: String,
+    help: Option<String>,
+}
+
+impl Failure {
+    pub(super) fn new(status: u8, headline: impl Into<String>) -> Self {
+        Self {
+            status,
+            headline: headline.into(),
+            help: None,
+        }
+    }
+
+    pub(super) fn with_help(
+        status: u8,
+        headline: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        Self {
+            status,
+            headline: headline.into(),
+            help: Some(help.into()),
+        }
+    }
+
+    pub(super) fn headline(&self) -> &str {
+        &self.headline
+    }
+
+    /// Two lines on stderr; where stderr is gone there is nobody left to tell.
+    pub(super) fn print(&self) {
+        use std::io::Write;
+        let mut stderr = std::io::stderr().lock();
+        let _ = writeln!(stderr, "error: {}", self.headline);
+        if let Some(help) = &self.help {
+            let _ = writeln!(stderr, "help: {help}");
+        }
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        Self::with_help(USAGE, error.to_string(), error.help)
+    }
+}
+
+impl From<RecordingError> for Failure {
+    fn from(error: RecordingError) -> Self {
+        let help = error.help();
+        Self::with_help(USAGE, error.to_string(), help)
+    }
+}
+
+impl From<ScenarioError> for Failure {
+    fn from(error: ScenarioError) -> Self {
+        Self::with_help(NOT_IDENTIFIABLE, error.to_string(), error.help())
+    }
+}
+
+impl From<ModelError> for Failure {
+    fn from(error: ModelError) -> Self {
+        Self::with_help(USAGE, error.to_string(), error.help())
+    }
+}
+
+impl From<FitError> for Failure {
+    fn from(error: FitError) -> Self {
+        let status = if matches!(error, FitError::Model(_)) {
+            USAGE
+        } else {
+            NOT_IDENTIFIABLE
+        };
+        Self::with_help(status, error.to_string(), error.help())
+    }
+}

@@ -1,0 +1,450 @@
+//! A run on a live drive: opens the link that a bench file names, and records one run after the other.
+//!
+//! ```text
+//! bench file + overrides -> Rig (link, clock, emulator if it is ours) -> check -> record -> run folder
+//! ```
+//!
+//! This file owns the wall clock (the stamp of run folders) and the signals.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+use clap::Args;
+
+use super::data::read_text;
+use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
+use super::output;
+use crate::bench::{
+    Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
+    LiveOnline, MonotonicClock, Outcome, Plan, Port, Protocol, RunOptions, RunSummary, Session,
+    SnapshotCell, Target, check, layout, manifest, plan, run,
+};
+use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
+use crate::emulator::{
+    EmulatorConfig, Endpoint, Latency, LinkKind, MemoryLink, ServerHandle, SoftDrive, VirtualClock,
+};
+use crate::identification::online::OnlineConfig;
+use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
+use crate::sample::Channel;
+
+/// Options of every command that may energise a motor.
+#[derive(Args, Clone, Debug)]
+pub(super) struct LiveArguments {
+    /// Bench file; without it the embedded one: the emulated ZK-22FC with a hidden effect
+    pub(super) bench: Option<PathBuf>,
+    /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time) or emulator; overrides the bench file
+    #[arg(long, value_name = "PORT")]
+    port: Option<String>,
+    /// Emulator to use: an embedded name (zk-22fc-hidden, zk-22fc-plain, ...) or a file; overrides the bench file
+    #[arg(long, value_name = "EMULATOR")]
+    emulator: Option<String>,
+    /// Seed of the emulator: draws the specimen and the sensor noise
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Where run folders are made
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    out: PathBuf,
+    /// No screen: progress on stderr, the result on stdout
+    #[arg(long)]
+    headless: bool,
+    /// The drive is real and its shaft may turn (needed without a screen)
+    #[arg(long)]
+    hardware: bool,
+    /// Go on although the drive's watchdog cannot be proven; the waiver is recorded
+    #[arg(long)]
+    waive_watchdog: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+impl LiveArguments {
+    /// Without a terminal, and for JSON, there is no screen.
+    pub(super) fn is_headless(&self) -> bool {
+        use std::io::IsTerminal;
+        self.headless || self.json || !std::io::stdout().is_terminal()
+    }
+
+    /// The bench file with the command line's overrides.
+    pub(super) fn bench(&self) -> Result<BenchFile, Failure> {
+        let mut bench = match &self.bench {
+            Some(path) => BenchFile::parse(&path.display().to_string(), &read_text(path)?)?,
+            None => BenchFile::embedded_default(),
+        };
+        if let Some(port) = &self.port {
+            Port::parse(port).ok_or_else(|| {
+                let headline = format!("--port {port:?} is not a port");
+                Failure::with_help(
+                    USAGE,
+                    headline,
+                    "a serial port, tcp:HOST:PORT, sim: or emulator",
+                )
+            })?;
+            bench.link.port.clone_from(port);
+        }
+        if let Some(emulator) = &self.emulator {
+            bench.emulator.config.clone_from(emulator);
+        }
+        if let Some(seed) = self.seed {
+            bench.emulator.seed = seed;
+        }
+        Ok(bench)
+    }
+}
+
+/// What ties a run to the world: signals, intents of a screen, and what the screen sees.
+pub(super) struct Strings {
+    pub(super) snapshots: SnapshotCell,
+    pub(super) interrupted: Arc<AtomicBool>,
+    intents: Receiver<Intent>,
+}
+
+impl Strings {
+    /// Registers the signals; the sender belongs to the screen.
+    pub(super) fn new() -> Result<(Self, Sender<Intent>), Failure> {
+        let interrupted = Arc::new(AtomicBool::new(false));
+        for signal in [
+            signal_hook::consts::SIGINT,
+            signal_hook::consts::SIGTERM,
+            signal_hook::consts::SIGHUP,
+        ] {
+            signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(|error| {
+                Failure::new(
+                    INTERNAL,
+                    format!("cannot watch for signal {signal}: {error}"),
+                )
+            })?;
+        }
+        let (sender, intents) = channel();
+        Ok((
+            Self {
+                snapshots: SnapshotCell::default(),
+                interrupted,
+                intents,
+            },
+            sender,
+        ))
+    }
+}
+
+/// An open drive with its clock, and the emulator's thread where it is ours.
+pub(super) struct Rig {
+    pub(super) bench: BenchFile,
+    profile: DriveProfile,
+    link: Box<dyn DriveLink>,
+    clock: Box<dyn Clock + Send>,
+    last_seq: u64,
+    check: Option<CheckReport>,
+    hardware: bool,
+    waive_watchdog: bool,
+    out: PathBuf,
+    pub(super) emulator: Option<EmulatorConfig>,
+    /// Dropping it ends the emulator, so it outlives the link.
+    _server: Option<ServerHandle>,
+}
+
+impl Rig {
+    /// Opens the link. The emulator is used only where the bench file or the command line names it.
+    pub(super) fn open(arguments: &LiveArguments) -> Result<Self, Failure> {
+        let bench = arguments.bench()?;
+        let mut profile = DriveProfile::named(&bench.drive.profile)
+            .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?;
+        // The bench file knows how this drive is wired up; the profile only what is usual.
+        profile.link.protocol = link_protocol(bench.link.protocol);
+        profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
+        let port = bench.port();
+        let emulator = match port {
+            Port::Emulator | Port::Sim => Some(emulator_config(&bench.emulator.config)?),
+            Port::Tcp(_) | Port::Serial(_) => None,
+        };
+        let real = MonotonicClock::start();
+        let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
+        let link: Box<dyn DriveLink> = match (&port, &emulator) {
+            (Port::Sim, Some(config)) => {
+                let time = VirtualClock::new();
+                clock = Box::new(time.clone());
+                let drive = SoftDrive::new(config, bench.emulator.seed);
+                Box::new(MemoryLink::new(drive, time, Latency::default()))
+            }
+            (Port::Emulator, Some(config)) => {
+                let handle = serve(config, &bench)?;
+                let address = match bench.link.protocol {
+                    Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
+                    Protocol::ModbusRtu | Protocol::Stream => handle.address().to_owned(),
+                };
+                server = Some(handle);
+                crate::drive::open(&target(&address, &bench)?, &profile, real.origin())?
+            }
+            (Port::Tcp(_) | Port::Serial(_), _) => {
+                crate::drive::open(&target(&bench.link.port, &bench)?, &profile, real.origin())?
+            }
+            (Port::Sim | Port::Emulator, None) => {
+                return Err(Failure::new(
+                    INTERNAL,
+                    "an emulator was asked for and not configured",
+                ));
+            }
+        };
+        Ok(Self {
+            profile,
+            link,
+            clock,
+            last_seq: 0,
+            check: None,
+            // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
+            hardware: arguments.hardware || !arguments.is_headless(),
+            waive_watchdog: arguments.waive_watchdog,
+            out: arguments.out.clone(),
+            emulator,
+            _server: server,
+            bench,
+        })
+    }
+
+    /// Identity, limits, link probe, watchdog proof; the refusal is the first check that failed.
+    pub(super) fn check(&mut self) -> Result<CheckReport, Failure> {
+        let options = CheckOptions {
+            rate_hz: self.bench.link.rate_hz,
+            hardware_allowed: self.hardware,
+            waive_watchdog: self.waive_watchdog,
+        };
+        let report = check(
+            self.link.as_mut(),
+            self.clock.as_mut(),
+            &self.bench.limits(),
+            options,
+        )?;
+        if let Some(item) = report.refusal() {
+            let headline = format!("{}: {}", item.name, item.text);
+            return Err(match item.help {
+                Some(help) => Failure::with_help(LINK, headline, help),
+                None => Failure::new(LINK, headline),
+            });
+        }
+        self.last_seq = report.last_seq;
+        self.check = Some(report.clone());
+        Ok(report)
+    }
+
+    /// Predicts the sequence with this seed and refuses what would be too much.
+    pub(super) fn plan(&self, seed: u64) -> Result<Plan, Failure> {
+        let program = self.program(seed)?;
+        let plan = plan(
+            &program,
+            &self.bench.motor,
+            &self.bench.limits(),
+            self.bench.link.rate_hz,
+            self.check
+                .as_ref()
+                .and_then(|check| check.identity.current_limit_a),
+        )?;
+        match plan.refusals.first() {
+            Some(refusal) => Err(Failure::with_help(
+                USAGE,
+                format!("plan refused: {refusal}"),
+                refusal.help(),
+            )),
+            None => Ok(plan),
+        }
+    }
+
+    fn program(&self, seed: u64) -> Result<crate::excitation::Program, Failure> {
+        let file = self.bench.name.clone();
+        self.bench
+            .program(seed)
+            .map_err(|error| BenchFileError::Sequence { file, error }.into())
+    }
+
+    /// Records one run into a new folder. The drive is at zero output on return, whatever happened.
+    pub(super) fn record(
+        &mut self,
+        name: &str,
+        seed: u64,
+        strings: &Strings,
+    ) -> Result<Recorded, Failure> {
+        let report = self
+            .check
+            .clone()
+            .ok_or_else(|| Failure::new(INTERNAL, "a run without a check before it"))?;
+        let target = Target::of(&report.identity);
+        let guard = Guard::new(
+            self.bench.limits(),
+            &self.bench.motor,
+            report.identity.current_limit_a,
+        );
+        let session = Session::new(Box::new(self.program(seed)?), guard).after_seq(self.last_seq);
+        let mut manifest = self.manifest(name, seed, &report);
+        let mut layout = layout(&report.signals);
+        if !self.clock.is_real() {
+            layout = layout.without_host_time();
+        }
+        let folder = RunFolder::create(&self.out, &manifest.stamp, name)?;
+        let sync_every = self.bench.link.rate_hz.ceil() as usize;
+        let mut recorder = Recorder::create(folder.clone(), layout.clone(), &manifest, sync_every)?;
+        let mut online = LiveOnline::new(layout, OnlineConfig::default());
+        let sent_before = self.link.statistics().sent;
+        let summary = run(
+            session,
+            Bench {
+                link: self.link.as_mut(),
+                clock: self.clock.as_mut(),
+                recorder: &mut recorder,
+                estimator: Some(&mut online),
+                intents: &strings.intents,
+                interrupted: &strings.interrupted,
+                snapshots: &strings.snapshots,
+            },
+            &RunOptions {
+                name: name.to_owned(),
+                target,
+                rate_hz: self.bench.link.rate_hz,
+                motor: self.bench.motor.clone(),
+                auto_start: target == Target::Sim || self.hardware,
+            },
+        );
+        self.last_seq += summary.link.sent - sent_before + 1;
+        summary.describe(&mut manifest);
+        recorder.finish(&manifest)?;
+        Ok(Recorded { folder, summary })
+    }
+
+    fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {
+        let link = self.link.name();
+        let mut manifest = manifest(&self.bench, seed, &link, report, self.waive_watchdog);
+        name.clone_into(&mut manifest.name);
+        manifest.stamp = utc_stamp(now());
+        if let Some(emulator) = &self.emulator {
+            let text = toml::to_string(emulator).unwrap_or_default();
+            manifest.configs.insert("emulator".to_owned(), text);
+        }
+        for channel in Channel::ALL {
+            if let Some(origin) = self.profile.signals.get(channel) {
+                manifest.set_origin(channel, origin);
+            }
+        }
+        manifest
+    }
+}
+
+/// A run that was recorded, to its end or not.
+pub(super) struct Recorded {
+    pub(super) folder: RunFolder,
+    pub(super) summary: RunSummary,
+}
+
+impl Recorded {
+    /// The failure that ended the run early, if any.
+    pub(super) fn failure(&self) -> Option<Failure> {
+        let kept = format!("the record is kept in {}", self.folder.path().display());
+        match &self.summary.outcome {
+            Outcome::Done => None,
+            Outcome::Stopped | Outcome::Interrupted => Some(Failure::with_help(
+                INTERRUPTED,
+                "stopped before the end of the sequence",
+                kept,
+            )),
+            Outcome::Tripped(trip) => Some(Failure::with_help(
+                TRIP,
+                format!("safety trip: {}", trip.reason),
+                kept,
+            )),
+            Outcome::NotStarted { reason } => Some(Failure::with_help(
+                LINK,
+                format!("not started: {reason}"),
+                kept,
+            )),
+            Outcome::LinkLost { reason } => Some(Failure::with_help(
+                LINK,
+                format!("link lost: {reason}"),
+                kept,
+            )),
+        }
+    }
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the stamp of a run folder is wall-clock time"
+)]
+fn now() -> jiff::Timestamp {
+    jiff::Timestamp::now()
+}
+
+/// An embedded emulator by name, else a file.
+pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
+    let path = Path::new(name);
+    let config = if EmulatorConfig::embedded_names().any(|known| known == name) || !path.exists() {
+        EmulatorConfig::embedded(name)
+    } else {
+        EmulatorConfig::parse(name, &read_text(path)?)
+    };
+    config.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
+}
+
+/// Serves the emulator from a thread of this process, over the protocol that the bench file names.
+fn serve(config: &EmulatorConfig, bench: &BenchFile) -> Result<ServerHandle, Failure> {
+    let (kind, endpoint) = match bench.link.protocol {
+        Protocol::ModbusRtu => (LinkKind::ModbusRtu, Endpoint::temporary_pty()),
+        Protocol::Stream => (LinkKind::Stream, Endpoint::temporary_pty()),
+        Protocol::ModbusTcp => (
+            LinkKind::ModbusTcp,
+            Endpoint::Tcp(std::net::SocketAddr::from(([127, 0, 0, 1], 0))),
+        ),
+    };
+    let mut config = config.clone();
+    config.line.baud = bench.link.baud;
+    let handle = crate::emulator::spawn(config, bench.emulator.seed, kind, endpoint)
+        .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
+    output::message(&format!("software drive {}", handle.ready_line()));
+    Ok(handle)
+}
+
+const fn link_protocol(protocol: Protocol) -> crate::drive::Protocol {
+    match protocol {
+        Protocol::ModbusRtu => crate::drive::Protocol::ModbusRtu,
+        Protocol::ModbusTcp => crate::drive::Protocol::ModbusTcp,
+        Protocol::Stream => crate::drive::Protocol::Stream,
+    }
+}
+
+/// The far end of the wire with the bench file's baud rate and unit.
+fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
+    let target: LinkTarget = address
+        .parse()
+        .map_err(|error: TargetError| Failure::with_help(USAGE, error.to_string(), error.help()))?;
+    Ok(match target {
+        LinkTarget::Serial { path, .. } => LinkTarget::Serial {
+            path,
+            baud: Some(bench.link.baud),
+            unit: Some(bench.link.unit),
+        },
+        LinkTarget::Tcp { host, port, .. } => LinkTarget::Tcp {
+            host,
+            port,
+            unit: Some(bench.link.unit),
+        },
+    })
+}
+
+impl From<LinkError> for Failure {
+    fn from(error: LinkError) -> Self {
+        let help = error.help();
+        Self::with_help(LINK, error.to_string(), help)
+    }
+}
+
+impl From<CheckError> for Failure {
+    fn from(error: CheckError) -> Self {
+        let help = error.help();
+        Self::with_help(LINK, error.to_string(), help)
+    }
+}
+
+impl From<BenchFileError> for Failure {
+    fn from(error: BenchFileError) -> Self {
+        let help = error.help();
+        Self::with_help(USAGE, error.to_string(), help)
+    }
+}

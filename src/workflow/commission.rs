@@ -1,0 +1,305 @@
+//! The commissioning loop: which task comes next, and the analysis between the tasks.
+
+use super::progress::{Progress, StepState, StepView};
+use super::result::{CommissionResult, NamedEstimate, RunRecord, Truth};
+use crate::bench::{CheckReport, Plan};
+use crate::diagnosis::{Diagnosis, ErrorOf, Evidence, Rung, Score, compare, diagnose};
+use crate::identification::output_error::FitError;
+use crate::identification::start;
+use crate::plant::{Model, Scenario};
+use crate::sample::ParameterEstimate;
+
+/// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
+/// third; the fourth repeats the first and tells what the machine itself does not repeat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    Fit,
+    Select,
+    Confirm,
+    Repeat,
+}
+
+impl Role {
+    pub const ALL: [Self; 4] = [Self::Fit, Self::Select, Self::Confirm, Self::Repeat];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fit => "fit",
+            Self::Select => "select",
+            Self::Confirm => "confirm",
+            Self::Repeat => "repeat",
+        }
+    }
+}
+
+/// What the driver is to do next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Task {
+    /// Open the link, ask who is there, prove the watchdog.
+    Check,
+    /// Predict the sequence and refuse it where it would be too much.
+    Plan,
+    /// Record one run.
+    Record(Role),
+    /// Call [`Commission::analyse`]; it takes seconds and needs nothing from outside.
+    Analyse,
+    /// Write the run folders' models, results and reports.
+    Save,
+    Finished,
+}
+
+const CHECK: usize = 0;
+const PLAN: usize = 1;
+const FIRST_RUN: usize = 2;
+const IDENTIFY: usize = 6;
+const COMPARE: usize = 7;
+const DIAGNOSE: usize = 8;
+const ADD: usize = 9;
+const SAVE: usize = 10;
+
+/// The loop with everything that it has gathered so far.
+pub struct Commission {
+    nameplate: Model,
+    steps: Vec<StepView>,
+    task: Task,
+    scenarios: Vec<Scenario>,
+    runs: Vec<RunRecord>,
+    online: Vec<ParameterEstimate>,
+    result: Option<CommissionResult>,
+    truth: Option<Vec<String>>,
+}
+
+impl Commission {
+    /// `nameplate` is where the fits start; what it leaves out is found from the data.
+    pub fn new(nameplate: Model) -> Self {
+        let titles = [
+            "connect and check",
+            "plan",
+            "record: fit",
+            "record: select",
+            "record: confirm",
+            "record: repeat",
+            "identify",
+            "compare",
+            "diagnose",
+            "add the effect",
+            "report",
+        ];
+        let steps = titles
+            .iter()
+            .map(|title| StepView {
+                title: (*title).to_owned(),
+                state: StepState::Waiting,
+                line: String::new(),
+            })
+            .collect();
+        let mut commission = Self {
+            nameplate,
+            steps,
+            task: Task::Check,
+            scenarios: Vec::new(),
+            runs: Vec::new(),
+            online: Vec::new(),
+            result: None,
+            truth: None,
+        };
+        commission.steps[CHECK].state = StepState::Active;
+        commission
+    }
+
+    /// What the emulator carries, for scoring the answer at the end. The analysis never sees it.
+    pub fn set_truth(&mut self, effects: Vec<String>) {
+        self.truth = Some(effects);
+    }
+
+    pub const fn task(&self) -> Task {
+        self.task
+    }
+
+    pub fn progress(&self) -> Progress {
+        Progress {
+            steps: self.steps.clone(),
+            report: Vec::new(),
+            finished: self.task == Task::Finished,
+        }
+    }
+
+    pub const fn result(&self) -> Option<&CommissionResult> {
+        self.result.as_ref()
+    }
+
+    /// Everything recorded so far, in the order of [`Role::ALL`].
+    pub fn scenarios(&self) -> &[Scenario] {
+        &self.scenarios
+    }
+
+    /// The check was passed.
+    pub fn checked(&mut self, report: &CheckReport) {
+        let watchdog = report.watchdog_proven_s.map_or_else(
+            || "watchdog not proven".to_owned(),
+            |s| format!("watchdog proven within {:.0} ms", 1e3 * s),
+        );
+        let line = format!(
+            "{} {}, round trip {:.1} ms, {:.0} Hz reachable, {watchdog}",
+            report.identity.vendor,
+            report.identity.product,
+            1e3 * report.round_trip_p50_s,
+            report.reachable_rate_hz,
+        );
+        self.step_done(CHECK, line, Task::Plan);
+    }
+
+    /// The plan was accepted.
+    pub fn planned(&mut self, plan: &Plan) {
+        let line = format!(
+            "peak {:.1} A ({:.1} times rated), {:.0} rad/s, {:.0} turns away, {:.1} s each run",
+            plan.peak_current_a,
+            plan.peak_current_ratio,
+            plan.peak_speed_rad_s,
+            crate::units::turns_from_rad(plan.travel_rad),
+            plan.duration_s,
+        );
+        self.step_done(PLAN, line, Task::Record(Role::Fit));
+    }
+
+    /// A run was recorded to its end.
+    pub fn recorded(
+        &mut self,
+        role: Role,
+        scenario: Scenario,
+        run: RunRecord,
+        online: Vec<ParameterEstimate>,
+    ) {
+        let index = role as usize;
+        let line = format!(
+            "{} rows at {:.1} Hz, {} cycles missed",
+            run.rows, run.rate_hz, run.missed_cycles
+        );
+        if role == Role::Fit {
+            self.online = online;
+        }
+        self.scenarios.push(scenario);
+        self.runs.push(run);
+        let next = Role::ALL
+            .get(index + 1)
+            .map_or(Task::Analyse, |role| Task::Record(*role));
+        self.step_done(FIRST_RUN + index, line, next);
+    }
+
+    /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step.
+    pub fn analyse(&mut self, mut publish: impl FnMut(Progress)) -> Result<(), FitError> {
+        let [fit, select, confirm, repeat] = &self.scenarios[..] else {
+            return Err(FitError::NothingFree);
+        };
+        let nameplate = start::complete(&self.nameplate, fit)?;
+        let evidence = Evidence::new(fit.clone(), Some(select.clone()), Some(confirm.clone()));
+        let (evidence, baseline) = evidence.with_baseline(&nameplate)?;
+        let evidence = evidence.with_repeat_floor(&baseline.model, fit, repeat)?;
+        let confirming = Evidence {
+            holdout: confirm.clone(),
+            ..evidence.clone()
+        };
+        let known = baseline
+            .parameters
+            .iter()
+            .filter(|p| p.value.is_some())
+            .count();
+        let line = format!(
+            "{known} of {} parameters, {} iterations",
+            baseline.parameters.len(),
+            baseline.iterations
+        );
+        self.step_done(IDENTIFY, line, Task::Analyse);
+        publish(self.progress());
+
+        let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
+        let line = before.locations.first().map_or_else(
+            || "the error follows nothing in particular".to_owned(),
+            |location| location.sentence.clone(),
+        );
+        self.step_done(COMPARE, line, Task::Analyse);
+        publish(self.progress());
+
+        let diagnosis = diagnose(&nameplate, evidence, true)?;
+        self.step_done(DIAGNOSE, diagnosis.sentence.clone(), Task::Analyse);
+        publish(self.progress());
+
+        let after = compare(&diagnosis.model.model, &confirming, ErrorOf::Structure)?;
+        let rung = |model: &Model| -> Result<Rung, FitError> {
+            let score = Score::of(model, &confirming.holdout, &confirming.noise)?;
+            Ok(Rung {
+                effects: model.effect_ids(),
+                holdout_rmse: score.nrms,
+            })
+        };
+        let confirmed = [
+            rung(&diagnosis.baseline.model)?,
+            rung(&diagnosis.model.model)?,
+        ];
+        let line = if diagnosis.effects.is_empty() {
+            "no effect is added".to_owned()
+        } else {
+            format!(
+                "error on the confirming run {:.2} -> {:.2} times the noise floor",
+                confirmed[0].holdout_rmse, confirmed[1].holdout_rmse
+            )
+        };
+        self.step_done(ADD, line, Task::Save);
+        publish(self.progress());
+        self.result = Some(CommissionResult {
+            sentence: diagnosis.sentence.clone(),
+            parameters_before: NamedEstimate::list(&diagnosis.baseline.parameters),
+            parameters: NamedEstimate::list(&diagnosis.model.parameters),
+            online: NamedEstimate::list(&self.online),
+            ladder: diagnosis.ladder.clone(),
+            truth: self.truth.clone().map(|effects| score(effects, &diagnosis)),
+            runs: self.runs.clone(),
+            diagnosis,
+            before,
+            after,
+            confirmed,
+        });
+        Ok(())
+    }
+
+    /// Everything is written.
+    pub fn saved(&mut self, line: String) {
+        self.step_done(SAVE, line, Task::Finished);
+    }
+
+    /// The active step failed; nothing follows.
+    pub fn failed(&mut self, reason: &str) {
+        if let Some(step) = self
+            .steps
+            .iter_mut()
+            .find(|step| step.state == StepState::Active)
+        {
+            step.state = StepState::Failed;
+            reason.clone_into(&mut step.line);
+        }
+        self.task = Task::Finished;
+    }
+
+    fn step_done(&mut self, index: usize, line: String, next: Task) {
+        self.steps[index].state = StepState::Done;
+        self.steps[index].line = line;
+        if let Some(following) = self.steps.get_mut(index + 1) {
+            following.state = StepState::Active;
+        }
+        self.task = next;
+    }
+}
+
+fn score(mut effects: Vec<String>, diagnosis: &Diagnosis) -> Truth {
+    effects.sort();
+    let mut named: Vec<String> = diagnosis
+        .effects
+        .iter()
+        .map(|id| (*id).to_owned())
+        .collect();
+    named.sort();
+    Truth {
+        named_correctly: named == effects,
+        effects,
+    }
+}
