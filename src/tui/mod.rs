@@ -1,7 +1,7 @@
 //! The live screens: they see snapshots, workflow states and intents, never a drive.
 //!
 //! ```text
-//! SnapshotCell, WorkflowCell, WorkerCell --\
+//! SnapshotCell, ProgressCell, WorkerCell --\
 //! keys, resize (crossterm) ----------------+--> Event --> Model::update --> Effect --> Intent to the bench, leave
 //!                                                           |
 //!                                                view(&Model, frame): pure, drawn only after a change
@@ -22,11 +22,9 @@ mod update;
 mod view;
 mod widget;
 mod worker;
-mod workflow_view;
 
 #[cfg(test)]
 mod tests;
 
 pub use show::{Exit, ShowOptions, show};
 pub use worker::{FinishOnDrop, WorkerCell};
-pub use workflow_view::{StepLine, StepState, WorkflowCell, WorkflowView};

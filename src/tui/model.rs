@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use super::worker::WorkerState;
-use super::workflow_view::WorkflowView;
 use crate::bench::{Phase, Snapshot, Target};
 use crate::sample::DriveState;
+use crate::workflow::Progress;
 
 /// Lengths of the time axis that the zoom key goes through, s.
 pub(super) const ZOOM_S: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
@@ -36,7 +36,7 @@ pub(super) struct Model {
     pub(super) snapshot: Arc<Snapshot>,
     /// What scope and parameters show while the view is frozen; bars, notices and trips stay live.
     pub(super) frozen: Option<Arc<Snapshot>>,
-    pub(super) workflow: Option<Arc<WorkflowView>>,
+    pub(super) workflow: Option<Arc<Progress>>,
     pub(super) worker: WorkerState,
     pub(super) screen: Screen,
     pub(super) help: bool,
@@ -61,7 +61,7 @@ pub(super) enum Leaving {
 }
 
 impl Model {
-    pub(super) fn new(workflow: Option<Arc<WorkflowView>>) -> Self {
+    pub(super) fn new(workflow: Option<Arc<Progress>>) -> Self {
         Self {
             snapshot: Arc::default(),
             frozen: None,

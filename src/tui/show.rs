@@ -13,8 +13,8 @@ use super::terminal::Owned;
 use super::update::{Effect, Event};
 use super::view::view;
 use super::worker::WorkerCell;
-use super::workflow_view::WorkflowCell;
 use crate::bench::{Intent, SnapshotCell};
+use crate::workflow::ProgressCell;
 
 /// Longest time between two looks at the cells: 25 frames a second. A key is answered at once.
 const FRAME: Duration = Duration::from_millis(40);
@@ -24,11 +24,13 @@ const FRAME: Duration = Duration::from_millis(40);
 pub struct ShowOptions {
     pub snapshots: SnapshotCell,
     /// The steps of a workflow, where there is one.
-    pub workflow: Option<WorkflowCell>,
+    pub workflow: Option<ProgressCell>,
     pub intents: Sender<Intent>,
     pub worker: WorkerCell,
     /// Set with every stop: nothing more is to be started, also between two runs, where nobody reads intents.
     pub stop_requested: Arc<AtomicBool>,
+    /// Set by signals (SIGTERM, SIGHUP): the screens close by themselves as soon as the worker has finished.
+    pub hang_up: Arc<AtomicBool>,
 }
 
 /// Why the screens were left. The motor's outcome is the worker's to tell.
@@ -49,7 +51,7 @@ pub enum Exit {
 /// Shows the screens on the calling thread until they are left.
 ///
 /// # Errors
-/// Standard input or output is not a terminal, or the terminal fails; the worker has then been told to stop.
+/// Standard output is not a terminal, or the terminal fails; the worker has then been told to stop.
 pub fn show(options: &ShowOptions) -> io::Result<Exit> {
     let mut guard = StopUnlessLeft {
         options,
@@ -78,7 +80,7 @@ impl Drop for StopUnlessLeft<'_> {
 }
 
 fn run(owned: &mut Owned, options: &ShowOptions) -> io::Result<Exit> {
-    let mut model = Model::new(options.workflow.as_ref().map(WorkflowCell::latest));
+    let mut model = Model::new(options.workflow.as_ref().map(ProgressCell::latest));
     let mut changed = true;
     loop {
         for event in changes(&model, options) {
@@ -111,7 +113,8 @@ fn run(owned: &mut Owned, options: &ShowOptions) -> io::Result<Exit> {
 fn changes(model: &Model, options: &ShowOptions) -> Vec<Event> {
     let mut events = Vec::new();
     // The worker publishes before it finishes: read in the other order, the last snapshot cannot be missed.
-    let worker = options.worker.state();
+    let hang_up = options.hang_up.load(Ordering::Acquire);
+    let worker = options.worker.state(hang_up);
     let snapshot = options.snapshots.latest();
     if !Arc::ptr_eq(&snapshot, &model.snapshot) {
         events.push(Event::Snapshot(snapshot));

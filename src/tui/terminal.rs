@@ -27,11 +27,12 @@ pub(super) struct Owned {
 
 impl Owned {
     /// # Errors
-    /// Standard input or output is not a terminal, or the terminal refuses raw mode.
+    /// Standard output is not a terminal, or the terminal refuses raw mode.
     pub(super) fn take() -> io::Result<Self> {
-        if !(io::stdout().is_terminal() && io::stdin().is_terminal()) {
+        // Keys come from the controlling terminal, wherever standard input is.
+        if !io::stdout().is_terminal() {
             return Err(io::Error::other(
-                "standard input or output is not a terminal, so there is no screen (help: use --headless)",
+                "standard output is not a terminal, so there is no screen (help: use --headless)",
             ));
         }
         let terminal = enter().inspect_err(|_| give_back())?;

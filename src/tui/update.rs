@@ -8,9 +8,9 @@ use super::keys::{self, Press};
 use super::model::{Leaving, Model, Screen, ZOOM_S};
 use super::show::Exit;
 use super::worker::WorkerState;
-use super::workflow_view::WorkflowView;
 use crate::bench::{Intent, Snapshot};
 use crate::sample::DriveState;
+use crate::workflow::Progress;
 
 /// This many Ctrl-C leave a worker that does not come back; the drive's watchdog is behind that.
 const FORCE: u8 = 3;
@@ -19,7 +19,7 @@ const FORCE: u8 = 3;
 pub(super) enum Event {
     Key(KeyEvent),
     Snapshot(Arc<Snapshot>),
-    Workflow(Arc<WorkflowView>),
+    Workflow(Arc<Progress>),
     Worker(WorkerState),
 }
 

@@ -12,6 +12,7 @@ use super::widget::banner::Banner;
 use super::widget::hints::hints;
 use super::widget::progress_bar::progress_bar;
 use super::widget::top_bar::top_bar;
+use crate::workflow::StepState;
 
 /// The smallest screen that can be read.
 const SMALLEST: (u16, u16) = (30, 6);
@@ -65,7 +66,12 @@ fn step_line(model: &Model) -> Line<'static> {
     let Some(view) = &model.workflow else {
         return Line::default();
     };
-    match view.active() {
+    let active = view
+        .steps
+        .iter()
+        .enumerate()
+        .find(|(_, step)| step.state == StepState::Active);
+    match active {
         Some((index, step)) => Line::from(vec![
             Span::styled(
                 format!(

@@ -1,14 +1,10 @@
 //! How the thread that does the work tells the screen that it is done.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
-const WORKING: u8 = 0;
-const FINISHED: u8 = 1;
-const LEAVE: u8 = 2;
-
-/// Whether the worker still works; ordered, and it never goes back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+/// Whether the worker still works.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum WorkerState {
     Working,
     /// Nothing more will happen; the screen stays until it is closed.
@@ -19,17 +15,12 @@ pub(super) enum WorkerState {
 
 /// Shared between worker and screen.
 #[derive(Clone, Debug, Default)]
-pub struct WorkerCell(Arc<AtomicU8>);
+pub struct WorkerCell(Arc<AtomicBool>);
 
 impl WorkerCell {
     /// The work is over; the screen shows the end until `q`.
     pub fn finish(&self) {
-        self.0.fetch_max(FINISHED, Ordering::AcqRel);
-    }
-
-    /// The work is over and the screen is to close by itself, as after SIGTERM or SIGHUP.
-    pub fn leave(&self) {
-        self.0.fetch_max(LEAVE, Ordering::AcqRel);
+        self.0.store(true, Ordering::Release);
     }
 
     /// Calls `finish` when dropped: held by the worker, it covers every return and a panic.
@@ -38,11 +29,11 @@ impl WorkerCell {
         FinishOnDrop(self.clone())
     }
 
-    pub(super) fn state(&self) -> WorkerState {
-        match self.0.load(Ordering::Acquire) {
-            WORKING => WorkerState::Working,
-            FINISHED => WorkerState::Finished,
-            _ => WorkerState::Leave,
+    pub(super) fn state(&self, hang_up: bool) -> WorkerState {
+        match (self.0.load(Ordering::Acquire), hang_up) {
+            (false, _) => WorkerState::Working,
+            (true, false) => WorkerState::Finished,
+            (true, true) => WorkerState::Leave,
         }
     }
 }
@@ -62,18 +53,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_worker_that_panics_has_finished_and_leave_is_not_taken_back() {
+    fn a_worker_that_panics_has_finished() {
         let cell = WorkerCell::default();
         let inner = cell.clone();
         let worker = std::thread::spawn(move || {
             let _guard = inner.finish_on_drop();
-            assert_eq!(inner.state(), WorkerState::Working);
+            assert_eq!(inner.state(true), WorkerState::Working);
             std::panic::resume_unwind(Box::new("on purpose"));
         });
         assert!(worker.join().is_err());
-        assert_eq!(cell.state(), WorkerState::Finished);
-        cell.leave();
-        cell.finish();
-        assert_eq!(cell.state(), WorkerState::Leave);
+        assert_eq!(cell.state(false), WorkerState::Finished);
+        assert_eq!(cell.state(true), WorkerState::Leave);
     }
 }

@@ -13,7 +13,7 @@ use crate::tui::widget::scope::scope;
 const WIDTH_FOR_TWO: u16 = 72;
 const HEIGHT_FOR_TWO: u16 = 15;
 /// Width of the right side.
-const NARROW: u16 = 34;
+const NARROW: u16 = 33;
 const WIDE: u16 = 48;
 
 pub(crate) fn live(model: &Model, area: Rect, buffer: &mut Buffer) {

@@ -8,7 +8,7 @@ use ratatui::widgets::{Paragraph, Widget};
 
 use crate::tui::model::Model;
 use crate::tui::theme;
-use crate::tui::workflow_view::{StepState, WorkflowView};
+use crate::workflow::{Progress, StepState};
 
 pub(crate) fn steps(model: &Model, area: Rect, buffer: &mut Buffer) {
     let Some(view) = &model.workflow else {
@@ -22,7 +22,7 @@ pub(crate) fn steps(model: &Model, area: Rect, buffer: &mut Buffer) {
     Paragraph::new(shown).render(area, buffer);
 }
 
-fn lines(view: &WorkflowView, width: u16) -> Vec<Line<'static>> {
+fn lines(view: &Progress, width: u16) -> Vec<Line<'static>> {
     let widest = view.steps.iter().map(|step| step.title.chars().count());
     let title_width = widest.max().unwrap_or(0).min(usize::from(width) / 3);
     let mut lines: Vec<Line<'static>> = view
@@ -31,7 +31,7 @@ fn lines(view: &WorkflowView, width: u16) -> Vec<Line<'static>> {
         .map(|step| {
             let (mark, style) = look(step.state);
             Line::from(vec![
-                Span::styled(format!(" {mark} {:<8}", step.state.name()), style),
+                Span::styled(format!(" {mark} {:<8}", name(step.state)), style),
                 Span::styled(format!("{:<title_width$}  ", step.title), theme::BOLD),
                 Span::raw(step.line.clone()),
             ])
@@ -42,6 +42,15 @@ fn lines(view: &WorkflowView, width: u16) -> Vec<Line<'static>> {
         lines.extend(view.report.iter().map(|line| Line::raw(format!(" {line}"))));
     }
     lines
+}
+
+const fn name(state: StepState) -> &'static str {
+    match state {
+        StepState::Waiting => "waiting",
+        StepState::Active => "active",
+        StepState::Done => "done",
+        StepState::Failed => "failed",
+    }
 }
 
 const fn look(state: StepState) -> (&'static str, Style) {

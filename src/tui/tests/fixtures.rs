@@ -11,7 +11,7 @@ use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::model::Model;
 use crate::tui::update::Event;
 use crate::tui::view::view;
-use crate::tui::workflow_view::{StepLine, StepState, WorkflowView};
+use crate::workflow::{Progress, StepState, StepView};
 
 pub(super) fn estimate(
     key: &str,
@@ -182,14 +182,14 @@ pub(super) fn missing() -> Snapshot {
     }
 }
 
-pub(super) fn workflow(finished: bool) -> WorkflowView {
-    let step = |title: &str, state, line: &str| StepLine {
+pub(super) fn workflow(finished: bool) -> Progress {
+    let step = |title: &str, state, line: &str| StepView {
         title: title.to_owned(),
         state,
         line: line.to_owned(),
     };
     if finished {
-        return WorkflowView {
+        return Progress {
             steps: vec![
                 step(
                     "check the drive",
@@ -204,13 +204,14 @@ pub(super) fn workflow(finished: bool) -> WorkflowView {
                 ),
                 step("confirm", StepState::Failed, "the third run was stopped"),
             ],
+            finished: true,
             report: vec![
                 "verdict: quadratic_load (a fan or a pump)".to_owned(),
                 "ladder: baseline 5.10 -> + quadratic_load 1.03 (floor 1.00)".to_owned(),
             ],
         };
     }
-    WorkflowView {
+    Progress {
         steps: vec![
             step(
                 "check the drive",
@@ -222,6 +223,7 @@ pub(super) fn workflow(finished: bool) -> WorkflowView {
             step("confirm", StepState::Waiting, ""),
         ],
         report: Vec::new(),
+        finished: false,
     }
 }
 

@@ -30,7 +30,7 @@ impl Banner {
         if let Some(trip) = &snapshot.trip {
             return Some(Self::new(
                 "SAFETY TRIP",
-                format!("{}{}", trip.reason, end_of(model)),
+                format!("{}.{}", trip.reason, end_of(model)),
                 theme::ALARM,
             ));
         }
@@ -42,7 +42,7 @@ impl Banner {
             });
             return Some(Self::new(
                 "LINK LOST",
-                format!("{reason}{}", end_of(model)),
+                format!("{reason}.{}", end_of(model)),
                 theme::ALARM,
             ));
         }
@@ -66,9 +66,16 @@ impl Banner {
 
     /// Rows that it takes, with its frame, in a screen of this width.
     pub(crate) fn height(&self, width: u16) -> u16 {
-        let inner = usize::from(width.saturating_sub(4)).max(1);
-        // Words are not broken, so a line may stay a little shorter than the width.
-        let rows = self.text.chars().count().div_ceil(inner.max(8) * 9 / 10);
+        let inner = usize::from(width.saturating_sub(2)).max(1);
+        let (mut rows, mut used) = (1_usize, 1);
+        for word in self.text.split(' ') {
+            let length = word.chars().count();
+            if used + length > inner {
+                rows += 1;
+                used = 0;
+            }
+            used += length + 1;
+        }
         2 + (rows.clamp(1, 4) as u16)
     }
 

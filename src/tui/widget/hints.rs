@@ -14,13 +14,9 @@ pub(crate) fn hints(model: &Model, area: Rect, buffer: &mut Buffer) {
             .render(area, buffer);
         return;
     }
-    let next = model
-        .screens()
-        .iter()
-        .cycle()
-        .skip_while(|screen| **screen != model.screen)
-        .nth(1)
-        .map_or("", |screen| screen.name());
+    let screens = model.screens();
+    let here = screens.iter().position(|screen| *screen == model.screen);
+    let next = screens[(here.unwrap_or(0) + 1) % screens.len()].name();
     let keys = if model.waits_for_start() {
         format!(" Enter start  Space stop  q quit  ? help  Tab {next}")
     } else if model.is_finished() {

@@ -11,7 +11,7 @@ use crate::tui::text::milliseconds;
 use crate::tui::theme;
 
 /// Rows with the frame.
-pub(crate) const HEIGHT: u16 = 8;
+pub(crate) const HEIGHT: u16 = 7;
 
 pub(crate) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let block = Block::bordered().title(" link and record ");
@@ -20,7 +20,11 @@ pub(crate) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let link = &snapshot.link_statistics;
     let timing = &snapshot.timing;
     let mut lines = vec![
-        counts(&[("sent", link.sent, false), ("ok", link.ok, false)]),
+        counts(&[
+            ("sent", link.sent, false),
+            ("ok", link.ok, false),
+            ("missed", timing.missed_cycles, true),
+        ]),
         counts(&[
             ("timeout", link.timeout, true),
             ("crc", link.crc, true),
@@ -35,7 +39,6 @@ pub(crate) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
             milliseconds(timing.lateness_p50_s),
             milliseconds(timing.lateness_p99_s)
         )),
-        counts(&[("missed cycles", timing.missed_cycles, true)]),
     ];
     lines.push(match &snapshot.recorder_error {
         Some(error) => Line::styled(format!("NOT RECORDED: {error}"), theme::BAD),

@@ -98,7 +98,11 @@ fn value_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
 
 fn verdict_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
     const INDENT: usize = 3;
-    let verdict = verdict_span(estimate);
+    let mut verdict = verdict_span(estimate);
+    if estimate.reason.is_none() {
+        // Bars begin in one column.
+        verdict.content = format!("{:<9}", verdict.content).into();
+    }
     let room = usize::from(width).saturating_sub(INDENT + verdict.width() + 1);
     let mut spans = vec![Span::raw(" ".repeat(INDENT)), verdict, Span::raw(" ")];
     match (&estimate.reason, relative_std(estimate)) {

@@ -17,6 +17,8 @@ use crate::units::rpm_from_rad_s;
 const LABELS: u16 = 7;
 /// Rows of a chart at least: its title and two rows of dots.
 const SMALLEST: u16 = 3;
+/// From this width on the legend is written out.
+const WIDE: u16 = 62;
 /// The model may stretch the axis of the speed by this share of the measured span, no further.
 const STRETCH: f64 = 0.5;
 
@@ -133,7 +135,7 @@ fn draw(
     };
     let (low, high) = bounds(&measured, &model);
     let newest = measured.last().map_or(f64::NAN, |point| point.1);
-    title(chart, snapshot, newest).render(Rect { height: 1, ..area }, buffer);
+    title(chart, snapshot, newest, area.width).render(Rect { height: 1, ..area }, buffer);
 
     let plot_area = Rect {
         x: area.x + LABELS,
@@ -163,7 +165,7 @@ fn draw(
     plot::draw(&traces, bounds, plot_area, buffer);
 }
 
-fn title(chart: Chart, snapshot: &Snapshot, newest: f64) -> Line<'static> {
+fn title(chart: Chart, snapshot: &Snapshot, newest: f64, width: u16) -> Line<'static> {
     let channel = chart.channel();
     let mut spans = vec![
         Span::styled(
@@ -175,10 +177,15 @@ fn title(chart: Chart, snapshot: &Snapshot, newest: f64) -> Line<'static> {
     if chart == Chart::Speed {
         let rpm = rpm_from_rad_s(newest);
         spans.push(Span::raw(if rpm.is_finite() && rpm.abs() < 1e6 {
-            format!(" = {rpm:.0} r/min")
+            format!(", {rpm:.0} r/min")
         } else {
-            " = - r/min".to_owned()
+            ", - r/min".to_owned()
         }));
+        if width < WIDE {
+            spans.push(Span::styled(" ⣀⣀meas", chart.style()));
+            spans.push(Span::styled(" ⣀ ⣀model", theme::MODEL));
+            return Line::from(spans);
+        }
         spans.push(Span::styled("  ⣀⣀ measured", chart.style()));
         let whose = if snapshot.model_is_identified {
             "identified"
@@ -216,7 +223,7 @@ fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> (f64, f64) {
     if high - low < 1e-9 {
         high = low + 1.0;
     }
-    let step = nice_step((high - low) / 4.0);
+    let step = nice_step((high - low) / 8.0);
     ((low / step).floor() * step, (high / step).ceil() * step)
 }
 
@@ -302,7 +309,7 @@ mod tests {
         let measured: Vec<_> = (0..=100).map(|k| (f64::from(k), f64::from(k))).collect();
         assert_eq!(bounds(&measured, &[]), (0.0, 100.0));
         let runaway = [(0.0, -1e9), (1.0, 1e12), (2.0, f64::INFINITY)];
-        assert_eq!(bounds(&measured, &runaway), (-50.0, 150.0));
+        assert_eq!(bounds(&measured, &runaway), (-60.0, 160.0));
         assert_eq!(bounds(&[], &[]), (0.0, 1.0));
         assert_eq!(bounds(&[(0.0, 0.0)], &[(0.0, f64::NAN)]), (0.0, 1.0));
     }

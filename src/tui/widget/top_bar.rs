@@ -17,7 +17,7 @@ pub(crate) fn top_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let room = usize::from(area.width - stop_width);
     let mut spans: Vec<Span<'static>> = Vec::new();
     let mut used = 0;
-    for span in items(snapshot) {
+    for span in items(snapshot).into_iter().filter(|span| span.width() > 0) {
         let separator = usize::from(spans.len() > 1) * 3;
         let width = span.width() + separator;
         if used + width > room {
@@ -41,16 +41,22 @@ pub(crate) fn top_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
 fn items(snapshot: &Snapshot) -> Vec<Span<'static>> {
     let (phase, style) = phase(snapshot.phase);
     let timing = &snapshot.timing;
+    // Before anything has answered, neither word would be true.
+    let (target, target_style) = if snapshot.phase.is_none() && snapshot.link.is_empty() {
+        (" NO DRIVE YET ".to_owned(), theme::BOLD)
+    } else {
+        (
+            format!(" {} ", snapshot.target.name()),
+            theme::target(snapshot.target),
+        )
+    };
     let lost = snapshot
         .link_statistics
         .sent
         .saturating_sub(snapshot.link_statistics.ok);
     let share = timing.rate_achieved_hz / timing.rate_asked_hz;
     vec![
-        Span::styled(
-            format!(" {} ", snapshot.target.name()),
-            theme::target(snapshot.target),
-        ),
+        Span::styled(target, target_style),
         Span::styled(format!(" {phase}"), style),
         Span::raw(format!(
             "drive {}",
