@@ -290,7 +290,7 @@ impl Rig {
         let mut recorder = Recorder::create(folder.clone(), layout.clone(), &manifest, sync_every)?;
         let mut online = LiveOnline::new(layout, OnlineConfig::default());
         let sent_before = self.link.statistics().sent;
-        let summary = run(
+        let mut summary = run(
             session,
             Bench {
                 link: self.link.as_mut(),
@@ -312,7 +312,8 @@ impl Rig {
         );
         self.last_seq += summary.link.sent - sent_before + 1;
         summary.describe(&mut manifest);
-        recorder.finish(&manifest)?;
+        // The writer thread may still have been busy when the run ended: only now is every row counted.
+        summary.rows = recorder.finish(&manifest)?.rows as u64;
         Ok(Recorded { folder, summary })
     }
 
