@@ -138,6 +138,7 @@ pub(super) struct Rig {
     last_seq: u64,
     check: Option<CheckReport>,
     hardware: bool,
+    headless: bool,
     waive_watchdog: bool,
     out: PathBuf,
     pub(super) emulator: Option<EmulatorConfig>,
@@ -170,6 +171,9 @@ impl Rig {
             }
             (Port::Emulator, Some(config)) => {
                 let handle = serve(config, &bench)?;
+                if arguments.is_headless() {
+                    output::message(&format!("software drive {}", handle.ready_line()));
+                }
                 let address = match bench.link.protocol {
                     Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
                     Protocol::ModbusRtu | Protocol::Stream => handle.address().to_owned(),
@@ -195,6 +199,7 @@ impl Rig {
             check: None,
             // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
             hardware: arguments.hardware || !arguments.is_headless(),
+            headless: arguments.is_headless(),
             waive_watchdog: arguments.waive_watchdog,
             out: arguments.out.clone(),
             emulator,
@@ -301,7 +306,8 @@ impl Rig {
                 target,
                 rate_hz: self.bench.link.rate_hz,
                 motor: self.bench.motor.clone(),
-                auto_start: target == Target::Sim || self.hardware,
+                // Beside a screen a real motor is started by hand, after a question.
+                auto_start: target == Target::Sim || self.headless,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
@@ -398,7 +404,6 @@ fn serve(config: &EmulatorConfig, bench: &BenchFile) -> Result<ServerHandle, Fai
     config.line.baud = bench.link.baud;
     let handle = crate::emulator::spawn(config, bench.emulator.seed, kind, endpoint)
         .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
-    output::message(&format!("software drive {}", handle.ready_line()));
     Ok(handle)
 }
 
