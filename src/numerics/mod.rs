@@ -1,4 +1,5 @@
-//! Mathematics without physics: least squares, Levenberg-Marquardt, statistics.
+//! Mathematics without physics: least squares (batch, recursive, non-linear) and statistics.
 
 pub mod least_squares;
 pub mod levenberg_marquardt;
+pub mod statistics;
