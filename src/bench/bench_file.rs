@@ -374,11 +374,12 @@ impl BenchFile {
             }
         }
         let limits = self.limits();
-        if limits.link_silence_s < 2.0 * self.period_s() {
+        // A single reply that is waited for to its deadline must not look like a host that stood still.
+        if limits.link_silence_s < self.period_s() + self.deadline_s() {
             return refuse(
                 "limits.link_silence_s".to_owned(),
                 limits.link_silence_s.to_string(),
-                "at least two periods of link.rate_hz",
+                "at least one period of link.rate_hz and link.deadline_ms together",
             );
         }
         if let (Some(low), Some(high)) = (limits.bus_min_v, limits.bus_max_v)

@@ -26,8 +26,10 @@ use crate::sample::{Command, Demand, DriveState, ParameterEstimate, Sample};
 /// A drive that is not safe after this time is not going to be by itself, s.
 const CONNECT_TIME_S: f64 = 5.0;
 
-/// What estimates parameters while the run goes on; it is given every recorded row in order.
+/// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
 pub trait LiveEstimator {
+    fn command(&mut self, command: &CommandRow);
+
     fn push(&mut self, sample: &Sample);
 
     fn estimates(&self) -> Vec<ParameterEstimate>;
@@ -269,14 +271,18 @@ impl Runner<'_> {
         let sent_s = clock.now_s();
         self.demand = command.demand;
         if self.session.phase().is_recorded() {
-            self.recorder.command(&CommandRow {
+            let row = CommandRow {
                 command,
                 time_s: sent_s + self.drive_minus_host_s,
                 reference_rad_s: match command.demand {
                     Demand::Speed(speed) => Some(speed),
                     _ => None,
                 },
-            });
+            };
+            self.recorder.command(&row);
+            if let Some(estimator) = self.estimator.as_mut() {
+                estimator.command(&row);
+            }
         }
         self.inputs.push_back(match self.link.0.exchange(command) {
             Ok(sample) => {

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::location::{FailureLocation, locate};
+use super::location::{ErrorOf, FailureLocation, locate};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore};
 use crate::identification::noise::FloorSource;
@@ -49,8 +49,12 @@ pub struct Comparison {
     pub holdout_rmse: f64,
 }
 
-/// Compares a complete model as it is; only the initial state is fitted.
-pub fn compare(model: &Model, evidence: &Evidence) -> Result<Comparison, FitError> {
+/// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of.
+pub fn compare(
+    model: &Model,
+    evidence: &Evidence,
+    error_of: ErrorOf,
+) -> Result<Comparison, FitError> {
     let noise = &evidence.noise;
     let training = Score::of(model, &evidence.training, noise)?;
     let holdout = Score::of(model, &evidence.holdout, noise)?;
@@ -87,7 +91,7 @@ pub fn compare(model: &Model, evidence: &Evidence) -> Result<Comparison, FitErro
                 one_step.0,
             ),
         },
-        locations: locate(model, &evidence.holdout, noise)?,
+        locations: locate(model, &evidence.holdout, noise, error_of)?,
         residual: ResidualLights::of(&[
             values(holdout.current_residual()),
             values(holdout.speed_residual()),

@@ -81,47 +81,51 @@ impl Evidence {
         Ok((self, fit))
     }
 
-    /// The floor from two runs of the same excitation: half the variance of the difference of their residuals under
-    /// one model, never below what the sensors show at rest (DISCOVERY.md, rule 2).
+    /// The floor from two runs of the same excitation: half the variance of the difference of their residuals
+    /// (DISCOVERY.md, rule 2).
     ///
-    /// Residuals are compared, not signals, so that runs whose samples fell at other instants can be subtracted.
+    /// Residuals are compared, not signals, so that runs whose samples fell at other instants can be subtracted; and
+    /// each run's are those of its own fit, so that a winding that was warmer in the second does not count as noise.
     pub fn with_repeat_floor(
         mut self,
         model: &Model,
         first: &Scenario,
         second: &Scenario,
     ) -> Result<Self, FitError> {
-        let a = Score::of(model, first, &self.noise)?;
-        let b = Score::of(model, second, &self.noise)?;
-        let floor = |a: &[(f64, f64)], b: &[(f64, f64)], at_rest: f64| {
+        let residuals = |run: &Scenario| -> Result<Score, FitError> {
+            let fit = output_error::fit(std::slice::from_ref(model), run, &self.noise)?;
+            Score::of(&fit.model, run, &self.noise)
+        };
+        let (a, b) = (residuals(first)?, residuals(second)?);
+        let (begin_a_s, begin_b_s) = (first.events[0].0, second.events[0].0);
+        let floor = |a: &[(f64, f64)], b: &[(f64, f64)]| {
             let differences: Vec<f64> = a
                 .iter()
-                .filter_map(|&(time_s, value)| Some(value - nearest_in_time(b, time_s)?))
+                .filter_map(|&(time_s, value)| {
+                    Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
+                })
                 .collect();
-            if differences.len() < 100 {
-                return at_rest;
-            }
             let mean_square =
-                differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64;
-            (mean_square / 2.0).sqrt().max(at_rest)
+                differences.iter().map(|d| d * d).sum::<f64>() / differences.len().max(1) as f64;
+            (differences.len() >= FEWEST_DIFFERENCES && mean_square > 0.0)
+                .then(|| (mean_square / 2.0).sqrt())
         };
-        self.noise = NoiseFloor {
-            current_a: floor(
-                &a.current_residual(),
-                &b.current_residual(),
-                self.noise.current_a,
-            ),
-            speed_rad_s: floor(
-                &a.speed_residual(),
-                &b.speed_residual(),
-                self.noise.speed_rad_s,
-            ),
-            source: FloorSource::Repeat,
-            samples: first.samples().min(second.samples()),
-        };
+        let current = floor(&a.current_residual(), &b.current_residual());
+        let speed = floor(&a.speed_residual(), &b.speed_residual());
+        if current.is_some() || speed.is_some() {
+            self.noise = NoiseFloor {
+                current_a: current.unwrap_or(f64::INFINITY),
+                speed_rad_s: speed.unwrap_or(f64::INFINITY),
+                source: FloorSource::Repeat,
+                samples: first.samples().min(second.samples()),
+            };
+        }
         Ok(self)
     }
 }
+
+/// Pairs of samples below which two runs do not give a floor.
+const FEWEST_DIFFERENCES: usize = 100;
 
 /// Value of the point nearest to `time_s`, if it lies within a few samples of it.
 fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {

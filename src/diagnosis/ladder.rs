@@ -6,6 +6,7 @@ use super::candidates::by_key;
 use super::compare::{Comparison, compare};
 use super::decide::{SIGNIFICANT, WORTHWHILE, pays, z};
 use super::evidence::Evidence;
+use super::location::ErrorOf;
 use super::score::Score;
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{ActiveEffect, Effect, Model};
@@ -109,8 +110,8 @@ fn change(
             adding,
             accepted,
         ),
-        before: compare(&before.model, evidence)?,
-        after: compare(&after.model, evidence)?,
+        before: compare(&before.model, evidence, ErrorOf::Structure)?,
+        after: compare(&after.model, evidence, ErrorOf::Structure)?,
         parameters: owner
             .parameters
             .iter()

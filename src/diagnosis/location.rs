@@ -7,19 +7,23 @@
 
 use std::f64::consts::{SQRT_2, TAU};
 
+use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
+use crate::numerics::least_squares;
 use crate::plant::{Input, Model, MotorKey, Plant, Scenario};
 
 /// Length of a window, s: long enough that noise does not drown the missing torque, short beside the time constants.
 const WINDOW_S: f64 = 0.02;
-const BINS: usize = 14;
+const BINS: usize = 20;
+/// Share of the largest speed below which the direction of motion is open.
+const DEAD_ZONE: f64 = 0.01;
 /// Windows in a bin below which its mean says nothing.
 const FEWEST_IN_BIN: usize = 8;
 /// Share of the systematic error that a region must hold to be worth a sentence.
-const WORTH_SAYING: f64 = 0.6;
+const WORTH_SAYING: f64 = 0.7;
 
 /// Share of an equation's error beyond noise that must follow a variable.
 const WORTH_MENTIONING: f64 = 0.1;
@@ -42,6 +46,16 @@ pub struct FailureLocation {
     pub sentence: String,
 }
 
+/// Which error is located.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ErrorOf {
+    /// The model with its values as they are: a wrong resistance shows as an error that follows the current.
+    Model,
+    /// What the baseline's own parameters cannot explain, each balance for itself: where something is missing. A fit of
+    /// the whole model spreads a missing torque over both balances; this takes that back.
+    Structure,
+}
+
 /// One window: what the equations lacked, and where that was.
 struct Window {
     torque_n_m: f64,
@@ -52,6 +66,9 @@ struct Window {
     current_a: f64,
     time_s: f64,
     turn_rad: Option<f64>,
+    current_rate_a_s: f64,
+    acceleration_rad_s2: f64,
+    length_s: f64,
 }
 
 /// A window seen along one variable.
@@ -94,11 +111,15 @@ pub fn locate(
     model: &Model,
     scenario: &Scenario,
     noise: &NoiseFloor,
+    error_of: ErrorOf,
 ) -> Result<Vec<FailureLocation>, FitError> {
     if scenario.input != Input::Voltage {
         return Ok(Vec::new());
     }
-    let windows = windows(model, scenario, noise)?;
+    let mut windows = windows(model, scenario, noise)?;
+    if error_of == ErrorOf::Structure {
+        remove_what_parameters_explain(&mut windows);
+    }
     let variables: [(&'static str, &'static str, fn(&Window) -> Option<f64>); 4] = [
         ("speed_rad_s", "rad/s", |w| Some(w.speed_rad_s)),
         ("current_a", "A", |w| Some(w.current_a)),
@@ -116,8 +137,58 @@ pub fn locate(
             found.extend(region(equation.name(), variable, unit, &points));
         }
     }
-    found.sort_by(|a, b| b.strength.total_cmp(&a.strength));
+    // Time explains nothing by itself: it is named first only where no physical variable comes near.
+    let weight = |found: &FailureLocation| {
+        found.strength * if found.variable == "time_s" { 0.3 } else { 1.0 }
+    };
+    found.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
     Ok(found)
+}
+
+/// Takes out of each balance what a change of its own parameters would explain.
+fn remove_what_parameters_explain(windows: &mut [Window]) {
+    let fastest = windows
+        .iter()
+        .fold(0.0, |most, window| f64::max(most, window.speed_rad_s.abs()));
+    let direction = |window: &Window| {
+        if window.speed_rad_s.abs() > DEAD_ZONE * fastest {
+            window.speed_rad_s.signum()
+        } else {
+            0.0
+        }
+    };
+    let voltage: Vec<[f64; 4]> = windows
+        .iter()
+        .map(|w| [w.current_a, w.current_rate_a_s, w.speed_rad_s, w.voltage_v])
+        .collect();
+    let torque: Vec<[f64; 3]> = windows
+        .iter()
+        .map(|w| [w.acceleration_rad_s2, direction(w), w.torque_n_m])
+        .collect();
+    let blocks: Vec<usize> = windows
+        .iter()
+        .map(|w| (w.time_s / (8.0 * w.length_s)) as usize)
+        .collect();
+    if let Some(residual) = residual_of(&voltage, &blocks) {
+        for (window, left) in windows.iter_mut().zip(residual.iter()) {
+            window.voltage_v = *left;
+        }
+    }
+    if let Some(residual) = residual_of(&torque, &blocks) {
+        for (window, left) in windows.iter_mut().zip(residual.iter()) {
+            window.torque_n_m = *left;
+        }
+    }
+}
+
+/// Residual of a least-squares fit of rows `[regressors.., value]`; `None` where a cell is missing.
+fn residual_of<const M: usize>(rows: &[[f64; M]], blocks: &[usize]) -> Option<DVector<f64>> {
+    if rows.iter().flatten().any(|cell| !cell.is_finite()) {
+        return None;
+    }
+    let matrix = DMatrix::from_fn(rows.len(), M - 1, |row, column| rows[row][column]);
+    let right = DVector::from_iterator(rows.len(), rows.iter().map(|row| row[M - 1]));
+    Some(least_squares::solve(&matrix, &right, blocks)?.residual)
 }
 
 fn windows(
@@ -185,6 +256,10 @@ fn windows(
             speed_rad_s: mean(&scenario.speed_rad_s),
             current_a: mean(&scenario.current_a),
             time_s: 0.5 * (begin_s + end_s),
+            current_rate_a_s: (scenario.current_a[end] - scenario.current_a[begin]) / length_s,
+            acceleration_rad_s2: (scenario.speed_rad_s[end] - scenario.speed_rad_s[begin])
+                / length_s,
+            length_s,
             turn_rad: angle.peek().map(|point| point.1.rem_euclid(TAU)),
         });
     }
@@ -197,22 +272,19 @@ fn region(
     unit: &'static str,
     points: &[Point],
 ) -> Option<FailureLocation> {
-    let low = points
-        .iter()
-        .map(|point| point.at)
-        .fold(f64::INFINITY, f64::min);
-    let high = points
-        .iter()
-        .map(|point| point.at)
-        .fold(f64::NEG_INFINITY, f64::max);
-    let width = (high - low) / BINS as f64;
-    if points.len() < 4 * FEWEST_IN_BIN || width <= 0.0 {
+    // Bins of equal population: where the run spent much time, as near standstill, the picture is sharp.
+    let mut sorted: Vec<&Point> = points.iter().collect();
+    sorted.sort_by(|a, b| a.at.total_cmp(&b.at));
+    let edge = |bin: usize| sorted[(bin * sorted.len() / BINS).min(sorted.len() - 1)].at;
+    if points.len() < BINS * FEWEST_IN_BIN || edge(0) >= edge(BINS) {
         return None;
     }
-    let mut bins: Vec<Vec<f64>> = vec![Vec::new(); BINS];
-    for point in points {
-        bins[(((point.at - low) / width) as usize).min(BINS - 1)].push(point.error);
-    }
+    let bins: Vec<Vec<f64>> = (0..BINS)
+        .map(|bin| {
+            let members = bin * sorted.len() / BINS..(bin + 1) * sorted.len() / BINS;
+            sorted[members].iter().map(|point| point.error).collect()
+        })
+        .collect();
     let systematic: Vec<f64> = bins.iter().map(|errors| systematic_part(errors)).collect();
     let total: f64 = systematic.iter().sum();
     let power: f64 = points.iter().map(|point| point.error * point.error).sum();
@@ -231,15 +303,15 @@ fn region(
         .filter(|(first, last)| {
             systematic[*first..=*last].iter().sum::<f64>() >= WORTH_SAYING * total
         })
-        .min_by_key(|(first, last)| (last - first, *first))?;
+        .min_by(|a, b| (edge(a.1 + 1) - edge(a.0)).total_cmp(&(edge(b.1 + 1) - edge(b.0))))?;
     let share_of_error = systematic[first..=last].iter().sum::<f64>() / total;
     let inside = bins[first..=last].iter().map(Vec::len).sum::<usize>();
     let share_of_time = inside as f64 / points.len() as f64;
-    let (from, to) = (low + width * first as f64, low + width * (last + 1) as f64);
+    let (from, to) = (edge(first), edge(last + 1));
     let name = variable.split('_').next().unwrap_or(variable);
-    let sentence = if last - first + 1 >= BINS * 2 / 3 {
+    let sentence = if share_of_time > 0.7 {
         format!(
-            "the {equation} error follows the {name} over its whole range ({:.0} % of it)",
+            "{:.0} % of the {equation} error follows the {name}, over its whole range",
             100.0 * follows
         )
     } else {

@@ -193,7 +193,7 @@ fn an_effect_that_does_not_pay_is_refused_and_one_that_does_can_be_taken_out_aga
 fn the_location_names_equation_and_axis() {
     let data = evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6);
     let (data, baseline) = data.with_baseline(&nameplate()).unwrap();
-    let comparison = compare(&baseline.model, &data).unwrap();
+    let comparison = compare(&baseline.model, &data, ErrorOf::Structure).unwrap();
     let first = &comparison.locations[0];
     assert_eq!(
         (first.equation, first.variable),
@@ -205,7 +205,10 @@ fn the_location_names_equation_and_axis() {
     let drop = evidence(&truth("voltage_drop", &[1.5]), 6);
     let (drop, baseline) = drop.with_baseline(&nameplate()).unwrap();
     assert_eq!(
-        compare(&baseline.model, &drop).unwrap().locations[0].equation,
+        compare(&baseline.model, &drop, ErrorOf::Structure)
+            .unwrap()
+            .locations[0]
+            .equation,
         "voltage"
     );
 }

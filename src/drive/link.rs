@@ -5,6 +5,8 @@ use std::fmt;
 use serde::Serialize;
 use thiserror::Error;
 
+use super::clock_map::ClockMap;
+use super::tally::RoundTrips;
 use crate::sample::{Command, Sample};
 
 /// What the drive says it is.
@@ -142,4 +144,14 @@ pub trait DriveLink: Send {
 
     /// Shortest cycle that this link carries at its baud rate, s; `None` when not limited by a line.
     fn shortest_cycle_s(&self) -> Option<f64>;
+
+    /// Times from request to reply; `None` where no wire is involved.
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        None
+    }
+
+    /// Where the drive's clock stands against the host's, for information.
+    fn clock_map(&self) -> Option<&ClockMap> {
+        None
+    }
 }

@@ -1,11 +1,41 @@
 //! What a drive is to the bench: a profile, and a link that exchanges a command for a sample.
 //!
 //! ```text
-//! profile (TOML) ---+
-//!                   v
-//! Command -> [ DriveLink: modbus | stream | in memory ] -> Sample
+//! profile.rs (TOML) + PATH | tcp:HOST:PORT --open.rs--> Box<dyn DriveLink>
+//!
+//! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
+//!                  |            |
+//!              guard.rs      port.rs        bytes, silence, hang-up
+//!              reply.rs                     which bytes answer this request
+//!                  +-- timing.rs (deadlines, gaps), tally.rs (counts, round trips)
+//!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
 //! ```
+//!
+//! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
+mod clock_map;
+#[cfg(test)]
+mod fake;
+mod guard;
 mod link;
+mod modbus;
+mod open;
+mod port;
+mod profile;
+mod reply;
+mod stream;
+mod tally;
+mod timeline;
+mod timing;
 
+pub use clock_map::{ClockMap, DriveClock};
+pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+pub use modbus::{ModbusLink, RegisterTable};
+pub use open::{Target, TargetError, open, open_modbus, open_stream};
+pub use profile::{
+    Capabilities, DriveLimits, DriveProfile, Framing, KickedBy, LinkSettings, ProfileError,
+    Protocol, SignalOrigins, Trust, Watchdog,
+};
+pub use stream::{Capture, CapturedSample, StreamLink};
+pub use tally::RoundTrips;

@@ -2,4 +2,5 @@
 
 pub mod least_squares;
 pub mod levenberg_marquardt;
+pub mod recursive_least_squares;
 pub mod statistics;

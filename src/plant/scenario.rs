@@ -127,16 +127,23 @@ impl Scenario {
         (training, holdout)
     }
 
-    /// Samples of the leading standstill with the input at zero.
+    /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later.
     pub fn leading_standstill(&self) -> Range<usize> {
+        let largest = self
+            .events
+            .iter()
+            .fold(0.0, |most, event| f64::max(most, event.1.abs()));
         let moved_s = self
             .events
             .iter()
-            .find(|(_, value)| *value != 0.0)
+            .find(|(_, value)| value.abs() > NEARLY_ZERO * largest)
             .map_or(f64::INFINITY, |event| event.0);
         0..self.sample_time_s.partition_point(|time| *time < moved_s)
     }
 }
+
+/// Share of the largest input that moves nothing: what a bumpless start leaves behind.
+const NEARLY_ZERO: f64 = 0.002;
 
 /// The column that drives the model. A commanded voltage with the instants at which it was applied tells when the
 /// voltage changed; a measured one only what it was at the sample, so it serves where there is no command.

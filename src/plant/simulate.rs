@@ -58,6 +58,15 @@ impl State {
         }
     }
 
+    /// The same state with the states of the effects at these values, as a winding that is warm already.
+    #[must_use]
+    pub fn with_effects(mut self, own: &[f64]) -> Self {
+        for (state, value) in self.own.iter_mut().zip(own) {
+            *state = *value;
+        }
+        self
+    }
+
     /// Takes over what was measured; the mode of motion follows from it.
     fn anchor(&mut self, current_a: f64, speed_rad_s: f64) {
         if current_a.is_finite() {
@@ -152,6 +161,11 @@ impl Plant {
             stuck: Propagator::default(),
             stuck_half: Propagator::default(),
         })
+    }
+
+    /// Number of states of all effects together.
+    pub fn effect_states(&self) -> usize {
+        self.terms.iter().map(|terms| terms.states()).sum()
     }
 
     /// Simulates `scenario` from `start` (the state at its first input event) into `out`, whose memory is used again.

@@ -1,1 +1,82 @@
-//! What a person or a machine reads afterwards.
+//! What a person reads afterwards: one page that needs nothing but itself, and its plain-text twin.
+//!
+//! ```text
+//! CommissionReport, RunReport --(facts, tables, figures)--> Page --> html: one file, inline CSS and SVG
+//!                                                             '----> text: Markdown that a terminal shows well
+//! scenario, trajectories --> plot (ticks, decimation, gaps) --> SVG figure in the page
+//! ```
+//!
+//! Both forms come from the same [`page::Page`], so they cannot say different things. No estimate is printed without its
+//! standard deviation and verdict ([`number`]); a value that is missing is a gap or a word, never a zero and never NaN.
+
+pub mod commission;
+mod escape;
+pub mod number;
+pub mod page;
+pub mod plot;
+pub mod run;
+mod style;
+mod tables;
+
+pub use commission::{CommissionReport, ConfirmRun};
+pub use page::Page;
+pub use run::RunReport;
+
+/// Stands on every page and at the end of every text.
+pub const SAFETY_NOTICE: &str = "A stop over a serial line or a network is not a safety function. Have a wired STO or \
+                                 emergency stop within reach whenever the motor can turn.";
+
+/// What was at the far end of the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    Emulator,
+    Hardware,
+    /// A file from elsewhere, or a log that does not say.
+    Unknown,
+}
+
+impl Target {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Emulator => "emulator (software drive)",
+            Self::Hardware => "hardware",
+            Self::Unknown => "not stated",
+        }
+    }
+}
+
+/// `(label, value)` pairs that are shown as they are.
+pub type Facts = Vec<(String, String)>;
+
+/// Under which conditions the numbers of a report came about.
+#[derive(Clone, Debug)]
+pub struct Context {
+    pub target: Target,
+    /// Names of the run folders, in the order of recording.
+    pub run_folders: Vec<String>,
+    /// What the drive says it is.
+    pub identity: Facts,
+    /// Limits, predicted peaks and excitation.
+    pub plan: Facts,
+    /// Exchanges by their class, rate, lateness.
+    pub link: Facts,
+    pub seed: Option<u64>,
+    pub versions: Facts,
+}
+
+impl Default for Context {
+    fn default() -> Self {
+        Self {
+            target: Target::Unknown,
+            run_folders: Vec::new(),
+            identity: Facts::new(),
+            plan: Facts::new(),
+            link: Facts::new(),
+            seed: None,
+            versions: Facts::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

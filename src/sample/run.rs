@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::Channel;
+use super::{Channel, Sample};
 
 /// Where a signal comes from; it limits what may be claimed from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -135,6 +135,19 @@ impl Run {
             .filter(|(_, value)| value.is_finite())
     }
 
+    /// Every row as a sample with the channels that it has; a missing cell is unset.
+    pub fn samples(&self) -> impl Iterator<Item = Sample> + '_ {
+        self.time_s.iter().enumerate().map(|(row, &time_s)| {
+            let mut sample = Sample::at(time_s);
+            for channel in Channel::ALL {
+                if let Some(values) = self.column(channel) {
+                    sample.set(channel, values[row]);
+                }
+            }
+            sample
+        })
+    }
+
     /// Rows `from..to` as a run of their own; the last command before `from` is carried onto the first row, because it
     /// still holds there.
     #[must_use]
@@ -209,6 +222,21 @@ mod tests {
         let part = run().slice(2, 4, "tail");
         assert_eq!(part.column(Channel::VoltageCmd).unwrap(), &[1.0, 2.0]);
         assert_eq!(part.column(Channel::Current).unwrap(), &[0.6, 0.7]);
+    }
+
+    #[test]
+    fn samples_carry_the_cells_that_are_there() {
+        let samples: Vec<Sample> = run().samples().collect();
+        assert_eq!(samples.len(), 4);
+        assert_eq!(samples[0].get(Channel::VoltageCmd), Some(1.0));
+        assert_eq!(samples[0].get(Channel::Current), None);
+        assert_eq!(samples[1].get(Channel::VoltageCmd), None);
+        assert_eq!(
+            samples[3],
+            Sample::at(0.3)
+                .with(Channel::VoltageCmd, 2.0)
+                .with(Channel::Current, 0.7)
+        );
     }
 
     #[test]

@@ -5,10 +5,12 @@ use super::*;
 use crate::bench::bench_file::BenchFile;
 use crate::bench::clock::MonotonicClock;
 use crate::bench::guard::Guard;
+use crate::bench::live_online::{LiveOnline, replay};
 use crate::bench::session::Phase;
 use crate::bench::testing::{Fault, ScriptedDrive, Wave};
 use crate::bench::timing::quantile;
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+use crate::identification::online::OnlineConfig;
 use crate::recording::{Layout, MemoryRecorder};
 use crate::sample::Channel;
 
@@ -32,14 +34,23 @@ fn options() -> RunOptions {
 }
 
 fn emulated(emulator_seed: u64, run_seed: u64) -> (RunSummary, MemoryRecorder, SnapshotCell) {
+    emulated_with(&EmulatorConfig::embedded_default(), emulator_seed, run_seed)
+}
+
+fn emulated_with(
+    config: &EmulatorConfig,
+    emulator_seed: u64,
+    run_seed: u64,
+) -> (RunSummary, MemoryRecorder, SnapshotCell) {
     let bench = BenchFile::embedded_default();
     let mut clock = VirtualClock::new();
-    let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), emulator_seed);
+    let drive = SoftDrive::new(config, emulator_seed);
     let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
     let guard = Guard::new(bench.limits(), &bench.motor, Some(11.4));
     let session = Session::new(Box::new(bench.program(run_seed).unwrap()), guard);
     let mut recorder = MemoryRecorder::new(layout());
     let snapshots = SnapshotCell::default();
+    let mut live = LiveOnline::new(layout(), OnlineConfig::default());
     let (_keep, intents) = channel();
     let summary = run(
         session,
@@ -47,7 +58,7 @@ fn emulated(emulator_seed: u64, run_seed: u64) -> (RunSummary, MemoryRecorder, S
             link: &mut link,
             clock: &mut clock,
             recorder: &mut recorder,
-            estimator: None,
+            estimator: Some(&mut live),
             intents: &intents,
             interrupted: &AtomicBool::new(false),
             snapshots: &snapshots,
@@ -100,6 +111,38 @@ fn one_seed_gives_the_same_bytes_and_another_seed_others() {
     assert_eq!(one.events_jsonl(), again.events_jsonl());
     assert_ne!(one.samples_csv(), other.samples_csv());
     assert_ne!(one.samples_csv(), emulated(1, 2).1.samples_csv());
+}
+
+#[test]
+fn the_live_estimates_are_near_the_truth_and_a_replay_gives_them_to_the_bit() {
+    let plain = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+    for seed in 1..=3 {
+        let (summary, recorder, _) = emulated_with(&plain, seed, 1);
+        let again = replay(&recorder.run("r").unwrap(), OnlineConfig::default()).estimates();
+        assert_eq!(summary.estimates.len(), 5);
+        for (live, replayed) in summary.estimates.iter().zip(&again) {
+            assert_eq!(
+                live.value.map(f64::to_bits),
+                replayed.value.map(f64::to_bits),
+                "{}",
+                live.key
+            );
+            assert_eq!(live.std.map(f64::to_bits), replayed.std.map(f64::to_bits));
+        }
+        let truth = SoftDrive::new(&plain, seed).truth().clone();
+        for (key, value, share) in [
+            ("resistance_ohm", truth.resistance_ohm, 0.05),
+            ("back_emf_v_s_per_rad", truth.back_emf_v_s_per_rad, 0.02),
+            ("inertia_kg_m2", truth.inertia_kg_m2, 0.05),
+        ] {
+            let found = summary.estimates.iter().find(|found| found.key == key);
+            let found = found.and_then(|found| found.value).unwrap();
+            assert!(
+                (found / value - 1.0).abs() < share,
+                "{key}: {found}, true {value}"
+            );
+        }
+    }
 }
 
 /// Stalls once, by `stall_s`, when `at_s` has come.
@@ -270,6 +313,8 @@ fn a_run_that_cannot_be_armed_ends_with_the_reason() {
 struct Bomb(u32);
 
 impl LiveEstimator for Bomb {
+    fn command(&mut self, _: &CommandRow) {}
+
     fn push(&mut self, _: &Sample) {
         self.0 -= 1;
         assert!(self.0 > 0, "boom");
@@ -402,4 +447,28 @@ fn cost_of_a_step_and_of_a_whole_run() {
         plan.energy_j,
         plan.duration_s
     );
+}
+
+/// `cargo test --release --lib bench::runner::tests::what -- --ignored --nocapture`
+#[test]
+#[ignore = "a measurement: what the diagnosis makes of the embedded bench's three runs"]
+fn what_the_default_excitation_reveals() {
+    use crate::diagnosis::{Evidence, diagnose};
+    use crate::plant::{Model, Scenario};
+    for name in EmulatorConfig::embedded_names() {
+        for emulator_seed in 1..=3 {
+            let config = EmulatorConfig::embedded(name).unwrap();
+            let [fit, select, confirm] = [1, 2, 3].map(|run_seed| {
+                let recorder = emulated_with(&config, emulator_seed, run_seed).1;
+                Scenario::from_run(&recorder.run("r").unwrap()).unwrap()
+            });
+            let model = Model::baseline(BenchFile::embedded_default().motor.motor());
+            let evidence = Evidence::new(fit, Some(select), Some(confirm));
+            let found = diagnose(&model, evidence, false).unwrap();
+            println!(
+                "{name} seed {emulator_seed}: {:?} {:?} explained {:?}",
+                found.verdict, found.effects, found.explained_percent
+            );
+        }
+    }
 }

@@ -8,6 +8,9 @@ use crate::plant::{Model, MotorKey, Plant, Scenario, Slot, State, Trajectory};
 /// Smallest Coulomb level that a logarithm may reach, as a share of its start or of this torque, N.m.
 const SMALLEST_LOAD_N_M: f64 = 1e-6;
 
+/// Unit in which initial states of effects are fitted: A2.s of heat in a winding.
+const EFFECT_STATE_SCALE: f64 = 100.0;
+
 /// How a parameter and its scaled coordinate belong together.
 #[derive(Clone, Copy, Debug)]
 enum Scaling {
@@ -83,6 +86,9 @@ pub struct FreeRun<'a> {
     /// Whether initial current and speed are two more unknowns.
     start_is_free: bool,
     measured_start: State,
+    /// States of effects whose initial values are unknowns too; none while fitting, because a fit defines the state
+    /// at its own start as zero (the resistance is that of the winding as it was then).
+    effect_states: usize,
     /// Which scored samples enter: `(sample, is_speed)`, in the order of time.
     rows: Vec<(usize, bool)>,
     out: Trajectory,
@@ -128,6 +134,7 @@ impl<'a> FreeRun<'a> {
             scaling: free.iter().map(Scaling::of).collect(),
             start_is_free: !starts_at_rest(scenario, &noise),
             measured_start,
+            effect_states: 0,
             model,
             scenario,
             noise,
@@ -135,6 +142,12 @@ impl<'a> FreeRun<'a> {
             rows,
             out: Trajectory::default(),
         })
+    }
+
+    /// Lets the states of effects start anywhere: in another run than the fitted one the winding may be warm already.
+    pub fn with_free_effect_states(mut self) -> Result<Self, FitError> {
+        self.effect_states = Plant::new(&self.model, self.scenario.input)?.effect_states();
+        Ok(self)
     }
 
     pub fn free_slots(&self) -> &[Slot] {
@@ -160,6 +173,7 @@ impl<'a> FreeRun<'a> {
                 self.measured_start.speed_rad_s / self.start_scale().1,
             ]);
         }
+        x.extend(std::iter::repeat_n(0.0, self.effect_states));
         x
     }
 
@@ -181,12 +195,15 @@ impl<'a> FreeRun<'a> {
     }
 
     pub fn initial_state(&self, x: &[f64]) -> State {
+        let mut own = &x[self.free.len()..];
+        let mut state = State::default();
         if self.start_is_free {
-            let own = &x[self.free.len()..];
-            State::at(own[0] * self.start_scale().0, own[1] * self.start_scale().1)
-        } else {
-            State::default()
+            let scale = self.start_scale();
+            state = State::at(own[0] * scale.0, own[1] * scale.1);
+            own = &own[2..];
         }
+        let effects: Vec<f64> = own.iter().map(|x| x * EFFECT_STATE_SCALE).collect();
+        state.with_effects(&effects)
     }
 
     pub fn trajectory(&mut self, x: &[f64]) -> Result<Trajectory, FitError> {

@@ -169,7 +169,7 @@ pub fn predict(
 ) -> Result<Prediction, FitError> {
     let mut held = model.clone();
     held.fixed = held.slots().iter().map(Slot::key).collect();
-    let mut problem = FreeRun::new(&held, scenario, *noise)?;
+    let mut problem = FreeRun::new(&held, scenario, *noise)?.with_free_effect_states()?;
     let x0 = problem.start();
     let minimum =
         levenberg_marquardt::minimise(&mut problem, &x0, Options::default()).ok_or_else(|| {

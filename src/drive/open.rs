@@ -1,0 +1,226 @@
+//! From `PATH` or `tcp:HOST:PORT` and a profile to a link.
+
+use std::fmt;
+use std::str::FromStr;
+use std::time::Instant;
+
+use thiserror::Error;
+use tokio::runtime::{Builder, Runtime};
+
+use super::guard::Port;
+use super::link::{DriveLink, LinkError};
+use super::modbus::ModbusLink;
+use super::port::{BlockingPort, connect, serial, serial_error};
+use super::profile::{DriveProfile, Protocol};
+use super::reply::FrameKind;
+use super::stream::StreamLink;
+use super::timing::LineTiming;
+
+/// Where the drive is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A serial port; what is `None` comes from the profile.
+    Serial {
+        path: String,
+        baud: Option<u32>,
+        unit: Option<u8>,
+    },
+    Tcp {
+        host: String,
+        port: u16,
+        unit: Option<u8>,
+    },
+}
+
+/// Why a text is no target.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("link {text:?}: {reason} (expected a serial port's path or tcp:HOST:PORT)")]
+pub struct TargetError {
+    pub text: String,
+    pub reason: &'static str,
+}
+
+impl TargetError {
+    pub const fn help(&self) -> &'static str {
+        "examples: /dev/ttyUSB0, /dev/serial/by-id/usb-FTDI_..., tcp:192.168.1.7:502, tcp:[::1]:15020"
+    }
+}
+
+impl FromStr for Target {
+    type Err = TargetError;
+
+    fn from_str(text: &str) -> Result<Self, TargetError> {
+        let wrong = |reason| TargetError {
+            text: text.to_owned(),
+            reason,
+        };
+        let Some(address) = text.strip_prefix("tcp:") else {
+            // On this floor there are only wires; `sim:` is resolved above.
+            return match text.split_once(':') {
+                Some((scheme, _)) if !scheme.contains('/') && scheme.len() > 1 => {
+                    Err(wrong("this kind of link is not known"))
+                }
+                _ if text.is_empty() => Err(wrong("it is empty")),
+                _ => Ok(Self::Serial {
+                    path: text.to_owned(),
+                    baud: None,
+                    unit: None,
+                }),
+            };
+        };
+        let (host, port) = address
+            .rsplit_once(':')
+            .ok_or_else(|| wrong("the port is missing"))?;
+        let host = host
+            .strip_prefix('[')
+            .and_then(|host| host.strip_suffix(']'))
+            .unwrap_or(host);
+        if host.is_empty() {
+            return Err(wrong("the host is missing"));
+        }
+        Ok(Self::Tcp {
+            host: host.to_owned(),
+            port: port
+                .parse()
+                .ok()
+                .filter(|port| *port > 0)
+                .ok_or_else(|| wrong("the port is not a number from 1 to 65535"))?,
+            unit: None,
+        })
+    }
+}
+
+impl fmt::Display for Target {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial { path, .. } => f.write_str(path),
+            Self::Tcp { host, port, .. } if host.contains(':') => write!(f, "tcp:[{host}]:{port}"),
+            Self::Tcp { host, port, .. } => write!(f, "tcp:{host}:{port}"),
+        }
+    }
+}
+
+/// Opens the link that the profile's protocol asks for. Host times of its samples are seconds since `epoch`.
+///
+/// # Errors
+/// The port or peer cannot be opened. Nothing is sent yet.
+pub fn open(
+    target: &Target,
+    profile: &DriveProfile,
+    epoch: Instant,
+) -> Result<Box<dyn DriveLink>, LinkError> {
+    Ok(match profile.link.protocol {
+        Protocol::ModbusRtu | Protocol::ModbusTcp => Box::new(open_modbus(target, profile, epoch)?),
+        Protocol::Stream => Box::new(open_stream(target, profile, epoch)?),
+    })
+}
+
+/// Opens a Modbus link: RTU over a serial port, TCP over the network. The profile's protocol is not asked.
+pub fn open_modbus(
+    target: &Target,
+    profile: &DriveProfile,
+    epoch: Instant,
+) -> Result<ModbusLink, LinkError> {
+    let name = target.to_string();
+    let settings = &profile.link;
+    let runtime = runtime(&name)?;
+    let (port, kind, unit, timing): (Box<dyn Port>, _, _, _) = {
+        let _within = runtime.enter();
+        match target {
+            Target::Serial { path, baud, unit } => {
+                let baud = baud.unwrap_or(settings.baud);
+                let builder = serial(path, baud, settings.framing);
+                let port = tokio_serial::SerialStream::open(&builder)
+                    .map_err(|error| serial_error(path, &error))?;
+                let timing = LineTiming::serial(settings, baud, true);
+                (Box::new(port), FrameKind::Rtu, unit, timing)
+            }
+            Target::Tcp { host, port, unit } => {
+                let stream = connect(&name, host, *port)?;
+                let stream = stream
+                    .set_nonblocking(true)
+                    .and_then(|()| tokio::net::TcpStream::from_std(stream))
+                    .map_err(|error| cannot(&name, &error))?;
+                let timing = LineTiming::network(settings);
+                (Box::new(stream), FrameKind::Tcp, unit, timing)
+            }
+        }
+    };
+    let unit = unit.unwrap_or(settings.unit);
+    Ok(ModbusLink::new(
+        name, runtime, port, kind, unit, timing, epoch,
+    ))
+}
+
+/// Opens a stream link. The profile's protocol is not asked.
+pub fn open_stream(
+    target: &Target,
+    profile: &DriveProfile,
+    epoch: Instant,
+) -> Result<StreamLink, LinkError> {
+    let name = target.to_string();
+    let settings = &profile.link;
+    let (port, timing) = match target {
+        Target::Serial { path, baud, .. } => {
+            let baud = baud.unwrap_or(settings.baud);
+            let port = serial(path, baud, settings.framing)
+                .open()
+                .map_err(|error| serial_error(path, &error))?;
+            let timing = LineTiming::serial(settings, baud, false);
+            (BlockingPort::Serial(port), timing)
+        }
+        Target::Tcp { host, port, .. } => {
+            let stream = connect(&name, host, *port)?;
+            (BlockingPort::Tcp(stream), LineTiming::network(settings))
+        }
+    };
+    Ok(StreamLink::new(name, port, timing, epoch))
+}
+
+fn runtime(name: &str) -> Result<Runtime, LinkError> {
+    Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(|error| cannot(name, &error))
+}
+
+fn cannot(name: &str, error: &std::io::Error) -> LinkError {
+    LinkError::Open {
+        link: name.to_owned(),
+        reason: error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_are_read_and_printed() {
+        for text in ["/dev/ttyUSB0", "tcp:localhost:502", "tcp:[::1]:15020"] {
+            assert_eq!(text.parse::<Target>().unwrap().to_string(), text);
+        }
+        let by_path = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0";
+        assert!(matches!(
+            by_path.parse(),
+            Ok(Target::Serial { path, .. }) if path == by_path
+        ));
+        for wrong in ["", "tcp:", "tcp:host", "tcp::502", "tcp:host:0", "tcp:host:x", "udp:a:1"] {
+            assert!(wrong.parse::<Target>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn nobody_listening_is_an_open_error_with_the_address() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        drop(listener);
+        let target = format!("tcp:127.0.0.1:{port}").parse().unwrap();
+        let profile = DriveProfile::named("own").unwrap();
+        let error = open(&target, &profile, super::super::guard::now())
+            .map(drop)
+            .unwrap_err();
+        assert!(matches!(error, LinkError::Open { .. }));
+        assert!(error.to_string().contains(&port.to_string()), "{error}");
+    }
+}

@@ -1,0 +1,176 @@
+//! Opening what carries the bytes, with errors that say what to do; and the blocking port of the stream link.
+
+use std::fmt::Write as _;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::os::unix::fs::MetadataExt;
+use std::time::Duration;
+
+use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, StopBits};
+
+use super::link::LinkError;
+use super::profile::Framing;
+
+/// How long a peer on the network may take to accept.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
+/// Shorter waits are not asked of the system.
+const SHORTEST_WAIT: Duration = Duration::from_micros(1);
+
+/// Settings of a serial port. Modem lines are left alone: pseudo-terminals and many adapters have none.
+pub(super) fn serial(path: &str, baud: u32, framing: Framing) -> SerialPortBuilder {
+    let (parity, stop_bits) = match framing {
+        Framing::EightNoneOne => (Parity::None, StopBits::One),
+        Framing::EightEvenOne => (Parity::Even, StopBits::One),
+        Framing::EightOddOne => (Parity::Odd, StopBits::One),
+        Framing::EightNoneTwo => (Parity::None, StopBits::Two),
+    };
+    serialport::new(path, baud)
+        .data_bits(DataBits::Eight)
+        .parity(parity)
+        .stop_bits(stop_bits)
+        .flow_control(FlowControl::None)
+}
+
+pub(super) fn connect(name: &str, host: &str, port: u16) -> Result<TcpStream, LinkError> {
+    let open = |error: io::Error| LinkError::Open {
+        link: name.to_owned(),
+        reason: error.to_string(),
+    };
+    let mut last = io::Error::new(ErrorKind::NotFound, "the host has no address");
+    for address in (host, port).to_socket_addrs().map_err(open)? {
+        match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {
+            Ok(stream) => {
+                // A request is one small segment: it must not wait for the next.
+                stream.set_nodelay(true).map_err(open)?;
+                return Ok(stream);
+            }
+            Err(error) => last = error,
+        }
+    }
+    Err(open(last))
+}
+
+/// Says in words why a serial port cannot be opened.
+pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
+    let reason = match error.kind() {
+        serialport::ErrorKind::Io(ErrorKind::NotFound) => {
+            let mut reason = "it does not exist".to_owned();
+            let there: Vec<_> = serialport::available_ports()
+                .unwrap_or_default()
+                .into_iter()
+                .map(|port| port.port_name)
+                .collect();
+            // Writing to a string cannot fail.
+            let _ = if there.is_empty() {
+                write!(reason, " (no serial port is there)")
+            } else {
+                write!(reason, " (there are: {})", there.join(", "))
+            };
+            reason
+        }
+        serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => match owning_group(path) {
+            Some(group) => format!(
+                "permission denied: it belongs to group {group} (sudo usermod -aG {group} $USER, then log in again)"
+            ),
+            None => "permission denied".to_owned(),
+        },
+        serialport::ErrorKind::NoDevice => {
+            format!("another program holds it, or it is no port ({error})")
+        }
+        _ => error.to_string(),
+    };
+    LinkError::Open {
+        link: path.to_owned(),
+        reason,
+    }
+}
+
+fn owning_group(path: &str) -> Option<String> {
+    let gid = std::fs::metadata(path).ok()?.gid().to_string();
+    let groups = std::fs::read_to_string("/etc/group").ok()?;
+    groups.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)? == gid).then(|| name.to_owned())
+    })
+}
+
+/// A port that is waited on.
+pub(super) enum BlockingPort {
+    Serial(Box<dyn SerialPort>),
+    Tcp(TcpStream),
+}
+
+impl BlockingPort {
+    /// Reads what is there within `timeout`; 0: nothing came. An error: the port is gone.
+    pub(super) fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        let result = match self {
+            Self::Serial(port) => {
+                port.set_timeout(timeout)?;
+                port.read(bytes)
+            }
+            Self::Tcp(stream) => {
+                stream.set_read_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
+                stream.read(bytes)
+            }
+        };
+        match result {
+            Ok(0) => Err(io::Error::new(
+                ErrorKind::BrokenPipe,
+                "the other end closed",
+            )),
+            Err(error) if is_only_late(&error) => Ok(0),
+            other => other,
+        }
+    }
+
+    /// Writes within `timeout`; returns the bytes taken.
+    pub(super) fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
+        let result = match self {
+            Self::Serial(port) => {
+                port.set_timeout(timeout)?;
+                port.write(bytes)
+            }
+            Self::Tcp(stream) => {
+                stream.set_write_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
+                stream.write(bytes)
+            }
+        };
+        match result {
+            Err(error) if is_only_late(&error) => Ok(0),
+            other => other,
+        }
+    }
+}
+
+fn is_only_late(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_that_is_absent_is_named_with_the_ports_that_are_there() {
+        let error = serial("/dev/drivebench-none", 115_200, Framing::default())
+            .open()
+            .map(drop)
+            .unwrap_err();
+        let error = serial_error("/dev/drivebench-none", &error).to_string();
+        assert!(error.contains("/dev/drivebench-none: cannot open: it does not exist ("));
+    }
+
+    #[test]
+    fn a_refused_permission_names_the_group() {
+        let denied = serialport::Error::new(
+            serialport::ErrorKind::Io(ErrorKind::PermissionDenied),
+            "Permission denied",
+        );
+        let error = serial_error("/dev/null", &denied).to_string();
+        assert!(error.contains("belongs to group root"), "{error}");
+    }
+}

@@ -1,0 +1,234 @@
+//! Which bytes on the line are the reply to the one outstanding request, and which are not.
+//!
+//! A reply is taken only if unit, function, length, echoed fields and checksum (or transaction) all fit the request:
+//! RTU has no transaction number, and every common client takes a late reply for the next one
+//! (measured: LINKS.md 3.2).
+
+use firmware_protocol::modbus::{Length, expected_response_len, response_len, rtu, tcp};
+
+/// How frames are told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FrameKind {
+    Rtu,
+    Tcp,
+}
+
+/// What the bytes received so far hold.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Search {
+    /// Begin and end of the reply.
+    pub(super) reply: Option<(usize, usize)>,
+    /// Whole frames that answer something else.
+    pub(super) foreign: usize,
+    /// The line returned the request itself before the reply.
+    pub(super) echo: bool,
+}
+
+/// The peer does not speak Modbus TCP: frames can no longer be told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unframeable;
+
+/// Looks through everything received since the request went out. `echoes`: this line is known to return requests.
+pub(super) fn search(
+    kind: FrameKind,
+    request: &[u8],
+    received: &[u8],
+    echoes: bool,
+) -> Result<Search, Unframeable> {
+    match kind {
+        FrameKind::Rtu => Ok(search_rtu(request, received, echoes)),
+        FrameKind::Tcp => search_tcp(request, received),
+    }
+}
+
+fn search_rtu(request: &[u8], received: &[u8], echoes: bool) -> Search {
+    let mut found = Search::default();
+    let Some((&unit, pdu)) = request
+        .len()
+        .checked_sub(2)
+        .and_then(|end| request[..end].split_first())
+    else {
+        return found;
+    };
+    // The reply to these equals the request: without knowing the line a copy cannot be called an echo.
+    let reply_is_copy = matches!(pdu.first(), Some(5 | 6 | 8));
+    let mut at = 0;
+    if received.starts_with(request) && (echoes || !reply_is_copy) {
+        found.echo = true;
+        at = request.len();
+    } else if echoes && request.starts_with(received) {
+        return found;
+    }
+    while at < received.len() {
+        let tail = &received[at..];
+        match rtu_frame_len(tail) {
+            Some(length) if tail[0] == unit && answers(pdu, &tail[1..length - 2]) => {
+                found.reply = Some((at, at + length));
+                return found;
+            }
+            Some(length) => {
+                found.foreign += 1;
+                at += length;
+            }
+            None => at += 1,
+        }
+    }
+    found
+}
+
+/// Length of a whole response frame at the start of `bytes`, if there is one with a right checksum.
+fn rtu_frame_len(bytes: &[u8]) -> Option<usize> {
+    let Length::Known(pdu) = response_len(bytes.get(1..)?) else {
+        return None;
+    };
+    let (body, rest) = bytes.split_at_checked(pdu + 1)?;
+    let crc = rest.first_chunk::<2>()?;
+    (pdu + 3 <= rtu::MAX_FRAME && rtu::crc16(body) == u16::from_le_bytes(*crc)).then_some(pdu + 3)
+}
+
+/// Whether a response PDU is one to this request PDU.
+fn answers(request: &[u8], response: &[u8]) -> bool {
+    let (Some(&asked), Some(&said)) = (request.first(), response.first()) else {
+        return false;
+    };
+    if said == asked | 0x80 {
+        return response.len() == 2;
+    }
+    let echoed = match asked {
+        5 | 6 | 8 => request.len(),
+        15 | 16 => 5,
+        22 => 7,
+        43 => 3,
+        _ => 1,
+    };
+    expected_response_len(request).is_none_or(|length| length == response.len())
+        && response.get(..echoed) == request.get(..echoed)
+}
+
+fn search_tcp(request: &[u8], received: &[u8]) -> Result<Search, Unframeable> {
+    let mut found = Search::default();
+    let mut at = 0;
+    while let Some(tail) = received.get(at..)
+        && let Some(header) = tail.first_chunk::<{ tcp::HEADER }>()
+    {
+        let [_, _, p1, p0, l1, l0, _] = *header;
+        let length = usize::from(u16::from_be_bytes([l1, l0]));
+        if (p1, p0) != (0, 0) || !(2..=tcp::MAX_FRAME - 6).contains(&length) {
+            return Err(Unframeable);
+        }
+        let Some(frame) = tail.get(..length + 6) else {
+            break;
+        };
+        let same_transaction = request.get(..2) == frame.get(..2) && request.get(6) == frame.get(6);
+        let pdu = request.get(tcp::HEADER..).unwrap_or_default();
+        if same_transaction && answers(pdu, &frame[tcp::HEADER..]) {
+            found.reply = Some((at, at + length + 6));
+            return Ok(found);
+        }
+        found.foreign += 1;
+        at += length + 6;
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+        let mut out = [0; rtu::MAX_FRAME];
+        let length = rtu::encode_frame(unit, pdu, &mut out);
+        out[..length].to_vec()
+    }
+
+    fn rtu(request: &[u8], received: &[&[u8]], echoes: bool) -> Search {
+        search(FrameKind::Rtu, request, &received.concat(), echoes).unwrap()
+    }
+
+    #[test]
+    fn only_the_reply_to_this_request_is_taken() {
+        let request = frame(1, &[3, 0, 0, 0, 2]);
+        let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
+        let alone = rtu(&request, &[&reply], false);
+        assert_eq!(alone.reply, Some((0, 9)));
+        assert_eq!((alone.foreign, alone.echo), (0, false));
+        for other in [
+            frame(2, &[3, 4, 1, 2, 3, 4]),
+            frame(1, &[4, 4, 1, 2, 3, 4]),
+            frame(1, &[3, 6, 1, 2, 3, 4, 5, 6]),
+            frame(1, &[0x84, 2]),
+            frame(1, &[6, 0, 0, 0, 2]),
+        ] {
+            let search = rtu(&request, &[&other], false);
+            assert_eq!((search.reply, search.foreign), (None, 1), "{other:?}");
+            let search = rtu(&request, &[&other, &reply], false);
+            assert_eq!(search.reply, Some((other.len(), other.len() + 9)));
+        }
+        assert!(rtu(&request, &[&frame(1, &[0x83, 2])], false).reply.is_some());
+        let mut damaged = reply.clone();
+        damaged[4] ^= 1;
+        assert_eq!(rtu(&request, &[&damaged], false), Search::default());
+        assert_eq!(rtu(&request, &[&reply[..8]], false), Search::default());
+        let after_garbage = rtu(&request, &[&[1, 3, 4], &reply], false);
+        assert_eq!(after_garbage.reply, Some((3, 12)));
+    }
+
+    #[test]
+    fn probes_and_writes_must_come_back_as_they_went_out() {
+        let probe = frame(1, &[8, 0, 0, 0x12, 0x34]);
+        assert!(rtu(&probe, &[&probe], false).reply.is_some());
+        let stale = frame(1, &[8, 0, 0, 0x12, 0x35]);
+        assert_eq!(rtu(&probe, &[&stale], false).reply, None);
+        let write = frame(1, &[16, 0, 32, 0, 1, 2, 0, 5]);
+        assert!(rtu(&write, &[&frame(1, &[16, 0, 32, 0, 1])], false).reply.is_some());
+        assert_eq!(rtu(&write, &[&frame(1, &[16, 0, 33, 0, 1])], false).reply, None);
+    }
+
+    #[test]
+    fn a_line_that_returns_the_request_is_seen_and_the_copy_is_no_reply() {
+        let request = frame(1, &[3, 0, 0, 0, 2]);
+        let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
+        let search = rtu(&request, &[&request, &reply], false);
+        assert!(search.echo);
+        assert_eq!(search.reply, Some((8, 17)));
+        let probe = frame(1, &[8, 0, 0, 7, 7]);
+        assert_eq!(rtu(&probe, &[&probe], true).reply, None);
+        assert_eq!(rtu(&probe, &[&probe, &probe], true).reply, Some((8, 16)));
+    }
+
+    #[test]
+    fn tcp_skips_old_transactions_and_gives_up_on_another_protocol() {
+        let adu = |transaction, pdu: &[u8]| {
+            let mut out = [0; tcp::MAX_FRAME];
+            let length = tcp::encode_frame(transaction, 1, pdu, &mut out);
+            out[..length].to_vec()
+        };
+        let request = adu(7, &[3, 0, 0, 0, 1]);
+        let (old, reply) = (adu(6, &[3, 2, 0, 1]), adu(7, &[3, 2, 0, 2]));
+        let both = [old.clone(), reply].concat();
+        let search = search(FrameKind::Tcp, &request, &both, false).unwrap();
+        assert_eq!(search.reply, Some((old.len(), both.len())));
+        assert_eq!(search.foreign, 1);
+        assert_eq!(
+            super::search(FrameKind::Tcp, &request, b"HTTP/1.1 400", false),
+            Err(Unframeable)
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_looked_through_without_harm(
+            bytes in proptest::collection::vec(any::<u8>(), 0..600),
+            echoes in any::<bool>(),
+        ) {
+            let request = frame(1, &[3, 0, 0, 0, 2]);
+            for kind in [FrameKind::Rtu, FrameKind::Tcp] {
+                if let Ok(Search { reply: Some((begin, end)), .. }) = search(kind, &request, &bytes, echoes) {
+                    prop_assert!(begin < end && end <= bytes.len());
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,458 @@
+//! The stream link: COBS frames whose number tells which answer belongs to which question, and the burst capture.
+//!
+//! A late answer carries the number of its own question, so a damaged line needs no probe: what does not fit is dropped.
+//! This file owns the clock of its exchanges.
+
+use std::io;
+use std::time::{Duration, Instant};
+
+use firmware_protocol::stream::{
+    CaptureStatus, Decoder, ErrorCode, Frame, FrameError, MAX_FRAME, Message, encode,
+};
+use firmware_protocol::{CaptureControl, CaptureState, DriveCommand};
+
+use super::clock_map::ClockMap;
+use super::guard::now;
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use super::port::BlockingPort;
+use super::tally::{RoundTrips, Tally};
+use super::timeline::{Timeline, control, identity, low_word};
+use super::timing::LineTiming;
+use crate::sample::{Command, Demand, DriveState, Sample};
+
+/// Bytes of a command and of its telemetry, with COBS and delimiters.
+const COMMAND_BYTES: usize = 18;
+const TELEMETRY_BYTES: usize = 54;
+const READ_ATTEMPTS: usize = 3;
+const STOP_ATTEMPTS: usize = 5;
+
+/// A drive behind the native stream.
+pub struct StreamLink {
+    name: String,
+    port: BlockingPort,
+    decoder: Decoder,
+    timing: LineTiming,
+    tally: Tally,
+    timeline: Timeline,
+    epoch: Instant,
+    last_seq: u64,
+    /// Number of the last question that is no command.
+    question: u16,
+    capture_period_s: f64,
+    /// What the drive sees next may be the rest of something broken: a delimiter goes first.
+    suspect: bool,
+    gone: bool,
+}
+
+/// A burst that the drive recorded by itself, on the link's time axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Capture {
+    pub period_s: f64,
+    pub samples: Vec<CapturedSample>,
+}
+
+/// One instant of a burst; NaN where the drive does not have the quantity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CapturedSample {
+    pub time_s: f64,
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+}
+
+struct Answer<T> {
+    value: T,
+    drive_us: u32,
+    sent_s: f64,
+    received_s: f64,
+}
+
+/// What came that was no answer.
+#[derive(Default)]
+struct Wreckage {
+    bytes: usize,
+    damaged: usize,
+    foreign: usize,
+}
+
+impl StreamLink {
+    pub(super) fn new(
+        name: String,
+        port: BlockingPort,
+        timing: LineTiming,
+        epoch: Instant,
+    ) -> Self {
+        Self {
+            name,
+            port,
+            decoder: Decoder::new(),
+            timing,
+            tally: Tally::default(),
+            timeline: Timeline::default(),
+            epoch,
+            last_seq: 0,
+            question: 0,
+            capture_period_s: 0.0,
+            suspect: true,
+            gone: false,
+        }
+    }
+
+    /// Starts a burst: with the next command that is applied, or now.
+    pub fn start_capture(&mut self, with_next_command: bool) -> Result<(), LinkError> {
+        let control = if with_next_command {
+            CaptureControl::Arm
+        } else {
+            CaptureControl::Start
+        };
+        self.ask_numbered(
+            Message::CaptureArm(control),
+            "start of a capture",
+            |message| matches!(message, Message::CaptureStatus(_)).then_some(()),
+        )
+        .map(drop)
+    }
+
+    /// Fetches the burst; `None` while the drive still records.
+    pub fn download_capture(&mut self) -> Result<Option<Capture>, LinkError> {
+        let status = self.capture_status()?;
+        if status.value.state != CaptureState::Complete {
+            return Ok(None);
+        }
+        let (count, first_us) = (status.value.count, status.value.first_time_us);
+        let now_s = self
+            .timeline
+            .note(status.drive_us, status.sent_s, status.received_s);
+        let age_us = super::clock_map::signed_difference(status.drive_us, first_us);
+        let first_s = now_s - f64::from(age_us) * 1e-6;
+        let mut capture = Capture {
+            period_s: self.capture_period_s,
+            samples: Vec::with_capacity(count.into()),
+        };
+        while capture.samples.len() < usize::from(count) {
+            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
+            let block = self.read_with_retries(
+                Message::CaptureRequest(index),
+                "captured samples",
+                |message| match message {
+                    Message::CaptureBlock(block)
+                        if block.index == index && !block.samples().is_empty() =>
+                    {
+                        Some(*block)
+                    }
+                    _ => None,
+                },
+            )?;
+            for sample in block.value.samples() {
+                capture.samples.push(CapturedSample {
+                    time_s: first_s + capture.samples.len() as f64 * self.capture_period_s,
+                    voltage_v: sample.voltage_v,
+                    current_a: sample.current_a,
+                    speed_rad_s: sample.speed_rad_s,
+                });
+            }
+        }
+        Ok(Some(capture))
+    }
+
+    fn capture_status(&mut self) -> Result<Answer<CaptureStatus>, LinkError> {
+        self.read_with_retries(
+            Message::CaptureStatusRequest,
+            "the state of the capture",
+            |message| match message {
+                Message::CaptureStatus(status) => Some(*status),
+                _ => None,
+            },
+        )
+    }
+
+    /// A question without effect on the drive may be asked again.
+    fn read_with_retries<T>(
+        &mut self,
+        message: Message,
+        what: &str,
+        check: impl Fn(&Message) -> Option<T>,
+    ) -> Result<Answer<T>, LinkError> {
+        let mut attempt = 1;
+        loop {
+            match self.ask_numbered(message, what, &check) {
+                Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
+                result => return result,
+            }
+        }
+    }
+
+    fn ask_numbered<T>(
+        &mut self,
+        message: Message,
+        what: &str,
+        check: impl Fn(&Message) -> Option<T>,
+    ) -> Result<Answer<T>, LinkError> {
+        self.question = self.question.wrapping_add(1);
+        let allowed = self.timing.allowed(COMMAND_BYTES, MAX_FRAME);
+        self.ask(&Frame::ask(self.question, message), what, allowed, check)
+    }
+
+    /// One question and its answer, booked in the statistics.
+    fn ask<T>(
+        &mut self,
+        question: &Frame,
+        what: &str,
+        allowed: Duration,
+        check: impl Fn(&Message) -> Option<T>,
+    ) -> Result<Answer<T>, LinkError> {
+        if self.gone {
+            return Err(LinkError::Gone {
+                link: self.name.clone(),
+                reason: "it broke before".to_owned(),
+            });
+        }
+        self.drop_leftovers()?;
+        let sent = now();
+        let deadline = sent + allowed;
+        let mut wreckage = Wreckage::default();
+        let result = self
+            .send(question, deadline)
+            .map_err(|error| self.lost(&error))
+            .and_then(|()| self.receive(question.seq, what, deadline, &mut wreckage, check));
+        let received = now();
+        self.suspect = matches!(&result, Err(error) if error.is_transient());
+        let result = result.map_err(|error| match error {
+            LinkError::Timeout { .. } => self.missing(&wreckage, what, allowed),
+            other => other,
+        });
+        self.tally
+            .settle(&result, received.duration_since(sent).as_secs_f64());
+        result.map(|(value, drive_us)| Answer {
+            value,
+            drive_us,
+            sent_s: self.host_s(sent),
+            received_s: self.host_s(received),
+        })
+    }
+
+    /// Answers that came too late; the decoder keeps what may be the start of one.
+    fn drop_leftovers(&mut self) -> Result<(), LinkError> {
+        let mut bytes = [0; 512];
+        // A line that babbles faster than it is read must not hold us here.
+        for _ in 0..128 {
+            match self.port.read_within(&mut bytes, Duration::ZERO) {
+                Ok(0) => break,
+                Ok(count) => {
+                    for byte in &bytes[..count] {
+                        self.decoder.push(*byte);
+                    }
+                }
+                Err(error) => return Err(self.lost(&error)),
+            }
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, question: &Frame, deadline: Instant) -> io::Result<()> {
+        let mut frame = [0; MAX_FRAME];
+        let length = encode(question, &mut frame);
+        let mut bytes = Vec::with_capacity(length + 1);
+        if self.suspect {
+            bytes.push(0);
+        }
+        bytes.extend_from_slice(&frame[..length]);
+        let mut at = 0;
+        // What does not get out in time ends as a timeout of the answer.
+        while at < bytes.len() && now() < deadline {
+            let left = deadline.saturating_duration_since(now());
+            at += self.port.write_within(&bytes[at..], left)?;
+        }
+        Ok(())
+    }
+
+    fn receive<T>(
+        &mut self,
+        seq: u16,
+        what: &str,
+        deadline: Instant,
+        wreckage: &mut Wreckage,
+        check: impl Fn(&Message) -> Option<T>,
+    ) -> Result<(T, u32), LinkError> {
+        let mut bytes = [0; 512];
+        loop {
+            let left = deadline.saturating_duration_since(now());
+            if left.is_zero() {
+                return Err(LinkError::Timeout {
+                    link: self.name.clone(),
+                    deadline_ms: 0,
+                    request: what.to_owned(),
+                });
+            }
+            let count = self
+                .port
+                .read_within(&mut bytes, left)
+                .map_err(|error| self.lost(&error))?;
+            wreckage.bytes += count;
+            let mut answer = None;
+            for byte in &bytes[..count] {
+                let Some(frame) = self.decoder.push(*byte) else {
+                    continue;
+                };
+                match frame {
+                    Ok(frame) if frame.seq == seq && answer.is_none() => {
+                        if let Message::Error(refusal) = &frame.message {
+                            answer = Some(Err(self.refused(what, refusal.code)));
+                        } else if let Some(value) = check(&frame.message) {
+                            answer = Some(Ok((value, frame.time_us)));
+                        } else {
+                            wreckage.foreign += 1;
+                        }
+                    }
+                    Ok(_) => wreckage.foreign += 1,
+                    Err(FrameError::Version(found)) => {
+                        answer.get_or_insert(Err(LinkError::Version {
+                            link: self.name.clone(),
+                            found: found.into(),
+                            expected: firmware_protocol::PROTOCOL_VERSION,
+                        }));
+                    }
+                    Err(_) => wreckage.damaged += 1,
+                }
+            }
+            if let Some(answer) = answer {
+                return answer;
+            }
+        }
+    }
+
+    /// No answer in time: what came instead tells the class.
+    fn missing(&self, wreckage: &Wreckage, what: &str, allowed: Duration) -> LinkError {
+        let link = self.name.clone();
+        match *wreckage {
+            Wreckage { foreign: 1.., .. } => LinkError::Mismatch {
+                link,
+                reason: format!("only answers to other questions came after {what}"),
+            },
+            Wreckage { bytes: 0, .. } => LinkError::Timeout {
+                link,
+                deadline_ms: u64::try_from(allowed.as_millis()).unwrap_or(u64::MAX),
+                request: what.to_owned(),
+            },
+            Wreckage { bytes, damaged, .. } => LinkError::Corrupt {
+                link,
+                reason: format!(
+                    "{bytes} bytes with {damaged} damaged frames and no valid one came in reply to {what}"
+                ),
+            },
+        }
+    }
+
+    fn refused(&self, what: &str, code: ErrorCode) -> LinkError {
+        LinkError::Exception {
+            link: self.name.clone(),
+            request: what.to_owned(),
+            code: code.code(),
+            name: match code {
+                ErrorCode::UnknownMessage => "unknown message",
+                ErrorCode::BadPayload => "bad payload",
+                ErrorCode::OutOfRange => "out of range",
+                ErrorCode::NotSupported => "not supported",
+                ErrorCode::DeviceFailure => "device failure",
+            },
+        }
+    }
+
+    fn lost(&mut self, error: &io::Error) -> LinkError {
+        self.gone = true;
+        LinkError::Gone {
+            link: self.name.clone(),
+            reason: error.to_string(),
+        }
+    }
+
+    fn host_s(&self, at: Instant) -> f64 {
+        at.saturating_duration_since(self.epoch).as_secs_f64()
+    }
+}
+
+impl DriveLink for StreamLink {
+    fn name(&self) -> LinkName {
+        LinkName(self.name.clone())
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        let answer =
+            self.read_with_retries(Message::Hello, "the identity", |message| match message {
+                Message::Identity(identity) => Some(*identity),
+                _ => None,
+            })?;
+        self.timeline
+            .note(answer.drive_us, answer.sent_s, answer.received_s);
+        self.capture_period_s = f64::from(answer.value.capture_period_us) * 1e-6;
+        Ok(identity(&answer.value))
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        let question = Frame::command(DriveCommand {
+            seq: low_word(command.seq),
+            control: control(command.demand),
+        });
+        self.last_seq = command.seq;
+        let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
+        let answer = self.ask(
+            &question,
+            "the command",
+            allowed,
+            |message| match message {
+                Message::Telemetry(telemetry) => Some(*telemetry),
+                _ => None,
+            },
+        )?;
+        Ok(self.timeline.sample(
+            &answer.value,
+            command.seq,
+            answer.sent_s,
+            answer.received_s,
+        ))
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        let stop = Command {
+            seq: self.last_seq.wrapping_add(1),
+            demand: Demand::Stop,
+        };
+        let mut last = LinkError::Corrupt {
+            link: self.name.clone(),
+            reason: format!("the drive still runs after {STOP_ATTEMPTS} requests to stop"),
+        };
+        for _ in 0..STOP_ATTEMPTS {
+            match self.exchange(stop) {
+                Ok(sample)
+                    if sample.applied.is_some() && sample.state != Some(DriveState::Running) =>
+                {
+                    return Ok(());
+                }
+                Ok(_) => {}
+                Err(error @ LinkError::Gone { .. }) => return Err(error),
+                Err(error) => last = error,
+            }
+        }
+        Err(last)
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.tally.statistics
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        self.timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
+    }
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        Some(&self.tally.round_trips)
+    }
+
+    fn clock_map(&self) -> Option<&ClockMap> {
+        Some(&self.timeline.map)
+    }
+}
+
+#[cfg(test)]
+#[path = "stream_tests.rs"]
+mod tests;

@@ -1,0 +1,144 @@
+//! What became of every request: counts that balance, and round-trip times.
+
+use super::link::{LinkError, LinkStatistics};
+
+/// Buckets per doubling of the round-trip time: 9 % wide.
+const PER_DOUBLING: f64 = 8.0;
+/// From 1 us to 16 s.
+const BUCKETS: usize = 8 * 24;
+
+/// Histogram of round-trip times with logarithmic buckets; bounded memory however long the run.
+#[derive(Clone, Debug)]
+pub struct RoundTrips {
+    counts: [u64; BUCKETS],
+    total: u64,
+    longest_s: f64,
+}
+
+impl Default for RoundTrips {
+    fn default() -> Self {
+        Self {
+            counts: [0; BUCKETS],
+            total: 0,
+            longest_s: 0.0,
+        }
+    }
+}
+
+impl RoundTrips {
+    pub fn add(&mut self, round_trip_s: f64) {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "the cast of a float saturates, and the index is bounded below"
+        )]
+        let bucket = ((round_trip_s * 1e6).log2() * PER_DOUBLING) as usize;
+        self.counts[bucket.min(BUCKETS - 1)] += 1;
+        self.total += 1;
+        self.longest_s = self.longest_s.max(round_trip_s);
+    }
+
+    pub const fn count(&self) -> u64 {
+        self.total
+    }
+
+    pub const fn longest_s(&self) -> f64 {
+        self.longest_s
+    }
+
+    /// The time that this share of all round trips did not exceed, s, within 5 %; `None` without any.
+    pub fn quantile_s(&self, share: f64) -> Option<f64> {
+        let rank = share.clamp(0.0, 1.0) * self.total as f64;
+        let mut below = 0;
+        let bucket = self.counts.iter().position(|count| {
+            below += count;
+            below > 0 && below as f64 >= rank
+        })?;
+        let centre_us = ((bucket as f64 + 0.5) / PER_DOUBLING).exp2();
+        Some((centre_us * 1e-6).min(self.longest_s))
+    }
+
+    pub fn p50_s(&self) -> Option<f64> {
+        self.quantile_s(0.5)
+    }
+
+    pub fn p99_s(&self) -> Option<f64> {
+        self.quantile_s(0.99)
+    }
+}
+
+/// Counts and times of one link.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tally {
+    pub(super) statistics: LinkStatistics,
+    pub(super) round_trips: RoundTrips,
+}
+
+impl Tally {
+    /// Books one request that went out, under the one class that its end belongs to.
+    pub(super) fn settle<T>(&mut self, result: &Result<T, LinkError>, round_trip_s: f64) {
+        let s = &mut self.statistics;
+        s.sent += 1;
+        match result {
+            Ok(_) => {
+                s.ok += 1;
+                self.round_trips.add(round_trip_s);
+            }
+            Err(LinkError::Timeout { .. }) => s.timeout += 1,
+            Err(LinkError::Corrupt { .. }) => s.crc += 1,
+            Err(
+                LinkError::Mismatch { .. } | LinkError::Version { .. } | LinkError::Identity { .. },
+            ) => s.mismatch += 1,
+            Err(LinkError::Exception { .. }) => s.exception += 1,
+            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => s.io += 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_right_within_a_bucket() {
+        let mut trips = RoundTrips::default();
+        assert_eq!(trips.p50_s(), None);
+        for k in 1..=1000 {
+            trips.add(f64::from(k) * 1e-5);
+        }
+        assert!((trips.p50_s().unwrap() / 5e-3 - 1.0).abs() < 0.06);
+        assert!((trips.p99_s().unwrap() / 9.9e-3 - 1.0).abs() < 0.06);
+        assert!((trips.quantile_s(0.0).unwrap() / 1e-5 - 1.0).abs() < 0.06);
+        assert!((trips.longest_s() - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn times_outside_the_range_are_counted_at_its_ends() {
+        let mut trips = RoundTrips::default();
+        trips.add(0.0);
+        trips.add(1e9);
+        assert_eq!(trips.count(), 2);
+        assert!(trips.quantile_s(1.0).unwrap() > 1.0);
+    }
+
+    #[test]
+    fn every_end_has_one_class() {
+        let link = String::new;
+        let ends: [Result<(), LinkError>; 7] = [
+            Ok(()),
+            Err(LinkError::Timeout { link: link(), deadline_ms: 1, request: link() }),
+            Err(LinkError::Corrupt { link: link(), reason: link() }),
+            Err(LinkError::Mismatch { link: link(), reason: link() }),
+            Err(LinkError::Exception { link: link(), request: link(), code: 2, name: "x" }),
+            Err(LinkError::Gone { link: link(), reason: link() }),
+            Err(LinkError::Version { link: link(), found: 2, expected: 1 }),
+        ];
+        let mut tally = Tally::default();
+        for end in &ends {
+            tally.settle(end, 0.001);
+            assert!(tally.statistics.balances());
+        }
+        let s = tally.statistics;
+        assert_eq!((s.sent, s.ok, s.mismatch, s.io), (7, 1, 2, 1));
+    }
+}

@@ -1,0 +1,111 @@
+//! Identification while the motor runs: samples and commands in the order of time in, parameters out.
+//!
+//! Pure arithmetic on the samples' own stamps: the same sequence gives the same bits.
+
+use super::recursive::{CurrentIntegral, Memory, Scheme2, Scheme3, StartValues};
+use crate::plant::{Model, MotorKey};
+use crate::sample::{Channel, ParameterEstimate, Quality, Sample};
+
+/// Least length of a row of scheme 2, s.
+const STRIDE_S: f64 = 0.01;
+
+/// What the user may set.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OnlineConfig {
+    /// Forgetting factors per row (a block of about 10 ms).
+    pub memory: Memory,
+    /// Torque constant, N.m/A; equal to the back-EMF constant unless given.
+    pub torque_n_m_per_a: Option<f64>,
+    /// First guess of R, L, Ke; without it the data give one.
+    pub start: Option<StartValues>,
+}
+
+impl OnlineConfig {
+    /// First guess and torque constant from a model; what it leaves out is left to the data.
+    pub fn from_model(model: &Model) -> Self {
+        Self {
+            memory: Memory::default(),
+            torque_n_m_per_a: model.motor.get(MotorKey::TorqueConstant),
+            start: StartValues::from_motor(&model.motor),
+        }
+    }
+}
+
+/// On-line identification by schemes 2 and 3.
+#[derive(Clone, Debug)]
+pub struct Online {
+    scheme_2: Scheme2,
+    scheme_3: Scheme3,
+    commanded: bool,
+}
+
+impl Online {
+    pub fn new(config: OnlineConfig) -> Self {
+        Self {
+            scheme_2: Scheme2::new(
+                CurrentIntegral::Trapezoid,
+                config.memory.mechanical,
+                STRIDE_S,
+            ),
+            scheme_3: Scheme3::new(config.memory, config.torque_n_m_per_a, config.start),
+            commanded: false,
+        }
+    }
+
+    /// The voltage that the drive has applied from `time_s` on (drive time, as the samples). The reply that tells it
+    /// comes with a sample of a later stamp: call this first, then [`Self::push`].
+    pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
+        self.commanded = true;
+        self.scheme_3.voltage_applied(time_s, voltage_v);
+    }
+
+    /// Takes a sample. A voltage command in it holds from its stamp on; where no command ever came, the measured voltage
+    /// is held in its place. Stale or missing current or speed: the row gives only its command.
+    pub fn push(&mut self, sample: &Sample) {
+        let time_s = sample.time_s;
+        if let Some(volts) = sample.get(Channel::VoltageCmd) {
+            self.command_applied(time_s, volts);
+        } else if !self.commanded
+            && let Some(volts) = sample.get(Channel::Voltage)
+        {
+            self.scheme_3.voltage_applied(time_s, volts);
+        }
+        let good = |channel| {
+            sample
+                .get(channel)
+                .filter(|_| sample.quality(channel) == Quality::Good)
+        };
+        if let (Some(current), Some(speed)) = (good(Channel::Current), good(Channel::Speed)) {
+            self.scheme_3.push(time_s, current, speed);
+            if let Some(noise) = self.scheme_3.speed_noise_rad_s() {
+                self.scheme_2.set_speed_noise(noise);
+            }
+            self.scheme_2.push(time_s, current, speed);
+        }
+    }
+
+    /// Scheme 3: R, L, Ke, J, Mc.
+    pub fn estimates(&self) -> Vec<ParameterEstimate> {
+        self.scheme_3.estimates()
+    }
+
+    /// Scheme 2: J, Mc from current and speed alone, with the torque constant that was given, else the one that scheme 3
+    /// has found.
+    pub fn scheme_2(&self) -> Vec<ParameterEstimate> {
+        self.scheme_2.estimates(self.scheme_3.torque_constant())
+    }
+
+    /// What the last block added to its prediction: current, A, and speed, rad/s.
+    pub fn innovation(&self) -> Option<(f64, f64)> {
+        self.scheme_3.innovation()
+    }
+
+    /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
+    pub fn excitation(&self) -> [f64; 5] {
+        self.scheme_3.excitation()
+    }
+}
+
+#[cfg(test)]
+#[path = "online_tests.rs"]
+mod tests;

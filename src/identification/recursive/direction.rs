@@ -1,0 +1,33 @@
+//! Sign of the speed from a dead zone, never from noise around zero.
+
+/// Share of the largest speed so far, and the smallest speed, rad/s, that count as moving.
+const SHARE_OF_LARGEST: f64 = 0.01;
+const LEAST_RAD_S: f64 = 0.5;
+/// Standard deviations of the standstill noise that count as moving.
+const NOISE_MULTIPLE: f64 = 4.0;
+
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Direction {
+    largest_rad_s: f64,
+    /// Standard deviation of the speed at standstill, where known.
+    pub(super) noise_rad_s: f64,
+}
+
+impl Direction {
+    /// -1, 0 (inside the dead zone) or 1.
+    pub(super) fn of(&mut self, speed_rad_s: f64) -> i8 {
+        self.largest_rad_s = self.largest_rad_s.max(speed_rad_s.abs());
+        let zone = self.dead_zone_rad_s();
+        i8::from(speed_rad_s > zone) - i8::from(speed_rad_s < -zone)
+    }
+
+    pub(super) fn dead_zone_rad_s(&self) -> f64 {
+        (SHARE_OF_LARGEST * self.largest_rad_s)
+            .max(NOISE_MULTIPLE * self.noise_rad_s)
+            .max(LEAST_RAD_S)
+    }
+
+    pub(super) fn largest_rad_s(&self) -> f64 {
+        self.largest_rad_s
+    }
+}

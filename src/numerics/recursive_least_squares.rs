@@ -1,0 +1,373 @@
+//! Recursive least squares with factored covariance and forgetting gated by excitation.
+//!
+//! `P = U D U'` (U unit upper triangular, D diagonal): Bierman, *Factorization Methods for Discrete Sequential
+//! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. Wind-up cannot
+//! happen: rows forget only while they bring news, and never beyond the prior variance.
+
+/// Rows over which the news is averaged.
+const NEWS_ROWS: f64 = 16.0;
+/// Rows that the parameters still follow freely say nothing about the noise: `psi' P psi` above this.
+const FREE_ROW: f64 = 10.0;
+
+/// The noise of a row as the difference of two errors of unit variance, `e_end - carry e_begin`.
+///
+/// Rows between consecutive samples share a sample: without this the standard deviations would be far too large.
+#[derive(Clone, Copy, Debug)]
+pub struct RowNoise {
+    pub carry: f64,
+    /// Whether `e_begin` is the `e_end` of the row before.
+    pub continues: bool,
+}
+
+impl RowNoise {
+    /// A row of independent noise.
+    pub const WHITE: Self = Self {
+        carry: 0.0,
+        continues: false,
+    };
+}
+
+/// Least squares with exponential memory in `N` parameters; allocates nothing.
+#[derive(Clone, Debug)]
+pub struct RecursiveLeastSquares<const N: usize> {
+    forgetting: f64,
+    /// Size of each parameter: the algebra runs on `parameter / scale`.
+    scale: [f64; N],
+    scaled: [f64; N],
+    upper: [[f64; N]; N],
+    diagonal: [f64; N],
+    prior: f64,
+    /// Covariance of the scaled parameters for errors of unit variance, propagated with the gains that were really used.
+    spread: [[f64; N]; N],
+    /// Covariance of the scaled parameters with the error of the last sample.
+    shared: [f64; N],
+    noise_sum: f64,
+    noise_weight: f64,
+    rows: u64,
+    recent_news: f64,
+}
+
+impl<const N: usize> RecursiveLeastSquares<N> {
+    /// Forgetting pauses while the recent mean of `psi' P psi` is below this many times `1 - lambda`. In the mean it is the number of directions
+    /// that the rows excite: a machine at constant speed excites one, and the others would be forgotten for nothing.
+    const LEAST_NEWS: f64 = if N > 1 { 1.2 } else { 0.0 };
+
+    /// `scale` gives the size of each parameter (positive), `prior` the variance of `parameter / scale` before any data
+    /// in units of the noise variance; `forgetting` is limited to 0.5..1.
+    pub fn new(start: [f64; N], scale: [f64; N], prior: f64, forgetting: f64) -> Self {
+        Self {
+            forgetting: forgetting.clamp(0.5, 1.0),
+            scale,
+            scaled: std::array::from_fn(|j| start[j] / scale[j]),
+            upper: std::array::from_fn(|row| {
+                std::array::from_fn(|column| f64::from(u8::from(row == column)))
+            }),
+            diagonal: [prior; N],
+            prior,
+            spread: std::array::from_fn(|row| {
+                std::array::from_fn(|column| if row == column { prior } else { 0.0 })
+            }),
+            shared: [0.0; N],
+            noise_sum: 0.0,
+            noise_weight: 0.0,
+            rows: 0,
+            recent_news: 1.0,
+        }
+    }
+
+    /// Takes one row of independent noise and returns the innovation; `None`, and no change, where it is not finite.
+    pub fn update(&mut self, regressor: &[f64; N], value: f64) -> Option<f64> {
+        self.update_row(regressor, value, RowNoise::WHITE)
+    }
+
+    /// As [`Self::update`], for a row whose noise is the difference of two samples' errors.
+    pub fn update_row(&mut self, regressor: &[f64; N], value: f64, noise: RowNoise) -> Option<f64> {
+        let psi: [f64; N] = std::array::from_fn(|j| regressor[j] * self.scale[j]);
+        let innovation = value - dot(&psi, &self.scaled);
+        if !innovation.is_finite() || psi.iter().any(|x| !x.is_finite()) {
+            return None;
+        }
+        let news = self.news(&psi);
+        if !news.is_finite() {
+            return None;
+        }
+        self.recent_news += (news.min(1.0) - self.recent_news) / NEWS_ROWS;
+        if self.recent_news >= Self::LEAST_NEWS * (1.0 - self.forgetting)
+            && (0..N).all(|j| self.ignorance(j) < 1.0)
+        {
+            for variance in &mut self.diagonal {
+                *variance /= self.forgetting;
+            }
+        }
+        let (gain, news) = self.measure(&psi);
+        for (parameter, gain) in self.scaled.iter_mut().zip(&gain) {
+            *parameter += gain * innovation;
+        }
+        self.propagate_spread(&psi, &gain, noise);
+        if news < FREE_ROW {
+            let square =
+                innovation * innovation / (1.0 + news) / noise.carry.mul_add(noise.carry, 1.0);
+            self.noise_sum = self.forgetting * self.noise_sum + square;
+            self.noise_weight = self.forgetting * self.noise_weight + 1.0;
+        }
+        self.rows += 1;
+        Some(innovation)
+    }
+
+    /// `psi' P psi`: variance of the prediction in units of the noise variance.
+    fn news(&self, psi: &[f64; N]) -> f64 {
+        (0..N)
+            .map(|j| {
+                let f: f64 = psi[j] + (0..j).map(|i| self.upper[i][j] * psi[i]).sum::<f64>();
+                f * f * self.diagonal[j]
+            })
+            .sum()
+    }
+
+    /// Bierman's measurement update for unit noise: the gain, and `psi' P psi` before it.
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "triangular indices as the literature prints them"
+    )]
+    fn measure(&mut self, psi: &[f64; N]) -> ([f64; N], f64) {
+        let f: [f64; N] = std::array::from_fn(|j| {
+            psi[j] + (0..j).map(|i| self.upper[i][j] * psi[i]).sum::<f64>()
+        });
+        let mut gain = [0.0; N];
+        let mut alpha = 1.0;
+        for j in 0..N {
+            let v = self.diagonal[j] * f[j];
+            let before = alpha;
+            alpha += f[j] * v;
+            self.diagonal[j] *= before / alpha;
+            gain[j] = v;
+            let p = -f[j] / before;
+            for i in 0..j {
+                let u = self.upper[i][j];
+                self.upper[i][j] += gain[i] * p;
+                gain[i] += u * v;
+            }
+        }
+        (gain.map(|g| g / alpha), alpha - 1.0)
+    }
+
+    /// `Q <- A Q A' + (1 + carry^2) K K' - carry (A s K' + K s' A')`, `A = I - K psi'`, `s` the covariance with `e_begin`.
+    fn propagate_spread(&mut self, psi: &[f64; N], gain: &[f64; N], noise: RowNoise) {
+        let q_psi: [f64; N] = std::array::from_fn(|i| dot(&self.spread[i], psi));
+        let variance = dot(psi, &q_psi) + 1.0 + noise.carry * noise.carry;
+        let shared = if noise.continues {
+            self.shared
+        } else {
+            [0.0; N]
+        };
+        let along = dot(psi, &shared);
+        for i in 0..N {
+            for j in 0..=i {
+                let own = self.spread[i][j] - gain[i] * q_psi[j] - q_psi[i] * gain[j]
+                    + gain[i] * gain[j] * variance;
+                let cross = (shared[i] - gain[i] * along) * gain[j]
+                    + gain[i] * (shared[j] - gain[j] * along);
+                let value = own - noise.carry * cross;
+                self.spread[i][j] = value;
+                self.spread[j][i] = value;
+            }
+        }
+        self.shared = *gain;
+    }
+
+    pub fn parameters(&self) -> [f64; N] {
+        std::array::from_fn(|j| self.scaled[j] * self.scale[j])
+    }
+
+    /// Changes the memory from the next row on; limited to 0.5..1.
+    pub fn set_forgetting(&mut self, forgetting: f64) {
+        self.forgetting = forgetting.clamp(0.5, 1.0);
+    }
+
+    /// Moves the parameters, as a limit of physics may demand; covariance and noise stay.
+    pub fn set_parameters(&mut self, parameters: &[f64; N]) {
+        self.scaled = std::array::from_fn(|j| parameters[j] / self.scale[j]);
+    }
+
+    /// Variance of one sample's error; `None` before more rows than parameters have spoken of it.
+    pub fn noise_variance(&self) -> Option<f64> {
+        (self.rows > N as u64 && self.noise_weight > 1.0)
+            .then(|| self.noise_sum / self.noise_weight)
+    }
+
+    /// Covariance of two parameters under the memory that forgetting leaves; `None` before the noise is known.
+    pub fn covariance(&self, row: usize, column: usize) -> Option<f64> {
+        let unit = self.spread[row][column] * self.scale[row] * self.scale[column];
+        Some(self.noise_variance()? * unit)
+    }
+
+    /// Standard deviations; `None` before the noise is known.
+    pub fn standard_deviations(&self) -> Option<[f64; N]> {
+        let variance = self.noise_variance()?;
+        Some(std::array::from_fn(|j| {
+            (variance * self.spread[j][j].max(0.0)).sqrt() * self.scale[j]
+        }))
+    }
+
+    /// Share of the prior variance that the data have left, 1 (nothing learnt) to 0; forgetting can lift it above 1.
+    pub fn ignorance(&self, parameter: usize) -> f64 {
+        let variance: f64 = (parameter..N)
+            .map(|j| self.upper[parameter][j].powi(2) * self.diagonal[j])
+            .sum();
+        variance / self.prior
+    }
+
+    /// Rows taken so far.
+    pub fn rows(&self) -> u64 {
+        self.rows
+    }
+}
+
+fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector3};
+    use rand::{Rng as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    const TRUE: [f64; 3] = [2.0, -0.03, 500.0];
+    const SCALE: [f64; 3] = [1.0, 0.01, 100.0];
+
+    fn row(random: &mut ChaCha8Rng) -> [f64; 3] {
+        [1.0, 100.0, 0.01].map(|size| size * random.random_range(-1.0..1.0))
+    }
+
+    fn noise(random: &mut ChaCha8Rng) -> f64 {
+        // Sum of twelve uniforms: variance one.
+        (0..12).map(|_| random.random_range(-0.5..0.5)).sum()
+    }
+
+    #[test]
+    fn equals_batch_weighted_least_squares() {
+        // Rich rows always bring news with lambda = 1 or in one dimension: the weights are then known in closed form.
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let mut recursive = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e12, 1.0);
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for _ in 0..300 {
+            let psi = row(&mut random);
+            let value = dot(&psi, &TRUE) + 0.1 * noise(&mut random);
+            recursive.update(&psi, value).unwrap();
+            let scaled = Vector3::from_fn(|j, _| psi[j] * SCALE[j]);
+            normal += scaled * scaled.transpose();
+            right += scaled * value;
+        }
+        let batch = normal.try_inverse().unwrap() * right;
+        for (j, found) in recursive.parameters().iter().enumerate() {
+            assert!((found / SCALE[j] - batch[j]).abs() < 1e-8, "{j} {found}");
+        }
+        let variance = recursive.noise_variance().unwrap();
+        assert!((variance / 0.01 - 1.0).abs() < 0.2, "{variance}");
+
+        let mut one = RecursiveLeastSquares::new([0.0], [1.0], 1e12, 0.9);
+        let (mut above, mut below) = (0.0, 0.0);
+        for _ in 0..100 {
+            let psi = random.random_range(0.5..1.5);
+            let value = 3.0 * psi + noise(&mut random);
+            one.update(&[psi], value).unwrap();
+            above = 0.9 * above + psi * value;
+            below = 0.9 * below + psi * psi;
+        }
+        assert!((one.parameters()[0] - above / below).abs() < 1e-9);
+    }
+
+    #[test]
+    fn standard_deviations_are_those_of_repeated_trials_under_forgetting() {
+        for carry in [0.0, 1.0] {
+            let (mut squares, mut claimed) = ([0.0; 3], [0.0; 3]);
+            for seed in 0..300 {
+                let mut random = ChaCha8Rng::seed_from_u64(seed);
+                let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e9, 0.97);
+                let mut before = noise(&mut random);
+                for _ in 0..300 {
+                    let psi = row(&mut random);
+                    let error = noise(&mut random);
+                    let value = dot(&psi, &TRUE) + 0.1 * (error - carry * before);
+                    before = error;
+                    let kind = RowNoise {
+                        carry,
+                        continues: true,
+                    };
+                    rls.update_row(&psi, value, kind).unwrap();
+                }
+                let (found, std) = (rls.parameters(), rls.standard_deviations().unwrap());
+                for j in 0..3 {
+                    squares[j] += (found[j] - TRUE[j]).powi(2) / 300.0;
+                    claimed[j] += std[j].powi(2) / 300.0;
+                }
+            }
+            for j in 0..3 {
+                let ratio = (claimed[j] / squares[j]).sqrt();
+                assert!((0.8..1.25).contains(&ratio), "carry {carry} {j} {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_million_rows_of_one_direction_neither_wind_up_nor_forget_the_others() {
+        let mut random = ChaCha8Rng::seed_from_u64(2);
+        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
+        for _ in 0..300 {
+            let psi = row(&mut random);
+            rls.update(&psi, dot(&psi, &TRUE) + 0.01 * noise(&mut random));
+        }
+        let psi = [1.0, 0.0, 0.01];
+        for _ in 0..1_000_000 {
+            rls.update(&psi, dot(&psi, &TRUE) + 0.01 * noise(&mut random))
+                .unwrap();
+        }
+        for (j, found) in rls.parameters().iter().enumerate() {
+            assert!((found / TRUE[j] - 1.0).abs() < 0.05, "{j} {found}");
+            assert!(rls.ignorance(j) > 0.0 && rls.ignorance(j) < 1e-3);
+        }
+        assert!(
+            rls.standard_deviations()
+                .unwrap()
+                .iter()
+                .all(|s| s.is_finite())
+        );
+    }
+
+    #[test]
+    fn a_jump_of_a_parameter_is_followed() {
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
+        for step in 0..1200 {
+            let truth = if step < 600 {
+                TRUE
+            } else {
+                [4.0, -0.03, 500.0]
+            };
+            let psi = row(&mut random);
+            rls.update(&psi, dot(&psi, &truth) + 0.01 * noise(&mut random));
+            if step == 599 {
+                assert!((rls.parameters()[0] - 2.0).abs() < 0.02);
+            }
+        }
+        assert!((rls.parameters()[0] - 4.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn what_is_not_finite_changes_nothing() {
+        let mut random = ChaCha8Rng::seed_from_u64(4);
+        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
+        for _ in 0..20 {
+            let psi = row(&mut random);
+            rls.update(&psi, dot(&psi, &TRUE));
+        }
+        let before = format!("{rls:?}");
+        assert_eq!(rls.update(&[1.0, f64::NAN, 0.0], 1.0), None);
+        assert_eq!(rls.update(&[1.0, 1.0, 0.0], f64::INFINITY), None);
+        assert_eq!(rls.update(&[1e200, 1e200, 0.0], 1.0), None);
+        assert_eq!(format!("{rls:?}"), before);
+    }
+}

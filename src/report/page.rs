@@ -1,0 +1,355 @@
+//! A page as a list of blocks, and its two forms: HTML in one file, and Markdown for a terminal.
+
+use std::fmt::Write;
+
+use super::escape::escape;
+use super::style::{SCRIPT, STYLE};
+
+/// How a statement is to be taken; shown by a word and a mark, the colour only repeats it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    Good,
+    Attention,
+    Bad,
+    Plain,
+}
+
+impl Tone {
+    const fn class(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Attention => "attention",
+            Self::Bad => "bad",
+            Self::Plain => "plain",
+        }
+    }
+}
+
+/// One cell of a table.
+#[derive(Clone, Debug, Default)]
+pub struct Cell {
+    text: String,
+    /// Smaller, below the text; not in the plain-text form.
+    note: Option<String>,
+    code: bool,
+}
+
+impl Cell {
+    pub fn text(text: impl Into<String>) -> Self {
+        Self {
+            text: text.into(),
+            ..Self::default()
+        }
+    }
+
+    /// A key as it is written in files.
+    pub fn code(text: impl Into<String>) -> Self {
+        Self {
+            text: text.into(),
+            code: true,
+            ..Self::default()
+        }
+    }
+
+    #[must_use]
+    pub fn with_note(mut self, note: impl Into<String>) -> Self {
+        self.note = Some(note.into());
+        self
+    }
+}
+
+/// Rows under a head; every row is filled up or cut to the width of the head.
+#[derive(Clone, Debug, Default)]
+pub struct Table {
+    pub head: Vec<&'static str>,
+    pub rows: Vec<Vec<Cell>>,
+}
+
+#[derive(Clone, Debug)]
+enum Block {
+    Heading(String),
+    Paragraph(String),
+    List(Vec<String>),
+    Facts(Vec<(String, String)>),
+    Table(Table),
+    /// SVG from this room, already escaped; the caption is the plain-text form.
+    Figure {
+        svg: String,
+        caption: String,
+    },
+    Notice(String),
+}
+
+/// A page under construction. Its text is escaped when it is written out, so callers pass plain text.
+#[derive(Clone, Debug)]
+pub struct Page {
+    title: String,
+    subtitle: String,
+    lead: Option<(Tone, String, String)>,
+    blocks: Vec<Block>,
+}
+
+impl Page {
+    pub fn new(title: impl Into<String>, subtitle: impl Into<String>) -> Self {
+        Self {
+            title: title.into(),
+            subtitle: subtitle.into(),
+            lead: None,
+            blocks: Vec::new(),
+        }
+    }
+
+    /// The sentence that answers the reader's question, with its one-word verdict.
+    pub fn lead(&mut self, tone: Tone, word: impl Into<String>, sentence: impl Into<String>) {
+        self.lead = Some((tone, word.into(), sentence.into()));
+    }
+
+    pub fn section(&mut self, heading: impl Into<String>) {
+        self.blocks.push(Block::Heading(heading.into()));
+    }
+
+    pub fn paragraph(&mut self, text: impl Into<String>) {
+        self.blocks.push(Block::Paragraph(text.into()));
+    }
+
+    /// Sentences, one a line; nothing where there are none.
+    pub fn list(&mut self, items: Vec<String>) {
+        if !items.is_empty() {
+            self.blocks.push(Block::List(items));
+        }
+    }
+
+    /// Labels and values; nothing where there are none.
+    pub fn facts(&mut self, facts: Vec<(String, String)>) {
+        if !facts.is_empty() {
+            self.blocks.push(Block::Facts(facts));
+        }
+    }
+
+    pub fn table(&mut self, table: Table) {
+        if !table.rows.is_empty() {
+            self.blocks.push(Block::Table(table));
+        }
+    }
+
+    /// A picture made by [`super::plot`]; nothing where it is empty.
+    pub fn figure(&mut self, svg: String, caption: impl Into<String>) {
+        if !svg.is_empty() {
+            let caption = caption.into();
+            self.blocks.push(Block::Figure { svg, caption });
+        }
+    }
+
+    pub fn notice(&mut self, text: impl Into<String>) {
+        self.blocks.push(Block::Notice(text.into()));
+    }
+
+    /// The whole page: one file without external resources. The script only adds a cursor to the plots.
+    pub fn html(&self) -> String {
+        let mut out = format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+             <meta name=\"color-scheme\" content=\"light dark\">\n\
+             <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>{title}</h1>\n\
+             <p class=\"subtitle\">{}</p>\n</header>\n",
+            escape(&self.subtitle),
+            title = escape(&self.title),
+        );
+        if let Some((tone, word, sentence)) = &self.lead {
+            let _ = writeln!(
+                out,
+                "<p class=\"lead {}\"><strong>{}</strong> {}</p>",
+                tone.class(),
+                escape(word),
+                escape(sentence)
+            );
+        }
+        let mut open = false;
+        for block in &self.blocks {
+            if let Block::Heading(heading) = block {
+                out.push_str(if open {
+                    "</section>\n<section>\n"
+                } else {
+                    "<section>\n"
+                });
+                open = true;
+                let _ = writeln!(out, "<h2>{}</h2>", escape(heading));
+            } else {
+                block_html(&mut out, block);
+            }
+        }
+        if open {
+            out.push_str("</section>\n");
+        }
+        let _ = write!(
+            out,
+            "</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n"
+        );
+        out
+    }
+
+    /// The same in plain text, the verdict first: Markdown whose tables are aligned for a terminal.
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        if let Some((_, word, sentence)) = &self.lead {
+            let _ = writeln!(out, "{}: {sentence}\n", word.to_uppercase());
+        }
+        let _ = writeln!(out, "# {}\n\n{}", self.title, self.subtitle);
+        for block in &self.blocks {
+            match block {
+                Block::Heading(heading) => {
+                    let _ = writeln!(out, "\n## {heading}");
+                }
+                Block::Paragraph(text) => {
+                    let _ = writeln!(out, "\n{text}");
+                }
+                Block::Notice(text) => {
+                    let _ = writeln!(out, "\n> {text}");
+                }
+                Block::List(items) => {
+                    out.push('\n');
+                    for item in items {
+                        let _ = writeln!(out, "- {item}");
+                    }
+                }
+                Block::Facts(facts) => {
+                    out.push('\n');
+                    for (label, value) in facts {
+                        let _ = writeln!(out, "- {label}: {value}");
+                    }
+                }
+                Block::Table(table) => table_text(&mut out, table),
+                Block::Figure { .. } => {}
+            }
+        }
+        out
+    }
+}
+
+fn block_html(out: &mut String, block: &Block) {
+    match block {
+        Block::Heading(_) => {}
+        Block::Paragraph(text) => {
+            let _ = writeln!(out, "<p>{}</p>", escape(text));
+        }
+        Block::Notice(text) => {
+            let _ = writeln!(
+                out,
+                "<p class=\"notice\"><strong>Safety.</strong> {}</p>",
+                escape(text)
+            );
+        }
+        Block::List(items) => {
+            out.push_str("<ul>\n");
+            for item in items {
+                let _ = writeln!(out, "<li>{}</li>", escape(item));
+            }
+            out.push_str("</ul>\n");
+        }
+        Block::Facts(facts) => {
+            out.push_str("<dl>\n");
+            for (label, value) in facts {
+                let _ = writeln!(
+                    out,
+                    "<div><dt>{}</dt><dd>{}</dd></div>",
+                    escape(label),
+                    escape(value)
+                );
+            }
+            out.push_str("</dl>\n");
+        }
+        Block::Table(table) => table_html(out, table),
+        Block::Figure { svg, caption } => {
+            let _ = writeln!(
+                out,
+                "<figure><div class=\"scroll\">{svg}</div><figcaption>{}</figcaption></figure>",
+                escape(caption)
+            );
+        }
+    }
+}
+
+fn table_html(out: &mut String, table: &Table) {
+    out.push_str("<div class=\"scroll\"><table>\n<thead><tr>");
+    for head in &table.head {
+        let _ = write!(out, "<th scope=\"col\">{}</th>", escape(head));
+    }
+    out.push_str("</tr></thead>\n<tbody>\n");
+    for row in &table.rows {
+        out.push_str("<tr>");
+        for cell in padded(row, table.head.len()) {
+            let text = escape(&cell.text);
+            // Keys may break after their underscores, else they push the numbers off a narrow screen.
+            let text = if cell.code {
+                format!(
+                    "<code>{}</code>",
+                    text.replace('.', ".<wbr>").replace('_', "_<wbr>")
+                )
+            } else {
+                text
+            };
+            let class = if is_number(&cell.text) {
+                " class=\"number\""
+            } else {
+                ""
+            };
+            let _ = write!(out, "<td{class}>{text}");
+            if let Some(note) = &cell.note {
+                let _ = write!(out, "<br><small>{}</small>", escape(note));
+            }
+            out.push_str("</td>");
+        }
+        out.push_str("</tr>\n");
+    }
+    out.push_str("</tbody></table></div>\n");
+}
+
+fn table_text(out: &mut String, table: &Table) {
+    let plain = |text: &str| text.replace('|', "/").replace('\n', " ");
+    let rows: Vec<Vec<String>> = table
+        .rows
+        .iter()
+        .map(|row| {
+            padded(row, table.head.len())
+                .map(|cell| plain(&cell.text))
+                .collect()
+        })
+        .collect();
+    let widths: Vec<usize> = (0..table.head.len())
+        .map(|column| {
+            let cells = rows.iter().map(|row| row[column].chars().count());
+            cells
+                .chain([table.head[column].chars().count(), 3])
+                .max()
+                .unwrap_or(3)
+        })
+        .collect();
+    let write_row = |out: &mut String, cells: &mut dyn Iterator<Item = &str>| {
+        let line: Vec<String> = cells
+            .zip(&widths)
+            .map(|(cell, width)| format!("{cell:<width$}"))
+            .collect();
+        let _ = writeln!(out, "| {} |", line.join(" | "));
+    };
+    out.push('\n');
+    write_row(out, &mut table.head.iter().copied());
+    let rules: Vec<String> = widths.iter().map(|width| "-".repeat(*width)).collect();
+    write_row(out, &mut rules.iter().map(String::as_str));
+    for row in &rows {
+        write_row(out, &mut row.iter().map(String::as_str));
+    }
+}
+
+fn padded(row: &[Cell], width: usize) -> impl Iterator<Item = Cell> + '_ {
+    row.iter()
+        .cloned()
+        .chain(std::iter::repeat_with(Cell::default))
+        .take(width)
+}
+
+/// Whether a cell is to be kept on one line: it begins like a number.
+fn is_number(text: &str) -> bool {
+    text.trim_start_matches(['-', '(', '+'])
+        .starts_with(|c: char| c.is_ascii_digit())
+        && text.len() < 40
+}

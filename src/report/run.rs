@@ -1,0 +1,225 @@
+//! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
+
+use super::number::{fixed, significant};
+use super::page::{Cell, Page, Table, Tone};
+use super::plot::{Panel, PanelPlot, Series, Style};
+use super::{Context, Facts, tables};
+use crate::plant::Model;
+use crate::sample::{Channel, Origin, ParameterEstimate, Run};
+use crate::units::rpm_from_rad_s;
+
+/// Everything that the page of a run is made of.
+#[derive(Clone, Debug)]
+pub struct RunReport<'a> {
+    pub title: &'a str,
+    pub context: &'a Context,
+    pub run: &'a Run,
+    pub nameplate: Option<&'a Model>,
+    /// Estimates at the end of the run; may be empty.
+    pub parameters: &'a [ParameterEstimate],
+    /// Rate, lateness, missed cycles.
+    pub timing: &'a Facts,
+    /// Why the guard stopped the run, if it did.
+    pub trip: Option<&'a str>,
+}
+
+impl RunReport<'_> {
+    /// `report.html`.
+    pub fn html(&self) -> String {
+        self.page().html()
+    }
+
+    /// The same for a terminal.
+    pub fn text(&self) -> String {
+        self.page().text()
+    }
+
+    pub fn page(&self) -> Page {
+        let run = self.run;
+        let mut page = Page::new(
+            self.title,
+            format!("Run {}, {}", run.name, self.context.target.name()),
+        );
+        let time_s = run.time_s();
+        let duration_s =
+            time_s.last().copied().unwrap_or(0.0) - time_s.first().copied().unwrap_or(0.0);
+        let rows = format!("{} rows over {} s", run.rows(), significant(duration_s, 3));
+        match self.trip {
+            Some(reason) => page.lead(
+                Tone::Bad,
+                "Safety trip",
+                format!("{reason}. Recorded until then: {rows}."),
+            ),
+            None if run.rows_dropped > 0 => page.lead(
+                Tone::Attention,
+                "Incomplete",
+                format!(
+                    "{rows}; {} torn or unreadable rows were left out.",
+                    run.rows_dropped
+                ),
+            ),
+            None => page.lead(Tone::Good, "Recorded", format!("{rows}, no trip.")),
+        }
+        page.section("Signals");
+        page.figure(
+            plot(run).svg("recorded signals over time"),
+            "A line is broken where samples are missing.",
+        );
+        page.table(signals(run));
+        page.list(run.notes.clone());
+        if !self.parameters.is_empty() {
+            tables::parameter_section(&mut page, self.nameplate, &[], self.parameters);
+        }
+        if !self.timing.is_empty() {
+            page.section("Timing");
+            page.facts(self.timing.clone());
+        }
+        tables::conditions(&mut page, self.context);
+        page
+    }
+}
+
+/// Range and completeness of every recorded channel.
+fn signals(run: &Run) -> Table {
+    let rows = Channel::ALL.into_iter().filter_map(|channel| {
+        run.column(channel)?;
+        let (count, low, high) = run.points(channel).fold(
+            (0usize, f64::INFINITY, f64::NEG_INFINITY),
+            |(count, low, high), (_, value)| (count + 1, low.min(value), high.max(value)),
+        );
+        let range = |value: f64| {
+            let text = significant(value, 4);
+            if channel.unit() == "rad/s" && value.is_finite() {
+                Cell::text(text).with_note(format!("{} r/min", fixed(rpm_from_rad_s(value), 0)))
+            } else {
+                Cell::text(text)
+            }
+        };
+        let period = run
+            .period_s(channel)
+            .filter(|_| !channel.is_commanded())
+            .map_or("-".to_owned(), |period_s| {
+                format!("{} ms", significant(1e3 * period_s, 3))
+            });
+        Some(vec![
+            Cell::text(channel.name()),
+            Cell::text(channel.unit()),
+            Cell::text(origin(run.origin(channel))),
+            range(low),
+            range(high),
+            Cell::text(count.to_string()),
+            Cell::text(period),
+        ])
+    });
+    Table {
+        head: vec![
+            "signal",
+            "unit",
+            "origin",
+            "lowest",
+            "highest",
+            "values",
+            "median period",
+        ],
+        rows: rows.collect(),
+    }
+}
+
+const fn origin(origin: Origin) -> &'static str {
+    match origin {
+        Origin::Measured => "measured",
+        Origin::Estimated => "estimated by the drive",
+        Origin::Commanded => "commanded",
+        Origin::Derived => "derived",
+        Origin::Unknown => "not stated",
+    }
+}
+
+/// One panel per quantity; a command shares the panel of what it commands.
+fn plot(run: &Run) -> PanelPlot {
+    let end_s = run.time_s().last().copied().unwrap_or(0.0);
+    let series = |channel: Channel| {
+        let label = if channel.is_commanded() {
+            "command"
+        } else {
+            channel.name()
+        };
+        if channel.is_commanded() {
+            let events: Vec<(f64, f64)> = run.points(channel).collect();
+            Series::held(label, Style::Command, &events, end_s)
+        } else {
+            let nothing = Vec::new();
+            let values = run.column(channel).unwrap_or(&nothing);
+            Series::sampled(label, Style::After, run.time_s(), values)
+        }
+    };
+    let groups: [&[Channel]; 7] = [
+        &[Channel::VoltageCmd, Channel::Voltage],
+        &[Channel::Current],
+        &[Channel::Reference, Channel::Speed],
+        &[Channel::Angle],
+        &[Channel::Torque],
+        &[Channel::Bus],
+        &[Channel::Temperature],
+    ];
+    let mut plot = PanelPlot::default();
+    for group in groups {
+        let shown = group[group.len() - 1];
+        let mut panel = Panel::new(shown.name(), shown.unit()).with_height(120.0);
+        for channel in group
+            .iter()
+            .filter(|channel| run.points(**channel).next().is_some())
+        {
+            panel = panel.with(series(*channel));
+        }
+        if shown == Channel::Speed {
+            panel = panel.with_second_unit("r/min", rpm_from_rad_s(1.0));
+        }
+        plot = plot.with(panel);
+    }
+    plot
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trip_is_the_first_thing_that_is_said() {
+        let mut run = Run::new("r", (0..50).map(|k| 0.01 * f64::from(k)).collect()).unwrap();
+        let speed = (0..50)
+            .map(|k| if k == 20 { f64::NAN } else { f64::from(k) })
+            .collect();
+        run.set_column(Channel::Speed, speed, Origin::Measured)
+            .unwrap();
+        run.set_column(Channel::Current, vec![f64::NAN; 50], Origin::Measured)
+            .unwrap();
+        let context = Context::default();
+        let report = RunReport {
+            title: "run",
+            context: &context,
+            run: &run,
+            nameplate: None,
+            parameters: &[],
+            timing: &vec![("rate".into(), "100 Hz".into())],
+            trip: Some("current 31.0 A is above the limit of 30 A"),
+        };
+        let text = report.text();
+        assert!(text.starts_with("SAFETY TRIP: current 31.0 A is above the limit of 30 A. Recorded until then: 50 rows over 0.490 s."), "{text}");
+        assert!(
+            text.contains("| current | A     | measured | n/a"),
+            "{text}"
+        );
+        let html = report.html();
+        assert!(!html.contains("NaN") && !html.contains(">inf"));
+        // The lost sample cuts the speed's line in two.
+        let speed = html
+            .split("data-label=\"speed\" d=\"")
+            .nth(1)
+            .unwrap()
+            .split('"')
+            .next()
+            .unwrap();
+        assert_eq!(speed.matches('M').count(), 2);
+    }
+}

@@ -1,0 +1,464 @@
+//! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
+
+use nalgebra::DMatrix;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+use super::*;
+use crate::diagnosis::{
+    Comparison, Diagnosis, DiagnosisVerdict, Evidence, HoldoutFrom, Rung, Score, compare, diagnose,
+};
+use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::identification::output_error::{self, Fit};
+use crate::numerics::levenberg_marquardt::Minimum;
+use crate::plant::{Input, Model, Motor, Plant, Scenario, State, Trajectory};
+use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
+
+/// Where to write the demonstration pages, to be looked at.
+const DEMO: &str = "DRIVEBENCH_REPORT_DEMO";
+
+/// Checks that every tag is closed in the right order; enough of HTML for pages of our own.
+fn assert_balanced(html: &str) {
+    let mut open: Vec<&str> = Vec::new();
+    let mut rest = html;
+    while let Some(start) = rest.find('<') {
+        rest = &rest[start + 1..];
+        let end = rest.find('>').expect("a tag ends");
+        let (tag, after) = rest.split_at(end);
+        rest = &after[1..];
+        let name = tag
+            .trim_start_matches('/')
+            .split([' ', '/'])
+            .next()
+            .unwrap();
+        if tag.starts_with('!') || tag.ends_with('/') || ["meta", "br", "wbr"].contains(&name) {
+            continue;
+        }
+        assert_eq!(tag.matches('"').count() % 2, 0, "quotes of <{tag}>");
+        if tag.starts_with('/') {
+            assert_eq!(open.pop(), Some(name), "</{name}> after {open:?}");
+        } else if name == "script" || name == "style" {
+            rest = &rest[rest.find(&format!("</{name}>")).expect("closed") + name.len() + 3..];
+        } else {
+            open.push(name);
+        }
+    }
+    assert!(open.is_empty(), "left open: {open:?}");
+}
+
+#[test]
+#[should_panic(expected = "</p> after")]
+fn the_checker_sees_tags_that_cross() {
+    assert_balanced("<p><b>x</p></b>");
+}
+
+fn estimate(
+    key: &str,
+    value: f64,
+    std: f64,
+    unit: &'static str,
+    verdict: Verdict,
+) -> ParameterEstimate {
+    ParameterEstimate {
+        key: key.to_owned(),
+        value: Some(value),
+        std: Some(std),
+        unit,
+        verdict,
+        reason: (verdict == Verdict::Searching).then(|| "relative uncertainty 4.1 %".to_owned()),
+    }
+}
+
+/// A fit that holds no more than a report needs.
+fn no_fit() -> Fit {
+    Fit {
+        model: Model::baseline(Motor::zk_22fc()),
+        noise: NoiseFloor {
+            current_a: 0.03,
+            speed_rad_s: 0.15,
+            source: FloorSource::Standstill,
+            samples: 125,
+        },
+        parameters: Vec::new(),
+        nrms: 1.0,
+        start: State::default(),
+        iterations: 1,
+        minimum: Minimum {
+            x: vec![],
+            cost: 0.0,
+            residual: vec![],
+            jacobian: DMatrix::zeros(0, 0),
+            iterations: 1,
+            converged: true,
+        },
+        free: vec![],
+    }
+}
+
+fn comparison(factor: f64) -> Comparison {
+    use crate::diagnosis::{FailureLocation, ResidualLights};
+    let mut comparison = tiny_comparison();
+    for signal in [
+        &mut comparison.signals.speed_rad_s,
+        &mut comparison.signals.current_a,
+    ]
+    .into_iter()
+    .flatten()
+    {
+        signal.rmse = 0.15 * factor;
+        signal.fit_percent = 100.0 - 2.0 * factor;
+        signal.one_step_rmse = 0.16;
+        signal.noise_floor = Some(0.15);
+        signal.holdout.rmse = 0.151 * factor;
+        signal.holdout.fit_percent = 100.0 - 2.1 * factor;
+    }
+    comparison.residual = ResidualLights {
+        white: factor < 1.5,
+        autocorrelation_outside_99_percent: if factor < 1.5 { 0.04 } else { 0.96 },
+    };
+    comparison.locations = if factor < 1.5 {
+        vec![]
+    } else {
+        vec![FailureLocation {
+            equation: "torque",
+            variable: "speed_rad_s",
+            from: -12.0,
+            to: 12.0,
+            share_of_error: 0.85,
+            share_of_time: 0.11,
+            follows: 0.7,
+            strength: 40.0,
+            sentence: "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time"
+                .to_owned(),
+        }]
+    };
+    comparison
+}
+
+/// A comparison of the right shape, whose figures the caller replaces.
+fn tiny_comparison() -> Comparison {
+    let model = Model::baseline(Motor::zk_22fc());
+    let run = record(&model, 0, 1);
+    compare(&model, &Evidence::new(run, None, None)).unwrap()
+}
+
+fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
+    use crate::diagnosis::{Candidate, Status};
+    let candidate = |rank, effect, status, after: f64, probability, parameters| Candidate {
+        effect,
+        rank,
+        status,
+        probability,
+        parameters,
+        error_before: 5.0,
+        error_after: after,
+        holdout_before: 5.1,
+        holdout_after: after,
+        explained_percent: 100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0)),
+        minimum_detectable: 0.004,
+        evidence: format!(
+            "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
+        ),
+    };
+    let stribeck = vec![
+        estimate(
+            "stribeck_friction.stribeck_n_m",
+            0.1204,
+            0.0011,
+            "N.m",
+            Verdict::Settled,
+        ),
+        estimate(
+            "stribeck_friction.stribeck_speed_rad_s",
+            8.91,
+            0.12,
+            "rad/s",
+            Verdict::Settled,
+        ),
+    ];
+    let named = verdict == DiagnosisVerdict::Effect;
+    Diagnosis {
+        verdict,
+        effect: named.then_some("stribeck_friction"),
+        effects: if named {
+            vec!["stribeck_friction"]
+        } else {
+            vec![]
+        },
+        sufficient: true,
+        noise_floor_from: FloorSource::Standstill,
+        holdout_from: HoldoutFrom::Run,
+        explained_percent: 99.8,
+        holdout_before: 5.1,
+        holdout_after: 1.02,
+        candidates: vec![
+            candidate(
+                1,
+                "stribeck_friction",
+                Status::Supported,
+                1.02,
+                1.0,
+                stribeck,
+            ),
+            candidate(2, "viscous_friction", Status::RuledOut, 5.08, 0.0, vec![]),
+        ],
+        confusable: vec![],
+        ladder: vec![],
+        sentence: sentence.to_owned(),
+        baseline: no_fit(),
+        model: no_fit(),
+    }
+}
+
+fn context() -> Context {
+    Context {
+        target: Target::Emulator,
+        run_folders: vec![
+            "20260102T030405Z-fit".into(),
+            "20260102T030420Z-select".into(),
+        ],
+        identity: vec![("product".into(), "drivebench software drive <1>".into())],
+        plan: vec![("peak current".into(), "9.1 A of 30 A".into())],
+        link: vec![("exchanges".into(), "2000 sent, 1999 ok, 1 timeout".into())],
+        seed: Some(7),
+        versions: vec![("drivebench".into(), "0.1.0".into())],
+    }
+}
+
+#[test]
+fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
+    let diagnosis = diagnosis(
+        DiagnosisVerdict::Effect,
+        "missing: stribeck_friction; held-out error 5.10 -> 1.02 times the noise floor, 100 % explained",
+    );
+    let rung = |effects: Vec<&'static str>, holdout_rmse| Rung {
+        effects,
+        holdout_rmse,
+    };
+    let before = vec![
+        estimate("resistance_ohm", 1.1432, 0.0041, "ohm", Verdict::Settled),
+        ParameterEstimate::not_observable(
+            "inductance_h",
+            "H",
+            "relative uncertainty 80 % at a period of 10.0 ms",
+        ),
+        estimate(
+            "inertia_kg_m2",
+            0.004_61,
+            0.000_19,
+            "kg.m2",
+            Verdict::Searching,
+        ),
+    ];
+    let mut after = before.clone();
+    after[0] = estimate("resistance_ohm", 1.1003, 0.0007, "ohm", Verdict::Settled);
+    after[2] = estimate(
+        "inertia_kg_m2",
+        0.004_501,
+        0.000_003,
+        "kg.m2",
+        Verdict::Settled,
+    );
+    after.extend(diagnosis.candidates[0].parameters.clone());
+    let (old, new) = (comparison(5.0), comparison(1.01));
+    let report = CommissionReport {
+        title: "ZK-22FC",
+        context: &context(),
+        nameplate: Some(&Model::baseline(Motor::zk_22fc())),
+        parameters_before: &before,
+        parameters_after: &after,
+        before: &old,
+        after: Some(&new),
+        diagnosis: &diagnosis,
+        ladder: &[rung(vec![], 5.1), rung(vec!["stribeck_friction"], 1.02)],
+        confirm: Some(&[rung(vec![], 5.0), rung(vec!["stribeck_friction"], 1.03)]),
+        series: None,
+        truth: &["stribeck_friction of 0.12 N.m".to_owned()],
+    };
+    insta::assert_snapshot!(report.text());
+    let html = report.html();
+    assert_balanced(&html);
+    assert!(html.contains("software drive &lt;1&gt;"));
+    // On hardware nobody knows the truth, whatever the caller passes.
+    let hardware = Context {
+        target: Target::Hardware,
+        ..context()
+    };
+    let on_hardware = CommissionReport {
+        context: &hardware,
+        ..report.clone()
+    };
+    assert!(report.text().contains("Truth of the emulator"));
+    assert!(!on_hardware.text().contains("Truth"));
+    assert!(!html.contains("http"), "nothing is fetched from elsewhere");
+}
+
+/// Staircase both ways with passages through zero; `shift` makes another run of it.
+fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
+    let levels = [
+        30.0, 60.0, 90.0, 40.0, 3.0, -3.0, -40.0, -90.0, -50.0, 4.0, 0.0, 70.0, -70.0, 20.0,
+    ];
+    let mut events = vec![(0.0, 0.0)];
+    for step in 0..levels.len() {
+        events.push((
+            0.5 + 0.5 * step as f64,
+            levels[(step + 3 * shift) % levels.len()],
+        ));
+    }
+    let period_s = 0.004;
+    let samples = 1875;
+    let mut scenario = Scenario {
+        name: format!("run {shift}"),
+        input: Input::Voltage,
+        input_channel: Channel::VoltageCmd,
+        events,
+        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
+        current_a: vec![],
+        speed_rad_s: vec![],
+        angle: vec![],
+        scored: 0..samples,
+    };
+    let out = Plant::new(model, Input::Voltage)
+        .unwrap()
+        .simulate(&scenario, State::default());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
+        let noise = Normal::new(0.0, sigma).unwrap();
+        values
+            .iter()
+            .map(|value| value + noise.sample(&mut rng))
+            .collect()
+    };
+    scenario.current_a = noisy(&out.current_a, 0.03);
+    scenario.speed_rad_s = noisy(&out.speed_rad_s, 0.15);
+    // The link lost half a second's speed, and single samples of both.
+    for k in 1000..1100 {
+        scenario.speed_rad_s[k] = f64::NAN;
+    }
+    for k in (150..samples).step_by(177) {
+        scenario.current_a[k] = f64::NAN;
+        scenario.speed_rad_s[k] = f64::NAN;
+    }
+    scenario
+}
+
+fn write_demo(name: &str, text: &str) {
+    if let Some(folder) = std::env::var_os(DEMO) {
+        std::fs::write(std::path::Path::new(&folder).join(name), text).unwrap();
+    }
+}
+
+fn commission(truth: &Model, name: &str) -> String {
+    let nameplate = Model::baseline(Motor::zk_22fc());
+    let runs = |shift: usize| record(truth, shift, 40 + shift as u64);
+    let evidence = Evidence::new(runs(0), Some(runs(1)), Some(runs(2)));
+    let found = diagnose(&nameplate, evidence.clone(), true).unwrap();
+    let before = compare(&found.baseline.model, &evidence).unwrap();
+    let named = !found.effects.is_empty();
+    let after = named.then(|| compare(&found.model.model, &evidence).unwrap());
+    let confirm = evidence.confirm.as_ref().unwrap();
+    let free_run = |model: &Model| -> Trajectory {
+        output_error::predict(model, confirm, &evidence.noise)
+            .unwrap()
+            .trajectory
+    };
+    let (old, new) = (
+        free_run(&found.baseline.model),
+        named.then(|| free_run(&found.model.model)),
+    );
+    let rung = |model: &Model| Rung {
+        effects: model.effect_ids(),
+        holdout_rmse: Score::of(model, confirm, &evidence.noise).unwrap().nrms,
+    };
+    let confirmed = [rung(&found.baseline.model), rung(&found.model.model)];
+    let report = CommissionReport {
+        title: "ZK-22FC on the emulator",
+        context: &context(),
+        nameplate: Some(&nameplate),
+        parameters_before: &found.baseline.parameters,
+        parameters_after: &found.model.parameters,
+        before: &before,
+        after: after.as_ref(),
+        diagnosis: &found,
+        ladder: &found.ladder,
+        confirm: Some(&confirmed),
+        series: Some(ConfirmRun {
+            scenario: confirm,
+            before: &old,
+            after: new.as_ref(),
+            noise: &evidence.noise,
+        }),
+        truth: &["stribeck_friction 0.12 N.m".to_owned()],
+    };
+    let html = report.html();
+    write_demo(&format!("{name}.html"), &html);
+    write_demo(&format!("{name}.txt"), &report.text());
+    html
+}
+
+#[test]
+fn the_page_of_a_real_diagnosis_is_whole_and_names_the_effect() {
+    let mut truth = Model::baseline(Motor::zk_22fc())
+        .with_effect("stribeck_friction")
+        .unwrap();
+    truth.effects[0].values = vec![Some(0.12), Some(9.0)];
+    let html = commission(&truth, "commission");
+    assert_balanced(&html);
+    assert!(html.contains("Effect found") && html.contains("stribeck_<wbr>friction"));
+    for series in ["model before", "model after", "measured", "command"] {
+        assert!(
+            html.contains(&format!("data-label=\"{series}\"")),
+            "{series}"
+        );
+    }
+    assert!(
+        !html.contains("NaN") && html.len() < 600_000,
+        "{} bytes",
+        html.len()
+    );
+}
+
+#[test]
+fn a_motor_that_misses_nothing_has_a_page_without_an_after() {
+    let html = commission(&Model::baseline(Motor::zk_22fc()), "nothing");
+    assert_balanced(&html);
+    assert!(html.contains("Nothing missing") && !html.contains("model after"));
+}
+
+#[test]
+fn the_page_of_a_run_is_whole() {
+    let scenario = record(&Model::baseline(Motor::zk_22fc()), 0, 3);
+    let mut run = Run::new("first <run>", scenario.sample_time_s.clone()).unwrap();
+    let mut command = vec![f64::NAN; run.rows()];
+    for (time_s, value) in &scenario.events {
+        let row = run.time_s().partition_point(|t| *t < time_s - 1e-9);
+        command[row] = *value;
+    }
+    run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
+        .unwrap();
+    run.set_column(Channel::Current, scenario.current_a, Origin::Measured)
+        .unwrap();
+    run.set_column(Channel::Speed, scenario.speed_rad_s, Origin::Measured)
+        .unwrap();
+    let report = RunReport {
+        title: "Run \"first\" & only",
+        context: &context(),
+        run: &run,
+        nameplate: Some(&Model::baseline(Motor::zk_22fc())),
+        parameters: &[estimate(
+            "resistance_ohm",
+            1.12,
+            0.05,
+            "ohm",
+            Verdict::Searching,
+        )],
+        timing: &vec![("period asked".into(), "4 ms".into())],
+        trip: None,
+    };
+    let html = report.html();
+    write_demo("run.html", &html);
+    write_demo("run.txt", &report.text());
+    assert_balanced(&html);
+    assert!(html.contains("first &lt;run&gt;") && html.contains("&quot;first&quot; &amp; only"));
+}
