@@ -4,6 +4,7 @@ pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+pub mod speed_from_angle;
 pub mod start;
 mod verdict;
 pub mod weak_form;
