@@ -118,7 +118,10 @@ mod tests {
     fn a_parabola_is_differentiated_exactly_on_irregular_stamps_and_at_the_ends() {
         let run = complete(&run(|t| 2.0 * t - 3.0 * t * t, 2e-4)).unwrap();
         for (time_s, speed) in run.points(Channel::Speed) {
-            assert!((speed - (2.0 - 6.0 * time_s)).abs() < 1e-9, "{time_s} {speed}");
+            assert!(
+                (speed - (2.0 - 6.0 * time_s)).abs() < 1e-9,
+                "{time_s} {speed}"
+            );
         }
         assert_eq!(run.origin(Channel::Speed), Origin::Derived);
         assert!(run.notes[0].contains("derived from angle_rad"));
@@ -147,7 +150,10 @@ mod tests {
             .set_column(Channel::Speed, vec![7.0; 500], Origin::Measured)
             .unwrap();
         let same = complete(&with_speed).unwrap();
-        assert_eq!(same.column(Channel::Speed).unwrap()[3].to_bits(), 7f64.to_bits());
+        assert_eq!(
+            same.column(Channel::Speed).unwrap()[3].to_bits(),
+            7f64.to_bits()
+        );
         let mut holes = run(|t| t, 0.0);
         let mut angles = holes.column(Channel::Angle).unwrap().to_vec();
         angles[10] = f64::NAN;
