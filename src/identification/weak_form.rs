@@ -67,7 +67,7 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError
     let mut balances = Vec::new();
     let mut model = model.clone();
     if scenario.input == Input::Voltage {
-        let voltage = balance(&model, scenario, Balance::Voltage)?;
+        let voltage = balance(&model, scenario, Balance::Voltage);
         for estimate in &voltage.parameters {
             if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
                 model.motor.set(key, value);
@@ -75,7 +75,7 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError
         }
         balances.push(voltage);
     }
-    balances.push(balance(&model, scenario, Balance::Torque)?);
+    balances.push(balance(&model, scenario, Balance::Torque));
     Ok(balances)
 }
 
@@ -85,7 +85,7 @@ struct Unknown {
     fixed: Option<f64>,
 }
 
-fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Result<Balanced, FitError> {
+fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Balanced {
     let half = half_window(scenario, equation);
     let noise = Noise::of(scenario);
     let system = System::new(model, scenario, equation, half, &noise);
@@ -144,14 +144,14 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Result<Bala
             })
             .collect()
     });
-    Ok(Balanced {
+    Balanced {
         equation,
         parameters,
         residual,
         noise_floor,
         level: system.right.norm() / (system.right.len().max(1) as f64).sqrt(),
         windows_dropped: system.dropped,
-    })
+    }
 }
 
 /// What the covariance does not know of one value.
@@ -189,10 +189,11 @@ fn estimate(
     if let Some(reason) = judged.reason.as_mut()
         && doubt.sampling.powi(2) > variance
     {
-        reason.push_str(&format!(
+        let moved = format!(
             "; half the samples move it by {:.1} %: sample faster, or use the output-error fit",
             300.0 * doubt.sampling / value.abs().max(f64::MIN_POSITIVE)
-        ));
+        );
+        reason.push_str(&moved);
     }
     judged
 }
@@ -268,6 +269,11 @@ impl System {
         }
     }
 
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "blocks are counted from the begin of the run"
+    )]
     fn solve(&self, begin_s: f64) -> Option<least_squares::Solution> {
         let block = |window: &WindowResidual| ((window.time_s - begin_s) / BLOCK_S) as usize;
         let blocks: Vec<usize> = self.windows.iter().map(block).collect();

