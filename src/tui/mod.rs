@@ -11,6 +11,12 @@
 //! * `model`, `update`, `keys`: what is shown, and what each key does in each state.
 //! * `screen/`: one file per screen; `widget/`: one file per widget, each a function of its data.
 
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "cells and digits are counted after a clamp, and these casts saturate"
+)]
+
 mod keys;
 mod model;
 mod screen;

@@ -36,7 +36,10 @@ pub(crate) fn live(model: &Model, area: Rect, buffer: &mut Buffer) {
     let [left, right] =
         Layout::horizontal([Constraint::Fill(1), Constraint::Length(side)]).areas(body);
     scope(snapshot, model.window_s(), frozen, left, buffer);
-    let wanted = (snapshot.estimates.len() as u16).saturating_mul(2).max(5) + 2;
+    let wanted = (snapshot.estimates.len() as u16)
+        .saturating_mul(2)
+        .clamp(5, 1000)
+        + 2;
     let below = body
         .height
         .saturating_sub(wanted)

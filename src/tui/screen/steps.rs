@@ -39,8 +39,29 @@ fn lines(view: &Progress, width: u16) -> Vec<Line<'static>> {
         .collect();
     if !view.report.is_empty() {
         lines.push(Line::default());
-        lines.extend(view.report.iter().map(|line| Line::raw(format!(" {line}"))));
+        let room = usize::from(width).saturating_sub(2);
+        let wrapped = view.report.iter().flat_map(|text| wrapped(text, room));
+        lines.extend(wrapped.map(|text| Line::raw(format!(" {text}"))));
     }
+    lines
+}
+
+/// Sentences go on in the next line; the row of a table is cut, so that columns stay columns.
+fn wrapped(text: &str, room: usize) -> Vec<String> {
+    if text.starts_with('|') {
+        return vec![text.to_owned()];
+    }
+    let (mut lines, mut line) = (Vec::new(), String::new());
+    for word in text.split(' ') {
+        if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > room {
+            lines.push(std::mem::take(&mut line));
+        }
+        if !line.is_empty() {
+            line.push(' ');
+        }
+        line.push_str(word);
+    }
+    lines.push(line);
     lines
 }
 

