@@ -8,7 +8,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use clap::Args;
@@ -98,10 +98,17 @@ impl LiveArguments {
 pub(super) struct Strings {
     pub(super) snapshots: SnapshotCell,
     pub(super) interrupted: Arc<AtomicBool>,
+    /// Set by every stop key: nothing more is to be started, also between two runs, where nobody reads intents.
+    pub(super) stop_requested: Arc<AtomicBool>,
     intents: Receiver<Intent>,
 }
 
 impl Strings {
+    /// Whether nothing more is to be started.
+    pub(super) fn is_stopped(&self) -> bool {
+        self.interrupted.load(Ordering::Acquire) || self.stop_requested.load(Ordering::Acquire)
+    }
+
     /// Registers the signals; the sender belongs to the screen.
     pub(super) fn new() -> Result<(Self, Sender<Intent>), Failure> {
         let interrupted = Arc::new(AtomicBool::new(false));
@@ -122,6 +129,7 @@ impl Strings {
             Self {
                 snapshots: SnapshotCell::default(),
                 interrupted,
+                stop_requested: Arc::default(),
                 intents,
             },
             sender,

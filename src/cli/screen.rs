@@ -39,7 +39,7 @@ pub(super) fn watch<T: Send + 'static>(
         workflow: progress,
         intents,
         worker: worker.clone(),
-        stop_requested: Arc::new(AtomicBool::new(false)),
+        stop_requested: Arc::clone(&strings.stop_requested),
         hang_up,
     };
     let thread = thread::Builder::new()
