@@ -38,7 +38,9 @@ pub(super) fn draw(traces: &[Trace], bounds: Bounds, area: Rect, buffer: &mut Bu
         let columns = columns(&trace.points, bounds, width * DOTS_X);
         for (x, span) in columns.into_iter().enumerate() {
             // Whole cells on and off: a dash of single dots would look like noise.
-            let Some((low, high)) = span.filter(|_| !trace.dashed || (x / DOTS_X) % 2 == 0) else {
+            let Some((low, high)) =
+                span.filter(|_| !trace.dashed || (x / DOTS_X).is_multiple_of(2))
+            else {
                 continue;
             };
             let (top, bottom) = (row(high, bounds, height), row(low, bounds, height));
