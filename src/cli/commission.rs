@@ -1,7 +1,5 @@
 //! `commission`: the whole loop, guided; the screen and the headless run drive the same state machine.
 
-use std::sync::atomic::Ordering;
-
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Rig, Strings};
 use super::{data, output, pages, screen};
@@ -63,7 +61,7 @@ fn commission(
     let mut folders = Vec::new();
     publish(&workflow.progress());
     while workflow.task() != Task::Finished {
-        if strings.interrupted.load(Ordering::Acquire) {
+        if strings.is_stopped() {
             return Err(Failure::new(
                 INTERRUPTED,
                 "interrupted; nothing is energised, what was recorded is kept",

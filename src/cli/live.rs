@@ -8,7 +8,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use clap::Args;
@@ -98,10 +98,17 @@ impl LiveArguments {
 pub(super) struct Strings {
     pub(super) snapshots: SnapshotCell,
     pub(super) interrupted: Arc<AtomicBool>,
+    /// Set by every stop key: nothing more is to be started, also between two runs, where nobody reads intents.
+    pub(super) stop_requested: Arc<AtomicBool>,
     intents: Receiver<Intent>,
 }
 
 impl Strings {
+    /// Whether nothing more is to be started.
+    pub(super) fn is_stopped(&self) -> bool {
+        self.interrupted.load(Ordering::Acquire) || self.stop_requested.load(Ordering::Acquire)
+    }
+
     /// Registers the signals; the sender belongs to the screen.
     pub(super) fn new() -> Result<(Self, Sender<Intent>), Failure> {
         let interrupted = Arc::new(AtomicBool::new(false));
@@ -122,6 +129,7 @@ impl Strings {
             Self {
                 snapshots: SnapshotCell::default(),
                 interrupted,
+                stop_requested: Arc::default(),
                 intents,
             },
             sender,
@@ -138,6 +146,7 @@ pub(super) struct Rig {
     last_seq: u64,
     check: Option<CheckReport>,
     hardware: bool,
+    headless: bool,
     waive_watchdog: bool,
     out: PathBuf,
     pub(super) emulator: Option<EmulatorConfig>,
@@ -170,6 +179,9 @@ impl Rig {
             }
             (Port::Emulator, Some(config)) => {
                 let handle = serve(config, &bench)?;
+                if arguments.is_headless() {
+                    output::message(&format!("software drive {}", handle.ready_line()));
+                }
                 let address = match bench.link.protocol {
                     Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
                     Protocol::ModbusRtu | Protocol::Stream => handle.address().to_owned(),
@@ -195,6 +207,7 @@ impl Rig {
             check: None,
             // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
             hardware: arguments.hardware || !arguments.is_headless(),
+            headless: arguments.is_headless(),
             waive_watchdog: arguments.waive_watchdog,
             out: arguments.out.clone(),
             emulator,
@@ -301,7 +314,8 @@ impl Rig {
                 target,
                 rate_hz: self.bench.link.rate_hz,
                 motor: self.bench.motor.clone(),
-                auto_start: target == Target::Sim || self.hardware,
+                // Beside a screen a real motor is started by hand, after a question.
+                auto_start: target == Target::Sim || self.headless,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
@@ -398,7 +412,6 @@ fn serve(config: &EmulatorConfig, bench: &BenchFile) -> Result<ServerHandle, Fai
     config.line.baud = bench.link.baud;
     let handle = crate::emulator::spawn(config, bench.emulator.seed, kind, endpoint)
         .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
-    output::message(&format!("software drive {}", handle.ready_line()));
     Ok(handle)
 }
 

@@ -61,13 +61,14 @@ fn log_ratios(worse: &Score, better: &Score, block_s: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Share of the explainable error that is explained: `1 - (v^2 - f^2)/(v0^2 - f^2)`.
+/// Share of the explainable error that is explained: `1 - (v^2 - f^2)/(v0^2 - f^2)`; an error below the floor, which is
+/// itself an estimate, explains everything and no more.
 pub(super) fn explained(before: f64, after: f64, floor: f64) -> f64 {
     let explainable = before * before - floor * floor;
     if explainable <= 0.0 {
         0.0
     } else {
-        1.0 - (after * after - floor * floor) / explainable
+        (1.0 - (after * after - floor * floor) / explainable).min(1.0)
     }
 }
 

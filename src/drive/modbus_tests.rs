@@ -253,7 +253,8 @@ fn a_reply_in_pieces_is_put_together() {
 #[test]
 fn damage_and_foreign_frames_cost_their_cycle_and_have_their_class() {
     type Damage = fn(Vec<u8>) -> Vec<u8>;
-    let cases: [(&str, Damage, fn(&LinkError) -> bool); 5] = [
+    type Case = (&'static str, Damage, fn(&LinkError) -> bool);
+    let cases: [Case; 5] = [
         (
             "truncated",
             |mut r| {

@@ -97,10 +97,6 @@ pub struct LinkSettings {
 /// What the drive can be told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-#[expect(
-    clippy::struct_field_names,
-    reason = "the names are those of the configuration file"
-)]
 pub struct Capabilities {
     pub voltage_command: bool,
     pub current_command: bool,

@@ -22,7 +22,7 @@ use crate::sample::{Command, Demand, DriveState, Sample};
 
 /// Bytes of a command and of its telemetry, with COBS and delimiters.
 const COMMAND_BYTES: usize = 18;
-const TELEMETRY_BYTES: usize = 54;
+const TELEMETRY_BYTES: usize = 52;
 const READ_ATTEMPTS: usize = 3;
 const STOP_ATTEMPTS: usize = 5;
 
@@ -106,7 +106,7 @@ impl StreamLink {
             CaptureControl::Start
         };
         self.ask_numbered(
-            Message::CaptureArm(control),
+            &Message::CaptureArm(control),
             "start of a capture",
             |message| matches!(message, Message::CaptureStatus(_)).then_some(()),
         )
@@ -132,7 +132,7 @@ impl StreamLink {
         while capture.samples.len() < usize::from(count) {
             let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
             let block = self.read_with_retries(
-                Message::CaptureRequest(index),
+                &Message::CaptureRequest(index),
                 "captured samples",
                 |message| match message {
                     Message::CaptureBlock(block)
@@ -157,7 +157,7 @@ impl StreamLink {
 
     fn capture_status(&mut self) -> Result<Answer<CaptureStatus>, LinkError> {
         self.read_with_retries(
-            Message::CaptureStatusRequest,
+            &Message::CaptureStatusRequest,
             "the state of the capture",
             |message| match message {
                 Message::CaptureStatus(status) => Some(*status),
@@ -169,7 +169,7 @@ impl StreamLink {
     /// A question without effect on the drive may be asked again.
     fn read_with_retries<T>(
         &mut self,
-        message: Message,
+        message: &Message,
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
     ) -> Result<Answer<T>, LinkError> {
@@ -184,13 +184,13 @@ impl StreamLink {
 
     fn ask_numbered<T>(
         &mut self,
-        message: Message,
+        message: &Message,
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
     ) -> Result<Answer<T>, LinkError> {
         self.question = self.question.wrapping_add(1);
         let allowed = self.timing.allowed(COMMAND_BYTES, MAX_FRAME);
-        self.ask(&Frame::ask(self.question, message), what, allowed, check)
+        self.ask(&Frame::ask(self.question, *message), what, allowed, check)
     }
 
     /// One question and its answer, booked in the statistics.
@@ -378,7 +378,7 @@ impl DriveLink for StreamLink {
 
     fn identify(&mut self) -> Result<Identity, LinkError> {
         let answer =
-            self.read_with_retries(Message::Hello, "the identity", |message| match message {
+            self.read_with_retries(&Message::Hello, "the identity", |message| match message {
                 Message::Identity(identity) => Some(*identity),
                 _ => None,
             })?;

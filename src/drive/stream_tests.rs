@@ -224,3 +224,11 @@ fn a_peer_that_vanishes_is_noticed_at_once_and_for_good() {
         assert_eq!(link.statistics().io, 1);
     }
 }
+
+#[test]
+fn frames_are_as_long_as_the_timing_says() {
+    let command = Message::Command(DriveCommand::default());
+    assert_eq!(stream_frame(1, 0, command).len(), COMMAND_BYTES);
+    let telemetry = Message::Telemetry(firmware_protocol::Telemetry::default());
+    assert_eq!(stream_frame(1, 0, telemetry).len(), TELEMETRY_BYTES);
+}

@@ -74,16 +74,14 @@ impl LineTiming {
     /// Wire time of an exchange with its silences and the drive's reply time, s; `None` without a line.
     pub(super) fn shortest_cycle_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
         let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
-        (self.char_s > 0.0).then(|| wire_s + self.reply.as_secs_f64())
+        (self.char_s > 0.0).then_some(wire_s + self.reply.as_secs_f64())
     }
 }
 
 /// Waits until `at`: sleeps most of the time, and watches the clock for the last tenth of a millisecond.
 pub(super) fn wait_until(at: Instant) {
     let left = at.saturating_duration_since(now());
-    if left > SLEEP_SLACK {
-        std::thread::sleep(left - SLEEP_SLACK);
-    }
+    std::thread::sleep(left.saturating_sub(SLEEP_SLACK));
     while now() < at {
         std::hint::spin_loop();
     }

@@ -1,9 +1,17 @@
 //! Parameters from data: recursive on line, batch afterwards, with honest uncertainty.
+//!
+//! ```text
+//! samples, one by one --> online (recursive: schemes 2 and 3) ------------------+
+//! Run (angle -> speed_from_angle) -> Scenario -+-> start -> output_error -------+-> ParameterEstimate
+//!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
+//!                                              +-> noise: the floor below which nothing can be seen
+//! ```
 
 pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+pub mod speed_from_angle;
 pub mod start;
 mod verdict;
 pub mod weak_form;

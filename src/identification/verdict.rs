@@ -5,6 +5,10 @@ use crate::sample::{ParameterEstimate, Verdict};
 
 /// Relative standard deviation above which a positive parameter is not carried by the data.
 const NOT_OBSERVABLE: f64 = 0.5;
+/// Relative standard deviation of an effect's parameter below which it is settled: its size is what is asked, roughly.
+const SETTLED_EFFECT: f64 = 0.1;
+/// Relative standard deviation above which a coefficient may as well be zero (1 % in two directions).
+const TOLD_FROM_ZERO: f64 = 1.0 / 2.58;
 /// Relative standard deviation below which it is settled.
 const SETTLED: f64 = 0.02;
 
@@ -30,8 +34,13 @@ pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
         };
         return ParameterEstimate::not_observable(&key, unit, reason);
     }
-    // An effect's coefficient may be zero within its uncertainty: that is a finding, not a failure.
-    let settled = relative <= SETTLED || !positive;
+    // An effect's coefficient may be zero within its uncertainty: that is a finding, and its value stays in sight.
+    let settled = relative <= if positive { SETTLED } else { SETTLED_EFFECT };
+    let reason = if !positive && relative > TOLD_FROM_ZERO {
+        "not told from zero".to_owned()
+    } else {
+        format!("relative uncertainty {:.1} %", 100.0 * relative)
+    };
     ParameterEstimate {
         key,
         value: Some(value),
@@ -42,7 +51,7 @@ pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
         } else {
             Verdict::Searching
         },
-        reason: (!settled).then(|| format!("relative uncertainty {:.1} %", 100.0 * relative)),
+        reason: (!settled).then_some(reason),
     }
 }
 

@@ -4,11 +4,19 @@
 //! into one of the test function: `<f'> = -<psi_s f>/H`. Linear in the parameters, no starting values, and the only
 //! method for runs that carry torque and motion but no voltage. The price: the signals must be sampled several times
 //! per time constant (at 10 ms the armature circuit is not), and an effect's shape parameters stay as they are given.
+//! What that costs is measured, not assumed: the same fit with every second sample left out moves each value, and for a
+//! quadrature of second order a third of the move is the error at the full rate. It is added to the uncertainty, as is
+//! the pull towards zero of a regressor that is hardly larger than its own noise.
 //!
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
+mod noise_share;
+mod window;
+
 use nalgebra::{DMatrix, DVector};
 
+use self::noise_share::Noise;
+use self::window::{Window, half_window, held_means, held_values, interpolated, thinned};
 use super::output_error::{BLOCK_S, FitError};
 use super::verdict::judge;
 use crate::numerics::least_squares;
@@ -20,19 +28,38 @@ const VOLTAGE_HALF_S: f64 = 0.012;
 const TORQUE_HALF_S: f64 = 0.03;
 /// Samples that a half window has at least.
 const FEWEST_HALF: usize = 4;
-/// Speeds below this share of the largest count as standstill, where friction is not determined.
+/// Speeds below this share of the largest count as standstill, where friction is not determined; so does what lies
+/// within four standard deviations of the speed's noise, up to the second share.
 const DEAD_ZONE: f64 = 0.01;
+const WIDEST_DEAD_ZONE: f64 = 0.1;
+/// A regressor whose own part is less than this many times its noise (in power) carries no information.
+const LEAST_SIGNAL: f64 = 4.0;
 
 /// Estimates of one balance with its residual.
 #[derive(Clone, Debug)]
 pub struct Balanced {
     pub equation: Balance,
     pub parameters: Vec<ParameterEstimate>,
-    /// Middle of each window, s, and what the balance misses there, V or N.m.
-    pub residual: Vec<(f64, f64)>,
+    /// What the balance misses in each window.
+    pub residual: Vec<WindowResidual>,
+    /// Root mean square that measurement noise alone would leave in the residual, V or N.m; `None` where the run has no
+    /// standstill to tell the noise (DISCOVERY.md 2.9).
+    pub noise_floor: Option<f64>,
     /// Root mean square of the left-hand side, V or N.m: what the residual is compared with.
     pub level: f64,
     pub windows_dropped: usize,
+}
+
+/// One window of a balance: where the machine was, and what is missing there. NaN where a signal is not measured.
+#[derive(Clone, Copy, Debug)]
+pub struct WindowResidual {
+    /// Middle of the window.
+    pub time_s: f64,
+    /// V or N.m.
+    pub residual: f64,
+    pub speed_rad_s: f64,
+    pub current_a: f64,
+    pub angle_rad: f64,
 }
 
 /// Fits both balances (the torque balance alone where there is no voltage).
@@ -40,7 +67,7 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError
     let mut balances = Vec::new();
     let mut model = model.clone();
     if scenario.input == Input::Voltage {
-        let voltage = balance(&model, scenario, Balance::Voltage)?;
+        let voltage = balance(&model, scenario, Balance::Voltage);
         for estimate in &voltage.parameters {
             if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
                 model.motor.set(key, value);
@@ -48,7 +75,7 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError
         }
         balances.push(voltage);
     }
-    balances.push(balance(&model, scenario, Balance::Torque)?);
+    balances.push(balance(&model, scenario, Balance::Torque));
     Ok(balances)
 }
 
@@ -58,88 +85,246 @@ struct Unknown {
     fixed: Option<f64>,
 }
 
-fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Result<Balanced, FitError> {
-    let unknowns = unknowns(model, scenario, equation);
+fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Balanced {
     let half = half_window(scenario, equation);
-    let dead_zone = DEAD_ZONE * largest(&scenario.speed_rad_s);
-    let signals = Signals::new(model, scenario, equation);
-    let free: Vec<usize> = (0..unknowns.len())
-        .filter(|index| unknowns[*index].fixed.is_none())
-        .collect();
-    let (mut rows, mut right, mut times) = (Vec::new(), Vec::new(), Vec::new());
-    let mut dropped = 0;
-    for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
-        let window = Window::new(scenario, begin, begin + 2 * half);
-        let resting = equation == Balance::Torque
-            && scenario.speed_rad_s[begin..=begin + 2 * half]
-                .iter()
-                .any(|speed| speed.abs() <= dead_zone);
-        let mut cells: Vec<f64> = unknowns
-            .iter()
-            .map(|unknown| signals.regressor(unknown, &window))
-            .collect();
-        let mut left = window.mean(&signals.left);
-        if resting || !left.is_finite() || cells.iter().any(|cell| !cell.is_finite()) {
-            dropped += 1;
-            continue;
-        }
-        for (cell, unknown) in cells.iter().zip(&unknowns) {
-            left -= unknown.fixed.unwrap_or(0.0) * cell;
-        }
-        cells = free.iter().map(|index| cells[*index]).collect();
-        rows.push(cells);
-        right.push(left);
-        times.push(window.middle_s);
-    }
-    let matrix = DMatrix::from_fn(rows.len(), free.len(), |row, column| rows[row][column]);
-    let right = DVector::from_vec(right);
+    let noise = Noise::of(scenario);
+    let system = System::new(model, scenario, equation, half, &noise);
     let begin_s = scenario.sample_time_s[0];
-    let blocks: Vec<usize> = times
-        .iter()
-        .map(|time_s| ((time_s - begin_s) / BLOCK_S) as usize)
-        .collect();
-    let solution = least_squares::solve(&matrix, &right, &blocks);
+    let solution = system.solve(begin_s);
+    // The same windows in time with half of the samples.
+    let coarse = System::new(
+        model,
+        &thinned(scenario),
+        equation,
+        (half / 2).max(2),
+        &noise,
+    )
+    .solve(begin_s);
     let period_s = (scenario.sample_time_s[scenario.samples() - 1] - begin_s)
         / (scenario.samples() - 1) as f64;
-    let parameters = unknowns
-        .iter()
-        .enumerate()
-        .map(
-            |(index, unknown)| match (&solution, free.iter().position(|other| *other == index)) {
-                (_, None) => fixed(unknown),
-                (Some(solution), Some(place)) => {
-                    let std = solution.covariance[(place, place)].max(0.0).sqrt();
-                    judge(&unknown.slot, solution.x[place], Some(std), period_s)
-                }
-                (None, Some(_)) => {
-                    let reason = format!(
-                        "{} usable windows: the shaft hardly moves in this run",
-                        rows.len()
-                    );
-                    ParameterEstimate::not_observable(
-                        &unknown.slot.key(),
-                        unknown.slot.unit(),
-                        reason,
-                    )
-                }
-            },
-        )
-        .collect();
+    let doubts = solution
+        .as_ref()
+        .map(|solution| system.doubts(solution, coarse.as_ref(), &noise));
+    let mut place = 0;
+    let mut parameters = Vec::with_capacity(system.unknowns.len());
+    for unknown in &system.unknowns {
+        if unknown.fixed.is_some() {
+            parameters.push(fixed(unknown));
+            continue;
+        }
+        parameters.push(match (&solution, &doubts) {
+            (Some(solution), Some(doubts)) => {
+                let variance = solution.covariance[(place, place)].max(0.0);
+                estimate(
+                    unknown,
+                    solution.x[place],
+                    variance,
+                    &doubts[place],
+                    period_s,
+                )
+            }
+            _ => ParameterEstimate::not_observable(
+                &unknown.slot.key(),
+                unknown.slot.unit(),
+                format!(
+                    "{} usable windows: the shaft hardly moves in this run",
+                    system.windows.len()
+                ),
+            ),
+        });
+        place += 1;
+    }
+    let noise_floor = noise.floor(&system, &parameters, model);
     let residual = solution.map_or_else(Vec::new, |solution| {
-        times
-            .iter()
-            .copied()
-            .zip(solution.residual.iter().copied())
+        let residuals = system.windows.iter().zip(solution.residual.iter());
+        residuals
+            .map(|(window, residual)| WindowResidual {
+                residual: *residual,
+                ..*window
+            })
             .collect()
     });
-    let level = right.norm() / (right.len().max(1) as f64).sqrt();
-    Ok(Balanced {
+    Balanced {
         equation,
         parameters,
         residual,
-        level,
-        windows_dropped: dropped,
-    })
+        noise_floor,
+        level: system.right.norm() / (system.right.len().max(1) as f64).sqrt(),
+        windows_dropped: system.dropped,
+    }
+}
+
+/// What the covariance does not know of one value.
+struct Doubt {
+    /// Error by coarse sampling.
+    sampling: f64,
+    /// Pull towards zero by noise in the regressor.
+    noise: f64,
+    /// Power of the regressor's own part over that of its noise.
+    signal: f64,
+}
+
+fn estimate(
+    unknown: &Unknown,
+    value: f64,
+    variance: f64,
+    doubt: &Doubt,
+    period_s: f64,
+) -> ParameterEstimate {
+    if doubt.signal < LEAST_SIGNAL {
+        let reason = format!(
+            "what only this parameter explains is {:.1} times its noise, at least {LEAST_SIGNAL} is needed: \
+             the run does not excite it",
+            doubt.signal
+        );
+        return ParameterEstimate::not_observable(&unknown.slot.key(), unknown.slot.unit(), reason);
+    }
+    let extra = doubt.sampling.powi(2) + doubt.noise.powi(2);
+    let mut judged = judge(
+        &unknown.slot,
+        value,
+        Some((variance + extra).sqrt()),
+        period_s,
+    );
+    if let Some(reason) = judged.reason.as_mut()
+        && doubt.sampling.powi(2) > variance
+    {
+        let moved = format!(
+            "; half the samples move it by {:.1} %: sample faster, or use the output-error fit",
+            300.0 * doubt.sampling / value.abs().max(f64::MIN_POSITIVE)
+        );
+        reason.push_str(&moved);
+    }
+    judged
+}
+
+/// The linear system of one balance: one row per usable window.
+struct System {
+    equation: Balance,
+    unknowns: Vec<Unknown>,
+    matrix: DMatrix<f64>,
+    right: DVector<f64>,
+    windows: Vec<WindowResidual>,
+    dropped: usize,
+    /// Norms of a window's weights, and of its weights for a rate: what noise makes of a mean.
+    gain: f64,
+    rate_gain: f64,
+}
+
+impl System {
+    fn new(
+        model: &Model,
+        scenario: &Scenario,
+        equation: Balance,
+        half: usize,
+        noise: &Noise,
+    ) -> Self {
+        let unknowns = unknowns(model, scenario, equation);
+        let signals = Signals::new(model, scenario, equation);
+        let free: Vec<usize> = (0..unknowns.len())
+            .filter(|index| unknowns[*index].fixed.is_none())
+            .collect();
+        let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut dropped, mut gain, mut rate_gain) = (0, 0.0, 0.0);
+        for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
+            let end = begin + 2 * half;
+            let window = Window::new(scenario, begin, end);
+            let resting = equation == Balance::Torque
+                && scenario.speed_rad_s[begin..=end]
+                    .iter()
+                    .any(|speed| speed.abs() <= noise.dead_zone_rad_s);
+            let cells: Vec<f64> = unknowns
+                .iter()
+                .map(|unknown| signals.regressor(unknown, &window))
+                .collect();
+            let mut left = window.mean(&signals.left);
+            if resting || !left.is_finite() || cells.iter().any(|cell| !cell.is_finite()) {
+                dropped += 1;
+                continue;
+            }
+            for (cell, unknown) in cells.iter().zip(&unknowns) {
+                left -= unknown.fixed.unwrap_or(0.0) * cell;
+            }
+            rows.push(free.iter().map(|index| cells[*index]).collect::<Vec<f64>>());
+            right.push(left);
+            let norm = |weights: &[f64]| weights.iter().map(|w| w * w).sum::<f64>().sqrt();
+            (gain, rate_gain) = (norm(&window.weights), norm(&window.rates));
+            windows.push(WindowResidual {
+                time_s: window.middle_s,
+                residual: f64::NAN,
+                speed_rad_s: window.mean(&scenario.speed_rad_s),
+                current_a: window.mean(&scenario.current_a),
+                angle_rad: window.mean(&signals.angle),
+            });
+        }
+        Self {
+            equation,
+            matrix: DMatrix::from_fn(rows.len(), free.len(), |r, c| rows[r][c]),
+            right: DVector::from_vec(right),
+            unknowns,
+            windows,
+            dropped,
+            gain,
+            rate_gain,
+        }
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "blocks are counted from the begin of the run"
+    )]
+    fn solve(&self, begin_s: f64) -> Option<least_squares::Solution> {
+        let block = |window: &WindowResidual| ((window.time_s - begin_s) / BLOCK_S) as usize;
+        let blocks: Vec<usize> = self.windows.iter().map(block).collect();
+        least_squares::solve(&self.matrix, &self.right, &blocks)
+    }
+
+    fn doubts(
+        &self,
+        solution: &least_squares::Solution,
+        coarse: Option<&least_squares::Solution>,
+        noise: &Noise,
+    ) -> Vec<Doubt> {
+        let (bread, _) = least_squares::inverse_where_determined(&self.matrix);
+        let free: Vec<&Unknown> = self
+            .unknowns
+            .iter()
+            .filter(|unknown| unknown.fixed.is_none())
+            .collect();
+        let own = |place: usize| 1.0 / bread[(place, place)].max(f64::MIN_POSITIVE);
+        let power: Vec<f64> = free
+            .iter()
+            .map(|unknown| {
+                let spread = noise.spread(&unknown.slot, self.gain, self.rate_gain);
+                self.windows.len() as f64 * spread * spread
+            })
+            .collect();
+        // Noise in one regressor pulls every value that shares its direction. Where a value is lost in noise, it may be
+        // anything up to what would explain the whole left-hand side.
+        let pull = |place: usize, other: usize| {
+            let slope = bread[(place, other)];
+            if own(other) < LEAST_SIGNAL * power[other] {
+                let most = self.right.norm() / self.matrix.column(other).norm();
+                slope * own(other) * most
+            } else {
+                slope * power[other] * solution.x[other]
+            }
+        };
+        (0..free.len())
+            .map(|place| Doubt {
+                sampling: coarse
+                    .map(|coarse| (coarse.x[place] - solution.x[place]).abs() / 3.0)
+                    .filter(|moved| moved.is_finite())
+                    .unwrap_or(0.0),
+                noise: (0..free.len())
+                    .map(|other| pull(place, other).abs())
+                    .filter(|pull| pull.is_finite())
+                    .sum(),
+                signal: own(place) / power[place].max(f64::MIN_POSITIVE),
+            })
+            .collect()
+    }
 }
 
 fn fixed(unknown: &Unknown) -> ParameterEstimate {
@@ -193,6 +378,8 @@ struct Signals<'a> {
     /// Left-hand side: voltage, or motor torque.
     left: Vec<f64>,
     sign: Vec<f64>,
+    /// Measured angle at the samples; NaN where there is none.
+    angle: Vec<f64>,
 }
 
 impl<'a> Signals<'a> {
@@ -221,6 +408,11 @@ impl<'a> Signals<'a> {
             scenario,
             left,
             sign,
+            angle: scenario
+                .sample_time_s
+                .iter()
+                .map(|time_s| interpolated(&scenario.angle, *time_s))
+                .collect(),
         }
     }
 
@@ -255,7 +447,7 @@ impl<'a> Signals<'a> {
             voltage_v: self.left[sample],
             current_a: self.scenario.current_a[sample],
             speed_rad_s: self.scenario.speed_rad_s[sample],
-            angle_rad: 0.0,
+            angle_rad: self.angle[sample],
         };
         let own = vec![0.0; terms.states()];
         let resistance = self
@@ -272,245 +464,5 @@ impl<'a> Signals<'a> {
     }
 }
 
-/// Quadrature weights of one window: trapezoid in true time, times the test function and its first derivative.
-struct Window {
-    begin: usize,
-    middle_s: f64,
-    weights: Vec<f64>,
-    rates: Vec<f64>,
-}
-
-impl Window {
-    fn new(scenario: &Scenario, begin: usize, end: usize) -> Self {
-        let times = &scenario.sample_time_s;
-        let (middle_s, half_s) = (
-            0.5 * (times[begin] + times[end]),
-            0.5 * (times[end] - times[begin]),
-        );
-        let (mut weights, mut rates, mut total) = (Vec::new(), Vec::new(), 0.0);
-        for sample in begin..=end {
-            let before = times[sample.saturating_sub(1).max(begin)];
-            let after = times[(sample + 1).min(end)];
-            let s = (times[sample] - middle_s) / half_s;
-            let q = 1.0 - s * s;
-            let share = 0.5 * (after - before);
-            total += share * q.powi(4);
-            weights.push(share * q.powi(4));
-            // -psi_s / H
-            rates.push(share * 8.0 * s * q.powi(3) / half_s);
-        }
-        for weight in weights.iter_mut().chain(&mut rates) {
-            *weight /= total;
-        }
-        Self {
-            begin,
-            middle_s,
-            weights,
-            rates,
-        }
-    }
-
-    fn mean(&self, values: &[f64]) -> f64 {
-        self.weights
-            .iter()
-            .zip(&values[self.begin..])
-            .map(|(weight, value)| weight * value)
-            .sum()
-    }
-
-    fn mean_rate(&self, values: &[f64]) -> f64 {
-        self.rates
-            .iter()
-            .zip(&values[self.begin..])
-            .map(|(weight, value)| weight * value)
-            .sum()
-    }
-
-    fn mean_of(&self, value: impl Fn(usize) -> f64) -> f64 {
-        self.weights
-            .iter()
-            .enumerate()
-            .map(|(offset, weight)| weight * value(self.begin + offset))
-            .sum()
-    }
-}
-
-fn half_window(scenario: &Scenario, equation: Balance) -> usize {
-    let times = &scenario.sample_time_s;
-    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
-    let half_s = match equation {
-        Balance::Voltage => VOLTAGE_HALF_S,
-        Balance::Torque => TORQUE_HALF_S,
-    };
-    ((half_s / period_s).round() as usize).max(FEWEST_HALF)
-}
-
-fn largest(values: &[f64]) -> f64 {
-    values
-        .iter()
-        .filter(|value| value.is_finite())
-        .fold(0.0, |most, value| f64::max(most, value.abs()))
-}
-
-/// The held input at every sample.
-fn held_values(scenario: &Scenario) -> Vec<f64> {
-    let events = &scenario.events;
-    scenario
-        .sample_time_s
-        .iter()
-        .map(|time_s| events[events.partition_point(|event| event.0 <= *time_s).max(1) - 1].1)
-        .collect()
-}
-
-/// Mean of the held input over half a period either side of each sample: what a trapezoid rule must be given for a
-/// signal that steps, else the input seems half a sample late (DISCOVERY.md 2.9).
-fn held_means(scenario: &Scenario) -> Vec<f64> {
-    let (times, events) = (&scenario.sample_time_s, &scenario.events);
-    let last = times.len() - 1;
-    (0..=last)
-        .map(|sample| {
-            let from_s = 0.5 * (times[sample] + times[sample.saturating_sub(1)]);
-            let to_s = 0.5 * (times[sample] + times[(sample + 1).min(last)]);
-            let first = events.partition_point(|event| event.0 <= from_s).max(1) - 1;
-            let mut sum = 0.0;
-            for (index, event) in events
-                .iter()
-                .enumerate()
-                .skip(first)
-                .take_while(|(_, event)| event.0 < to_s)
-            {
-                let next_s = events.get(index + 1).map_or(to_s, |next| next.0.min(to_s));
-                sum += event.1 * (next_s - event.0.max(from_s));
-            }
-            sum / (to_s - from_s)
-        })
-        .collect()
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::plant::{Motor, Plant, State};
-    use crate::sample::Channel;
-
-    fn scenario(input: Input, events: Vec<(f64, f64)>, period_s: f64, until_s: f64) -> Scenario {
-        let samples = (until_s / period_s) as usize;
-        Scenario {
-            name: "r".into(),
-            input,
-            input_channel: if input == Input::Voltage {
-                Channel::Voltage
-            } else {
-                Channel::Torque
-            },
-            events,
-            sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
-            current_a: vec![f64::NAN; samples],
-            speed_rad_s: vec![f64::NAN; samples],
-            angle: vec![],
-            scored: 0..samples,
-        }
-    }
-
-    fn value(balances: &[Balanced], key: &str) -> f64 {
-        balances
-            .iter()
-            .flat_map(|b| &b.parameters)
-            .find(|p| p.key == key)
-            .unwrap()
-            .value
-            .unwrap()
-    }
-
-    #[test]
-    fn a_voltage_run_gives_every_parameter() {
-        let truth = Model::baseline(Motor::zk_22fc())
-            .with_effect("quadratic_load")
-            .unwrap();
-        let mut true_values = truth.clone();
-        true_values.effects[0].values = vec![Some(2e-6)];
-        let events = vec![
-            (0.0, 0.0),
-            (0.3, 50.0),
-            (0.9, 80.0),
-            (1.5, -60.0),
-            (2.3, 30.0),
-            (3.0, -90.0),
-            (4.0, 40.0),
-        ];
-        let mut run = scenario(Input::Voltage, events, 0.001, 5.0);
-        let out = Plant::new(&true_values, Input::Voltage)
-            .unwrap()
-            .simulate(&run, State::default());
-        (run.current_a, run.speed_rad_s) = (out.current_a, out.speed_rad_s);
-        let found = fit(&truth, &run).unwrap();
-        for (key, expected) in [
-            ("resistance_ohm", 1.1),
-            ("inductance_h", 0.0099),
-            ("back_emf_v_s_per_rad", 0.3538),
-            ("inertia_kg_m2", 0.0045),
-            ("load_torque_n_m", 0.455),
-            ("quadratic_load.quadratic_n_m_s2_per_rad2", 2e-6),
-        ] {
-            let ratio = value(&found, key) / expected;
-            assert!((ratio - 1.0).abs() < 0.01, "{key} {ratio}");
-        }
-    }
-
-    #[test]
-    fn a_linear_axis_under_force_gives_mass_and_friction() {
-        // The character of a linear axis: 95 kg, tens of newtons, tenths of a metre per second.
-        let motor = Motor::new("axis")
-            .with(MotorKey::Inertia, 95.0)
-            .with(MotorKey::LoadTorque, 20.0);
-        let model = Model::baseline(motor)
-            .with_effect("viscous_friction")
-            .unwrap()
-            .with_effect("constant_load")
-            .unwrap();
-        let mut truth = model.clone();
-        truth.effects[0].values = vec![Some(200.0)];
-        truth.effects[1].values = vec![Some(-3.0)];
-        let events: Vec<(f64, f64)> = (0..600)
-            .map(|k| {
-                let t = f64::from(k) * 0.02;
-                (t, 60.0 * (1.1 * t).sin() + 25.0 * (4.3 * t).sin())
-            })
-            .collect();
-        let mut run = scenario(Input::Torque, events, 0.001, 12.0);
-        run.speed_rad_s = Plant::new(&truth, Input::Torque)
-            .unwrap()
-            .simulate(&run, State::default())
-            .speed_rad_s;
-        let found = fit(&model, &run).unwrap();
-        for (key, expected) in [
-            ("inertia_kg_m2", 95.0),
-            ("load_torque_n_m", 20.0),
-            ("viscous_friction.viscous_n_m_s_per_rad", 200.0),
-            ("constant_load.constant_n_m", -3.0),
-        ] {
-            let ratio = value(&found, key) / expected;
-            assert!((ratio - 1.0).abs() < 0.02, "{key} {ratio}");
-        }
-        assert_eq!(found.len(), 1);
-    }
-
-    #[test]
-    fn a_shaft_at_rest_gives_no_inertia() {
-        let mut run = scenario(Input::Voltage, vec![(0.0, 0.5)], 0.001, 2.0);
-        run.current_a = (0..2000)
-            .map(|k| 0.45 * (1.0 - (-f64::from(k) / 9.0).exp()))
-            .collect();
-        run.speed_rad_s = vec![0.0; 2000];
-        let found = fit(&Model::baseline(Motor::zk_22fc()), &run).unwrap();
-        let inertia = found[1]
-            .parameters
-            .iter()
-            .find(|p| p.key == "inertia_kg_m2")
-            .unwrap();
-        assert_eq!(
-            (inertia.value, inertia.verdict),
-            (None, Verdict::NotObservable)
-        );
-    }
-}
+mod tests;

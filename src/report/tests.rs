@@ -140,7 +140,12 @@ fn comparison(factor: f64) -> Comparison {
 fn tiny_comparison() -> Comparison {
     let model = Model::baseline(Motor::zk_22fc());
     let run = record(&model, 0, 1);
-    compare(&model, &Evidence::new(run, None, None)).unwrap()
+    compare(
+        &model,
+        &Evidence::new(run, None, None),
+        crate::diagnosis::ErrorOf::Model,
+    )
+    .unwrap()
 }
 
 fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
@@ -354,9 +359,21 @@ fn commission(truth: &Model, name: &str) -> String {
     let runs = |shift: usize| record(truth, shift, 40 + shift as u64);
     let evidence = Evidence::new(runs(0), Some(runs(1)), Some(runs(2)));
     let found = diagnose(&nameplate, evidence.clone(), true).unwrap();
-    let before = compare(&found.baseline.model, &evidence).unwrap();
+    let before = compare(
+        &found.baseline.model,
+        &evidence,
+        crate::diagnosis::ErrorOf::Structure,
+    )
+    .unwrap();
     let named = !found.effects.is_empty();
-    let after = named.then(|| compare(&found.model.model, &evidence).unwrap());
+    let after = named.then(|| {
+        compare(
+            &found.model.model,
+            &evidence,
+            crate::diagnosis::ErrorOf::Structure,
+        )
+        .unwrap()
+    });
     let confirm = evidence.confirm.as_ref().unwrap();
     let free_run = |model: &Model| -> Trajectory {
         output_error::predict(model, confirm, &evidence.noise)

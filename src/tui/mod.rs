@@ -1,1 +1,36 @@
-//! The live screens.
+//! The live screens: they see snapshots, workflow states and intents, never a drive.
+//!
+//! ```text
+//! SnapshotCell, ProgressCell, WorkerCell --\
+//! keys, resize (crossterm) ----------------+--> Event --> Model::update --> Effect --> Intent to the bench, leave
+//!                                                           |
+//!                                                view(&Model, frame): pure, drawn only after a change
+//! ```
+//!
+//! * `show` owns the terminal and the loop; `terminal` gives it back on every path.
+//! * `model`, `update`, `keys`: what is shown, and what each key does in each state.
+//! * `screen/`: one file per screen; `widget/`: one file per widget, each a function of its data.
+
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "cells and digits are counted after a clamp, and these casts saturate"
+)]
+
+mod keys;
+mod model;
+mod screen;
+mod show;
+mod terminal;
+mod text;
+mod theme;
+mod update;
+mod view;
+mod widget;
+mod worker;
+
+#[cfg(test)]
+mod tests;
+
+pub use show::{Exit, ShowOptions, show};
+pub use worker::{FinishOnDrop, WorkerCell};

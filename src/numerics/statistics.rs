@@ -1,0 +1,170 @@
+//! Small statistics: moments, order statistics, correlation in time, quantiles, the bootstrap.
+
+use rand::{Rng, SeedableRng};
+use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
+
+/// Arithmetic mean; NaN for no values.
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Variance with `n - 1`; NaN for fewer than two values.
+pub fn variance(values: &[f64]) -> f64 {
+    if values.len() < 2 {
+        return f64::NAN;
+    }
+    let centre = mean(values);
+    let squares: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
+    squares / (values.len() - 1) as f64
+}
+
+/// Median of the finite values; NaN where there are none.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    if sorted.is_empty() {
+        return f64::NAN;
+    }
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted.len() / 2;
+    if sorted.len().is_multiple_of(2) {
+        0.5 * (sorted[middle - 1] + sorted[middle])
+    } else {
+        sorted[middle]
+    }
+}
+
+/// Median absolute deviation times 1.4826: the standard deviation of normal values, whatever the outliers.
+pub fn robust_deviation(values: &[f64]) -> f64 {
+    let centre = median(values);
+    let distances: Vec<f64> = values.iter().map(|value| (value - centre).abs()).collect();
+    1.4826 * median(&distances)
+}
+
+/// Autocorrelation at lags `1..=most`; empty where the values do not vary or are too few.
+pub fn autocorrelation(values: &[f64], most: usize) -> Vec<f64> {
+    let centre = mean(values);
+    let power: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
+    if values.len() <= most || !(power.is_finite() && power > 0.0) {
+        return Vec::new();
+    }
+    (1..=most)
+        .map(|lag| {
+            let product: f64 = values[lag..]
+                .iter()
+                .zip(values)
+                .map(|(later, earlier)| (later - centre) * (earlier - centre))
+                .sum();
+            product / power
+        })
+        .collect()
+}
+
+/// Ljung-Box statistic over `lags` and the probability of one as large if the values were white (Ljung and Box 1978).
+pub fn ljung_box(values: &[f64], lags: usize) -> Option<(f64, f64)> {
+    let correlation = autocorrelation(values, lags);
+    if correlation.is_empty() {
+        return None;
+    }
+    let n = values.len() as f64;
+    let statistic = n
+        * (n + 2.0)
+        * correlation
+            .iter()
+            .enumerate()
+            .map(|(index, rho)| rho * rho / (n - (index + 1) as f64))
+            .sum::<f64>();
+    let chi = ChiSquared::new(lags as f64).ok()?;
+    Some((statistic, 1.0 - chi.cdf(statistic)))
+}
+
+/// Student's t such that the middle of the distribution holds `confidence`; `None` outside `0 < confidence < 1` or
+/// without a degree of freedom.
+pub fn student_t(confidence: f64, degrees_of_freedom: f64) -> Option<f64> {
+    let inside = confidence > 0.0 && confidence < 1.0;
+    let t = StudentsT::new(0.0, 1.0, degrees_of_freedom).ok()?;
+    inside.then(|| t.inverse_cdf(0.5 + 0.5 * confidence))
+}
+
+/// `draws` resamples with replacement of `0..items`, each handed to `score`; the same seed gives the same draws.
+pub fn bootstrap<T>(
+    items: usize,
+    draws: usize,
+    seed: u64,
+    mut score: impl FnMut(&[usize]) -> T,
+) -> Vec<T> {
+    if items == 0 {
+        return Vec::new();
+    }
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut picked = vec![0; items];
+    (0..draws)
+        .map(|_| {
+            for pick in &mut picked {
+                *pick = rng.random_range(0..items);
+            }
+            score(&picked)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_distr::StandardNormal;
+
+    fn noise(seed: u64, rows: usize) -> Vec<f64> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        (0..rows).map(|_| rng.sample(StandardNormal)).collect()
+    }
+
+    #[test]
+    fn moments_and_order_statistics() {
+        let values = [4.0, 1.0, 3.0, 2.0];
+        assert!((mean(&values) - 2.5).abs() < 1e-15);
+        assert!((variance(&values) - 5.0 / 3.0).abs() < 1e-15);
+        assert!((median(&values) - 2.5).abs() < 1e-15);
+        assert!((median(&[9.0, 1.0, f64::NAN, 2.0]) - 2.0).abs() < 1e-15);
+        assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
+    }
+
+    #[test]
+    fn outliers_do_not_move_the_robust_deviation() {
+        let mut values = noise(3, 2000);
+        for value in values.iter_mut().take(200) {
+            *value = 1e6;
+        }
+        assert!((robust_deviation(&values) - 1.0).abs() < 0.2);
+    }
+
+    #[test]
+    fn white_noise_passes_and_a_filtered_one_fails_the_test_of_whiteness() {
+        let white = noise(1, 2000);
+        let (_, probability) = ljung_box(&white, 25).unwrap();
+        assert!(probability > 0.01, "{probability}");
+        let filtered: Vec<f64> = white.windows(3).map(|w| w.iter().sum()).collect();
+        let rho = autocorrelation(&filtered, 3);
+        for (found, expected) in rho.iter().zip([2.0 / 3.0, 1.0 / 3.0, 0.0]) {
+            assert!((found - expected).abs() < 0.08, "{rho:?}");
+        }
+        assert!(ljung_box(&filtered, 25).unwrap().1 < 1e-6);
+        assert_eq!(ljung_box(&[1.0; 100], 25), None);
+    }
+
+    #[test]
+    fn quantiles_are_those_of_the_tables() {
+        assert!((student_t(0.95, 10.0).unwrap() - 2.2281).abs() < 1e-4);
+        assert!((student_t(0.99, 4.0).unwrap() - 4.6041).abs() < 1e-4);
+        assert_eq!(student_t(1.0, 4.0), None);
+        assert_eq!(student_t(0.95, 0.0), None);
+    }
+
+    #[test]
+    fn the_bootstrap_finds_the_spread_of_a_mean_and_repeats_itself() {
+        let values = noise(5, 400);
+        let average = |picked: &[usize]| picked.iter().map(|p| values[*p]).sum::<f64>() / 400.0;
+        let means = bootstrap(values.len(), 1000, 9, average);
+        assert!((variance(&means).sqrt() - 0.05).abs() < 0.006);
+        assert_eq!(means, bootstrap(values.len(), 1000, 9, average));
+        assert!(bootstrap(0, 10, 1, |_| 0.0).is_empty());
+    }
+}

@@ -1,0 +1,244 @@
+//! Fixed snapshots.
+
+use std::sync::Arc;
+
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+
+use crate::bench::{Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind};
+use crate::drive::LinkStatistics;
+use crate::sample::{DriveState, ParameterEstimate, Verdict};
+use crate::tui::model::Model;
+use crate::tui::update::Event;
+use crate::tui::view::view;
+use crate::workflow::{Progress, StepState, StepView};
+
+pub(super) fn estimate(
+    key: &str,
+    value: f64,
+    std: f64,
+    unit: &'static str,
+    verdict: Verdict,
+) -> ParameterEstimate {
+    ParameterEstimate {
+        key: key.to_owned(),
+        value: Some(value),
+        std: Some(std),
+        unit,
+        verdict,
+        reason: None,
+    }
+}
+
+/// A voltage that steps every two seconds, a first-order speed, a model that is 10 % too fast, and a gap at 6 s.
+fn trace(seconds: f64) -> Vec<TracePoint> {
+    let mut speed = 0.0;
+    let mut voltage = 0.0;
+    (0..(seconds * 100.0) as u32)
+        .map(|row| {
+            let time_s = f64::from(row) * 0.01;
+            voltage = [0.0, 60.0, -60.0, 97.0][(row / 200) as usize % 4];
+            let settled = voltage / 0.4;
+            speed += (settled - speed) * 0.03;
+            let gap = (6.0..6.6).contains(&time_s);
+            let measured = |value: f64| if gap { f64::NAN } else { value };
+            TracePoint {
+                time_s,
+                voltage_v: measured(voltage),
+                current_a: measured((settled - speed) * 0.02 + 1.3 * voltage.signum()),
+                speed_rad_s: measured(speed),
+                model_speed_rad_s: speed * 1.1,
+            }
+        })
+        .collect()
+}
+
+pub(super) fn running() -> Snapshot {
+    let mut estimates = vec![
+        estimate("resistance_ohm", 1.103_28, 0.021, "ohm", Verdict::Settled),
+        estimate("inductance_h", 0.009_87, 0.000_31, "H", Verdict::Searching),
+        estimate(
+            "back_emf_v_s_per_rad",
+            0.354_1,
+            0.000_4,
+            "V.s/rad",
+            Verdict::Settled,
+        ),
+        estimate(
+            "inertia_kg_m2",
+            0.004_6,
+            0.001_9,
+            "kg.m2",
+            Verdict::Searching,
+        ),
+    ];
+    estimates.push(ParameterEstimate::not_observable(
+        "load_torque_n_m",
+        "N.m",
+        "the shaft has not turned both ways",
+    ));
+    Snapshot {
+        name: "zk-22fc-emulated".to_owned(),
+        link: "modbus-rtu /dev/pts/7".to_owned(),
+        target: Target::Sim,
+        phase: Some(Phase::Running),
+        drive_state: Some(DriveState::Running),
+        elapsed_s: 8.4,
+        total_s: 24.0,
+        segment: Some("prbs".to_owned()),
+        trace: Arc::new(trace(8.4)),
+        estimates: Arc::new(estimates),
+        model_is_identified: false,
+        link_statistics: LinkStatistics {
+            sent: 845,
+            ok: 841,
+            timeout: 3,
+            crc: 1,
+            ..LinkStatistics::default()
+        },
+        timing: Timing {
+            rate_asked_hz: 100.0,
+            rate_achieved_hz: 99.6,
+            lateness_p50_s: 0.000_12,
+            lateness_p99_s: 0.001_9,
+            lateness_max_s: 0.004,
+            cycles: 845,
+            missed_cycles: 3,
+        },
+        rows: 840,
+        recorder_error: None,
+        notices: vec![
+            Notice {
+                level: Level::Info,
+                text: "watchdog proven: output off 98 ms after silence".to_owned(),
+            },
+            Notice {
+                level: Level::Warning,
+                text: "voltage limited by the guard in 12 cycles".to_owned(),
+            },
+        ],
+        trip: None,
+        outcome: None,
+    }
+}
+
+pub(super) fn hardware() -> Snapshot {
+    Snapshot {
+        target: Target::Hardware,
+        phase: Some(Phase::Safe),
+        drive_state: Some(DriveState::Ready),
+        trace: Arc::default(),
+        estimates: Arc::default(),
+        elapsed_s: 0.0,
+        segment: None,
+        link: "/dev/ttyUSB0".to_owned(),
+        ..running()
+    }
+}
+
+pub(super) fn tripped() -> Snapshot {
+    let reason = "over-current: current 11.8200 A, limit 11.4000 A";
+    let mut snapshot = running();
+    snapshot.phase = Some(Phase::Tripped);
+    snapshot.drive_state = Some(DriveState::Disabled);
+    snapshot.trip = Some(Trip {
+        kind: TripKind::OverCurrent,
+        at_s: 8.4,
+        value: 11.82,
+        limit: 11.4,
+        reason: reason.to_owned(),
+    });
+    snapshot.notices.push(Notice {
+        level: Level::Error,
+        text: reason.to_owned(),
+    });
+    snapshot.recorder_error = Some("no space left on device".to_owned());
+    snapshot.outcome = Some("tripped");
+    snapshot
+}
+
+pub(super) fn done() -> Snapshot {
+    let mut snapshot = running();
+    snapshot.phase = Some(Phase::Done);
+    snapshot.drive_state = Some(DriveState::Disabled);
+    snapshot.elapsed_s = 24.0;
+    snapshot.outcome = Some("done");
+    snapshot.model_is_identified = true;
+    snapshot
+}
+
+/// Only the speed comes in, with nothing else known.
+pub(super) fn missing() -> Snapshot {
+    let trace = trace(3.0).into_iter().map(|point| TracePoint {
+        voltage_v: f64::NAN,
+        current_a: f64::NAN,
+        model_speed_rad_s: f64::NAN,
+        ..point
+    });
+    Snapshot {
+        phase: Some(Phase::Running),
+        trace: Arc::new(trace.collect()),
+        ..Snapshot::default()
+    }
+}
+
+pub(super) fn workflow(finished: bool) -> Progress {
+    let step = |title: &str, state, line: &str| StepView {
+        title: title.to_owned(),
+        state,
+        line: line.to_owned(),
+    };
+    if finished {
+        return Progress {
+            steps: vec![
+                step(
+                    "check the drive",
+                    StepState::Done,
+                    "watchdog proven in 98 ms",
+                ),
+                step("excite (fit)", StepState::Done, "2,400 rows"),
+                step(
+                    "diagnose",
+                    StepState::Done,
+                    "quadratic_load, probability 0.99",
+                ),
+                step("confirm", StepState::Failed, "the third run was stopped"),
+            ],
+            finished: true,
+            report: vec![
+                "verdict: quadratic_load (a fan or a pump)".to_owned(),
+                "ladder: baseline 5.10 -> + quadratic_load 1.03 (floor 1.00)".to_owned(),
+            ],
+        };
+    }
+    Progress {
+        steps: vec![
+            step(
+                "check the drive",
+                StepState::Done,
+                "watchdog proven in 98 ms",
+            ),
+            step("excite (fit)", StepState::Active, "8.4 of 24 s"),
+            step("diagnose", StepState::Waiting, ""),
+            step("confirm", StepState::Waiting, ""),
+        ],
+        report: Vec::new(),
+        finished: false,
+    }
+}
+
+pub(super) fn model(snapshot: Snapshot) -> Model {
+    let mut model = Model::new(None);
+    model.update(Event::Snapshot(Arc::new(snapshot)));
+    model
+}
+
+pub(super) fn terminal(model: &Model, width: u16, height: u16) -> Terminal<TestBackend> {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    terminal.draw(|frame| view(model, frame)).unwrap();
+    terminal
+}
+
+pub(super) fn text(model: &Model, width: u16, height: u16) -> String {
+    terminal(model, width, height).backend().to_string()
+}

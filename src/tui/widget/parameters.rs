@@ -1,0 +1,169 @@
+//! One parameter in two rows: value with deviation, then verdict and how wide the uncertainty still is.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Paragraph, Widget, Wrap};
+
+use crate::sample::{ParameterEstimate, Verdict};
+use crate::tui::text::{number, parameter, percent, with_std};
+use crate::tui::theme;
+
+/// From this width on names are written out.
+const WIDE: u16 = 44;
+/// Relative deviations at the full and at the empty end of the bar.
+const WIDEST: f64 = 1.0;
+const NARROWEST: f64 = 1e-3;
+
+/// Panel with a frame; two rows for each parameter, one where there is no room for two.
+pub(crate) fn parameters(estimates: &[ParameterEstimate], area: Rect, buffer: &mut Buffer) {
+    let block = Block::bordered().title(if area.width >= WIDE {
+        " parameters  (bar: uncertainty, 100 % to 0.1 %) "
+    } else {
+        " parameters "
+    });
+    let inner = block.inner(area);
+    block.render(area, buffer);
+    if estimates.is_empty() {
+        Line::styled("no estimates yet", theme::DIM).render(inner, buffer);
+        return;
+    }
+    let two_rows = estimates.len() * 2 <= usize::from(inner.height);
+    let lines: Vec<Line<'static>> = estimates
+        .iter()
+        .flat_map(|estimate| {
+            if two_rows {
+                vec![
+                    value_line(estimate, inner.width),
+                    verdict_line(estimate, inner.width),
+                ]
+            } else {
+                vec![short_line(estimate)]
+            }
+        })
+        .collect();
+    Paragraph::new(lines).render(inner, buffer);
+}
+
+/// Every parameter with its name, its key and the whole reason.
+pub(crate) fn table(estimates: &[ParameterEstimate], area: Rect, buffer: &mut Buffer) {
+    let mut lines = Vec::new();
+    for estimate in estimates {
+        lines.push(value_line(estimate, area.width));
+        let mut second = verdict_line(estimate, area.width);
+        if let Some(reason) = &estimate.reason {
+            second = Line::from(vec![
+                Span::raw("   "),
+                verdict_span(estimate),
+                Span::raw(format!(": {reason}")),
+            ]);
+        }
+        lines.push(second);
+    }
+    if lines.is_empty() {
+        lines.push(Line::styled("no estimates yet", theme::DIM));
+    }
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: false })
+        .render(area, buffer);
+}
+
+fn value_text(estimate: &ParameterEstimate) -> String {
+    match estimate.value {
+        Some(value) if estimate.verdict == Verdict::Fixed => number(value),
+        Some(value) => with_std(value, estimate.std),
+        None => "-".to_owned(),
+    }
+}
+
+fn verdict_span(estimate: &ParameterEstimate) -> Span<'static> {
+    Span::styled(estimate.verdict.name(), theme::verdict(estimate.verdict))
+}
+
+fn value_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
+    let (symbol, name) = parameter(&estimate.key);
+    let head = if width + 2 >= WIDE && !estimate.key.contains('.') {
+        format!("{symbol:<3}{name:<16}")
+    } else if width + 2 >= WIDE {
+        format!("{name:<19}")
+    } else {
+        format!("{symbol:<3}")
+    };
+    Line::from(vec![
+        Span::styled(head, theme::BOLD),
+        Span::raw(value_text(estimate)),
+        Span::styled(format!(" {}", estimate.unit), theme::DIM),
+    ])
+}
+
+fn verdict_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
+    const INDENT: usize = 3;
+    let mut verdict = verdict_span(estimate);
+    if estimate.reason.is_none() {
+        // Bars begin in one column.
+        verdict.content = format!("{:<9}", verdict.content).into();
+    }
+    let room = usize::from(width).saturating_sub(INDENT + verdict.width() + 1);
+    let mut spans = vec![Span::raw(" ".repeat(INDENT)), verdict, Span::raw(" ")];
+    match (&estimate.reason, relative_std(estimate)) {
+        (Some(reason), _) => spans.push(Span::styled(shortened(reason, room), theme::DIM)),
+        (None, Some(share)) => {
+            const PERCENT: usize = 7;
+            let length = room.saturating_sub(PERCENT).min(20);
+            let full = (uncertainty(share) * length as f64).round() as usize;
+            spans.push(Span::styled(
+                "█".repeat(full),
+                theme::verdict(estimate.verdict),
+            ));
+            spans.push(Span::styled("░".repeat(length - full), theme::DIM));
+            spans.push(Span::raw(format!(" {}", percent(share))));
+        }
+        (None, None) => {}
+    }
+    Line::from(spans)
+}
+
+fn short_line(estimate: &ParameterEstimate) -> Line<'static> {
+    Line::from(vec![
+        Span::styled(format!("{:<3}", parameter(&estimate.key).0), theme::BOLD),
+        Span::raw(format!("{} {} ", value_text(estimate), estimate.unit)),
+        verdict_span(estimate),
+    ])
+}
+
+/// Standard deviation over value, where there are both.
+fn relative_std(estimate: &ParameterEstimate) -> Option<f64> {
+    let share = (estimate.std? / estimate.value?).abs();
+    (share.is_finite() && estimate.verdict != Verdict::Fixed).then_some(share)
+}
+
+/// Length of the bar, 0 to 1, on a logarithmic scale.
+fn uncertainty(share: f64) -> f64 {
+    ((share / NARROWEST).log10() / (WIDEST / NARROWEST).log10()).clamp(0.0, 1.0)
+}
+
+fn shortened(text: &str, room: usize) -> String {
+    if text.chars().count() <= room {
+        return text.to_owned();
+    }
+    let kept: String = text.chars().take(room.saturating_sub(1)).collect();
+    format!("{kept}…")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bar_is_logarithmic_from_a_thousandth_to_the_whole() {
+        for (share, expected) in [
+            (10.0, 1.0),
+            (1.0, 1.0),
+            (0.01, 1.0 / 3.0),
+            (1e-3, 0.0),
+            (0.0, 0.0),
+        ] {
+            assert!((uncertainty(share) - expected).abs() < 1e-12, "{share}");
+        }
+    }
+}

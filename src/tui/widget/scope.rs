@@ -1,0 +1,340 @@
+//! Three charts over one time axis: voltage; current; speed, measured and of the model.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::Widget;
+
+use super::plot::{self, Bounds, Trace};
+use crate::bench::{Snapshot, TracePoint};
+use crate::sample::Channel;
+use crate::tui::text::{number, tick};
+use crate::tui::theme;
+use crate::units::rpm_from_rad_s;
+
+/// Columns of the axis labels, with the axis.
+const LABELS: u16 = 7;
+/// Rows of a chart at least: its title and two rows of dots.
+const SMALLEST: u16 = 3;
+/// From this width on the legend is written out.
+const WIDE: u16 = 62;
+/// The model may stretch the axis of the speed by this share of the measured span, no further.
+const STRETCH: f64 = 0.5;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Chart {
+    Voltage,
+    Current,
+    Speed,
+}
+
+impl Chart {
+    const fn channel(self) -> Channel {
+        match self {
+            Self::Voltage => Channel::Voltage,
+            Self::Current => Channel::Current,
+            Self::Speed => Channel::Speed,
+        }
+    }
+
+    const fn value(self, point: &TracePoint) -> f64 {
+        match self {
+            Self::Voltage => point.voltage_v,
+            Self::Current => point.current_a,
+            Self::Speed => point.speed_rad_s,
+        }
+    }
+
+    const fn style(self) -> Style {
+        match self {
+            Self::Voltage => theme::VOLTAGE,
+            Self::Current => theme::CURRENT,
+            Self::Speed => theme::SPEED,
+        }
+    }
+}
+
+/// Draws the last `window_s` seconds; where there is little room, the speed comes first.
+pub(crate) fn scope(
+    snapshot: &Snapshot,
+    window_s: f64,
+    frozen: bool,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let area = area.intersection(buffer.area);
+    if area.height < 2 || area.width < LABELS + 2 {
+        return;
+    }
+    let charts: &[Chart] = match (area.height - 1) / SMALLEST {
+        0 | 1 => &[Chart::Speed],
+        2 => &[Chart::Current, Chart::Speed],
+        _ => &[Chart::Voltage, Chart::Current, Chart::Speed],
+    };
+    let (from_s, to_s) = window(&snapshot.trace, window_s);
+    let first = snapshot
+        .trace
+        .partition_point(|point| point.time_s < from_s);
+    // One point before the left edge, so that the line enters the chart and does not begin in it.
+    let points = snapshot
+        .trace
+        .get(first.saturating_sub(1)..)
+        .unwrap_or_default();
+    let mut rows = vec![Constraint::Fill(1); charts.len()];
+    rows.push(Constraint::Length(1));
+    let areas = Layout::vertical(rows).split(area);
+    for (chart, place) in charts.iter().zip(areas.iter()) {
+        draw(*chart, snapshot, points, (from_s, to_s), *place, buffer);
+    }
+    if let Some(place) = areas.last() {
+        time_axis(from_s, to_s, frozen, *place, buffer);
+    }
+}
+
+/// The time axis grows from the first point and then runs along. What is no longer kept is not shown as empty.
+fn window(points: &[TracePoint], wanted_s: f64) -> (f64, f64) {
+    let times = points.iter().map(|point| point.time_s);
+    let times = times.filter(|time_s| time_s.is_finite());
+    let (first, last) = times.fold((f64::NAN, f64::NAN), |(first, last): (f64, f64), time_s| {
+        (first.min(time_s), last.max(time_s))
+    });
+    if !first.is_finite() {
+        return (0.0, wanted_s);
+    }
+    let kept_s = last - first;
+    let length_s = if first > 0.0 && kept_s > 0.0 && kept_s < wanted_s {
+        kept_s
+    } else {
+        wanted_s
+    };
+    let from_s = (last - length_s).max(first);
+    (from_s, from_s + length_s)
+}
+
+fn draw(
+    chart: Chart,
+    snapshot: &Snapshot,
+    points: &[TracePoint],
+    (from_s, to_s): (f64, f64),
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    if area.height < 2 {
+        return;
+    }
+    let trace = |value: &dyn Fn(&TracePoint) -> f64| -> Vec<(f64, f64)> {
+        let pairs = points.iter().map(|point| (point.time_s, value(point)));
+        pairs.collect()
+    };
+    let measured = trace(&|point| chart.value(point));
+    let model = if chart == Chart::Speed {
+        trace(&|point| point.model_speed_rad_s)
+    } else {
+        Vec::new()
+    };
+    let (low, high) = bounds(&measured, &model);
+    let newest = measured.last().map_or(f64::NAN, |point| point.1);
+    title(chart, snapshot, newest, area.width).render(Rect { height: 1, ..area }, buffer);
+
+    let plot_area = Rect {
+        x: area.x + LABELS,
+        y: area.y + 1,
+        width: area.width - LABELS,
+        height: area.height - 1,
+    };
+    value_axis(low, high, plot_area, buffer);
+    let traces = [
+        Trace {
+            points: model,
+            dashed: true,
+            style: theme::MODEL,
+        },
+        Trace {
+            points: measured,
+            dashed: false,
+            style: chart.style(),
+        },
+    ];
+    let bounds = Bounds {
+        from_s,
+        to_s,
+        low,
+        high,
+    };
+    plot::draw(&traces, bounds, plot_area, buffer);
+}
+
+fn title(chart: Chart, snapshot: &Snapshot, newest: f64, width: u16) -> Line<'static> {
+    let channel = chart.channel();
+    let mut spans = vec![
+        Span::styled(
+            format!("{} {} ", channel.name(), channel.unit()),
+            theme::BOLD,
+        ),
+        Span::styled(reading(newest), chart.style()),
+    ];
+    if chart == Chart::Speed {
+        let rpm = rpm_from_rad_s(newest);
+        spans.push(Span::raw(if rpm.is_finite() && rpm.abs() < 1e6 {
+            format!(", {rpm:.0} r/min")
+        } else {
+            ", - r/min".to_owned()
+        }));
+        if width < WIDE {
+            spans.push(Span::styled(" ⣀⣀meas", chart.style()));
+            spans.push(Span::styled(" ⣀ ⣀model", theme::MODEL));
+            return Line::from(spans);
+        }
+        spans.push(Span::styled("  ⣀⣀ measured", chart.style()));
+        let whose = if snapshot.model_is_identified {
+            "identified"
+        } else {
+            "nameplate"
+        };
+        spans.push(Span::styled(format!("  ⣀ ⣀ model, {whose}"), theme::MODEL));
+    }
+    Line::from(spans)
+}
+
+/// Two decimals, so that the digits do not dance.
+fn reading(value: f64) -> String {
+    if value.abs() < 1e5 {
+        format!("{value:.2}")
+    } else {
+        number(value)
+    }
+}
+
+/// Round bounds that hold the measurement and zero; a model that runs away does not squeeze the measurement.
+fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> (f64, f64) {
+    let range = |points: &[(f64, f64)]| {
+        let values = points.iter().map(|point| point.1);
+        values
+            .filter(|value| value.is_finite() && value.abs() < 1e15)
+            .fold(None, |range: Option<(f64, f64)>, value| {
+                let (low, high) = range.unwrap_or((value, value));
+                Some((low.min(value), high.max(value)))
+            })
+    };
+    let (mut low, mut high) = match (range(measured), range(model)) {
+        (Some((low, high)), Some((model_low, model_high))) => {
+            let room = STRETCH * (high.max(0.0) - low.min(0.0));
+            (
+                low.min(model_low.max(low - room)),
+                high.max(model_high.min(high + room)),
+            )
+        }
+        (Some(range), None) | (None, Some(range)) => range,
+        (None, None) => (0.0, 1.0),
+    };
+    (low, high) = (low.min(0.0), high.max(0.0));
+    if high - low < 1e-9 {
+        high = low + 1.0;
+    }
+    let step = nice_step((high - low) / 8.0);
+    ((low / step).floor() * step, (high / step).ceil() * step)
+}
+
+/// 1, 2, 2.5 or 5 times a power of ten, not below `rough`.
+fn nice_step(rough: f64) -> f64 {
+    let power = 10_f64.powf(rough.log10().floor());
+    let factor = [1.0, 2.0, 2.5, 5.0]
+        .into_iter()
+        .find(|factor| factor * power >= rough)
+        .unwrap_or(10.0);
+    factor * power
+}
+
+fn value_axis(low: f64, high: f64, plot_area: Rect, buffer: &mut Buffer) {
+    let rows = f64::from(plot_area.height);
+    let last = plot_area.height.saturating_sub(1);
+    let zero = ((high / (high - low) * rows) as u16).min(last);
+    for row in 0..plot_area.height {
+        let label = if row == 0 {
+            tick(high)
+        } else if row == last {
+            tick(low)
+        } else if row == zero && low < 0.0 && high > 0.0 {
+            tick(0.0)
+        } else {
+            String::new()
+        };
+        let mark = if label.is_empty() { '│' } else { '┤' };
+        let width = usize::from(LABELS - 1);
+        let label: String = label.chars().take(width).collect();
+        let y = plot_area.y + row;
+        buffer.set_string(
+            plot_area.x - LABELS,
+            y,
+            format!("{label:>width$}{mark}"),
+            theme::DIM,
+        );
+        if row == zero && low < 0.0 {
+            for x in plot_area.x..plot_area.right() {
+                buffer[(x, y)].set_char('·').set_style(theme::DIM);
+            }
+        }
+    }
+}
+
+fn time_axis(from_s: f64, to_s: f64, frozen: bool, area: Rect, buffer: &mut Buffer) {
+    let width = usize::from(area.width.saturating_sub(LABELS));
+    let left = format!("{} s", seconds(from_s));
+    let right = format!("{} s", seconds(to_s));
+    let middle = if frozen {
+        "FROZEN, f = go on".to_owned()
+    } else {
+        format!("{} s", seconds(f64::midpoint(from_s, to_s)))
+    };
+    let used = left.chars().count() + right.chars().count() + middle.chars().count();
+    let free = width.saturating_sub(used);
+    let line = format!(
+        "{left}{:free_left$}{middle}{:free_right$}{right}",
+        "",
+        "",
+        free_left = free / 2,
+        free_right = free - free / 2,
+    );
+    let x = area.x + LABELS.min(area.width);
+    let style = if frozen { theme::CAREFUL } else { theme::DIM };
+    buffer.set_stringn(x, area.y, line, width, style);
+}
+
+fn seconds(time_s: f64) -> String {
+    if time_s.abs() < 1e6 {
+        format!("{time_s:.1}")
+    } else {
+        tick(time_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_are_round_hold_zero_and_are_not_squeezed_by_a_runaway_model() {
+        let measured: Vec<_> = (0..=100).map(|k| (f64::from(k), f64::from(k))).collect();
+        assert_eq!(bounds(&measured, &[]), (0.0, 100.0));
+        let runaway = [(0.0, -1e9), (1.0, 1e12), (2.0, f64::INFINITY)];
+        assert_eq!(bounds(&measured, &runaway), (-50.0, 150.0));
+        assert_eq!(bounds(&[], &[]), (0.0, 1.0));
+        assert_eq!(bounds(&[(0.0, 0.0)], &[(0.0, f64::NAN)]), (0.0, 1.0));
+    }
+
+    #[test]
+    fn the_window_grows_then_runs_and_a_short_memory_is_shown_whole() {
+        let point = |time_s| TracePoint {
+            time_s,
+            voltage_v: 0.0,
+            current_a: 0.0,
+            speed_rad_s: 0.0,
+            model_speed_rad_s: 0.0,
+        };
+        assert_eq!(window(&[], 10.0), (0.0, 10.0));
+        assert_eq!(window(&[point(0.0), point(3.0)], 10.0), (0.0, 10.0));
+        assert_eq!(window(&[point(0.0), point(30.0)], 10.0), (20.0, 30.0));
+        assert_eq!(window(&[point(28.0), point(30.0)], 10.0), (28.0, 30.0));
+    }
+}
