@@ -15,7 +15,7 @@ use nix::unistd::Pid;
 use program::{Done, command, drivebench, line, only_folder};
 use serde_json::Value;
 use tempfile::TempDir;
-use tokio_modbus::prelude::{Reader, Slave};
+use tokio_modbus::prelude::{Reader, Slave, Writer};
 
 /// Whatever is waited for must have come by then; only a hung program takes so long.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -271,19 +271,30 @@ fn column(csv: &str, name: &str) -> std::vec::IntoIter<f64> {
     cells.collect::<Vec<f64>>().into_iter()
 }
 
-/// What another program reads from the drive: status, fault, speed in rad/s and voltage command in V.
-fn telemetry(port: &str) -> Option<(u16, u16, f64, f64)> {
+/// Another program's request to the drive; nothing where the port or the drive does not answer.
+fn ask<T>(
+    port: &str,
+    request: impl AsyncFnOnce(&mut tokio_modbus::client::Context) -> tokio_modbus::Result<T>,
+) -> Option<T> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .expect("a runtime");
-    let read = async {
+    let talk = async {
         let serial = tokio_serial::SerialStream::open(&tokio_serial::new(port, 115_200)).ok()?;
         let mut client = tokio_modbus::client::rtu::attach_slave(serial, Slave(1));
-        client.read_holding_registers(0, 16).await.ok()?.ok()
+        request(&mut client).await.ok()?.ok()
     };
-    let limited = async { tokio::time::timeout(Duration::from_secs(2), read).await };
-    let words = runtime.block_on(limited).ok()??;
+    runtime
+        .block_on(async { tokio::time::timeout(Duration::from_secs(2), talk).await })
+        .ok()?
+}
+
+/// Status, fault, speed in rad/s and voltage command in V.
+fn telemetry(port: &str) -> Option<(u16, u16, f64, f64)> {
+    let words = ask(port, async |client| {
+        client.read_holding_registers(0, 16).await
+    })?;
     let signed = |word: u16| f64::from(word.cast_signed());
     Some((
         words[0],
@@ -293,6 +304,15 @@ fn telemetry(port: &str) -> Option<(u16, u16, f64, f64)> {
     ))
 }
 
+fn reset_fault(port: &str) -> Option<()> {
+    ask(port, async |client| {
+        client.write_single_register(CONTROL, RESET_FAULT).await
+    })
+}
+
+/// Address of the control word, and the word that resets a fault (firmware-protocol/SPEC.md 2.2).
+const CONTROL: u16 = 33;
+const RESET_FAULT: u16 = 2;
 const STATE: u16 = 0b111;
 const RUNNING: u16 = 2;
 const FAULT: u16 = 3;
@@ -451,8 +471,12 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
     assert!(opened.stderr.contains("warning: "), "{}", opened.stderr);
     assert!(opened.stderr.contains("not finished"), "{}", opened.stderr);
     assert!(opened.json()["rows_dropped"].is_u64());
-    // And the drive takes the next host, which resets the fault.
+    // The fault stays latched: the next host is refused until somebody resets it by hand.
     fs::rename(lab.out(), lab.folder.path().join("before")).expect("renamed");
+    let refused = lab.run(&BenchFile::default()).expect(3);
+    assert!(refused.error().contains("fault"), "{}", refused.stderr);
+    assert!(!lab.out().exists());
+    wait_for("the reset", || reset_fault(&lab.port));
     lab.run(&BenchFile::default()).expect(0);
 }
 

@@ -2,7 +2,6 @@
 
 mod program;
 
-use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -382,4 +381,41 @@ fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
         .expect(0)
         .json();
     assert!(number(&other, "/signals/speed_rad_s/fit_percent") < 99.9);
+}
+
+/// The whole loop in virtual time; its JSON.
+fn commission(emulator: &str, seed: &str) -> Value {
+    let out = tempfile::tempdir().unwrap();
+    let text = format!(
+        "commission --headless --port sim: --json --emulator {emulator} --seed {seed} --out {{}}"
+    );
+    let result = drivebench(line(&text, &[out.path()])).expect(0).json();
+    assert!(fs::read_dir(out.path()).unwrap().count() >= 3);
+    for run in result["runs"].as_array().unwrap() {
+        assert!(Path::new(word(run, "/folder")).join("report.html").exists());
+    }
+    result
+}
+
+#[test]
+fn commission_names_the_hidden_effect_and_halves_the_error() {
+    for seed in ["1", "23"] {
+        let result = commission("zk-22fc-hidden", seed);
+        assert_eq!(word(&result, "/diagnosis/verdict"), "effect", "seed {seed}");
+        assert_eq!(word(&result, "/diagnosis/effect"), "stribeck_friction");
+        assert_eq!(result["truth"]["named_correctly"], true);
+        let rmse = |side: &str| number(&result[side], "/signals/speed_rad_s/holdout/rmse");
+        let (before, after) = (rmse("before"), rmse("after"));
+        assert!(after <= 0.5 * before, "seed {seed}: {before} -> {after}");
+        let ladder = result["ladder"].as_array().unwrap();
+        assert_eq!(ladder[1]["effects"][0], "stribeck_friction");
+    }
+}
+
+#[test]
+fn commission_names_nothing_where_nothing_is_hidden() {
+    let result = commission("zk-22fc-plain", "1");
+    assert_eq!(word(&result, "/diagnosis/verdict"), "none");
+    assert!(result["diagnosis"]["effect"].is_null());
+    assert_eq!(result["truth"]["named_correctly"], true);
 }
