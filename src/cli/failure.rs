@@ -50,9 +50,20 @@ impl Failure {
         use std::io::Write;
         let mut stderr = std::io::stderr().lock();
         let _ = writeln!(stderr, "error: {}", self.headline);
-        if let Some(help) = &self.help {
-            let _ = writeln!(stderr, "help: {help}");
-        }
+        let _ = writeln!(stderr, "help: {}", self.help());
+    }
+
+    /// The next step; where none was given, what the status means for the reader.
+    fn help(&self) -> &str {
+        self.help.as_deref().unwrap_or(match self.status {
+            REFUSED => "the figures are on stdout; `drivebench diagnose` names what the model misses",
+            LINK => "check cable, power and address of the drive",
+            TRIP => "find the cause before the next run",
+            NOT_IDENTIFIABLE => "the reason of each parameter is on stdout; excite the motor more, or ask for less",
+            INTERRUPTED => "start the command again to repeat the run",
+            INTERNAL => "this is a fault of drivebench itself; please report it with the command that was given",
+            _ => "see drivebench --help",
+        })
     }
 }
 

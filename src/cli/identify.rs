@@ -19,7 +19,7 @@ use crate::sample::{Channel, ParameterEstimate};
 /// Find the motor's parameters in a recorded run, each with its uncertainty and verdict
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
-  drivebench identify runs/a --model bench-configs/motors/zk-22fc.toml
+  drivebench identify runs/a --model runs/a/model.toml --require inertia_kg_m2
   drivebench identify axis.csv --model axis.toml --map time_s=t,torque_n_m=force,angle_rad=position")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map

@@ -23,6 +23,7 @@ mod simulate;
 
 use std::process::ExitCode;
 
+use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 
 /// Exit statuses, as `--help` prints them.
@@ -65,7 +66,13 @@ pub fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {
-            // clap knows where help and errors belong; a broken pipe there is nobody's concern.
+            // No command at all: the whole help page is the answer.
+            let asked_nothing = ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+            if error.use_stderr() && error.kind() != asked_nothing {
+                usage_failure(&error).print();
+                return ExitCode::from(failure::USAGE);
+            }
+            // Help and version; a broken pipe there is nobody's concern.
             let _ = error.print();
             return ExitCode::from(if error.use_stderr() {
                 failure::USAGE
@@ -94,4 +101,29 @@ pub fn main() -> ExitCode {
             ExitCode::from(failure.status)
         }
     }
+}
+
+/// clap's message as one headline and one help line, like every other error.
+fn usage_failure(error: &clap::Error) -> failure::Failure {
+    let text = error.render().to_string();
+    let (mut headline, mut help) = (String::new(), String::new());
+    for line in text.lines().map(str::trim).filter(|l| !l.is_empty()) {
+        if let Some(tip) = line.strip_prefix("tip: ") {
+            tip.clone_into(&mut help);
+        } else if let Some(usage) = line.strip_prefix("Usage: ") {
+            if help.is_empty() {
+                help = format!("usage: {usage}");
+            }
+            break;
+        } else if !line.starts_with("For more information") {
+            // A headline that ends with a colon lists what is missing on the lines after it.
+            let line = line.strip_prefix("error: ").unwrap_or(line);
+            headline.push_str(if headline.is_empty() { "" } else { " " });
+            headline.push_str(line);
+        }
+    }
+    if help.is_empty() {
+        "see drivebench --help".clone_into(&mut help);
+    }
+    failure::Failure::with_help(failure::USAGE, headline, help)
 }

@@ -51,6 +51,7 @@ impl NoiseFloor {
         if rows.len() < FEWEST_SAMPLES {
             return None;
         }
+        // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
         let floor = |values: &[f64]| -> Option<f64> {
             let at_rest: Vec<f64> = values[rows.clone()]
                 .iter()
@@ -62,9 +63,15 @@ impl NoiseFloor {
             }
             let deviation = standard_deviation(&at_rest);
             let level = deviation.max(quantum(values).unwrap_or(0.0) / 12f64.sqrt());
-            (level > 0.0).then_some(level)
+            let mut present = values.iter().filter(|v| v.is_finite());
+            let first = present.next()?;
+            (level > 0.0 || present.any(|v| v != first)).then_some(level)
         };
         let (current, speed) = (floor(&scenario.current_a), floor(&scenario.speed_rad_s));
+        // A noise of zero is none that a sensor has: the rest then says nothing about noise.
+        if [current, speed].contains(&Some(0.0)) {
+            return None;
+        }
         (current.is_some() || speed.is_some()).then(|| Self {
             current_a: current.unwrap_or(f64::INFINITY),
             speed_rad_s: speed.unwrap_or(f64::INFINITY),
@@ -160,6 +167,13 @@ mod tests {
         assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
         assert!(floor.current_a.is_infinite());
         assert_eq!(NoiseFloor::from_standstill(&scenario(10, noisy)), None);
+    }
+
+    #[test]
+    fn a_signal_without_any_noise_has_no_floor_and_is_not_left_out() {
+        let silent = |k: usize| if k < 50 { 0.0 } else { (k as f64).sin() };
+        assert_eq!(NoiseFloor::from_standstill(&scenario(50, silent)), None);
+        assert!(NoiseFloor::from_spread(&scenario(50, silent)).speed_rad_s > 0.0);
     }
 
     #[test]

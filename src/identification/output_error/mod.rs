@@ -29,7 +29,9 @@ pub enum FitError {
     Model(#[from] ModelError),
     #[error("no free parameter: every parameter of the model is fixed")]
     NothingFree,
-    #[error("run {run:?}: neither current nor speed can be compared")]
+    #[error(
+        "run {run:?}: neither current nor speed can be compared: each is missing or the same throughout"
+    )]
     NothingMeasured { run: String },
     #[error("run {run:?}: the model cannot be simulated from its starting values")]
     CannotSimulate { run: String },
