@@ -312,3 +312,19 @@ fn a_hotter_winding_and_twice_the_inertia_are_followed() {
         assert!(found.iter().all(|e| e.abs() < 0.05), "{found:?}");
     }
 }
+
+#[test]
+fn an_inductance_that_is_gone_between_two_samples_is_not_claimed() {
+    // L/R = 0.4 ms against a period of 10 ms.
+    let fast = Motor::zk_22fc().with(MotorKey::Inductance, 0.000_44);
+    for seed in 0..8 {
+        let bench = Bench::of(fast.clone(), steps(6.0), every(0.01, 6.0));
+        let (current, speed) = bench.noisy(seed);
+        let mut online = Online::new(OnlineConfig::default());
+        bench.feed(&mut online, &current, &speed);
+        let estimates = online.estimates();
+        let inductance = &estimates[1];
+        assert_eq!(inductance.verdict, Verdict::NotObservable, "{inductance:?}");
+        assert_eq!((inductance.value, inductance.std), (None, None));
+    }
+}

@@ -44,6 +44,8 @@ const GUESS_ERROR: f64 = 0.2;
 /// Forgetting of the first rows of the prediction-error step (Ljung and Soderstrom, section 5.6), and how long it lasts.
 const EARLY_LOSS: f64 = 0.08;
 const EARLY_ROWS: f64 = 40.0;
+/// Periods per electrical time constant (as estimated) beyond which the inductance is not claimed.
+const MOST_PERIODS: f64 = 3.0;
 /// Relative error that the shape of the speed between samples leaves, times (T R/L)^2: measured on the motor of paper A at
 /// 5 to 20 ms (inductance; resistance and back-EMF less). It is part of the standard deviation.
 const COARSE: f64 = 0.002;
@@ -476,6 +478,16 @@ impl Scheme3 {
                     let reason = self.why_not(key, estimator.rows());
                     return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
                 };
+                let time_constant_s = values[1] / values[0];
+                if key == MotorKey::Inductance && self.period_s > MOST_PERIODS * time_constant_s {
+                    // What is left of the transient between two samples is below the noise of everything else.
+                    let reason = format!(
+                        "L/R = {:.1} ms or less against a period of {:.1} ms; sample faster, or use burst capture",
+                        1e3 * time_constant_s,
+                        1e3 * self.period_s
+                    );
+                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
+                }
                 let slot = Slot::Motor(key);
                 let coarse = COARSE * (self.period_s * values[0] / values[1]).powi(2) * values[j];
                 let std = if starting {
