@@ -136,35 +136,3 @@ fn stream_over_tcp() {
     let (_server, mut link) = served(LinkKind::Stream, any_port(), 0);
     contract(&mut *link, || ());
 }
-
-/// Prints how fast each link is: `cargo test --release --test link_contract -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement, not a check"]
-fn round_trips_per_second() {
-    for (kind, baud) in [
-        (LinkKind::ModbusRtu, 0),
-        (LinkKind::Stream, 0),
-        (LinkKind::ModbusRtu, 115_200),
-        (LinkKind::Stream, 115_200),
-    ] {
-        let (server, mut link) = served(kind, Endpoint::temporary_pty(), baud);
-        link.identify().unwrap();
-        let count = if baud == 0 { 10_000 } else { 400 };
-        let start = now();
-        for seq in 1..=count {
-            let demand = Demand::Voltage(12.0);
-            link.exchange(Command { seq, demand }).unwrap();
-        }
-        let rate = count as f64 / start.elapsed().as_secs_f64();
-        // The drive counts an answer after it is written: the last may not be counted yet.
-        assert!(link.statistics().sent - server.answers() <= 1);
-        let trips = link.round_trips().unwrap();
-        println!(
-            "{kind} baud {baud}: {rate:.0} /s, p50 {:.0} us, p99 {:.0} us, longest {:.0} us, shortest cycle {:?}",
-            trips.p50_s().unwrap() * 1e6,
-            trips.p99_s().unwrap() * 1e6,
-            trips.longest_s() * 1e6,
-            link.shortest_cycle_s(),
-        );
-    }
-}

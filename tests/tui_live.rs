@@ -1,4 +1,9 @@
 //! The whole program in a real pseudo-terminal: the screen as a person sees it, keys as a person presses them.
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of an integration test are test code"
+)]
 
 use std::io::{Read, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};

@@ -31,7 +31,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     let shown = progress.clone();
     let done = screen::watch(strings, intents, Some(shown), move |strings| {
         commission(&arguments.live, strings, |latest| {
-            progress.publish(latest.clone())
+            progress.publish(latest.clone());
         })
     })?;
     finish(json, &done)
@@ -209,14 +209,14 @@ impl Told {
             match step.state {
                 StepState::Waiting => {}
                 StepState::Active => {
-                    output::message(&format!("[{number:>2}/{total}] {} ...", step.title))
+                    output::message(&format!("[{number:>2}/{total}] {} ...", step.title));
                 }
                 StepState::Done => output::message(&format!(
                     "[{number:>2}/{total}] {}: {}",
                     step.title, step.line
                 )),
                 StepState::Failed => {
-                    output::message(&format!("[{number:>2}/{total}] {} failed", step.title))
+                    output::message(&format!("[{number:>2}/{total}] {} failed", step.title));
                 }
             }
             self.lines[index] = now;

@@ -17,6 +17,10 @@ use crate::sample::{Channel, Origin, Run};
 pub(super) struct MapArguments {
     /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755
     #[arg(long, value_name = "MAP")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
     pub(super) map: Option<String>,
     /// Another map for the hold-out and the confirming run
     #[arg(long, value_name = "MAP")]

@@ -26,11 +26,16 @@ use crate::emulator::{
     EmulatorConfig, Endpoint, Latency, LinkKind, MemoryLink, ServerHandle, SoftDrive, VirtualClock,
 };
 use crate::identification::online::OnlineConfig;
+use crate::numerics::count::whole;
 use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
 use crate::sample::Channel;
 
 /// Options of every command that may energise a motor.
 #[derive(Args, Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "switches of a command line, each independent of the others"
+)]
 pub(super) struct LiveArguments {
     /// Bench file; without it the embedded one: the emulated ZK-22FC with a hidden effect
     pub(super) bench: Option<PathBuf>,
@@ -294,7 +299,7 @@ impl Rig {
             layout = layout.without_host_time();
         }
         let folder = RunFolder::create(&self.out, &manifest.stamp, name)?;
-        let sync_every = self.bench.link.rate_hz.ceil() as usize;
+        let sync_every = whole(self.bench.link.rate_hz.ceil());
         let mut recorder = Recorder::create(folder.clone(), layout.clone(), &manifest, sync_every)?;
         let mut online = LiveOnline::new(layout, OnlineConfig::default());
         let sent_before = self.link.statistics().sent;

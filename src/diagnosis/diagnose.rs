@@ -61,32 +61,18 @@ pub fn diagnose(
     let (evidence, baseline) = evidence.with_baseline(model)?;
     let floor = evidence.floor();
     let base = Score::of(&baseline.model, &evidence.holdout, &evidence.noise)?;
-    let mut first_round: Option<(Vec<Candidate>, Vec<[&'static str; 2]>, bool)> = None;
     let mut current = baseline.clone();
     let mut score = base.clone();
+    let mut refits = refit_all(&evidence, &current, model)?;
+    let mut set = in_the_answer(&score, &refits);
+    let first_round = FirstRound::of(&score, current.nrms, floor, &refits, &set);
     let mut accepted: Vec<&'static str> = Vec::new();
     let mut ladder = vec![Rung {
         effects: current.model.effect_ids(),
         holdout_rmse: base.nrms,
     }];
-    while accepted.len() < MOST_EFFECTS {
-        let refits = refit_all(&evidence, &current, model)?;
-        let best = best_that_pays(&score, &refits);
-        let set = best.map_or_else(Vec::new, |best| not_told_apart(&score, &refits, best));
-        if first_round.is_none() {
-            let candidates = describe(&score, current.nrms, floor, &refits, &set);
-            let confusable = set
-                .iter()
-                .skip(1)
-                .map(|&rival| [refits[set[0]].id(), refits[rival].id()])
-                .collect();
-            first_round = Some((candidates, confusable, set.len() > 1));
-        }
-        let Some(&chosen) = set.first() else { break };
-        let chosen = refits
-            .into_iter()
-            .nth(chosen)
-            .expect("the set holds indices of refits");
+    while let Some(&chosen) = set.first() {
+        let chosen = refits.swap_remove(chosen);
         accepted.push(chosen.id());
         score = chosen.holdout;
         current = chosen.fit;
@@ -100,21 +86,22 @@ pub fn diagnose(
         } else {
             eta >= SUFFICIENT
         };
-        if enough {
+        if enough || accepted.len() == MOST_EFFECTS {
             break;
         }
+        refits = refit_all(&evidence, &current, model)?;
+        set = in_the_answer(&score, &refits);
     }
     if accepted.len() > 1 {
         (current, score) = drop_superfluous(&evidence, current, score, &mut accepted)?;
     }
-    let (candidates, confusable, tied) = first_round.expect("the search runs at least once");
     let eta = explained(base.nrms, score.nrms, floor);
     let verdict = verdict(
         &base,
         &evidence,
         !accepted.is_empty(),
         eta,
-        tied && accepted.len() == 1,
+        first_round.tied && accepted.len() == 1,
     );
     if matches!(
         verdict,
@@ -135,8 +122,8 @@ pub fn diagnose(
         explained_percent: if effect.is_some() { 100.0 * eta } else { 0.0 },
         holdout_before: base.nrms,
         holdout_after: score.nrms,
-        candidates,
-        confusable,
+        candidates: first_round.candidates,
+        confusable: first_round.confusable,
         ladder,
         sentence: String::new(),
         baseline,
@@ -146,10 +133,32 @@ pub fn diagnose(
     Ok(diagnosis)
 }
 
-fn best_that_pays(base: &Score, refits: &[Refit]) -> Option<usize> {
+/// What is reported of the candidates: how each stands when nothing has been added yet.
+struct FirstRound {
+    candidates: Vec<Candidate>,
+    confusable: Vec<[&'static str; 2]>,
+    tied: bool,
+}
+
+impl FirstRound {
+    fn of(base: &Score, error_before: f64, floor: f64, refits: &[Refit], set: &[usize]) -> Self {
+        let rivals = set.iter().skip(1);
+        Self {
+            candidates: describe(base, error_before, floor, refits, set),
+            confusable: rivals
+                .map(|&rival| [refits[set[0]].id(), refits[rival].id()])
+                .collect(),
+            tied: set.len() > 1,
+        }
+    }
+}
+
+/// The best candidate that pays and those that cannot be told from it, the preferred one first; none where none pays.
+fn in_the_answer(base: &Score, refits: &[Refit]) -> Vec<usize> {
     (0..refits.len())
         .filter(|&index| pays(base, &refits[index].holdout))
         .min_by(|&a, &b| refits[a].holdout.nrms.total_cmp(&refits[b].holdout.nrms))
+        .map_or_else(Vec::new, |best| not_told_apart(base, refits, best))
 }
 
 fn verdict(

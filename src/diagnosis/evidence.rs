@@ -33,12 +33,11 @@ impl Evidence {
     pub fn new(fit_run: Scenario, holdout: Option<Scenario>, confirm: Option<Scenario>) -> Self {
         let noise = NoiseFloor::from_standstill(&fit_run)
             .unwrap_or_else(|| NoiseFloor::from_spread(&fit_run));
-        let (training, holdout, holdout_from) = match holdout {
-            Some(holdout) => (fit_run, holdout, HoldoutFrom::Run),
-            None => {
-                let (training, holdout) = fit_run.split(TRAINING_SHARE);
-                (training, holdout, HoldoutFrom::Split)
-            }
+        let (training, holdout, holdout_from) = if let Some(holdout) = holdout {
+            (fit_run, holdout, HoldoutFrom::Run)
+        } else {
+            let (training, holdout) = fit_run.split(TRAINING_SHARE);
+            (training, holdout, HoldoutFrom::Split)
         };
         Self {
             training,

@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
+use crate::numerics::count::whole;
 use crate::numerics::least_squares;
 use crate::plant::{Input, Model, MotorKey, Plant, Scenario};
 
@@ -71,6 +72,37 @@ struct Window {
     length_s: f64,
 }
 
+/// What an error may follow.
+struct Variable {
+    key: &'static str,
+    unit: &'static str,
+    /// Its value in a window; `None` where it is not measured.
+    of: fn(&Window) -> Option<f64>,
+}
+
+const VARIABLES: [Variable; 4] = [
+    Variable {
+        key: "speed_rad_s",
+        unit: "rad/s",
+        of: |window| Some(window.speed_rad_s),
+    },
+    Variable {
+        key: "current_a",
+        unit: "A",
+        of: |window| Some(window.current_a),
+    },
+    Variable {
+        key: "angle_rad",
+        unit: "rad",
+        of: |window| window.turn_rad,
+    },
+    Variable {
+        key: "time_s",
+        unit: "s",
+        of: |window| Some(window.time_s),
+    },
+];
+
 /// A window seen along one variable.
 struct Point {
     at: f64,
@@ -120,21 +152,15 @@ pub fn locate(
     if error_of == ErrorOf::Structure {
         remove_what_parameters_explain(&mut windows);
     }
-    let variables: [(&'static str, &'static str, fn(&Window) -> Option<f64>); 4] = [
-        ("speed_rad_s", "rad/s", |w| Some(w.speed_rad_s)),
-        ("current_a", "A", |w| Some(w.current_a)),
-        ("angle_rad", "rad", |w| w.turn_rad),
-        ("time_s", "s", |w| Some(w.time_s)),
-    ];
     let mut found = Vec::new();
     for equation in [Equation::Torque, Equation::Voltage] {
-        for (variable, unit, value) in variables {
+        for variable in &VARIABLES {
             let points: Vec<Point> = windows
                 .iter()
-                .filter_map(|window| Some(equation.point(window, value(window)?)))
+                .filter_map(|window| Some(equation.point(window, (variable.of)(window)?)))
                 .filter(|point| point.at.is_finite() && point.error.is_finite())
                 .collect();
-            found.extend(region(equation.name(), variable, unit, &points));
+            found.extend(region(equation.name(), variable, &points));
         }
     }
     // Time explains nothing by itself: it is named first only where no physical variable comes near.
@@ -167,7 +193,7 @@ fn remove_what_parameters_explain(windows: &mut [Window]) {
         .collect();
     let blocks: Vec<usize> = windows
         .iter()
-        .map(|w| (w.time_s / (8.0 * w.length_s)) as usize)
+        .map(|w| whole(w.time_s / (8.0 * w.length_s)))
         .collect();
     if let Some(residual) = residual_of(&voltage, &blocks) {
         for (window, left) in windows.iter_mut().zip(residual.iter()) {
@@ -198,7 +224,7 @@ fn windows(
 ) -> Result<Vec<Window>, FitError> {
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
-    let horizon = ((WINDOW_S / period_s).round() as usize).max(1);
+    let horizon = whole((WINDOW_S / period_s).round()).max(1);
     let start = output_error::predict(model, scenario, noise)?.start;
     let ahead = Plant::new(model, scenario.input)?.predict_ahead(scenario, start, horizon);
     let value = |key| model.motor.get(key).unwrap_or(f64::NAN);
@@ -230,8 +256,8 @@ fn windows(
         // A missing torque bends the speed, which bends the current, and the other way round: what one error does
         // to the other equation is taken out. The current forgets with its time constant.
         let (mut mean_current, mut mean_speed, mut weights) = (0.0, 0.0, 0.0);
-        for sample in begin + 1..=end {
-            let weight = ((times[sample] - end_s) / time_constant_s).exp();
+        for (sample, time_s) in (begin + 1..=end).zip(&times[begin + 1..=end]) {
+            let weight = ((time_s - end_s) / time_constant_s).exp();
             mean_current += current_error(sample) / horizon as f64;
             mean_speed += weight
                 * 0.5
@@ -268,8 +294,7 @@ fn windows(
 
 fn region(
     equation: &'static str,
-    variable: &'static str,
-    unit: &'static str,
+    variable: &Variable,
     points: &[Point],
 ) -> Option<FailureLocation> {
     // Bins of equal population: where the run spent much time, as near standstill, the picture is sharp.
@@ -308,7 +333,8 @@ fn region(
     let inside = bins[first..=last].iter().map(Vec::len).sum::<usize>();
     let share_of_time = inside as f64 / points.len() as f64;
     let (from, to) = (edge(first), edge(last + 1));
-    let name = variable.split('_').next().unwrap_or(variable);
+    let Variable { key, unit, .. } = *variable;
+    let name = key.split('_').next().unwrap_or(key);
     let sentence = if share_of_time > 0.7 {
         format!(
             "{:.0} % of the {equation} error follows the {name}, over its whole range",
@@ -324,7 +350,7 @@ fn region(
     };
     Some(FailureLocation {
         equation,
-        variable,
+        variable: key,
         from,
         to,
         share_of_error,

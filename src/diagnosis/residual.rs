@@ -60,7 +60,7 @@ mod tests {
     fn noise_is_white_and_a_slow_wave_is_not() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(4);
         let noise: Vec<f64> = (0..5000).map(|_| rng.random::<f64>() - 0.5).collect();
-        assert!(ResidualLights::of(&[noise.clone()]).white);
+        assert!(ResidualLights::of(std::slice::from_ref(&noise)).white);
         let wave: Vec<f64> = noise
             .iter()
             .enumerate()

@@ -2,6 +2,7 @@
 
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
+use crate::numerics::count::whole;
 use crate::plant::{Model, Scenario};
 
 /// Free-run figures of one signal.
@@ -81,9 +82,9 @@ impl Score {
             return Vec::new();
         };
         let end_s = self.time_s[self.time_s.len() - 1];
-        let mut blocks = vec![0.0; ((end_s - begin_s) / block_s) as usize + 1];
+        let mut blocks = vec![0.0; whole((end_s - begin_s) / block_s) + 1];
         for (row, time_s) in self.time_s.iter().enumerate() {
-            let block = &mut blocks[((time_s - begin_s) / block_s) as usize];
+            let block = &mut blocks[whole((time_s - begin_s) / block_s)];
             for (value, level) in [
                 (self.current_a[row], self.noise.current_a),
                 (self.speed_rad_s[row], self.noise.speed_rad_s),

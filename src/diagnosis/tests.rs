@@ -7,6 +7,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::*;
 use crate::identification::noise::FloorSource;
+use crate::numerics::count::whole;
 use crate::plant::{Input, Model, Motor, Plant, Scenario, State, effect};
 use crate::sample::Channel;
 
@@ -29,7 +30,7 @@ fn events(shift: usize) -> Vec<(f64, f64)> {
 
 fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
     let period_s = 0.004;
-    let samples = (7.5 / period_s) as usize;
+    let samples = whole(7.5 / period_s);
     let mut scenario = Scenario {
         name: format!("run {shift}"),
         input: Input::Voltage,

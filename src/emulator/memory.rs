@@ -309,7 +309,7 @@ mod tests {
         let (mut link, _) = link(9);
         let identity = link.identify().unwrap();
         assert!(identity.is_emulator);
-        assert_eq!(identity.watchdog_s, Some(0.2));
+        assert_eq!(identity.watchdog_s, Some(0.5));
         assert_eq!(identity.current_limit_a, Some(11.4));
         assert_eq!(identity.voltage_limit_v, Some(120.0));
         assert_eq!(identity.serial_number, "9");
@@ -371,7 +371,7 @@ mod tests {
     fn silence_of_the_host_ends_in_a_fault_that_the_sample_names() {
         let (mut link, clock) = link(1);
         link.exchange(volts(1, 20.0)).unwrap();
-        clock.set_time_s(0.5);
+        clock.set_time_s(0.6);
         let sample = link.exchange(volts(2, 20.0)).unwrap();
         assert_eq!(sample.state, Some(DriveState::Fault));
         assert_eq!(sample.fault, Some(Fault::Watchdog.code()));

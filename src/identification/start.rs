@@ -155,6 +155,7 @@ fn solve<const M: usize, const N: usize>(rows: &[[f64; M]]) -> Option<[f64; N]> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numerics::count::whole;
     use crate::plant::{Motor, Plant, State};
     use crate::sample::Channel;
 
@@ -162,7 +163,7 @@ mod tests {
     fn starting_values_come_within_a_factor_that_the_fit_can_bridge() {
         let truth = Model::baseline(Motor::zk_22fc());
         for period_s in [0.001, 0.01] {
-            let samples = (4.0 / period_s) as usize;
+            let samples = whole(4.0 / period_s);
             let mut scenario = Scenario {
                 name: "r".into(),
                 input: Input::Voltage,

@@ -1,5 +1,6 @@
 //! Mathematics without physics: least squares (batch, recursive, non-linear) and statistics.
 
+pub mod count;
 pub mod least_squares;
 pub mod levenberg_marquardt;
 pub mod recursive_least_squares;

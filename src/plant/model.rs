@@ -50,7 +50,7 @@ pub struct ActiveEffect {
 impl std::fmt::Debug for ActiveEffect {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("ActiveEffect")
-            .field("id", &self.id())
+            .field("id", &self.effect.card().id)
             .field("values", &self.values)
             .finish()
     }

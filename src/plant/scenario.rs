@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
+use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
 /// What drives the model.
@@ -111,7 +112,7 @@ impl Scenario {
     /// The first part and the whole with only its last part scored: a split of one run into training and hold-out.
     /// The hold-out is simulated from the start, so that no state has to be guessed in the middle.
     pub fn split(&self, training_share: f64) -> (Self, Self) {
-        let cut = (self.samples() as f64 * training_share).round() as usize;
+        let cut = whole((self.samples() as f64 * training_share).round());
         let (mut training, mut holdout) = (self.clone(), self.clone());
         training.name = format!("{} (first {:.0} %)", self.name, 100.0 * training_share);
         training.sample_time_s.truncate(cut);
@@ -168,9 +169,9 @@ mod tests {
     use super::*;
 
     fn run(origin: Origin) -> Run {
-        let rows = 40;
+        let rows = 40_u16;
         let mut run = Run::new("r", (0..rows).map(|row| f64::from(row) * 0.01).collect()).unwrap();
-        let cells = |value: f64| vec![value; rows as usize];
+        let cells = |value: f64| vec![value; usize::from(rows)];
         run.set_column(Channel::VoltageCmd, cells(2.0), origin)
             .unwrap();
         run.set_column(Channel::Voltage, cells(1.9), Origin::Measured)

@@ -12,6 +12,7 @@ use super::model::{Model, ModelError};
 use super::motor::MotorKey;
 use super::propagator::{M2, Propagator};
 use super::scenario::{Input, Scenario};
+use crate::numerics::count::whole;
 
 /// Longest sub-step with effects, s: drops at current reversals and Stribeck humps are resolved.
 const LONGEST_STEP_WITH_EFFECTS_S: f64 = 5e-4;
@@ -252,7 +253,7 @@ impl Plant {
         // A hair of slack: 1 ms split into steps of 0.5 ms must not become three because of rounding.
         let steps = (dt_s / self.longest_step_s - 1e-6).ceil().max(1.0);
         let h = dt_s / steps;
-        for step in 0..steps as usize {
+        for step in 0..whole(steps) {
             let begin_s = now_s + step as f64 * h;
             if let Some(measured) = angle.at(begin_s + 0.5 * h) {
                 state.angle_rad = measured;
@@ -353,9 +354,9 @@ impl Plant {
             }
             if last_was_low == Some(is_low) {
                 if is_low {
-                    at_high *= 0.5
+                    at_high *= 0.5;
                 } else {
-                    at_low *= 0.5
+                    at_low *= 0.5;
                 }
             }
             last_was_low = Some(is_low);

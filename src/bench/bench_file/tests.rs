@@ -66,7 +66,7 @@ fn impossible_values_are_named_with_key_value_and_what_is_allowed() {
             "limits.slew_v_per_s = 0",
         ),
         (
-            "link_silence_s = 0.18",
+            "link_silence_s = 0.45",
             "link_silence_s = 0.015",
             "limits.link_silence_s = 0.015",
         ),

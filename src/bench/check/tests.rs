@@ -39,7 +39,7 @@ fn the_emulated_drive_passes_every_check_with_figures() {
     );
     assert!((report.round_trip_p50_s - 0.0073).abs() < 1e-6);
     assert!((report.reachable_rate_hz - 137.0).abs() < 1.0);
-    assert!((report.watchdog_proven_s.unwrap() - 0.31).abs() < 1e-9);
+    assert!((report.watchdog_proven_s.unwrap() - 0.76).abs() < 1e-9);
     let speed = report
         .noise
         .iter()

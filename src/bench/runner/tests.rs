@@ -8,7 +8,6 @@ use crate::bench::guard::Guard;
 use crate::bench::live_online::{LiveOnline, replay};
 use crate::bench::session::Phase;
 use crate::bench::testing::{Fault, ScriptedDrive, Wave};
-use crate::bench::timing::quantile;
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use crate::identification::online::OnlineConfig;
 use crate::recording::{Layout, MemoryRecorder};
@@ -384,91 +383,4 @@ fn in_real_time_every_deadline_is_either_kept_or_counted() {
     assert!(deadlines <= passed, "no cycle runs ahead of its deadline");
     assert!(deadlines + 2 >= whole(summary.duration_s / 0.005) as u64);
     assert!(summary.timing.rate_achieved_hz <= 201.0);
-}
-
-/// `cargo test --release --lib bench::runner::tests::cost -- --ignored --nocapture`
-#[test]
-#[ignore = "a measurement, not a test"]
-fn cost_of_a_step_and_of_a_whole_run() {
-    let clock = MonotonicClock::start();
-    let begin_s = clock.now_s();
-    let (summary, ..) = emulated(1, 1);
-    let run_s = clock.now_s() - begin_s;
-    println!(
-        "virtual run: {:.1} s in {:.1} ms, {} rows",
-        summary.duration_s,
-        1e3 * run_s,
-        summary.rows
-    );
-    let bench = BenchFile::embedded_default();
-    let guard = Guard::new(bench.limits(), &bench.motor, None);
-    let mut session = Session::new(Box::new(bench.program(1).unwrap()), guard);
-    let mut drive = ScriptedDrive::new(0.01);
-    let mut actions = Vec::new();
-    let mut steps_s = Vec::new();
-    for cycle in 0..1200_u32 {
-        let now_s = f64::from(cycle) * 0.01;
-        if cycle == 5 {
-            session.step(now_s, Input::Intent(Intent::Start), &mut actions);
-        }
-        actions.clear();
-        let from_s = clock.now_s();
-        session.step(now_s, Input::Cycle, &mut actions);
-        let sent = actions.iter().find_map(|action| match action {
-            Action::Send(command) => Some(*command),
-            _ => None,
-        });
-        let between_s = clock.now_s();
-        let sample = drive.exchange(sent.unwrap()).unwrap();
-        let again_s = clock.now_s();
-        session.step(now_s, Input::Sample(Box::new(sample)), &mut actions);
-        steps_s.push(between_s - from_s + clock.now_s() - again_s);
-    }
-    let median_s = quantile(&mut steps_s, 0.5);
-    let tail_s = quantile(&mut steps_s, 0.99);
-    println!(
-        "cycle and sample together: median {:.2} us, 99 % {:.2} us",
-        1e6 * median_s,
-        1e6 * tail_s
-    );
-    let program = bench.program(1).unwrap();
-    let from_s = clock.now_s();
-    let plan = crate::bench::plan(&program, &bench.motor, &bench.limits(), 100.0, Some(11.4));
-    println!("plan: {:.1} ms", 1e3 * (clock.now_s() - from_s));
-    let plan = plan.unwrap();
-    println!(
-        "peak {:.2} A ({:.2} rated), {:.1} rad/s, travel {:.0} rad, rms {:.2} A, I2t {:.0} A2.s, {:.0} J, {:.2} s",
-        plan.peak_current_a,
-        plan.peak_current_ratio,
-        plan.peak_speed_rad_s,
-        plan.travel_rad,
-        plan.rms_current_a,
-        plan.i2t_a2_s,
-        plan.energy_j,
-        plan.duration_s
-    );
-}
-
-/// `cargo test --release --lib bench::runner::tests::what -- --ignored --nocapture`
-#[test]
-#[ignore = "a measurement: what the diagnosis makes of the embedded bench's three runs"]
-fn what_the_default_excitation_reveals() {
-    use crate::diagnosis::{Evidence, diagnose};
-    use crate::plant::{Model, Scenario};
-    for name in EmulatorConfig::embedded_names() {
-        for emulator_seed in 1..=3 {
-            let config = EmulatorConfig::embedded(name).unwrap();
-            let [fit, select, confirm] = [1, 2, 3].map(|run_seed| {
-                let recorder = emulated_with(&config, emulator_seed, run_seed).1;
-                Scenario::from_run(&recorder.run("r").unwrap()).unwrap()
-            });
-            let model = Model::baseline(BenchFile::embedded_default().motor.motor());
-            let evidence = Evidence::new(fit, Some(select), Some(confirm));
-            let found = diagnose(&model, evidence, false).unwrap();
-            println!(
-                "{name} seed {emulator_seed}: {:?} {:?} explained {:?}",
-                found.verdict, found.effects, found.explained_percent
-            );
-        }
-    }
 }

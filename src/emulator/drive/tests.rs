@@ -82,13 +82,13 @@ fn the_watchdog_stops_the_motor_and_stays_latched() {
     assert!(drive.plant().speed_rad_s() > 150.0);
     let silent_from = drive.time_s();
     // Reading is not a sign of life.
-    while drive.time_s() < silent_from + 0.195 {
+    while drive.time_s() < silent_from + 0.495 {
         let next = drive.time_s() + 0.005;
         drive.advance_to(next);
         drive.telemetry();
     }
     assert_eq!(drive.state(), State::Running);
-    drive.advance_to(silent_from + 0.201);
+    drive.advance_to(silent_from + 0.501);
     let telemetry = drive.telemetry();
     assert_eq!(telemetry.status.state(), Some(State::Fault));
     assert_eq!(telemetry.fault, Fault::Watchdog);

@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::numerics::count::whole;
 use crate::numerics::least_squares::{clustered, inverse_where_determined};
 use crate::numerics::levenberg_marquardt::Minimum;
 use crate::plant::Scenario;
@@ -21,7 +22,7 @@ pub(super) fn at_minimum(
         .map_or(0.0, |row| scenario.sample_time_s[row.0]);
     let blocks: Vec<usize> = rows
         .iter()
-        .map(|row| ((scenario.sample_time_s[row.0] - begin_s) / BLOCK_S) as usize)
+        .map(|row| whole((scenario.sample_time_s[row.0] - begin_s) / BLOCK_S))
         .collect();
     let residual = DVector::from_column_slice(&minimum.residual);
     clustered(&minimum.jacobian, &residual, &blocks, bread, &determined)

@@ -80,7 +80,7 @@ pub fn fit(starts: &[Model], scenario: &Scenario, noise: &NoiseFloor) -> Result<
                     .as_ref()
                     .is_none_or(|best| found.minimum.cost < best.minimum.cost) =>
             {
-                best = Some(found)
+                best = Some(found);
             }
             Ok(_) => {}
             Err(error) => failure = error,

@@ -3,6 +3,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::*;
 use crate::identification::noise::FloorSource;
+use crate::numerics::count::whole;
 use crate::plant::{Input, Motor, MotorKey, Plant};
 use crate::sample::{Channel, Verdict};
 
@@ -27,7 +28,7 @@ fn record(model: &Model, period_s: f64, seed: u64) -> Scenario {
         (4.4, 0.0),
         (4.8, 45.0),
     ];
-    let samples = (6.0 / period_s) as usize;
+    let samples = whole(6.0 / period_s);
     let mut scenario = Scenario {
         name: "record".into(),
         input: Input::Voltage,
@@ -90,16 +91,21 @@ fn the_truth_is_found_from_thirty_per_cent_off_at_both_rates() {
 #[test]
 fn intervals_cover_the_truth() {
     let truth = Model::baseline(Motor::zk_22fc());
-    let (mut inside, mut all) = (0, 0);
+    let (mut inside, mut all) = (0_u32, 0_u32);
     for seed in 0..30 {
-        let fit = fit(&[truth.clone()], &record(&truth, 0.005, seed), &NOISE).unwrap();
+        let fit = fit(
+            std::slice::from_ref(&truth),
+            &record(&truth, 0.005, seed),
+            &NOISE,
+        )
+        .unwrap();
         for (slot, estimate) in truth.slots().iter().zip(&fit.parameters) {
             let z = (estimate.value.unwrap() - truth.get(slot).unwrap()) / estimate.std.unwrap();
-            inside += usize::from(z.abs() < 2.1);
+            inside += u32::from(z.abs() < 2.1);
             all += 1;
         }
     }
-    let share = f64::from(inside as u32) / f64::from(all as u32);
+    let share = f64::from(inside) / f64::from(all);
     assert!((0.85..=1.0).contains(&share), "{share}");
 }
 

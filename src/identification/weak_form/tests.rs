@@ -1,4 +1,5 @@
 use super::*;
+use crate::numerics::count::whole;
 use crate::plant::{Motor, Plant, State};
 use crate::sample::Channel;
 use rand::{Rng, SeedableRng};
@@ -6,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 fn scenario(input: Input, events: Vec<(f64, f64)>, period_s: f64, until_s: f64) -> Scenario {
-    let samples = (until_s / period_s) as usize;
+    let samples = whole(until_s / period_s);
     Scenario {
         name: "r".into(),
         input,

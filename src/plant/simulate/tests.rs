@@ -35,7 +35,7 @@ fn reference(
     let (r, l, ke, j, mc) = (1.1, 0.0099, 0.3538, 0.0045, 0.455);
     let h = 2e-6;
     let (mut i, mut w) = (0.0f64, 0.0f64);
-    let steps = (until_s / h).round() as usize;
+    let steps = whole((until_s / h).round());
     for step in 0..steps {
         let t = step as f64 * h;
         let u = events
@@ -115,7 +115,7 @@ fn stick_slip_and_effects_agree_with_tiny_regularised_steps() {
         (vec![("voltage_drop", &[0.9][..])], 0.0, (0.0, 1.0), 0.9),
     ] {
         for period_s in [0.001, 0.01] {
-            let samples = (1.1 / period_s) as usize;
+            let samples = whole(1.1 / period_s);
             let out = Plant::new(&model(&effects), Input::Voltage)
                 .unwrap()
                 .simulate(
@@ -123,7 +123,7 @@ fn stick_slip_and_effects_agree_with_tiny_regularised_steps() {
                     State::default(),
                 );
             for until in [0.3, 0.54, 0.66, 0.79, 1.0] {
-                let k = (until / period_s + 0.5) as usize;
+                let k = whole(until / period_s + 0.5);
                 let (i, w) = reference(&events, k as f64 * period_s, drag, stribeck, drop_v);
                 let (di, dw) = (out.current_a[k] - i, out.speed_rad_s[k] - w);
                 assert!(
