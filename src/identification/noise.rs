@@ -69,7 +69,11 @@ impl NoiseFloor {
         };
         let (current, speed) = (floor(&scenario.current_a), floor(&scenario.speed_rad_s));
         // A noise of zero is none that a sensor has: the rest then says nothing about noise.
-        if [current, speed].contains(&Some(0.0)) {
+        if [current, speed]
+            .into_iter()
+            .flatten()
+            .any(|level| level <= 0.0)
+        {
             return None;
         }
         (current.is_some() || speed.is_some()).then(|| Self {
