@@ -1,11 +1,4 @@
 //! The command line on recorded runs, through the real binary: `run` and `commission` in virtual time, and everything that works on files.
-#![expect(
-    clippy::unwrap_used,
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    clippy::float_cmp,
-    reason = "test code; the numbers that are cast or compared are counts"
-)]
 
 mod program;
 
