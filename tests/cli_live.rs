@@ -216,7 +216,7 @@ impl Lab {
         };
         Self {
             folder,
-            drive: drive,
+            drive,
             port,
             ready,
         }

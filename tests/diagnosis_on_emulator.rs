@@ -1,5 +1,9 @@
 //! The whole measuring chain in virtual time: every embedded emulator, whose hidden effects have other forms than the
 //! catalogue's, is excited with the embedded bench, recorded, and diagnosed from nothing but its rows.
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers of an integration test are test code"
+)]
 
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::channel;

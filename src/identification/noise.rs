@@ -65,7 +65,9 @@ impl NoiseFloor {
             let level = deviation.max(quantum(values).unwrap_or(0.0) / 12f64.sqrt());
             let mut present = values.iter().filter(|v| v.is_finite());
             let first = present.next()?;
-            (level > 0.0 || present.any(|v| v.total_cmp(first).is_ne())).then_some(level)
+            #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
+            let varies = present.any(|v| v != first);
+            (level > 0.0 || varies).then_some(level)
         };
         let (current, speed) = (floor(&scenario.current_a), floor(&scenario.speed_rad_s));
         // A noise of zero is none that a sensor has: the rest then says nothing about noise.
