@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
-use super::failure::{Failure, REFUSED};
+use super::failure::{Failure, REFUSED, USAGE};
 use super::output;
 use crate::diagnosis::{Comparison, ErrorOf, SignalComparison, compare};
 
@@ -52,6 +52,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
     let Some(least) = min_fit else { return Ok(()) };
+    if !least.is_finite() {
+        return Err(Failure::new(
+            USAGE,
+            format!("--min-fit {least} is not a number of per cent"),
+        ));
+    }
+    if comparison.signals.speed_rad_s.is_none() && comparison.signals.current_a.is_none() {
+        return Err(Failure::new(
+            REFUSED,
+            "no signal stands in both runs: there is no fit to judge",
+        ));
+    }
     let signals = [
         ("speed", comparison.signals.speed_rad_s),
         ("current", comparison.signals.current_a),

@@ -7,10 +7,10 @@ use clap::Args;
 use super::failure::{Failure, USAGE};
 use super::output;
 use crate::diagnosis::Evidence;
-use crate::identification::start;
+use crate::identification::{speed_from_angle, start};
 use crate::plant::{Model, ModelFile, Motor, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, open_run};
-use crate::sample::{Channel, Origin, Run};
+use crate::sample::Channel;
 
 /// How foreign columns are read.
 #[derive(Args, Clone, Debug, Default)]
@@ -44,34 +44,14 @@ impl MapArguments {
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
 pub(super) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Failure> {
     let mut loaded = open_run(path, map)?;
-    derive_speed(&mut loaded)?;
+    let before = loaded.run.notes.len();
+    loaded.run = speed_from_angle::complete(&loaded.run)
+        .map_err(|error| Failure::new(USAGE, error.to_string()))?;
+    loaded
+        .warnings
+        .extend_from_slice(&loaded.run.notes[before..]);
     output::warn(&loaded.warnings);
     Ok(loaded)
-}
-
-/// Speed by differences over one sample before and after, at the angle's own stamps.
-fn derive_speed(loaded: &mut LoadedRun) -> Result<(), Failure> {
-    let run: &mut Run = &mut loaded.run;
-    if run.points(Channel::Speed).next().is_some() {
-        return Ok(());
-    }
-    let Some(angle) = run.column(Channel::Angle) else {
-        return Ok(());
-    };
-    let rows: Vec<usize> = (0..run.rows())
-        .filter(|row| angle[*row].is_finite())
-        .collect();
-    let mut speed = vec![f64::NAN; run.rows()];
-    for window in rows.windows(3) {
-        let (before, here, after) = (window[0], window[1], window[2]);
-        speed[here] = (angle[after] - angle[before]) / (run.time_s()[after] - run.time_s()[before]);
-    }
-    run.set_column(Channel::Speed, speed, Origin::Derived)
-        .map_err(|error| Failure::new(USAGE, error.to_string()))?;
-    let note = "speed_rad_s was derived from angle_rad by central differences".to_owned();
-    loaded.warnings.push(note.clone());
-    loaded.run.notes.push(note);
-    Ok(())
 }
 
 /// A model with the place it came from.

@@ -65,6 +65,7 @@ pub(super) struct Refit {
     pub(super) fit: Fit,
     pub(super) holdout: Score,
     pub(super) minimum_detectable: f64,
+    pub(super) typical_size: f64,
     pub(super) free_parameters: usize,
 }
 
@@ -92,11 +93,24 @@ pub(super) fn refit_all(
     original: &Model,
 ) -> Result<Vec<Refit>, FitError> {
     let screen = Screen::new(baseline, &evidence.training);
-    effect::CATALOGUE
+    let refits: Vec<Result<Refit, FitError>> = effect::CATALOGUE
         .par_iter()
         .filter(|effect| !baseline.model.has(effect.card().id))
         .map(|effect| refit(evidence, &screen, *effect, baseline, original))
-        .collect()
+        .collect();
+    // One effect that cannot be simulated on this motor must not hide the others; if none can, that is the answer.
+    let mut failure = None;
+    let mut done = Vec::new();
+    for refit in refits {
+        match refit {
+            Ok(refit) => done.push(refit),
+            Err(error) => failure = Some(error),
+        }
+    }
+    match failure {
+        Some(error) if done.is_empty() => Err(error),
+        _ => Ok(done),
+    }
 }
 
 fn refit(
@@ -126,6 +140,7 @@ fn refit(
         fit,
         holdout,
         minimum_detectable: screened.minimum_detectable,
+        typical_size: screened.typical_size,
         free_parameters,
     })
 }

@@ -92,8 +92,18 @@ pub fn diagnose(
         refits = refit_all(&evidence, &current, model)?;
         set = in_the_answer(&score, &refits);
     }
+    let first_choice = accepted.first().copied();
     if accepted.len() > 1 {
+        let found = accepted.len();
         (current, score) = drop_superfluous(&evidence, current, score, &mut accepted)?;
+        if accepted.len() < found {
+            // The rungs on the way led through an effect that is not in the answer.
+            ladder.truncate(1);
+            ladder.push(Rung {
+                effects: current.model.effect_ids(),
+                holdout_rmse: score.nrms,
+            });
+        }
     }
     let eta = explained(base.nrms, score.nrms, floor);
     let verdict = verdict(
@@ -101,13 +111,14 @@ pub fn diagnose(
         &evidence,
         !accepted.is_empty(),
         eta,
-        first_round.tied && accepted.len() == 1,
+        first_round.tied && accepted.len() == 1 && accepted.first().copied() == first_choice,
     );
     if matches!(
         verdict,
         DiagnosisVerdict::None | DiagnosisVerdict::Unexplained
     ) {
         accepted.clear();
+        ladder.truncate(1);
         current = baseline.clone();
         score = base.clone();
     }
@@ -116,7 +127,11 @@ pub fn diagnose(
         verdict,
         effect,
         effects: accepted,
-        sufficient: verdict == DiagnosisVerdict::None || (effect.is_some() && eta >= SUFFICIENT),
+        sufficient: match verdict {
+            // Without a floor nobody knows whether something is missing.
+            DiagnosisVerdict::None => evidence.noise.source != FloorSource::None,
+            _ => effect.is_some() && eta >= SUFFICIENT,
+        },
         noise_floor_from: evidence.noise.source,
         holdout_from: evidence.holdout_from,
         explained_percent: if effect.is_some() { 100.0 * eta } else { 0.0 },
@@ -232,12 +247,11 @@ fn describe(
         .map(|(rank, index)| {
             let refit = &refits[index];
             let (pays, against_base) = (pays(base, &refit.holdout), z(base, &refit.holdout));
-            let scale = refit.effect.parameters()[0].scale;
             let status = if set.first() == Some(&index) {
                 Status::Supported
             } else if pays {
                 Status::Possible
-            } else if refit.minimum_detectable > scale {
+            } else if refit.minimum_detectable > refit.typical_size {
                 Status::NotExcited
             } else {
                 Status::RuledOut

@@ -63,14 +63,15 @@ impl Evidence {
         let mut fit = output_error::fit(std::slice::from_ref(model), &self.training, &self.noise)?;
         if self.noise.source == FloorSource::None {
             let score = Score::of(&fit.model, &self.training, &self.noise)?;
+            let level = |rmse: f64| if rmse > 0.0 { rmse } else { f64::INFINITY };
             self.noise.current_a = score
                 .current
                 .as_ref()
-                .map_or(f64::INFINITY, |signal| signal.rmse);
+                .map_or(f64::INFINITY, |signal| level(signal.rmse));
             self.noise.speed_rad_s = score
                 .speed
                 .as_ref()
-                .map_or(f64::INFINITY, |signal| signal.rmse);
+                .map_or(f64::INFINITY, |signal| level(signal.rmse));
             fit = output_error::fit(
                 std::slice::from_ref(&fit.model),
                 &self.training,

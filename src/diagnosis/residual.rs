@@ -4,11 +4,16 @@ use serde::Serialize;
 
 /// Lags that are looked at.
 const LAGS: usize = 25;
+/// Samples below which an autocorrelation says nothing.
+const FEWEST_SAMPLES: usize = 4 * LAGS;
 
 /// Whiteness of the residual; the 99 % band is `2.58 / sqrt(n)`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ResidualLights {
+    /// False also where there are too few samples to say.
     pub white: bool,
+    /// Whether every signal has samples enough for the verdict.
+    pub enough_samples: bool,
     /// Share of the lags 1..25 whose autocorrelation lies outside the 99 % band, the worse of the signals.
     pub autocorrelation_outside_99_percent: f64,
 }
@@ -16,13 +21,17 @@ pub struct ResidualLights {
 impl ResidualLights {
     /// From the residuals of every signal, in order of time.
     pub fn of(signals: &[Vec<f64>]) -> Self {
-        let worst = signals
-            .iter()
+        // A signal that the run does not have says nothing either way.
+        let measured = || signals.iter().filter(|residual| !residual.is_empty());
+        let worst = measured()
             .map(|residual| share_outside(residual))
             .fold(0.0, f64::max);
-        // By chance a lag lies outside in one case of a hundred: three of 25 would be a case of 500.
+        let enough_samples = measured().next().is_some()
+            && measured().all(|residual| residual.len() >= FEWEST_SAMPLES);
+        // By chance a lag lies outside in one case of a hundred: more than three of 25 in one run of 8,000.
         Self {
-            white: worst <= 0.12,
+            white: enough_samples && worst <= 0.12,
+            enough_samples,
             autocorrelation_outside_99_percent: worst,
         }
     }
@@ -30,7 +39,7 @@ impl ResidualLights {
 
 fn share_outside(residual: &[f64]) -> f64 {
     let n = residual.len();
-    if n < 4 * LAGS {
+    if n < FEWEST_SAMPLES {
         return 0.0;
     }
     let mean = residual.iter().sum::<f64>() / n as f64;
@@ -67,6 +76,10 @@ mod tests {
             .map(|(k, n)| n + 0.3 * (k as f64 / 50.0).sin())
             .collect();
         let lights = ResidualLights::of(&[noise, wave]);
+        assert!(
+            !ResidualLights::of(&[vec![0.0; 40]]).white,
+            "too few to say"
+        );
         assert!(!lights.white && lights.autocorrelation_outside_99_percent > 0.5);
     }
 }

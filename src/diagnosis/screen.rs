@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError, FreeRun};
 use crate::numerics::levenberg_marquardt::Problem;
-use crate::plant::{ActiveEffect, Effect, Model, Scenario};
+use crate::plant::{ActiveEffect, Effect, Model, Scenario, typical_size};
 
 /// Standard deviations at which an effect counts as visible.
 const DETECTION_SIGMA: f64 = 5.0;
@@ -23,6 +23,8 @@ pub(super) struct Screened {
     pub(super) gain: f64,
     /// Smallest size of the first coefficient that this run would show (5 sigma, white noise).
     pub(super) minimum_detectable: f64,
+    /// Size at which the first coefficient would matter in this run.
+    pub(super) typical_size: f64,
 }
 
 /// The baseline's fit, made ready for projecting.
@@ -72,9 +74,10 @@ impl<'a> Screen<'a> {
         let mut probes = DMatrix::zeros(residual.len(), coefficients.len());
         for (column, &index) in coefficients.iter().enumerate() {
             let mut values = shape.to_vec();
-            values[index] = specs[index].scale;
+            let size = typical_size(effect, index, self.baseline, self.training);
+            values[index] = size;
             let there = self.residual_with(effect, &values)?;
-            let probe = self.project((there - &self.residual) / specs[index].scale);
+            let probe = self.project((there - &self.residual) / size);
             probes.set_column(column, &probe);
         }
         let normal = probes.tr_mul(&probes);
@@ -100,6 +103,7 @@ impl<'a> Screen<'a> {
             start,
             gain,
             minimum_detectable: DETECTION_SIGMA / norm.max(f64::MIN_POSITIVE),
+            typical_size: typical_size(effect, 0, self.baseline, self.training),
         })
     }
 

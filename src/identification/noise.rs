@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::plant::Scenario;
+use crate::plant::{Input, Scenario};
 
 /// Where the noise floor comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -69,7 +69,8 @@ impl NoiseFloor {
             let varies = present.any(|v| v != first);
             (level > 0.0 || varies).then_some(level)
         };
-        let (current, speed) = (floor(&scenario.current_a), floor(&scenario.speed_rad_s));
+        let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
+        let speed = floor(&scenario.speed_rad_s);
         // A noise of zero is none that a sensor has: the rest then says nothing about noise.
         if [current, speed].contains(&Some(0.0)) {
             return None;
@@ -98,12 +99,21 @@ impl NoiseFloor {
             }
         };
         Self {
-            current_a: spread(&scenario.current_a),
+            current_a: if current_is_an_output(scenario) {
+                spread(&scenario.current_a)
+            } else {
+                f64::INFINITY
+            },
             speed_rad_s: spread(&scenario.speed_rad_s),
             source: FloorSource::None,
             samples: 0,
         }
     }
+}
+
+/// Only under a voltage is the current something that the model predicts; else it is, or goes with, the input.
+fn current_is_an_output(scenario: &Scenario) -> bool {
+    scenario.input == Input::Voltage
 }
 
 /// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.

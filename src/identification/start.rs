@@ -7,6 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::output_error::FitError;
+use super::weak_form;
 use crate::plant::{Input, Model, ModelError, MotorKey, Scenario};
 
 /// Length of a window, s, and samples it has at least.
@@ -16,8 +17,11 @@ const FEWEST_SAMPLES: usize = 3;
 /// Fills in the motor values that `model` leaves out; what the user gave stays as it is.
 pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
     let mut model = model.clone();
-    if model.require_complete().is_ok() || scenario.input != Input::Voltage {
+    if model.require_complete().is_ok() {
         return Ok(model);
+    }
+    if scenario.input != Input::Voltage {
+        return mechanical(model, scenario);
     }
     let sums = integrals(scenario);
     let electrical: Vec<[f64; 4]> = sums
@@ -40,6 +44,18 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
     for slot in model.slots() {
         if model.get(&slot).is_none() && model.fixed.contains(&slot.key()) {
             return Err(ModelError::Unset { key: slot.key() }.into());
+        }
+    }
+    Ok(model)
+}
+
+/// Without a voltage the weak form of the torque balance gives the start.
+fn mechanical(mut model: Model, scenario: &Scenario) -> Result<Model, FitError> {
+    for balance in weak_form::fit(&model, scenario)? {
+        for estimate in balance.parameters {
+            if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
+                set(&mut model, key, value);
+            }
         }
     }
     Ok(model)

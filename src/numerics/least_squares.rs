@@ -78,6 +78,9 @@ pub fn clustered(
 /// `(J'J)^-1` on the directions that the data determine, and which unknowns those cover.
 pub fn inverse_where_determined(jacobian: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
     let unknowns = jacobian.ncols();
+    if unknowns == 0 {
+        return (DMatrix::zeros(0, 0), Vec::new());
+    }
     let norms: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
     let mut determined: Vec<bool> = norms

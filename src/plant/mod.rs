@@ -16,6 +16,7 @@ mod motor;
 mod propagator;
 mod scenario;
 mod simulate;
+mod typical_size;
 
 pub use effect::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
 pub use model::{ActiveEffect, Model, ModelError, Slot};
@@ -23,3 +24,4 @@ pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
 pub use scenario::{Input, Scenario, ScenarioError};
 pub use simulate::{Plant, State, Trajectory};
+pub use typical_size::typical_size;

@@ -26,6 +26,16 @@ pub enum ModelError {
 }
 
 impl ModelError {
+    /// The key that the error is about, as it stands in a model file; empty where it is about none.
+    pub fn key(&self) -> &str {
+        match self {
+            Self::Value { key, .. } | Self::UnknownParameter { key } | Self::Unset { key } => {
+                key.rsplit('.').next().unwrap_or(key)
+            }
+            Self::UnknownEffect { .. } | Self::Duplicate { .. } | Self::Absent { .. } => "",
+        }
+    }
+
     pub const fn help(&self) -> &'static str {
         match self {
             Self::UnknownEffect { .. } => "`drivebench effects` lists the catalogue",

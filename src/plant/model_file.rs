@@ -61,7 +61,7 @@ impl ModelFile {
         }
         model
             .validate()
-            .map_err(|error| reader.error(0, "", &error.to_string()))?;
+            .map_err(|error| reader.error(0, error.key(), &error.to_string()))?;
         Ok(Self { model, history })
     }
 
@@ -138,6 +138,12 @@ fn number(value: f64) -> String {
     format!("{value:?}")
 }
 
+/// Whether a line begins with this key and not with a longer one.
+fn assigns(line: &str, key: &str) -> bool {
+    line.strip_prefix(key)
+        .is_some_and(|rest| !rest.starts_with(|next: char| next.is_alphanumeric() || next == '_'))
+}
+
 struct Reader<'a> {
     file: &'a str,
     text: &'a str,
@@ -171,7 +177,7 @@ impl Reader<'_> {
         let mut offset = 0;
         for line in self.text.split_inclusive('\n') {
             let body = line.trim_start().trim_start_matches(['[', '"']);
-            if offset + line.len() > from && !key.is_empty() && body.starts_with(key) {
+            if offset + line.len() > from && !key.is_empty() && assigns(body, key) {
                 return offset + (line.len() - line.trim_start().len());
             }
             offset += line.len();

@@ -22,6 +22,16 @@ pub enum Input {
 pub enum ScenarioError {
     #[error("run {run:?} has no voltage, and neither current nor torque in its place")]
     NoInput { run: String },
+    #[error(
+        "run {run:?}: {gap_s} s pass between two samples near {time_s} s (the median is {median_s} s, at most {allowed_s} s are allowed)"
+    )]
+    Gap {
+        run: String,
+        gap_s: f64,
+        time_s: f64,
+        median_s: f64,
+        allowed_s: f64,
+    },
     #[error("run {run:?} has {rows} usable rows, at least {needed} are needed")]
     TooShort {
         run: String,
@@ -35,6 +45,9 @@ impl ScenarioError {
         match self {
             Self::NoInput { .. } => {
                 "map a column with --map voltage_v=HEADER (or torque_n_m=HEADER)"
+            }
+            Self::Gap { .. } => {
+                "is the time column in seconds? --map time_s=HEADER*0.001 converts milliseconds; cut a pause out of the file"
             }
             Self::TooShort { .. } => "record a longer run, or check the time column",
         }
@@ -61,6 +74,8 @@ pub struct Scenario {
     pub scored: Range<usize>,
 }
 
+/// Longest time without a sample, s: a motor's transients are over long before.
+const LONGEST_GAP_S: f64 = 60.0;
 /// Rows below which nothing can be said about a motor.
 const FEWEST_ROWS: usize = 20;
 
@@ -101,8 +116,31 @@ impl Scenario {
                 needed: FEWEST_ROWS,
             });
         }
+        scenario.refuse_gaps()?;
         scenario.scored = 0..rows;
         Ok(scenario)
+    }
+
+    /// A stamp far from its neighbours, or a time column in another unit, would be simulated step by step for ever.
+    fn refuse_gaps(&self) -> Result<(), ScenarioError> {
+        let gaps: Vec<f64> = self
+            .sample_time_s
+            .windows(2)
+            .map(|pair| pair[1] - pair[0])
+            .collect();
+        let mut sorted = gaps.clone();
+        sorted.sort_by(f64::total_cmp);
+        let median_s = sorted[sorted.len() / 2];
+        match gaps.iter().position(|gap| *gap > LONGEST_GAP_S) {
+            Some(at) => Err(ScenarioError::Gap {
+                run: self.name.clone(),
+                gap_s: gaps[at],
+                time_s: self.sample_time_s[at],
+                median_s,
+                allowed_s: LONGEST_GAP_S,
+            }),
+            None => Ok(()),
+        }
     }
 
     pub fn samples(&self) -> usize {
@@ -216,6 +254,26 @@ mod tests {
             .split(0.6);
         assert_eq!((training.samples(), training.scored), (24, 0..24));
         assert_eq!((holdout.samples(), holdout.scored), (40, 24..40));
+    }
+
+    #[test]
+    fn milliseconds_taken_for_seconds_and_a_stamp_far_away_are_named() {
+        for times in [
+            (0..40).map(|k| f64::from(k) * 1000.0).collect::<Vec<_>>(),
+            (0..40)
+                .map(|k| if k < 39 { f64::from(k) } else { 1e12 })
+                .collect(),
+        ] {
+            let mut run = Run::new("r", times).unwrap();
+            run.set_column(Channel::Voltage, vec![1.0; 40], Origin::Unknown)
+                .unwrap();
+            run.set_column(Channel::Speed, vec![1.0; 40], Origin::Unknown)
+                .unwrap();
+            assert!(matches!(
+                Scenario::from_run(&run),
+                Err(ScenarioError::Gap { .. })
+            ));
+        }
     }
 
     #[test]

@@ -114,6 +114,7 @@ fn comparison(factor: f64) -> Comparison {
         signal.holdout.fit_percent = 100.0 - 2.1 * factor;
     }
     comparison.residual = ResidualLights {
+        enough_samples: true,
         white: factor < 1.5,
         autocorrelation_outside_99_percent: if factor < 1.5 { 0.04 } else { 0.96 },
     };

@@ -189,7 +189,10 @@ impl Commission {
     /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step.
     pub fn analyse(&mut self, mut publish: impl FnMut(Progress)) -> Result<(), FitError> {
         let [fit, select, confirm, repeat] = &self.scenarios[..] else {
-            return Err(FitError::NothingFree);
+            return Err(FitError::TooFewRuns {
+                runs: self.scenarios.len(),
+                needed: Role::ALL.len(),
+            });
         };
         let nameplate = start::complete(&self.nameplate, fit)?;
         let evidence = Evidence::new(fit.clone(), Some(select.clone()), Some(confirm.clone()));

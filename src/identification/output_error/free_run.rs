@@ -3,11 +3,13 @@
 use super::FitError;
 use crate::identification::noise::NoiseFloor;
 use crate::numerics::levenberg_marquardt::Problem;
-use crate::plant::{Model, MotorKey, Plant, Scenario, Slot, State, Trajectory};
+use crate::plant::{Model, MotorKey, Plant, Scenario, Slot, State, Trajectory, typical_size};
 
-/// Smallest Coulomb level that a logarithm may reach, as a share of its start or of this torque, N.m.
+/// Where a fit of a Coulomb level starts that was given as zero, whose logarithm does not exist, N.m.
 const SMALLEST_LOAD_N_M: f64 = 1e-6;
 
+/// Unit in which the start of a signal without a measurement is fitted: A or rad/s.
+const UNMEASURED_START: f64 = 30.0;
 /// Unit in which initial states of effects are fitted: A2.s of heat in a winding.
 const EFFECT_STATE_SCALE: f64 = 100.0;
 
@@ -21,7 +23,7 @@ enum Scaling {
 }
 
 impl Scaling {
-    fn of(slot: &Slot) -> Self {
+    fn of(slot: &Slot, model: &Model, scenario: &Scenario) -> Self {
         match slot {
             Slot::Motor(_) => Self::Logarithm {
                 min: 1e-12,
@@ -31,8 +33,13 @@ impl Scaling {
                 min: spec.min,
                 max: spec.max,
             },
-            Slot::Effect { spec, .. } => Self::Linear {
-                scale: spec.scale,
+            Slot::Effect {
+                spec,
+                index,
+                parameter,
+                ..
+            } => Self::Linear {
+                scale: typical_size(model.effects[*index].effect, *parameter, model, scenario),
                 min: spec.min,
                 max: spec.max,
             },
@@ -99,8 +106,19 @@ impl<'a> FreeRun<'a> {
         let mut model = model.clone();
         for slot in model.slots() {
             match (&slot, model.get(&slot)) {
-                (Slot::Effect { spec, .. }, None) => model.set(&slot, spec.guess()),
-                (Slot::Motor(MotorKey::LoadTorque), Some(value)) if value < SMALLEST_LOAD_N_M => {
+                (
+                    Slot::Effect {
+                        index, parameter, ..
+                    },
+                    None,
+                ) => {
+                    let effect = model.effects[*index].effect;
+                    let size = typical_size(effect, *parameter, &model, scenario);
+                    model.set(&slot, size);
+                }
+                (Slot::Motor(MotorKey::LoadTorque), Some(value))
+                    if value < SMALLEST_LOAD_N_M && !model.fixed.contains(&slot.key()) =>
+                {
                     model.set(&slot, SMALLEST_LOAD_N_M);
                 }
                 _ => {}
@@ -131,7 +149,10 @@ impl<'a> FreeRun<'a> {
             first_finite(&scenario.speed_rad_s),
         );
         Ok(Self {
-            scaling: free.iter().map(Scaling::of).collect(),
+            scaling: free
+                .iter()
+                .map(|slot| Scaling::of(slot, &model, scenario))
+                .collect(),
             start_is_free: !starts_at_rest(scenario, &noise),
             measured_start,
             effect_states: 0,
@@ -213,7 +234,13 @@ impl<'a> FreeRun<'a> {
 
     /// Units in which the initial state is fitted.
     fn start_scale(&self) -> (f64, f64) {
-        let finite = |value: f64| if value.is_finite() { 10.0 * value } else { 1.0 };
+        let finite = |value: f64| {
+            if value.is_finite() {
+                10.0 * value
+            } else {
+                UNMEASURED_START
+            }
+        };
         (finite(self.noise.current_a), finite(self.noise.speed_rad_s))
     }
 }

@@ -27,6 +27,8 @@ use super::verdict::judge;
 pub enum FitError {
     #[error(transparent)]
     Model(#[from] ModelError),
+    #[error("{runs} runs were recorded, {needed} are needed")]
+    TooFewRuns { runs: usize, needed: usize },
     #[error("no free parameter: every parameter of the model is fixed")]
     NothingFree,
     #[error(
@@ -41,6 +43,7 @@ impl FitError {
     pub const fn help(&self) -> &'static str {
         match self {
             Self::Model(error) => error.help(),
+            Self::TooFewRuns { .. } => "record the missing runs",
             Self::NothingFree => "take a key out of `fixed` in the model file",
             Self::NothingMeasured { .. } => {
                 "map a column with --map speed_rad_s=HEADER or current_a=HEADER"
@@ -151,7 +154,12 @@ fn estimates(
             let std = variance
                 .is_finite()
                 .then(|| variance.max(0.0).sqrt() * slopes[index].abs());
-            judge(slot, value.unwrap_or(f64::NAN), std, period_s)
+            let mut judged = judge(slot, value.unwrap_or(f64::NAN), std, period_s);
+            if !minimum.converged && judged.verdict == Verdict::Settled {
+                judged.verdict = Verdict::Searching;
+                judged.reason = Some("the fit had not converged".to_owned());
+            }
+            judged
         })
         .collect()
 }

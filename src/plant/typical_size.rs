@@ -1,0 +1,108 @@
+//! How large an effect would have to be to matter in a run: where fits start and in which unit they step.
+
+use super::effect::{Balance, Effect, Instant};
+use super::model::Model;
+use super::scenario::{Input, Scenario};
+
+/// Share of the run's largest voltage or torque that an effect of typical size reaches.
+const SHARE: f64 = 0.03;
+/// Samples that are looked at.
+const LOOKS: usize = 500;
+
+/// The size of one coefficient at which the effect reaches three per cent of the largest voltage (torque) of the run: a
+/// milliwatt motor and a mill have drags of very different size. Shape parameters have their own.
+pub fn typical_size(
+    effect: &dyn Effect,
+    parameter: usize,
+    model: &Model,
+    scenario: &Scenario,
+) -> f64 {
+    let specs = effect.parameters();
+    if !specs[parameter].is_coefficient() {
+        return specs[parameter].guess();
+    }
+    let values: Vec<f64> = specs
+        .iter()
+        .enumerate()
+        .map(
+            |(index, spec)| match (spec.is_coefficient(), index == parameter) {
+                (true, true) => 1.0,
+                (true, false) => 0.0,
+                (false, _) => spec.guess(),
+            },
+        )
+        .collect();
+    let terms = effect.terms(&values);
+    let (times, events) = (&scenario.sample_time_s, &scenario.events);
+    let duration_s = times[times.len() - 1] - times[0];
+    let finite =
+        |values: &[f64]| -> Vec<f64> { values.iter().copied().filter(|v| v.is_finite()).collect() };
+    let currents = finite(&scenario.current_a);
+    let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
+    // States of effects gather what the current leaves behind: by the end of the run as much as this.
+    let own = vec![mean_square * duration_s; terms.states()];
+    let resistance = model.motor.get(super::MotorKey::Resistance).unwrap_or(1.0);
+    let stride = times.len().div_ceil(LOOKS);
+    let balance = effect.card().balance;
+    let reached = (0..times.len()).step_by(stride).fold(0.0, |most, sample| {
+        let at = Instant {
+            time_s: times[sample],
+            current_a: scenario.current_a[sample],
+            speed_rad_s: scenario.speed_rad_s[sample],
+            ..Instant::default()
+        };
+        let here = match balance {
+            Balance::Voltage => terms.voltage_v(&at, &own, resistance).abs(),
+            Balance::Torque => terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs(),
+        };
+        // A comparison that drops NaN, as of a sample without a speed.
+        f64::max(most, here)
+    });
+    let largest_input = events
+        .iter()
+        .fold(0.0, |most, event| f64::max(most, event.1.abs()));
+    let largest_current = currents.iter().fold(0.0, |most, i| f64::max(most, i.abs()));
+    let level = match (balance, scenario.input) {
+        (Balance::Voltage, _) | (Balance::Torque, Input::Torque) => largest_input,
+        (Balance::Torque, Input::Voltage | Input::Current) => {
+            model.motor.torque_constant().unwrap_or(1.0) * largest_current
+        }
+    };
+    let size = SHARE * level / reached;
+    if size.is_finite() && size > 0.0 {
+        size
+    } else {
+        specs[parameter].scale
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::{Motor, effect};
+    use crate::sample::Channel;
+
+    #[test]
+    fn it_goes_with_the_motor_and_with_what_the_run_reached() {
+        let scenario = |current: f64, speed: f64| Scenario {
+            name: "r".into(),
+            input: Input::Voltage,
+            input_channel: Channel::Voltage,
+            events: vec![(0.0, 10.0)],
+            sample_time_s: vec![0.0, 1.0],
+            current_a: vec![0.0, current],
+            speed_rad_s: vec![f64::NAN, speed],
+            angle: vec![],
+            scored: 0..2,
+        };
+        let model = Model::baseline(Motor::zk_22fc());
+        let drag = effect::find("viscous_friction").unwrap();
+        let size = typical_size(drag, 0, &model, &scenario(8.0, 250.0));
+        assert!((size - 0.03 * 0.3538 * 8.0 / 250.0).abs() < 1e-12);
+        let small = typical_size(drag, 0, &model, &scenario(0.008, 2500.0));
+        assert!((size / small - 1e4).abs() < 1e-6);
+        // A shaft that never turned says nothing about drag.
+        let still = typical_size(drag, 0, &model, &scenario(8.0, 0.0));
+        assert!((still - drag.parameters()[0].scale).abs() < 1e-18);
+    }
+}
