@@ -310,7 +310,7 @@ impl Checker<'_> {
             "standstill",
             !fault && speed <= REST_SHARE * limits.speed_rad_s,
             text,
-            "the shaft must stand still and the drive be without a fault: stop it, or reset the fault",
+            "the shaft must stand still and the drive be without a fault: wait until it stands, or clear a latched fault with --reset-fault",
         )
     }
 

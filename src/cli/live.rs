@@ -28,7 +28,7 @@ use crate::emulator::{
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
 use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
-use crate::sample::Channel;
+use crate::sample::{Channel, Command, Demand};
 
 /// Options of every command that may energise a motor.
 #[derive(Args, Clone, Debug)]
@@ -60,6 +60,9 @@ pub(super) struct LiveArguments {
     /// Go on although the drive's watchdog cannot be proven; the waiver is recorded
     #[arg(long)]
     waive_watchdog: bool,
+    /// Clear a fault that the drive has latched, as after a killed host; the output stays off
+    #[arg(long)]
+    reset_fault: bool,
     /// Print JSON
     #[arg(long)]
     pub(super) json: bool,
@@ -153,6 +156,7 @@ pub(super) struct Rig {
     hardware: bool,
     headless: bool,
     waive_watchdog: bool,
+    reset_fault: bool,
     out: PathBuf,
     pub(super) emulator: Option<EmulatorConfig>,
     /// Dropping it ends the emulator, so it outlives the link.
@@ -214,6 +218,7 @@ impl Rig {
             hardware: arguments.hardware || !arguments.is_headless(),
             headless: arguments.is_headless(),
             waive_watchdog: arguments.waive_watchdog,
+            reset_fault: arguments.reset_fault,
             out: arguments.out.clone(),
             emulator,
             _server: server,
@@ -223,6 +228,14 @@ impl Rig {
 
     /// Identity, limits, link probe, watchdog proof; the refusal is the first check that failed.
     pub(super) fn check(&mut self) -> Result<CheckReport, Failure> {
+        if std::mem::take(&mut self.reset_fault) {
+            // Who is there is asked first: a reset is not sent to a stranger.
+            self.link.identify()?;
+            self.link.exchange(Command {
+                seq: 1,
+                demand: Demand::ResetFault,
+            })?;
+        }
         let options = CheckOptions {
             rate_hz: self.bench.link.rate_hz,
             hardware_allowed: self.hardware,

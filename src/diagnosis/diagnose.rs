@@ -122,14 +122,18 @@ pub fn diagnose(
         current = baseline.clone();
         score = base.clone();
     }
+    let excited = first_round
+        .candidates
+        .iter()
+        .any(|candidate| candidate.status != Status::NotExcited);
     let effect = accepted.first().copied();
     let mut diagnosis = Diagnosis {
         verdict,
         effect,
         effects: accepted,
         sufficient: match verdict {
-            // Without a floor nobody knows whether something is missing.
-            DiagnosisVerdict::None => evidence.noise.source != FloorSource::None,
+            // Without a floor, or in a run that would show nothing, nobody knows whether something is missing.
+            DiagnosisVerdict::None => evidence.noise.source != FloorSource::None && excited,
             _ => effect.is_some() && eta >= SUFFICIENT,
         },
         noise_floor_from: evidence.noise.source,
@@ -306,6 +310,9 @@ fn sentence(diagnosis: &Diagnosis) -> String {
             "nothing in the catalogue pays on the hold-out; without a noise floor it cannot be said whether anything \
              is missing"
                 .to_owned()
+        }
+        DiagnosisVerdict::None if !diagnosis.sufficient => {
+            "this run would not show any effect of the catalogue: nothing can be said".to_owned()
         }
         DiagnosisVerdict::None => format!("nothing is missing: held-out error {before:.2} times the noise floor"),
         DiagnosisVerdict::Unexplained => {

@@ -79,6 +79,17 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError
     Ok(balances)
 }
 
+/// Why a balance has too few windows to be solved.
+fn why_too_few(windows: usize, model: &Model, scenario: &Scenario, equation: Balance) -> String {
+    let by_current = scenario.input != Input::Torque;
+    if equation == Balance::Torque && by_current && model.motor.torque_constant().is_none() {
+        "no torque constant turns current into torque: give back_emf_v_s_per_rad or torque_n_m_per_a"
+            .to_owned()
+    } else {
+        format!("{windows} usable windows: the shaft hardly moves in this run")
+    }
+}
+
 /// One unknown of a balance: how it is judged and what stands beside it in the sum.
 struct Unknown {
     slot: Slot,
@@ -126,10 +137,7 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Balanced {
             _ => ParameterEstimate::not_observable(
                 &unknown.slot.key(),
                 unknown.slot.unit(),
-                format!(
-                    "{} usable windows: the shaft hardly moves in this run",
-                    system.windows.len()
-                ),
+                why_too_few(system.windows.len(), model, scenario, equation),
             ),
         });
         place += 1;

@@ -46,6 +46,8 @@ const EARLY_LOSS: f64 = 0.08;
 const EARLY_ROWS: f64 = 40.0;
 /// Periods per electrical time constant (as estimated) beyond which the inductance is not claimed.
 const MOST_PERIODS: f64 = 3.0;
+/// Relative standard deviation of the resistance from which on that estimate is trusted.
+const CERTAIN_RATIO: f64 = 0.01;
 /// Relative error that the shape of the speed between samples leaves, times (T R/L)^2: measured on the motor of paper A at
 /// 5 to 20 ms (inductance; resistance and back-EMF less). It is part of the standard deviation.
 const COARSE: f64 = 0.002;
@@ -479,7 +481,10 @@ impl Scheme3 {
                     return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
                 };
                 let time_constant_s = values[1] / values[0];
-                if key == MotorKey::Inductance && self.period_s > MOST_PERIODS * time_constant_s {
+                // Early on the ratio itself is not known well enough to say so.
+                let known = !starting && stds[0] < CERTAIN_RATIO * values[0];
+                let gone = self.period_s > MOST_PERIODS * time_constant_s;
+                if key == MotorKey::Inductance && known && gone {
                     // What is left of the transient between two samples is below the noise of everything else.
                     let reason = format!(
                         "L/R = {:.1} ms or less against a period of {:.1} ms; sample faster, or use burst capture",
