@@ -145,6 +145,15 @@ impl Strings {
     }
 }
 
+/// What the user has allowed on the command line.
+struct Consent {
+    /// Real hardware may move.
+    hardware: bool,
+    waive_watchdog: bool,
+    /// Once: taken back when it has been done.
+    reset_fault: bool,
+}
+
 /// An open drive with its clock, and the emulator's thread where it is ours.
 pub(super) struct Rig {
     pub(super) bench: BenchFile,
@@ -153,10 +162,8 @@ pub(super) struct Rig {
     clock: Box<dyn Clock + Send>,
     last_seq: u64,
     check: Option<CheckReport>,
-    hardware: bool,
+    consent: Consent,
     headless: bool,
-    waive_watchdog: bool,
-    reset_fault: bool,
     out: PathBuf,
     pub(super) emulator: Option<EmulatorConfig>,
     /// Dropping it ends the emulator, so it outlives the link.
@@ -214,11 +221,13 @@ impl Rig {
             clock,
             last_seq: 0,
             check: None,
-            // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
-            hardware: arguments.hardware || !arguments.is_headless(),
+            consent: Consent {
+                // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
+                hardware: arguments.hardware || !arguments.is_headless(),
+                waive_watchdog: arguments.waive_watchdog,
+                reset_fault: arguments.reset_fault,
+            },
             headless: arguments.is_headless(),
-            waive_watchdog: arguments.waive_watchdog,
-            reset_fault: arguments.reset_fault,
             out: arguments.out.clone(),
             emulator,
             _server: server,
@@ -228,7 +237,7 @@ impl Rig {
 
     /// Identity, limits, link probe, watchdog proof; the refusal is the first check that failed.
     pub(super) fn check(&mut self) -> Result<CheckReport, Failure> {
-        if std::mem::take(&mut self.reset_fault) {
+        if std::mem::take(&mut self.consent.reset_fault) {
             // Who is there is asked first: a reset is not sent to a stranger.
             self.link.identify()?;
             self.link.exchange(Command {
@@ -238,8 +247,8 @@ impl Rig {
         }
         let options = CheckOptions {
             rate_hz: self.bench.link.rate_hz,
-            hardware_allowed: self.hardware,
-            waive_watchdog: self.waive_watchdog,
+            hardware_allowed: self.consent.hardware,
+            waive_watchdog: self.consent.waive_watchdog,
         };
         let report = check(
             self.link.as_mut(),
@@ -345,7 +354,13 @@ impl Rig {
 
     fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {
         let link = self.link.name();
-        let mut manifest = manifest(&self.bench, seed, &link, report, self.waive_watchdog);
+        let mut manifest = manifest(
+            &self.bench,
+            seed,
+            &link,
+            report,
+            self.consent.waive_watchdog,
+        );
         name.clone_into(&mut manifest.name);
         manifest.stamp = utc_stamp(now());
         if let Some(emulator) = &self.emulator {

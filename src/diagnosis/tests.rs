@@ -1,15 +1,9 @@
 //! Diagnosis of runs whose truth is known. Runs of the emulator, whose effects have other forms than the catalogue's,
 //! are diagnosed in `tests/`.
 
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
-
 use super::*;
 use crate::identification::noise::FloorSource;
-use crate::numerics::count::whole;
-use crate::plant::{Input, Model, Motor, Plant, Scenario, State, effect};
-use crate::sample::Channel;
+use crate::plant::{Model, Motor, Scenario, effect, testing};
 
 /// Staircase both ways with slow passages through zero; `shift` makes another run of it.
 fn events(shift: usize) -> Vec<(f64, f64)> {
@@ -29,33 +23,7 @@ fn events(shift: usize) -> Vec<(f64, f64)> {
 }
 
 fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
-    let period_s = 0.004;
-    let samples = whole(7.5 / period_s);
-    let mut scenario = Scenario {
-        name: format!("run {shift}"),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events: events(shift),
-        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
-        current_a: vec![],
-        speed_rad_s: vec![],
-        angle: vec![],
-        scored: 0..samples,
-    };
-    let out = Plant::new(model, Input::Voltage)
-        .unwrap()
-        .simulate(&scenario, State::default());
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
-        let noise = Normal::new(0.0, sigma).unwrap();
-        values
-            .iter()
-            .map(|value| value + noise.sample(&mut rng))
-            .collect()
-    };
-    scenario.current_a = noisy(&out.current_a, 0.03);
-    scenario.speed_rad_s = noisy(&out.speed_rad_s, 0.15);
-    scenario
+    testing::record(model, events(shift), 0.004, 7.5, seed)
 }
 
 fn evidence(truth: &Model, seed: u64) -> Evidence {

@@ -25,7 +25,7 @@ mod profile;
 mod reply;
 mod stream;
 mod tally;
-mod timeline;
+pub mod timeline;
 mod timing;
 
 pub use clock_map::{ClockMap, DriveClock};

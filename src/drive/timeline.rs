@@ -10,7 +10,7 @@ use crate::sample::{Applied, Channel, Demand, DriveState, Sample};
 /// The time axis of one connection. Drive time 0 is the first drive time that was seen, at `identify` where that
 /// comes first: samples of one connection share one origin, and the drive's time since power-up says nothing.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Timeline {
+pub struct Timeline {
     clock: DriveClock,
     pub(super) map: ClockMap,
     angle: Option<(f64, f64)>,
@@ -25,7 +25,7 @@ impl Timeline {
     }
 
     /// The sample of an exchange; host times of request and reply in s.
-    pub(super) fn sample(
+    pub fn sample(
         &mut self,
         telemetry: &Telemetry,
         seq: u64,
@@ -71,12 +71,13 @@ impl Timeline {
 }
 
 /// The part of a sequence number that travels.
-pub(super) const fn low_word(seq: u64) -> u16 {
+pub const fn low_word(seq: u64) -> u16 {
     let [.., high, low] = seq.to_be_bytes();
     u16::from_be_bytes([high, low])
 }
 
-pub(super) const fn control(demand: Demand) -> Control {
+/// What the drive is asked, as it travels.
+pub const fn control(demand: Demand) -> Control {
     match demand {
         Demand::Disable => Control::Disable,
         Demand::Stop => Control::Stop,
@@ -88,7 +89,7 @@ pub(super) const fn control(demand: Demand) -> Control {
 }
 
 /// The identity as the rest of the program knows it; names come from elsewhere.
-pub(super) fn identity(block: &firmware_protocol::Identity) -> Identity {
+pub fn identity(block: &firmware_protocol::Identity) -> Identity {
     let known = |value: f64| value.is_finite().then_some(value);
     let [major, minor] = block.firmware_version.to_be_bytes();
     Identity {
@@ -104,7 +105,8 @@ pub(super) fn identity(block: &firmware_protocol::Identity) -> Identity {
     }
 }
 
-pub(super) fn identity_error(link: &str, error: IdentityError) -> LinkError {
+/// Why an identity block is none of ours.
+pub fn identity_error(link: &str, error: IdentityError) -> LinkError {
     let link = link.to_owned();
     match error {
         IdentityError::Version(found) => LinkError::Version {

@@ -5,19 +5,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use firmware_protocol::modbus::{Exception, RegisterBank};
 use firmware_protocol::registers::{
-    COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS, PROTOCOL_VERSION, TELEMETRY_ADDRESS,
-    TELEMETRY_WORDS,
+    COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS, TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
-use firmware_protocol::{Control, DeviceKind, DriveCommand, Fault, State, Telemetry};
+use firmware_protocol::{DriveCommand, Telemetry};
 
 use super::SoftDrive;
+use crate::drive::timeline::{self, Timeline};
 use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
+use crate::sample::{Command, Demand, DriveState, Sample};
 
 /// Times that a stop is asked for before it counts as failed.
 const STOP_ATTEMPTS: usize = 3;
-/// Counters of microseconds wrap here, s.
-const TIME_SPAN_S: f64 = 4_294.967_296;
 
 /// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
 #[derive(Clone, Debug, Default)]
@@ -63,30 +61,18 @@ pub struct MemoryLink {
     latency: Latency,
     statistics: LinkStatistics,
     last_seq: u64,
-    time: Unwrapped,
-    applied_time: Unwrapped,
-    angle: Unwrapped,
+    timeline: Timeline,
 }
 
 impl MemoryLink {
-    pub const fn new(drive: SoftDrive, clock: VirtualClock, latency: Latency) -> Self {
+    pub fn new(drive: SoftDrive, clock: VirtualClock, latency: Latency) -> Self {
         Self {
             drive,
             clock,
             latency,
-            statistics: LinkStatistics {
-                sent: 0,
-                ok: 0,
-                timeout: 0,
-                crc: 0,
-                mismatch: 0,
-                exception: 0,
-                io: 0,
-            },
+            statistics: LinkStatistics::default(),
             last_seq: 0,
-            time: Unwrapped::new(TIME_SPAN_S),
-            applied_time: Unwrapped::new(TIME_SPAN_S),
-            angle: Unwrapped::new(Telemetry::ANGLE_SPAN_RAD),
+            timeline: Timeline::default(),
         }
     }
 
@@ -127,35 +113,6 @@ impl MemoryLink {
             }
         }
     }
-
-    fn sample(&mut self, telemetry: &Telemetry, seq: u64) -> Sample {
-        let mut sample = Sample::at(self.time.follow(f64::from(telemetry.time_us) * 1e-6));
-        sample.host_time_s =
-            Some(self.clock.time_s() + self.latency.request_s + self.latency.reply_s);
-        sample.seq = Some(seq);
-        sample.state = Some(match telemetry.status.state() {
-            Some(State::Disabled) => DriveState::Disabled,
-            Some(State::Ready) => DriveState::Ready,
-            Some(State::Running) => DriveState::Running,
-            Some(State::Fault) | None => DriveState::Fault,
-        });
-        sample.status = Some(telemetry.status.0);
-        sample.fault = (telemetry.fault != Fault::None).then(|| telemetry.fault.code());
-        sample.applied = Some(Applied {
-            seq,
-            time_s: self
-                .applied_time
-                .follow(f64::from(telemetry.applied_us) * 1e-6),
-        });
-        sample.set(Channel::VoltageCmd, telemetry.voltage_cmd_v);
-        sample.set(Channel::Voltage, telemetry.voltage_v);
-        sample.set(Channel::Current, telemetry.current_a);
-        sample.set(Channel::Speed, telemetry.speed_rad_s);
-        sample.set(Channel::Angle, self.angle.follow(telemetry.angle_rad));
-        sample.set(Channel::Bus, telemetry.bus_v);
-        sample.set(Channel::Temperature, telemetry.temperature_c);
-        sample
-    }
 }
 
 impl DriveLink for MemoryLink {
@@ -165,12 +122,8 @@ impl DriveLink for MemoryLink {
 
     fn identify(&mut self) -> Result<Identity, LinkError> {
         let block: [u16; IDENTITY_WORDS] = self.ask(None, IDENTITY_ADDRESS, "read the identity")?;
-        let identity = firmware_protocol::Identity::from_registers(&block).map_err(|error| {
-            LinkError::Identity {
-                link: self.name().0,
-                reason: format!("the identity block cannot be read: {error:?}"),
-            }
-        })?;
+        let block = firmware_protocol::Identity::from_registers(&block)
+            .map_err(|error| timeline::identity_error(&self.name().0, error))?;
         let text = |object| {
             self.drive
                 .identification(object)
@@ -180,28 +133,16 @@ impl DriveLink for MemoryLink {
         Ok(Identity {
             vendor: text(0),
             product: text(4),
-            serial_number: identity.serial_number.to_string(),
             firmware: text(2),
-            protocol_version: PROTOCOL_VERSION,
-            is_emulator: identity.kind.has(DeviceKind::EMULATOR),
-            watchdog_s: Some(f64::from(identity.watchdog_ms) * 1e-3),
-            current_limit_a: Some(identity.current_limit_a),
-            voltage_limit_v: Some(identity.voltage_limit_v),
+            ..timeline::identity(&block)
         })
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
-        let control = match command.demand {
-            Demand::Disable => Control::Disable,
-            Demand::Stop => Control::Stop,
-            Demand::ResetFault => Control::ResetFault,
-            Demand::Voltage(volts) => Control::Voltage(volts),
-            Demand::Current(amperes) => Control::Current(amperes),
-            Demand::Speed(speed) => Control::Speed(speed),
-        };
+        let sent_s = self.clock.time_s();
         let block = DriveCommand {
-            seq: low_word(command.seq),
-            control,
+            seq: timeline::low_word(command.seq),
+            control: timeline::control(command.demand),
         }
         .to_registers();
         self.last_seq = command.seq;
@@ -211,7 +152,10 @@ impl DriveLink for MemoryLink {
             "write the command and read the telemetry",
         )?;
         let telemetry = Telemetry::from_registers(&reply);
-        Ok(self.sample(&telemetry, command.seq))
+        let received_s = sent_s + self.latency.request_s + self.latency.reply_s;
+        Ok(self
+            .timeline
+            .sample(&telemetry, command.seq, sent_s, received_s))
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
@@ -239,12 +183,6 @@ impl DriveLink for MemoryLink {
     }
 }
 
-/// The part of a sequence number that travels.
-const fn low_word(seq: u64) -> u16 {
-    let [.., high, low] = seq.to_be_bytes();
-    u16::from_be_bytes([high, low])
-}
-
 const fn exception_name(exception: Exception) -> &'static str {
     match exception {
         Exception::IllegalFunction => "illegal function",
@@ -255,38 +193,13 @@ const fn exception_name(exception: Exception) -> &'static str {
     }
 }
 
-/// A counter that wraps, followed over its wraps; it moves by less than half its span between two looks.
-struct Unwrapped {
-    span: f64,
-    last: Option<f64>,
-    turns: f64,
-}
-
-impl Unwrapped {
-    const fn new(span: f64) -> Self {
-        Self {
-            span,
-            last: None,
-            turns: 0.0,
-        }
-    }
-
-    fn follow(&mut self, raw: f64) -> f64 {
-        if let Some(last) = self.last.replace(raw) {
-            if raw - last > 0.5 * self.span {
-                self.turns -= 1.0;
-            } else if last - raw > 0.5 * self.span {
-                self.turns += 1.0;
-            }
-        }
-        raw + self.turns * self.span
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use firmware_protocol::Fault;
+
     use super::*;
     use crate::emulator::EmulatorConfig;
+    use crate::sample::Channel;
 
     fn link(seed: u64) -> (MemoryLink, VirtualClock) {
         let clock = VirtualClock::new();
@@ -318,13 +231,15 @@ mod tests {
     #[test]
     fn the_sample_is_taken_after_the_command_and_the_latency_is_visible() {
         let (mut link, clock) = link(1);
-        clock.set_time_s(1.0);
+        // The first sample is the origin of the drive's time.
+        link.exchange(volts(69_999, 0.0)).unwrap();
+        clock.set_time_s(0.2);
         let sample = link.exchange(volts(70_000, 24.0)).unwrap();
         let applied = sample.applied.unwrap();
         assert_eq!((sample.seq, applied.seq), (Some(70_000), 70_000));
-        assert!((1.001_8..=1.001_851).contains(&applied.time_s));
+        assert!((applied.time_s - 0.2).abs() < 1e-4);
         assert!(sample.time_s >= applied.time_s);
-        assert!((sample.host_time_s.unwrap() - 1.007_3).abs() < 1e-9);
+        assert!((sample.host_time_s.unwrap() - 0.207_3).abs() < 1e-9);
         assert_eq!(sample.get(Channel::VoltageCmd), Some(24.0));
         assert!((sample.get(Channel::Voltage).unwrap() - 24.0).abs() < 0.2);
         assert_eq!(sample.state, Some(DriveState::Running));
@@ -380,14 +295,5 @@ mod tests {
             demand: Demand::ResetFault,
         };
         assert_eq!(link.exchange(reset).unwrap().fault, None);
-    }
-
-    #[test]
-    fn counters_are_followed_over_their_wraps_in_both_directions() {
-        let mut counter = Unwrapped::new(10.0);
-        let seen: Vec<f64> = [8.0, 9.0, 1.0, 9.5, 0.5]
-            .map(|raw| counter.follow(raw))
-            .into();
-        assert_eq!(seen, [8.0, 9.0, 11.0, 9.5, 10.5]);
     }
 }

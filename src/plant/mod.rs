@@ -16,6 +16,8 @@ mod motor;
 mod propagator;
 mod scenario;
 mod simulate;
+#[cfg(test)]
+pub(crate) mod testing;
 mod typical_size;
 
 pub use effect::{Balance, Card, Effect, Instant, ParameterSpec, Terms};

@@ -1,9 +1,6 @@
 //! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
 
 use nalgebra::DMatrix;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
 
 use super::*;
 use crate::diagnosis::{
@@ -12,7 +9,7 @@ use crate::diagnosis::{
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, Fit};
 use crate::numerics::levenberg_marquardt::Minimum;
-use crate::plant::{Input, Model, Motor, Plant, Scenario, State, Trajectory};
+use crate::plant::{Model, Motor, Scenario, State, Trajectory, testing};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
 
 /// Where to write the demonstration pages, to be looked at.
@@ -312,32 +309,8 @@ fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
             levels[(step + 3 * shift) % levels.len()],
         ));
     }
-    let period_s = 0.004;
-    let samples = 1875;
-    let mut scenario = Scenario {
-        name: format!("run {shift}"),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events,
-        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
-        current_a: vec![],
-        speed_rad_s: vec![],
-        angle: vec![],
-        scored: 0..samples,
-    };
-    let out = Plant::new(model, Input::Voltage)
-        .unwrap()
-        .simulate(&scenario, State::default());
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
-        let noise = Normal::new(0.0, sigma).unwrap();
-        values
-            .iter()
-            .map(|value| value + noise.sample(&mut rng))
-            .collect()
-    };
-    scenario.current_a = noisy(&out.current_a, 0.03);
-    scenario.speed_rad_s = noisy(&out.speed_rad_s, 0.15);
+    let mut scenario = testing::record(model, events, 0.004, 7.5, seed);
+    let samples = scenario.samples();
     // The link lost half a second's speed, and single samples of both.
     for k in 1000..1100 {
         scenario.speed_rad_s[k] = f64::NAN;

@@ -1,15 +1,11 @@
-use rand::SeedableRng;
-use rand_distr::{Distribution, Normal};
-
 use super::*;
 use crate::identification::noise::FloorSource;
-use crate::numerics::count::whole;
-use crate::plant::{Input, Motor, MotorKey, Plant};
-use crate::sample::{Channel, Verdict};
+use crate::plant::{Input, Motor, MotorKey, Plant, testing};
+use crate::sample::Verdict;
 
 const NOISE: NoiseFloor = NoiseFloor {
-    current_a: 0.03,
-    speed_rad_s: 0.15,
+    current_a: testing::CURRENT_NOISE_A,
+    speed_rad_s: testing::SPEED_NOISE_RAD_S,
     source: FloorSource::Standstill,
     samples: 1000,
 };
@@ -28,32 +24,7 @@ fn record(model: &Model, period_s: f64, seed: u64) -> Scenario {
         (4.4, 0.0),
         (4.8, 45.0),
     ];
-    let samples = whole(6.0 / period_s);
-    let mut scenario = Scenario {
-        name: "record".into(),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events,
-        sample_time_s: (0..samples).map(|k| k as f64 * period_s).collect(),
-        current_a: vec![],
-        speed_rad_s: vec![],
-        angle: vec![],
-        scored: 0..samples,
-    };
-    let out = Plant::new(model, Input::Voltage)
-        .unwrap()
-        .simulate(&scenario, State::default());
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
-        let noise = Normal::new(0.0, sigma).unwrap();
-        values
-            .iter()
-            .map(|value| value + noise.sample(&mut rng))
-            .collect()
-    };
-    scenario.current_a = noisy(&out.current_a, 0.03);
-    scenario.speed_rad_s = noisy(&out.speed_rad_s, 0.15);
-    scenario
+    testing::record(model, events, period_s, 6.0, seed)
 }
 
 fn off_by(model: &Model, factor: f64) -> Model {
