@@ -284,6 +284,10 @@ fn evidence_sentence(refit: &Refit, base: &Score, z: f64, share: f64, status: St
     let (before, after) = (base.nrms, refit.holdout.nrms);
     let first = &refit.effect.parameters()[0];
     match status {
+        Status::NotExcited if !refit.minimum_detectable.is_finite() => format!(
+            "{} touches nothing that this run measures: {}",
+            card.name, card.excite
+        ),
         Status::NotExcited => format!(
             "{} of less than {:.2e} {} would not show in this run: {}",
             card.name, refit.minimum_detectable, first.unit, card.excite

@@ -102,7 +102,7 @@ impl<'a> Screen<'a> {
         Ok(Screened {
             start,
             gain,
-            minimum_detectable: DETECTION_SIGMA / norm.max(f64::MIN_POSITIVE),
+            minimum_detectable: DETECTION_SIGMA / norm,
             typical_size: typical_size(effect, 0, self.baseline, self.training),
         })
     }

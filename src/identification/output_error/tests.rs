@@ -159,3 +159,20 @@ fn nothing_free_and_nothing_measured_are_errors() {
         Err(FitError::NothingMeasured { .. })
     ));
 }
+
+#[test]
+fn without_a_speed_only_ratios_are_determined_and_nothing_is_invented() {
+    // Current alone fixes Ke^2/J and Ke Mc/J, not Ke, J and Mc.
+    let truth = Model::baseline(Motor::zk_22fc());
+    let mut scenario = record(&truth, 0.002, 11);
+    scenario.speed_rad_s.fill(f64::NAN);
+    let noise = NoiseFloor {
+        speed_rad_s: f64::INFINITY,
+        ..NOISE
+    };
+    let fit = fit(&[off_by(&truth, 1.2)], &scenario, &noise).unwrap();
+    for estimate in &fit.parameters {
+        let electrical = ["resistance_ohm", "inductance_h"].contains(&estimate.key.as_str());
+        assert_eq!(estimate.value.is_some(), electrical, "{estimate:?}");
+    }
+}
