@@ -16,6 +16,8 @@ use crate::plant::Model;
 
 /// Effects that one search adds at most.
 const MOST_EFFECTS: usize = 4;
+/// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
+const NEAR_THE_FLOOR: f64 = 2.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -52,7 +54,7 @@ pub struct Diagnosis {
 }
 
 /// Refits `model` as the baseline and searches for what it misses. With `until_floor` the search goes on until the
-/// error is at the floor or nothing more pays; without, until the named effects are sufficient.
+/// error is at the floor or nothing more pays; without, until the named effects are sufficient and the floor is near.
 pub fn diagnose(
     model: &Model,
     evidence: Evidence,
@@ -84,7 +86,8 @@ pub fn diagnose(
         let enough = if until_floor {
             score.nrms < 1.08 * floor
         } else {
-            eta >= SUFFICIENT
+            // A strong effect explains nine tenths of the error and may still hide a weak partner well above the floor.
+            eta >= SUFFICIENT && (floor <= 0.0 || score.nrms < NEAR_THE_FLOOR * floor)
         };
         if enough || accepted.len() == MOST_EFFECTS {
             break;
