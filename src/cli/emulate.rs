@@ -13,8 +13,8 @@ use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, ready_line, serve};
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty /tmp/drive
-  drivebench run --port /tmp/drive --headless"
+    after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty drive.pty
+  drivebench run --port ./drive.pty --headless"
 )]
 pub(super) struct Arguments {
     /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
