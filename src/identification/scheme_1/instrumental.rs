@@ -206,9 +206,13 @@ struct Pair {
     value: f64,
 }
 
-/// Rows and instruments, both filtered by `1/A(z)` of the model from the begin of each chain of rows.
+/// Rows and instruments, both filtered by `1/A(z)` of the model from the begin of each chain of samples.
+///
+/// A row over a reversal or a standstill is no equation, but the filter must not start afresh behind it: such a row is
+/// corrected by what the auxiliary model lacks there, `A x - B u - b3 s`, and only passes through the filter.
 fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pair> {
-    let [a1, a2] = poles(model, series.period_s);
+    let coefficients = Coefficients::of_motor(model, series.period_s);
+    let theta = coefficients.to_array();
     let measured = |k: usize| Reading {
         speed_rad_s: series.speed_rad_s[k],
         ..auxiliary[k]
@@ -216,41 +220,42 @@ fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pa
     let mut out = Vec::with_capacity(auxiliary.len());
     let mut memory = [[0.0; 11]; 2];
     for k in 2..auxiliary.len() {
-        let instrument = rows::row(&auxiliary[k - 2], &auxiliary[k - 1], &auxiliary[k]);
-        let row = rows::row(&measured(k - 2), &measured(k - 1), &measured(k));
-        let Some((instrument, row)) = instrument.zip(row) else {
+        let last = [&auxiliary[k - 2], &auxiliary[k - 1], &auxiliary[k]];
+        let instrument = rows::whatever_direction(last[0], last[1], last[2]);
+        let row = rows::whatever_direction(&measured(k - 2), &measured(k - 1), &measured(k));
+        let Some((instrument, mut row)) = instrument.zip(row) else {
             memory = [[0.0; 11]; 2];
             continue;
         };
+        let usable = rows::row(last[0], last[1], last[2]).is_some();
+        if !usable {
+            let explained: f64 = instrument
+                .regressor
+                .iter()
+                .zip(theta)
+                .map(|(x, t)| x * t)
+                .sum();
+            row.value -= instrument.value - explained;
+        }
         let now: [f64; 11] = std::array::from_fn(|j| {
             let raw = match j {
                 0..5 => instrument.regressor[j],
                 5..10 => row.regressor[j - 5],
                 _ => row.value,
             };
-            raw + a1 * memory[0][j] + a2 * memory[1][j]
+            raw + coefficients.a1() * memory[0][j] + coefficients.a2() * memory[1][j]
         });
         memory = [now, memory[0]];
-        out.push(Pair {
-            sample: k,
-            instrument: V5::from_fn(|j, _| now[j]),
-            regressor: V5::from_fn(|j, _| now[j + 5]),
-            value: now[10],
-        });
+        if usable {
+            out.push(Pair {
+                sample: k,
+                instrument: V5::from_fn(|j, _| now[j]),
+                regressor: V5::from_fn(|j, _| now[j + 5]),
+                value: now[10],
+            });
+        }
     }
     out
-}
-
-/// `a1` and `a2` of a motor at a period.
-fn poles(model: &Dynamics, period_s: f64) -> [f64; 2] {
-    let half = -0.5 * period_s / model.ta_s;
-    let square = half * half - period_s * period_s / (model.ta_s * model.tm_s);
-    let between = if square >= 0.0 {
-        square.sqrt().cosh()
-    } else {
-        (-square).sqrt().cos()
-    };
-    [2.0 * half.exp() * between, -(2.0 * half).exp()]
 }
 
 struct Solution {

@@ -22,3 +22,6 @@ pub use estimates::{Claim, Doubt, estimates};
 pub use instrumental::{Instrumental, InstrumentalError, Series, instrumental_variables};
 pub use inverse::{Coefficients, Dynamics, Form, Scheme1Rejection, Scheme1Values};
 pub use recursive::Scheme1;
+
+#[cfg(test)]
+mod tests;
