@@ -20,10 +20,11 @@ use crate::sample::Channel;
 type M5 = SMatrix<f64, 5, 5>;
 type V5 = SVector<f64, 5>;
 
-const MOST_ROUNDS: usize = 30;
+const MOST_ROUNDS: usize = 25;
+const UNDAMPED_ROUNDS: usize = 5;
 /// The rounds end when each coefficient changes by less than this share of its standard deviation, or of the largest
 /// effect that any coefficient has.
-const CONVERGED_DEVIATIONS: f64 = 0.01;
+const CONVERGED_DEVIATIONS: f64 = 0.05;
 const CONVERGED: f64 = 1e-9;
 /// Share of the auxiliary model's largest speed below which it counts as standing.
 const DEAD_ZONE: f64 = 0.02;
@@ -130,8 +131,8 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         let pairs = pairs(series, &auxiliary(series, &model), &model);
         let solution = Solution::of(&pairs)?;
         let coefficients = Coefficients::from_array(solution.theta.into());
-        model = Dynamics::from_coefficients(Form::Exact, &coefficients, series.period_s)?;
-        let spread = solution.covariance(&pairs, &model, series.period_s);
+        let found = Dynamics::from_coefficients(Form::Exact, &coefficients, series.period_s)?;
+        let spread = solution.covariance(&pairs, &found, series.period_s);
         let converged = before.is_some_and(|before| {
             let least = CONVERGED * solution.effect.iter().copied().fold(0.0, f64::max);
             (0..5).all(|j| {
@@ -141,11 +142,18 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
             })
         });
         before = Some(solution.theta);
+        // Late on the model may swing because rows at a reversal come and go: half a step calms it.
+        model = if rounds < UNDAMPED_ROUNDS {
+            found
+        } else {
+            let (last, new) = (model.to_array(), found.to_array());
+            Dynamics::from_array(std::array::from_fn(|j| 0.5 * (last[j] + new[j])))
+        };
         if converged || rounds >= MOST_ROUNDS {
             let covariance: [[f64; 5]; 5] =
                 std::array::from_fn(|i| std::array::from_fn(|j| spread[(i, j)]));
             return Ok(Instrumental {
-                dynamics: model,
+                dynamics: found,
                 covariance: propagate(Form::Exact, &coefficients, &covariance, series.period_s),
                 coefficients,
                 rows: pairs.len(),

@@ -6,7 +6,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use super::*;
-use crate::numerics::statistics::{mean, median, variance};
+use crate::numerics::statistics::{median, variance};
 use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
 use crate::sample::Channel;
 
