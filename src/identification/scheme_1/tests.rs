@@ -192,62 +192,87 @@ fn at_one_time_constant_the_printed_form_errs_as_the_table_says() {
     }
 }
 
-fn noisy(seed: u64, reversing: bool) -> Record {
-    let truth = SLOW;
-    let volts = if reversing {
-        binary(20_000, 10, 0.0, 40.0, seed)
-    } else {
-        binary(20_000, 10, 60.0, 25.0, seed)
-    };
-    Record::of(truth, 0.02, volts).with_sensor_noise(10.0, seed + 1000)
-}
-
 const SLOW: Truth = Truth {
     ta_s: 0.1,
     tm_s: 0.2,
     load_v: 2.0,
 };
 
+/// Errors of Ta, TM, Ke in per cent: least squares as printed and exact, instruments, and the deviations these claim.
+fn trial(seed: u64, samples: usize, reversing: bool) -> [[f64; 3]; 4] {
+    let volts = if reversing {
+        binary(samples, 10, 0.0, 40.0, seed)
+    } else {
+        binary(samples, 10, 60.0, 25.0, seed)
+    };
+    let record = Record::of(SLOW, 0.02, volts).with_sensor_noise(10.0, seed + 1000);
+    let least = [Form::Printed, Form::Exact].map(|form| {
+        let found = record.feed(form, 1.0).dynamics();
+        found.map_or([f64::NAN; 3], errors)
+    });
+    let free = instrumental_variables(&record.series(), &record.direction, None).unwrap();
+    let stds = std::array::from_fn(|j| {
+        100.0 * free.covariance[j][j].sqrt() / [SLOW.ta_s, SLOW.tm_s, KE][j]
+    });
+    [least[0], least[1], errors(free.dynamics), stds]
+}
+
+fn middle(trials: &[[[f64; 3]; 4]], which: usize) -> [f64; 3] {
+    std::array::from_fn(|j| median(&trials.iter().map(|t| t[which][j]).collect::<Vec<f64>>()))
+}
+
+fn covered(trials: &[[[f64; 3]; 4]], parameter: usize) -> usize {
+    let inside = |t: &&[[f64; 3]; 4]| t[2][parameter].abs() < 1.96 * t[3][parameter];
+    trials.iter().filter(inside).count()
+}
+
 #[test]
 fn with_sensor_noise_the_instruments_are_ten_times_less_biased_than_least_squares() {
-    for reversing in [false, true] {
-        let found: Vec<[[f64; 3]; 4]> = (0..60_u64)
-            .into_par_iter()
-            .map(|seed| {
-                let record = noisy(seed, reversing);
-                let least = [Form::Printed, Form::Exact].map(|form| {
-                    record
-                        .feed(form, 1.0)
-                        .dynamics()
-                        .map_or([f64::NAN; 3], errors)
-                });
-                let free =
-                    instrumental_variables(&record.series(), &record.direction, None).unwrap();
-                let stds: [f64; 3] = std::array::from_fn(|j| {
-                    100.0 * free.covariance[j][j].sqrt() / [SLOW.ta_s, SLOW.tm_s, KE][j]
-                });
-                if !free.converged {
-                    println!(
-                        "{reversing} {seed} not converged {:?} {:?}",
-                        free.dynamics,
-                        free.covariance[0][0].sqrt()
-                    );
-                }
-                [least[0], least[1], errors(free.dynamics), stds]
-            })
-            .collect();
-        for which in 0..4 {
-            let m: Vec<f64> = (0..3)
-                .map(|j| median(&found.iter().map(|f| f[which][j]).collect::<Vec<_>>()))
-                .collect();
-            let s: Vec<f64> = (0..3)
-                .map(|j| variance(&found.iter().map(|f| f[which][j]).collect::<Vec<_>>()).sqrt())
-                .collect();
-            println!(
-                "reversing {reversing} {} median {m:.2?} spread {s:.2?}",
-                ["printed", "exact", "iv", "iv std"][which]
-            );
-        }
+    let trials: Vec<[[f64; 3]; 4]> = (0..60_u64)
+        .into_par_iter()
+        .map(|seed| trial(seed, 20_000, false))
+        .collect();
+    let (printed, free) = (middle(&trials, 0), middle(&trials, 2));
+    println!(
+        "printed {printed:.2?} exact {:.2?} iv {free:.2?}",
+        middle(&trials, 1)
+    );
+    for j in 0..2 {
+        assert!(
+            free[j].abs() < 0.1 * printed[j].abs(),
+            "{printed:?} {free:?}"
+        );
+    }
+    assert!(
+        (printed[0] + 86.0).abs() < 3.0 && printed[1] > 40.0,
+        "{printed:?}"
+    );
+    for j in 0..3 {
+        assert!(free[j].abs() < 1.0, "{free:?}");
+        assert!(
+            (52..=60).contains(&covered(&trials, j)),
+            "{j} {}",
+            covered(&trials, j)
+        );
+    }
+}
+
+#[test]
+fn over_reversals_the_instruments_stay_free_of_bias_and_their_intervals_cover() {
+    let trials: Vec<[[f64; 3]; 4]> = (100..140_u64)
+        .into_par_iter()
+        .map(|seed| trial(seed, 5_000, true))
+        .collect();
+    let free = middle(&trials, 2);
+    let counts = [0, 1, 2].map(|j| covered(&trials, j));
+    println!(
+        "printed {:.2?} iv {free:.2?} {counts:?} std {:.2?}",
+        middle(&trials, 0),
+        middle(&trials, 3)
+    );
+    for j in 0..3 {
+        assert!(free[j].abs() < 3.0, "{free:?}");
+        assert!(counts[j] >= 34, "{counts:?}");
     }
 }
 
@@ -278,6 +303,72 @@ fn coefficients_of_a_motor_lead_back_to_it() {
                     "{ratio} {alpha} {back:?}"
                 );
             }
+        }
+    }
+}
+
+/// Paper A's Figure 2: eq. (17) itself with noise as equation error, TM doubled at sample 900.
+fn figure_2(seed: u64, power_ratio: f64) -> (Vec<f64>, Vec<f64>) {
+    let (period_s, samples) = (0.02, 1800);
+    let volts = binary(samples, 10, 60.0, 25.0, seed);
+    let coefficients = |tm_s: f64| {
+        let (alpha, gamma) = (period_s / SLOW.ta_s, period_s / tm_s);
+        Coefficients {
+            p: alpha,
+            q: alpha * gamma,
+            voltage: alpha * gamma / (2.0 * KE),
+            load: SLOW.load_v / KE * gamma / 2.0 * (2.0 * alpha - alpha * gamma),
+            voltage_step: 0.0,
+        }
+    };
+    let respond = |sigma: f64, drive: f64| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed + 5);
+        let mut w = vec![drive * 165.0; 2];
+        for k in 2..samples {
+            let c = coefficients(if k < 900 { SLOW.tm_s } else { 2.0 * SLOW.tm_s });
+            let noise: f64 = sigma * rng.sample::<f64, _>(StandardNormal);
+            w.push(
+                c.a1() * w[k - 1]
+                    + c.a2() * w[k - 2]
+                    + drive * (c.voltage * (volts[k] + volts[k - 1]) - c.load)
+                    + noise,
+            );
+        }
+        w
+    };
+    let sigma = (variance(&respond(0.0, 1.0)) / power_ratio / variance(&respond(1.0, 0.0))).sqrt();
+    let mut scheme = Scheme1::new(Form::Printed, period_s, 0.97);
+    let mut tracks = (Vec::new(), Vec::new());
+    for (volts, speed) in volts.iter().zip(respond(sigma, 1.0)) {
+        scheme.push(*volts, speed, 1);
+        let found = scheme.dynamics().ok();
+        tracks
+            .0
+            .push(found.map_or(f64::NAN, |d| d.ta_s / SLOW.ta_s));
+        tracks
+            .1
+            .push(found.map_or(f64::NAN, |d| d.tm_s / SLOW.tm_s));
+    }
+    tracks
+}
+
+#[test]
+fn a_doubled_mechanical_time_constant_is_followed_with_a_memory_of_33_samples() {
+    for ratio in [10.0, 100.0] {
+        let tracks: Vec<_> = (0..60_u64)
+            .into_par_iter()
+            .map(|seed| figure_2(seed, ratio))
+            .collect();
+        for k in [300, 600, 880, 920, 950, 1000, 1050, 1100, 1300, 1700] {
+            let ta: Vec<f64> = tracks.iter().map(|t| t.0[k]).collect();
+            let tm: Vec<f64> = tracks.iter().map(|t| t.1[k]).collect();
+            println!(
+                "{ratio} {k} ta {:.2} tm {:.2} ({:.2} {:.2})",
+                median(&ta),
+                median(&tm),
+                crate::numerics::statistics::robust_deviation(&ta),
+                crate::numerics::statistics::robust_deviation(&tm)
+            );
         }
     }
 }
