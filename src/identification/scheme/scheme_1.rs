@@ -106,9 +106,16 @@ fn least_squares(
         }
         Err(rejection) => all_unknown(&format!("{rejection}; {}", rejection.help())),
     };
-    Ok(finish(id, data.model, parameters).with_note(
+    let found = finish(id, data.model, parameters).with_note(
         "least squares on a measured speed: noise of the sensor biases it, the more the faster the sampling, and the standard deviations do not show that; each value is held against 1-iv on the same run",
-    ))
+    );
+    Ok(if form == Form::Printed {
+        found.with_note(
+            "the printed form holds for T << Ta and T << TM: 5 % off at T = Ta/10, 20 to 100 % at T = Ta; 1-exact has no such limit",
+        )
+    } else {
+        found
+    })
 }
 
 /// Adds what was given, and takes the model's fixed values over.
