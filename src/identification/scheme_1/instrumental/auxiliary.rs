@@ -4,11 +4,14 @@ use super::{Series, root_mean_square};
 use crate::identification::scheme_1::inverse::{Dynamics, Form};
 use crate::identification::scheme_1::recursive::Scheme1;
 use crate::identification::scheme_1::rows::Reading;
+use crate::numerics::statistics::{mean, variance};
 use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
 use crate::sample::Channel;
 
 /// Share of the auxiliary model's largest speed below which it counts as standing.
 const DEAD_ZONE: f64 = 0.02;
+/// Samples at the begin whose mean gives the speed there.
+const FIRST_SAMPLES: usize = 4;
 /// Strides of the rows of the first models, in samples: over a longer stride noise counts less.
 const STRIDES: [usize; 6] = [1, 2, 4, 8, 16, 32];
 
@@ -43,12 +46,8 @@ impl Auxiliary {
             angle: Vec::new(),
             scored: 0..samples,
         };
-        let start = series.speed_rad_s.iter().copied().find(|w| w.is_finite());
         let speed = Plant::new(&Model::baseline(motor), Input::Voltage)
-            .map(|mut plant| {
-                let start = State::at(0.0, start.unwrap_or(0.0));
-                plant.simulate(&scenario, start).speed_rad_s
-            })
+            .map(|mut plant| plant.simulate(&scenario, start(series, model)).speed_rad_s)
             .unwrap_or_default();
         let zone = DEAD_ZONE * speed.iter().fold(0.0, |most, w| f64::max(most, w.abs()));
         let misses: Vec<f64> = speed
@@ -68,6 +67,29 @@ impl Auxiliary {
                 .collect(),
             error_rad_s: root_mean_square(&misses),
         }
+    }
+}
+
+/// State at the first sample: the mean speed of the first few, and the current that carries the load; at rest where the
+/// noise leaves that open.
+fn start(series: &Series<'_>, model: &Dynamics) -> State {
+    let first: Vec<f64> = series
+        .speed_rad_s
+        .iter()
+        .copied()
+        .filter(|speed| speed.is_finite())
+        .take(FIRST_SAMPLES)
+        .collect();
+    let speed = mean(&first);
+    let noise = (variance(&first) / first.len() as f64).sqrt();
+    let largest = series
+        .speed_rad_s
+        .iter()
+        .fold(0.0, |most, w| f64::max(most, w.abs()));
+    if speed.abs() > (3.0 * noise).max(DEAD_ZONE * largest) {
+        State::at(model.load_v.max(0.0) * speed.signum(), speed)
+    } else {
+        State::default()
     }
 }
 

@@ -26,16 +26,23 @@ fn tied(row: &Row, ratio: f64) -> [f64; 4] {
     [p, q, voltage + ratio * step, load]
 }
 
-/// Rows and instruments, both filtered by `1/A(z)` of the model from the begin of each chain of samples.
+/// Rows and instruments, both filtered by `1/A(z)` of the model.
 ///
 /// A row over a reversal or a standstill is no equation, but the filter must not start afresh behind it: such a row is
-/// corrected by what the auxiliary model lacks there, `A x - B u - b3 s`, and only passes through the filter.
+/// corrected by what the auxiliary model lacks there, `A x - B u - b3 s`, and only passes through the filter. Where a
+/// speed is missing, and at the two samples before the first row, the auxiliary speed stands in: a start on noisy samples
+/// would send a free response as long as the time constants through every row.
 pub(super) fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pair> {
     let coefficients = Coefficients::of_motor(model, series.period_s);
     let theta = coefficients.to_array();
     let ratio = coefficients.voltage_step / coefficients.voltage;
+    let known = |k: usize| k >= 2 && series.speed_rad_s[k].is_finite();
     let measured = |k: usize| Reading {
-        speed_rad_s: series.speed_rad_s[k],
+        speed_rad_s: if known(k) {
+            series.speed_rad_s[k]
+        } else {
+            auxiliary[k].speed_rad_s
+        },
         ..auxiliary[k]
     };
     let mut out = Vec::with_capacity(auxiliary.len());
@@ -48,8 +55,8 @@ pub(super) fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics
             memory = [[0.0; 9]; 2];
             continue;
         };
-        let usable = rows::row(last[0], last[1], last[2]).is_some();
-        if !usable {
+        let valid = rows::row(last[0], last[1], last[2]).is_some();
+        if !valid {
             let explained: f64 = instrument
                 .regressor
                 .iter()
@@ -68,7 +75,7 @@ pub(super) fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics
             raw + coefficients.a1() * memory[0][j] + coefficients.a2() * memory[1][j]
         });
         memory = [now, memory[0]];
-        if usable {
+        if valid && known(k) {
             out.push(Pair {
                 sample: k,
                 instrument: V4::from_fn(|j, _| now[j]),
