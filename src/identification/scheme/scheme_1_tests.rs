@@ -9,10 +9,10 @@ use crate::sample::{Channel, Origin, Verdict};
 fn levels() -> Vec<(f64, f64)> {
     let levels = [30.0, 60.0, 20.0, -30.0, -60.0, -20.0, 40.0, 10.0, 50.0];
     std::iter::once((0.0, 0.0))
-        .chain((0..80).map(|k| {
+        .chain((0..80_u16).map(|k| {
             (
                 0.5 + 0.07 * f64::from(k),
-                levels[k as usize * 4 % levels.len()],
+                levels[usize::from(k) * 4 % levels.len()],
             )
         }))
         .collect()
