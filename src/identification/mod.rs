@@ -20,4 +20,5 @@ pub mod scheme;
 pub mod speed_from_angle;
 pub mod start;
 mod verdict;
+pub mod voltage_departure;
 pub mod weak_form;
