@@ -2,6 +2,7 @@
 
 use crate::config_text::ConfigError;
 use crate::identification::output_error::FitError;
+use crate::identification::scheme::IdentifyError;
 use crate::plant::{ModelError, ScenarioError};
 use crate::recording::RecordingError;
 
@@ -95,6 +96,17 @@ impl From<ModelError> for Failure {
 impl From<FitError> for Failure {
     fn from(error: FitError) -> Self {
         let status = if matches!(error, FitError::Model(_)) {
+            USAGE
+        } else {
+            NOT_IDENTIFIABLE
+        };
+        Self::with_help(status, error.to_string(), error.help())
+    }
+}
+
+impl From<IdentifyError> for Failure {
+    fn from(error: IdentifyError) -> Self {
+        let status = if error.is_usage() {
             USAGE
         } else {
             NOT_IDENTIFIABLE

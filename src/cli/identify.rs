@@ -8,26 +8,21 @@ use serde_json::{Map, Value, json};
 use super::data::{MapArguments, load, model};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output;
-use crate::identification::noise::NoiseFloor;
-use crate::identification::online::{Online, OnlineConfig};
-use crate::identification::output_error;
-use crate::identification::{start, weak_form};
-use crate::plant::{FittedValue, Input, Model, ModelFile, MotorKey, Scenario};
+use crate::identification::scheme::{self, Data, Identified};
+use crate::plant::{FittedValue, ModelFile, MotorKey, Scenario};
 use crate::recording::LoadedRun;
-use crate::sample::{Channel, ParameterEstimate};
+use crate::sample::Channel;
 
 /// Find the motor's parameters in a recorded run, each with its uncertainty and verdict
 #[derive(clap::Args)]
-#[command(after_help = "Examples:
-  drivebench identify runs/a --model runs/a/model.toml --require inertia_kg_m2
-  drivebench identify axis.csv --model axis.toml --map time_s=t,torque_n_m=force,angle_rad=position")]
+#[command(after_help = after_help())]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     run: PathBuf,
     /// Model file: which parameters are sought, which are fixed; without it the five-parameter baseline
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Method: output-error (default with voltage), weak-form (default without), 2 or 3 (on line, as the bench runs them)
+    /// Method, one of the schemes listed below
     #[arg(long, value_name = "S")]
     scheme: Option<String>,
     /// Exit with status 5 unless each of these keys was found
@@ -43,26 +38,37 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// What a scheme found.
-struct Found {
-    scheme: &'static str,
-    parameters: Vec<ParameterEstimate>,
-    note: Option<String>,
+/// The schemes as the catalogue has them, then examples.
+fn after_help() -> String {
+    let mut text = "Schemes:\n".to_owned();
+    for scheme in scheme::CATALOGUE {
+        let _ = writeln!(text, "  {:<17} {}", scheme.id(), scheme.summary());
+    }
+    text.push_str(
+        "
+Examples:
+  drivebench identify runs/a --model runs/a/model.toml --require inertia_kg_m2
+  drivebench identify axis.csv --model axis.toml --map time_s=t,torque_n_m=force,angle_rad=position",
+    );
+    text
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let run = load(&arguments.run, arguments.map.of_run()?.as_ref())?;
-    let mut file = model(arguments.model.as_ref(), &run)?.file;
+    let file = model(arguments.model.as_ref(), &run)?.file;
     let scenario = Scenario::from_run(&run.run)?;
     if scenario.input_channel == Channel::VoltageCmd {
         output::message("voltage_cmd_v serves as the voltage");
     }
-    let found = identify(
-        arguments.scheme.as_deref(),
-        &mut file.model,
-        &run,
-        &scenario,
-    )?;
+    let scheme = match &arguments.scheme {
+        Some(id) => scheme::find(id)?,
+        None => scheme::default_for(&scenario),
+    };
+    let found = scheme.identify(&Data {
+        run: &run.run,
+        scenario: &scenario,
+        model: &file.model,
+    })?;
     print(arguments, &found, &run, &scenario)?;
     if let Some(path) = &arguments.output {
         write_model(path, file, &found, &run)?;
@@ -70,89 +76,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     verdict(arguments, &found)
 }
 
-fn identify(
-    scheme: Option<&str>,
-    model: &mut Model,
-    run: &LoadedRun,
-    scenario: &Scenario,
-) -> Result<Found, Failure> {
-    let default = if scenario.input == Input::Voltage {
-        "output-error"
-    } else {
-        "weak-form"
-    };
-    match scheme.unwrap_or(default) {
-        "output-error" if scenario.input == Input::Voltage => {
-            *model = start::complete(model, scenario)?;
-            let noise = NoiseFloor::from_standstill(scenario)
-                .unwrap_or_else(|| NoiseFloor::from_spread(scenario));
-            let fit = output_error::fit(std::slice::from_ref(model), scenario, &noise)?;
-            *model = fit.model;
-            Ok(Found {
-                scheme: "output-error",
-                parameters: fit.parameters,
-                note: None,
-            })
-        }
-        "output-error" => Err(Failure::with_help(
-            USAGE,
-            "scheme output-error needs a voltage, and this run has none",
-            "use --scheme weak-form",
-        )),
-        "weak-form" => {
-            let parameters: Vec<ParameterEstimate> = weak_form::fit(model, scenario)?
-                .into_iter()
-                .flat_map(|balance| balance.parameters)
-                .collect();
-            adopt(model, &parameters);
-            let note = "weak form: windows without standstill; friction values depend on the method by some per cent";
-            Ok(Found {
-                scheme: "weak-form",
-                parameters,
-                note: Some(note.to_owned()),
-            })
-        }
-        scheme @ ("2" | "3") => {
-            let config = OnlineConfig::from_model(model);
-            let mut online = Online::new(config);
-            for sample in run.run.samples() {
-                online.push(&sample);
-            }
-            let (scheme, parameters) = if scheme == "2" {
-                ("2", online.scheme_2())
-            } else {
-                ("3", online.estimates())
-            };
-            adopt(model, &parameters);
-            Ok(Found {
-                scheme,
-                parameters,
-                note: None,
-            })
-        }
-        other => Err(Failure::with_help(
-            USAGE,
-            format!("scheme {other:?} is not known"),
-            "allowed: 2, 3, weak-form, output-error",
-        )),
-    }
-}
-
-/// Takes found values over into the model.
-fn adopt(model: &mut Model, parameters: &[ParameterEstimate]) {
-    for slot in model.slots() {
-        let found = parameters
-            .iter()
-            .find(|parameter| parameter.key == slot.key());
-        if let Some(value) = found.and_then(|parameter| parameter.value) {
-            model.set(&slot, value);
-        }
-    }
-}
-
 fn print(
     arguments: &Arguments,
-    found: &Found,
+    found: &Identified,
     run: &LoadedRun,
     scenario: &Scenario,
 ) -> Result<(), Failure> {
@@ -177,12 +103,12 @@ fn print(
         "rows_dropped": run.run.rows_dropped,
         "period_s": measured,
         "input": scenario.input_channel.key(),
-        "notes": run.run.notes.iter().cloned().chain(found.note.clone()).collect::<Vec<_>>(),
+        "notes": run.run.notes.iter().chain(&found.notes).collect::<Vec<_>>(),
     });
     output::result(&value, arguments.json, |_| text(found))
 }
 
-fn text(found: &Found) -> String {
+fn text(found: &Identified) -> String {
     let mut text = format!("scheme {}\n", found.scheme);
     for parameter in &found.parameters {
         let number = match (parameter.value, parameter.std) {
@@ -213,7 +139,7 @@ fn text(found: &Found) -> String {
             "back-EMF {volts:.2} V per 1000 r/min; torque constant {constant:.4} N.m/A (equal in SI)"
         );
     }
-    if let Some(note) = &found.note {
+    for note in &found.notes {
         let _ = writeln!(text, "{note}");
     }
     text
@@ -222,7 +148,7 @@ fn text(found: &Found) -> String {
 fn write_model(
     path: &PathBuf,
     mut file: ModelFile,
-    found: &Found,
+    found: &Identified,
     run: &LoadedRun,
 ) -> Result<(), Failure> {
     if path.exists() {
@@ -236,7 +162,7 @@ fn write_model(
             "choose another name for --output",
         ));
     }
-    adopt(&mut file.model, &found.parameters);
+    file.model = found.model.clone();
     file.history.fitted_on = vec![run.run.name.clone()];
     file.history.fitted = found
         .parameters
@@ -258,7 +184,7 @@ fn write_model(
 }
 
 /// Status 5 when nothing, or not everything that was required, could be found.
-fn verdict(arguments: &Arguments, found: &Found) -> Result<(), Failure> {
+fn verdict(arguments: &Arguments, found: &Identified) -> Result<(), Failure> {
     let missing = |key: &String| {
         !found
             .parameters

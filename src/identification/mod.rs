@@ -5,12 +5,15 @@
 //! Run (angle -> speed_from_angle) -> Scenario -+-> start -> output_error -------+-> ParameterEstimate
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
 //!                                              +-> noise: the floor below which nothing can be seen
+//!
+//! scheme: all of these by name, as `identify --scheme` calls them
 //! ```
 
 pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+pub mod scheme;
 pub mod speed_from_angle;
 pub mod start;
 mod verdict;

@@ -12,6 +12,9 @@ const TOLD_FROM_ZERO: f64 = 1.0 / 2.58;
 /// Relative standard deviation below which it is settled.
 const SETTLED: f64 = 0.02;
 
+/// Standard deviations that hold 95 % of the values.
+const TWO_SIDED_95: f64 = 1.96;
+
 /// Judges one fitted value by its standard deviation; `None` or not finite: the data leave it undetermined.
 pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
     let (key, unit) = (slot.key(), slot.unit());
@@ -24,6 +27,23 @@ pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
     };
     let relative = std / value.abs().max(f64::MIN_POSITIVE);
     let positive = matches!(slot, Slot::Motor(_));
+    if value == 0.0 && std == 0.0 {
+        let reason = "the signals that would show it do not change";
+        return ParameterEstimate::not_observable(&key, unit, reason);
+    }
+    if positive && value < -TWO_SIDED_95 * std {
+        return ParameterEstimate {
+            key,
+            value: Some(value),
+            std: Some(std),
+            unit,
+            verdict: Verdict::Invalid,
+            reason: Some(
+                "negative, which no motor has: check signs, units and columns of the signals"
+                    .to_owned(),
+            ),
+        };
+    }
     if positive && relative > NOT_OBSERVABLE {
         let reason = match slot {
             Slot::Motor(MotorKey::Inductance) => inductance_reason(period_s, relative),

@@ -1,0 +1,130 @@
+//! What every scheme of the catalogue has to keep, whatever its method.
+#![cfg(test)]
+
+use super::*;
+use crate::plant::testing::record;
+use crate::plant::{Motor, MotorKey};
+use crate::sample::{Channel, Origin, Verdict};
+
+/// The run that a scenario was recorded as: voltage as applied, current and speed as measured.
+fn run_of(scenario: &Scenario) -> Run {
+    let mut run = Run::new(scenario.name.clone(), scenario.sample_time_s.clone()).unwrap();
+    let held: Vec<f64> = scenario
+        .sample_time_s
+        .iter()
+        .map(|time_s| {
+            let next = scenario.events.partition_point(|event| event.0 <= *time_s);
+            scenario.events[next.max(1) - 1].1
+        })
+        .collect();
+    for (channel, values) in [
+        (Channel::Voltage, held),
+        (Channel::Current, scenario.current_a.clone()),
+        (Channel::Speed, scenario.speed_rad_s.clone()),
+    ] {
+        run.set_column(channel, values, Origin::Measured).unwrap();
+    }
+    run
+}
+
+fn steps() -> Vec<(f64, f64)> {
+    let levels = [30.0, 60.0, 20.0, -30.0, -60.0, -10.0, 40.0, 0.0];
+    let mut events = vec![(0.0, 0.0)];
+    for (k, volts) in levels.iter().cycle().take(24).enumerate() {
+        events.push((0.4 + 0.25 * k as f64, *volts));
+    }
+    events
+}
+
+fn identify(scheme: &dyn Scheme, run: &Run) -> Option<Identified> {
+    let scenario = Scenario::from_run(run).ok()?;
+    let mut model = Model::baseline(Motor::zk_22fc());
+    model.fixed.push(MotorKey::Resistance.key().to_owned());
+    let data = Data {
+        run,
+        scenario: &scenario,
+        model: &model,
+    };
+    match scheme.identify(&data) {
+        Ok(found) => Some(found),
+        Err(error) => {
+            assert!(!error.to_string().is_empty() && !error.help().is_empty());
+            None
+        }
+    }
+}
+
+fn holds_the_contract(found: &Identified, scheme: &dyn Scheme) {
+    assert_eq!(found.scheme, scheme.id());
+    for parameter in &found.parameters {
+        let told = parameter.value.is_some();
+        match parameter.verdict {
+            Verdict::NotObservable => assert!(!told && parameter.std.is_none(), "{parameter:?}"),
+            _ => assert!(told, "{parameter:?}"),
+        }
+        assert!(
+            parameter.value.is_none_or(f64::is_finite) && parameter.std.is_none_or(f64::is_finite),
+            "{parameter:?}"
+        );
+        let reasoned = matches!(parameter.verdict, Verdict::Settled | Verdict::Fixed)
+            || parameter.reason.as_deref().is_some_and(|r| !r.is_empty());
+        assert!(reasoned, "{parameter:?}");
+    }
+}
+
+#[test]
+fn on_a_well_excited_run_inertia_is_found_by_every_scheme() {
+    let scenario = record(&Model::baseline(Motor::zk_22fc()), steps(), 0.002, 6.5, 11);
+    let run = run_of(&scenario);
+    for scheme in CATALOGUE {
+        let found = identify(*scheme, &run).expect("a rich run serves every scheme");
+        holds_the_contract(&found, *scheme);
+        let inertia = found
+            .parameters
+            .iter()
+            .find(|parameter| parameter.key == MotorKey::Inertia.key())
+            .unwrap_or_else(|| panic!("{} reports the inertia", scheme.id()));
+        if inertia.verdict == Verdict::Settled {
+            let ratio = inertia.value.unwrap() / 0.0045;
+            assert!((ratio - 1.0).abs() < 0.05, "{} {inertia:?}", scheme.id());
+        }
+    }
+}
+
+#[test]
+fn poor_data_settle_nothing() {
+    let model = Model::baseline(Motor::zk_22fc());
+    let standstill = run_of(&record(&model, vec![(0.0, 0.0)], 0.002, 3.0, 1));
+    let two_rows = run_of(&record(&model, steps(), 0.002, 0.004, 2));
+    for run in [&standstill, &two_rows] {
+        for scheme in CATALOGUE {
+            let Some(found) = identify(*scheme, run) else {
+                continue;
+            };
+            holds_the_contract(&found, *scheme);
+            for parameter in &found.parameters {
+                assert_ne!(
+                    parameter.verdict,
+                    Verdict::Settled,
+                    "{} {} {parameter:?}",
+                    scheme.id(),
+                    run.name
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn names_are_unique_and_an_unknown_one_is_told_what_is_allowed() {
+    for scheme in CATALOGUE {
+        assert_eq!(find(scheme.id()).unwrap().id(), scheme.id());
+        assert!(!scheme.summary().is_empty());
+    }
+    let ids: std::collections::HashSet<_> = CATALOGUE.iter().map(|s| s.id()).collect();
+    assert_eq!(ids.len(), CATALOGUE.len());
+    let Err(error) = find("4") else {
+        panic!("there is no scheme 4")
+    };
+    assert!(error.to_string().contains("output-error"), "{error}");
+}

@@ -1,0 +1,109 @@
+//! The methods of identification by name: what `identify --scheme` offers.
+//!
+//! ```text
+//! Data { run, scenario, model } -> CATALOGUE[id].identify -> Identified { model, parameters, notes }
+//! ```
+//!
+//! A new method is one file here and one line in [`CATALOGUE`]; its arithmetic lives in a room of its own.
+
+mod contract_tests;
+mod error;
+mod online;
+mod output_error;
+mod weak_form;
+
+pub use error::IdentifyError;
+
+use crate::plant::{Input, Model, Scenario};
+use crate::sample::{ParameterEstimate, Run};
+
+/// What a scheme works on.
+#[derive(Clone, Copy, Debug)]
+pub struct Data<'a> {
+    /// The record, row by row.
+    pub run: &'a Run,
+    /// The same record prepared for simulation.
+    pub scenario: &'a Scenario,
+    /// Which parameters are sought and which are fixed, and where to start; values may be missing.
+    pub model: &'a Model,
+}
+
+/// What a scheme found.
+#[derive(Clone, Debug)]
+pub struct Identified {
+    pub scheme: &'static str,
+    /// The model with every value that was found.
+    pub model: Model,
+    pub parameters: Vec<ParameterEstimate>,
+    /// What the reader has to know about the method's limits on these data.
+    pub notes: Vec<String>,
+}
+
+impl Identified {
+    /// The values found are taken over into a copy of `model`.
+    pub fn new(scheme: &'static str, model: &Model, parameters: Vec<ParameterEstimate>) -> Self {
+        let mut model = model.clone();
+        for slot in model.slots() {
+            let found = parameters
+                .iter()
+                .find(|parameter| parameter.key == slot.key());
+            if let Some(value) = found.and_then(|parameter| parameter.value) {
+                model.set(&slot, value);
+            }
+        }
+        Self {
+            scheme,
+            model,
+            parameters,
+            notes: Vec::new(),
+        }
+    }
+
+    #[must_use]
+    pub fn with_note(mut self, note: impl Into<String>) -> Self {
+        self.notes.push(note.into());
+        self
+    }
+}
+
+/// One method of identification.
+pub trait Scheme: Sync {
+    /// The name on the command line and in results.
+    fn id(&self) -> &'static str;
+    /// One line for `--help`.
+    fn summary(&self) -> &'static str;
+    fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError>;
+}
+
+/// Every scheme, in the order in which help shows them.
+pub static CATALOGUE: &[&dyn Scheme] = &[
+    &output_error::OutputError,
+    &weak_form::WeakForm,
+    &online::Scheme2,
+    &online::Scheme3,
+];
+
+/// The scheme of that name.
+pub fn find(id: &str) -> Result<&'static dyn Scheme, IdentifyError> {
+    CATALOGUE
+        .iter()
+        .copied()
+        .find(|scheme| scheme.id() == id)
+        .ok_or_else(|| IdentifyError::UnknownScheme {
+            id: id.to_owned(),
+            allowed: CATALOGUE
+                .iter()
+                .map(|scheme| scheme.id())
+                .collect::<Vec<_>>()
+                .join(", "),
+        })
+}
+
+/// The scheme for a run when none is named: the free run where there is a voltage, else the torque balance.
+pub fn default_for(scenario: &Scenario) -> &'static dyn Scheme {
+    if scenario.input == Input::Voltage {
+        &output_error::OutputError
+    } else {
+        &weak_form::WeakForm
+    }
+}
