@@ -1,7 +1,5 @@
 //! What one sample costs on line, and one fit off line.
 
-#![expect(missing_docs, reason = "criterion's macros make functions without documentation")]
-
 mod common;
 
 use std::hint::black_box;

@@ -1,7 +1,5 @@
 //! Free runs of 12 s at 1 kHz: the baseline, and the baseline with each effect of the catalogue.
 
-#![expect(missing_docs, reason = "criterion's macros make functions without documentation")]
-
 mod common;
 
 use criterion::{Criterion, criterion_group, criterion_main};

@@ -14,7 +14,7 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 /// Many short samples: on a shared machine the least of them is near the truth and their spread says how near.
-pub fn settings() -> Criterion {
+pub(crate) fn settings() -> Criterion {
     Criterion::default()
         .sample_size(100)
         .warm_up_time(Duration::from_millis(500))
@@ -24,7 +24,7 @@ pub fn settings() -> Criterion {
 
 /// 12 s at 1 kHz: steps of voltage with reversals, creeping and rest, a new level every 40 ms; current and speed as a
 /// baseline motor gives them, with noise.
-pub fn run_of_12_s() -> Scenario {
+pub(crate) fn run_of_12_s() -> Scenario {
     const PERIOD_S: f64 = 1e-3;
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let samples = whole(12.0 / PERIOD_S);
