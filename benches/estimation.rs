@@ -79,11 +79,9 @@ fn online(criterion: &mut Criterion) {
 fn fit(criterion: &mut Criterion) {
     let run = common::run_of_12_s();
     let noise = NoiseFloor::from_standstill(&run).expect("the run begins with a standstill");
-    let start = drivebench::identification::start::complete(
-        &Model::baseline(Motor::new("unknown")),
-        &run,
-    )
-    .expect("a rich run gives a start");
+    let start =
+        drivebench::identification::start::complete(&Model::baseline(Motor::new("unknown")), &run)
+            .expect("a rich run gives a start");
     let mut group = criterion.benchmark_group("fit");
     group.sample_size(20);
     group.bench_function("output_error", |bencher| {

@@ -80,8 +80,13 @@ fn one_changed_digit_is_found() {
     let rows = header.lines().count();
     let row = (rows / 2..rows)
         .find(|row| {
-            let cells: Vec<&str> = header.lines().nth(*row).expect("a row").split(',').collect();
-            cells[column].len() > 6
+            let cells: Vec<&str> = header
+                .lines()
+                .nth(*row)
+                .expect("a row")
+                .split(',')
+                .collect();
+            cells[column].len() > 3
         })
         .expect("a row with a current");
     change(&run, row, |line| {
@@ -105,7 +110,10 @@ fn the_configuration_of_the_live_estimators_is_used() {
     let text = fs::read_to_string(&path).expect("a manifest");
     let mut manifest: Value = serde_json::from_str(&text).expect("JSON");
     let online = manifest["configs"]["online"].as_str().expect("a text");
-    let other = online.replace("electrical_forgetting = 0.995", "electrical_forgetting = 0.97");
+    let other = online.replace(
+        "electrical_forgetting = 0.995",
+        "electrical_forgetting = 0.97",
+    );
     assert_ne!(online, other);
     manifest["configs"]["online"] = Value::String(other);
     fs::write(&path, manifest.to_string()).expect("the copy can be written");
@@ -159,7 +167,10 @@ fn a_foreign_file_is_replayed_by_its_map() {
     let text = "replay {} --json --map time_s=t,current_a=current_a";
     let done = drivebench(line(text, &[&foreign])).expect(0);
     assert!(done.stderr.contains("no speed_rad_s"), "{}", done.stderr);
-    assert_eq!(done.json()["parameters"]["inertia_kg_m2"]["value"], Value::Null);
+    assert_eq!(
+        done.json()["parameters"]["inertia_kg_m2"]["value"],
+        Value::Null
+    );
 }
 
 /// Under a limit on the memory that reading the whole run into columns goes far beyond.
@@ -169,7 +180,8 @@ fn three_hundred_thousand_rows_stream_in_little_memory() {
     const ROWS: u32 = 300_000;
     let out = tempfile::tempdir().expect("a temporary folder");
     let path = out.path().join("long.csv");
-    let mut text = "time_s,voltage_cmd_v,current_a,speed_rad_s,angle_rad,bus_v,torque_n_m\n".to_owned();
+    let mut text =
+        "time_s,voltage_cmd_v,current_a,speed_rad_s,angle_rad,bus_v,torque_n_m\n".to_owned();
     for row in 0..ROWS {
         let time_s = f64::from(row) * 1e-3;
         let (wave, level) = ((time_s * 7.0).sin(), f64::from(row / 300 % 5));

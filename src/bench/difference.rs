@@ -48,12 +48,10 @@ fn difference_at(path: &str, live: &Value, replayed: &Value) -> Option<Differenc
                     }),
                 }
             }),
-        (Value::Array(a), Value::Array(b)) => {
-            (0..a.len().max(b.len())).find_map(|index| {
-                let item = |array: &[Value]| array.get(index).unwrap_or(&missing).clone();
-                difference_at(&below(&index.to_string()), &item(a), &item(b))
-            })
-        }
+        (Value::Array(a), Value::Array(b)) => (0..a.len().max(b.len())).find_map(|index| {
+            let item = |array: &[Value]| array.get(index).unwrap_or(&missing).clone();
+            difference_at(&below(&index.to_string()), &item(a), &item(b))
+        }),
         (Value::Number(a), Value::Number(b)) => {
             let same = match (a.as_f64(), b.as_f64()) {
                 (Some(x), Some(y)) => x.to_bits() == y.to_bits(),
@@ -83,7 +81,10 @@ mod tests {
             (json!({"a": {"x": 1.0, "y": [1, 2, 3]}, "b": null}), "a.y.2"),
             (json!({"a": {"x": 1.0, "y": [1, 2]}, "b": 0}), "b"),
             (json!({"a": {"x": 1.0, "y": [1, 2]}}), "b"),
-            (json!({"a": {"x": 1.0, "y": [1, 2]}, "b": null, "c": "new"}), "c"),
+            (
+                json!({"a": {"x": 1.0, "y": [1, 2]}, "b": null, "c": "new"}),
+                "c",
+            ),
         ] {
             let found = first_difference(&live, &other);
             assert_eq!(found.map(|d| d.key), Some(key.to_owned()), "{other}");
@@ -99,7 +100,11 @@ mod tests {
             let value = f64::from_bits((bits >> 12) | 0x3ff0_0000_0000_0000) * 1e-3;
             let text = serde_json::to_string(&json!({ "v": value })).unwrap();
             let back: Value = serde_json::from_str(&text).unwrap();
-            assert_eq!(first_difference(&json!({ "v": value }), &back), None, "{text}");
+            assert_eq!(
+                first_difference(&json!({ "v": value }), &back),
+                None,
+                "{text}"
+            );
         }
     }
 }

@@ -19,8 +19,8 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
-    LiveOnline, MonotonicClock, OnlineResult, OnlineSettings, Outcome, Plan, Port, Protocol, RunOptions, RunSummary, Session,
-    SnapshotCell, Target, check, layout, manifest, plan, run,
+    LiveOnline, MonotonicClock, OnlineResult, OnlineSettings, Outcome, Plan, Port, Protocol,
+    RunOptions, RunSummary, Session, SnapshotCell, Target, check, layout, manifest, plan, run,
 };
 use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
 use crate::emulator::{

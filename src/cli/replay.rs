@@ -173,7 +173,10 @@ fn why_silent(rows: &RunRows) -> Option<String> {
 }
 
 fn text(result: &ReplayResult) -> String {
-    let mut lines = vec![format!("{}: {} rows replayed", result.run, result.online.rows)];
+    let mut lines = vec![format!(
+        "{}: {} rows replayed",
+        result.run, result.online.rows
+    )];
     for (key, estimate) in &result.online.parameters {
         lines.push(estimate_line(key, estimate));
     }
