@@ -91,6 +91,10 @@ impl Equations {
             return sums;
         }
         let here = state.instant(at);
+        // One effect, the usual case, is not added up: a sum of pairs would wait for the stores of its parts.
+        if let [(only, _)] = &self.terms[..] {
+            return only.sums(&here, &state.own, self.resistance_ohm);
+        }
         let mut own = &state.own[..];
         for (terms, states) in &self.terms {
             let added = terms.sums(&here, own, self.resistance_ohm);
