@@ -17,6 +17,7 @@ pub mod output_error;
 pub mod recursive;
 pub mod repeat;
 pub mod scheme;
+pub mod scheme_1;
 pub mod speed_from_angle;
 pub mod start;
 mod verdict;
