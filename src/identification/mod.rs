@@ -4,11 +4,13 @@
 //! samples, one by one --> online (recursive: schemes 2 and 3) ------------------+
 //! Run (angle -> speed_from_angle) -> Scenario -+-> start -> output_error -------+-> ParameterEstimate
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
+//!                                              +-> inverse_dynamics (both) -----+
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! ```
 
+pub mod inverse_dynamics;
 pub mod noise;
 pub mod online;
 pub mod output_error;

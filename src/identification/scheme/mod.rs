@@ -8,6 +8,7 @@
 
 mod contract_tests;
 mod error;
+mod inverse_dynamics;
 mod online;
 mod output_error;
 mod weak_form;
@@ -79,6 +80,7 @@ pub trait Scheme: Sync {
 pub static CATALOGUE: &[&dyn Scheme] = &[
     &output_error::OutputError,
     &weak_form::WeakForm,
+    &inverse_dynamics::InverseDynamics,
     &online::Scheme2,
     &online::Scheme3,
 ];
