@@ -20,3 +20,4 @@ pub mod speed_from_angle;
 pub mod start;
 mod verdict;
 pub mod weak_form;
+mod wrapped_angle;

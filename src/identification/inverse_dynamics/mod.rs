@@ -194,15 +194,15 @@ fn balance(
         .filter(|unknown| unknown.1.is_none())
         .map(|unknown| &unknown.0)
         .collect();
-    let relative = (equation == Balance::Torque
-        && scenario.input == Input::Current
-        && model.motor.torque_constant().is_none())
-    .then_some(());
+    let relative = equation == Balance::Torque
+        && scenario.input != Input::Torque
+        && model.motor.torque_constant().is_none();
     let estimates = free.iter().enumerate().map(|(place, slot)| {
         let found = solved.judged(place, slot, &free, coarse.as_ref(), &processing);
-        match relative {
-            Some(()) => in_torque_constants(&found),
-            None => gated(found, slot),
+        if relative {
+            in_torque_constants(&found)
+        } else {
+            gated(found, slot)
         }
     });
     let mut estimates = estimates.collect::<Vec<_>>().into_iter();

@@ -34,7 +34,7 @@ fn the_design_is_that_of_scipy() {
     let three = Butterworth::low_pass(3, 0.175).unwrap();
     close(
         &three.sections[0].a,
-        &[-0.240_078_758_080_116_06, 0.0],
+        &[-0.240_078_759_080_116_06, 0.0],
         1e-12,
     );
     close(
