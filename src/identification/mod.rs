@@ -5,6 +5,7 @@
 //! Run (angle -> speed_from_angle) -> Scenario -+-> start -> output_error -------+-> ParameterEstimate
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
 //!                                              +-> inverse_dynamics (both) -----+
+//!                                              +-> step_response (one step) ----+
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
 //! scheme: all of these by name, as `identify --scheme` calls them
@@ -18,6 +19,8 @@ pub mod recursive;
 pub mod scheme;
 pub mod speed_from_angle;
 pub mod start;
+pub mod step_response;
+pub mod temperature;
 mod verdict;
 pub mod weak_form;
 mod wrapped_angle;

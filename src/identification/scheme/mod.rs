@@ -11,6 +11,7 @@ mod error;
 mod inverse_dynamics;
 mod online;
 mod output_error;
+mod step_response;
 mod weak_form;
 
 pub use error::IdentifyError;
@@ -83,6 +84,7 @@ pub static CATALOGUE: &[&dyn Scheme] = &[
     &inverse_dynamics::InverseDynamics,
     &online::Scheme2,
     &online::Scheme3,
+    &step_response::StepResponse,
 ];
 
 /// The scheme of that name.
