@@ -12,6 +12,7 @@
 //! ```
 
 pub mod inverse_dynamics;
+pub mod missing_cells;
 pub mod noise;
 pub mod online;
 pub mod output_error;
@@ -21,6 +22,7 @@ pub mod speed_from_angle;
 pub mod start;
 pub mod step_response;
 pub mod temperature;
+mod torque_ratio;
 mod verdict;
 pub mod weak_form;
 mod wrapped_angle;

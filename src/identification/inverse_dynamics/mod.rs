@@ -28,6 +28,7 @@ pub use self::processing::Processing;
 use self::columns::Rows;
 use self::grid::Part;
 use super::output_error::BLOCK_S;
+use super::torque_ratio;
 use super::verdict::judge;
 use crate::numerics::count::whole;
 use crate::numerics::filter::decimated;
@@ -200,7 +201,7 @@ fn balance(
     let estimates = free.iter().enumerate().map(|(place, slot)| {
         let found = solved.judged(place, slot, &free, coarse.as_ref(), &processing);
         if relative {
-            in_torque_constants(&found)
+            torque_ratio::told(found)
         } else {
             gated(found, slot)
         }
@@ -405,19 +406,6 @@ fn gated(found: ParameterEstimate, slot: &Slot) -> ParameterEstimate {
         reason: Some("negative, which physics forbids: check the signs of current, torque and motion, or add the effect that is missing".to_owned()),
         ..found
     }
-}
-
-/// A value in units of the unknown torque constant: what is known is said, but it is not the parameter.
-fn in_torque_constants(found: &ParameterEstimate) -> ParameterEstimate {
-    let (Some(value), Some(std)) = (found.value, found.std) else {
-        return found.clone();
-    };
-    let reason = format!(
-        "known only relative to the torque constant: {value:.6e} +- {std:.1e} {} per N.m/A; give torque_n_m_per_a or \
-         back_emf_v_s_per_rad, or run once with a known added inertia",
-        found.unit
-    );
-    ParameterEstimate::not_observable(&found.key, found.unit, reason)
 }
 
 #[cfg(test)]

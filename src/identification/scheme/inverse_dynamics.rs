@@ -1,7 +1,7 @@
 //! Inverse dynamics: the field's reference processing.
 
-use super::{Data, Identified, IdentifyError, Scheme};
-use crate::identification::{inverse_dynamics, weak_form};
+use super::{Data, Identified, IdentifyError, Scheme, weak_form};
+use crate::identification::inverse_dynamics;
 use crate::plant::Balance;
 use crate::sample::ParameterEstimate;
 
@@ -38,10 +38,7 @@ impl Scheme for InverseDynamics {
             .into_iter()
             .flat_map(|balance| balance.parameters)
             .collect();
-        let other = weak_form::fit(data.model, data.scenario)?
-            .into_iter()
-            .flat_map(|balance| balance.parameters)
-            .collect::<Vec<_>>();
+        let other = weak_form::parameters(data.model, data.scenario)?;
         notes.extend(compared(&parameters, &other));
         let mut identified = Identified::new(self.id(), data.model, parameters);
         identified.notes = notes;
