@@ -9,14 +9,17 @@
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
 //! scheme: all of these by name, as `identify --scheme` calls them
+//! repeat, added_inertia: what several runs say together
 //! ```
 
+pub mod added_inertia;
 pub mod inverse_dynamics;
 pub mod missing_cells;
 pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+pub mod repeat;
 pub mod scheme;
 pub mod speed_from_angle;
 pub mod start;
@@ -24,5 +27,6 @@ pub mod step_response;
 pub mod temperature;
 mod torque_ratio;
 mod verdict;
+pub mod voltage_departure;
 pub mod weak_form;
 mod wrapped_angle;
