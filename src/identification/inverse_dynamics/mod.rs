@@ -175,7 +175,7 @@ fn balance(
         parts.iter().filter_map(of_part).collect()
     };
     let full = rows(parts);
-    if let Some(reason) = why_not(&full, scenario, equation) {
+    if let Some(reason) = why_not(&full, scenario, equation, &slots) {
         return refused(equation, unknowns, Some(processing), &reason);
     }
     let Some(solved) = Solved::new(&full, unknowns, processing.decimation) else {
@@ -229,7 +229,12 @@ fn balance(
 }
 
 /// Why these rows cannot be solved, if they cannot.
-fn why_not(rows: &[Rows], scenario: &Scenario, equation: Balance) -> Option<String> {
+fn why_not(
+    rows: &[Rows],
+    scenario: &Scenario,
+    equation: Balance,
+    slots: &[Slot],
+) -> Option<String> {
     let lefts = || rows.iter().flat_map(|rows| rows.left.iter().copied());
     if lefts().all(|left| !left.is_finite()) {
         let missing = match (equation, scenario.input) {
@@ -238,6 +243,21 @@ fn why_not(rows: &[Rows], scenario: &Scenario, equation: Balance) -> Option<Stri
             (Balance::Torque, _) => "current",
         };
         return Some(format!("the run has no {missing}"));
+    }
+    let unknown = |column: usize| {
+        let mut cells = rows.iter().flat_map(|rows| &rows.columns[column]);
+        cells.all(|cell| !cell.is_finite())
+    };
+    if let Some(slot) = (0..slots.len())
+        .find(|column| unknown(*column))
+        .map(|column| &slots[column])
+    {
+        return Some(match slot {
+            Slot::Motor(_) => "the run has no current".to_owned(),
+            Slot::Effect { id, .. } => {
+                format!("effect {id} needs a signal that the run does not have (angle or current)")
+            }
+        });
     }
     let (least, most) = lefts().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), left| {
         (least.min(left), most.max(left))
@@ -273,13 +293,23 @@ impl Solved {
             .iter()
             .fold(DVector::zeros(size), |sum, fit| sum + &fit.solution.x)
             / count;
+        // A value that is lost in its noise is no measure for its own spread.
+        let size_of = |place: usize| {
+            let variance = first.solution.covariance[(place, place)];
+            let std = if variance.is_finite() {
+                variance.max(0.0).sqrt()
+            } else {
+                0.0
+            };
+            mean[place].abs().max(std).max(f64::MIN_POSITIVE)
+        };
         let spread_percent = (0..size)
             .map(|place| {
                 let squares: f64 = fits
                     .iter()
                     .map(|fit| (fit.solution.x[place] - mean[place]).powi(2))
                     .sum();
-                100.0 * (squares / count).sqrt() / mean[place].abs().max(f64::MIN_POSITIVE)
+                100.0 * (squares / count).sqrt() / size_of(place)
             })
             .fold(0.0, f64::max);
         Some(Self {

@@ -22,6 +22,9 @@ impl Scheme for InverseDynamics {
         for balance in &balances {
             if let (Some(processing), Balance::Torque) = (&balance.processing, balance.equation) {
                 notes.push(processing.sentence());
+                if balance.rows == 0 {
+                    continue;
+                }
                 notes.push(format!(
                     "{} of {} rows left out: at rest (below {:.3e} rad/s for half the filter's reach or longer), where \
                      friction is not determined, and at the ends; reversals stay in. Error {:.2} % of the torque; the \
@@ -54,18 +57,26 @@ fn compared(ours: &[ParameterEstimate], weak: &[ParameterEstimate]) -> Option<St
             let value = p.value.filter(|_| p.std != Some(0.0))?;
             let other = weak.iter().find(|w| w.key == p.key)?.value?;
             Some(format!(
-                "{} {value:.5} here, {other:.5} there ({:+.1} %)",
+                "{} {value:.digits$} here, {other:.digits$} there ({:+.1} %)",
                 p.key,
-                100.0 * (other / value - 1.0)
+                100.0 * (other / value - 1.0),
+                digits = decimals(value)
             ))
         })
         .collect();
     (!pairs.is_empty()).then(|| {
         format!(
-            "beside the weak form: {}. It leaves out every window with a slow sample and weighs a window as a whole; \
-             where the friction of the machine is not the model's (it may differ by direction, or near standstill), the \
-             two spread the misfit differently, and some per cent between them are the model's, not the noise's",
+            "beside the weak form: {}. It averages over windows, and leaves out every window with a slow sample; this one \
+             filters, and keeps reversals. Where the machine's friction is not quite the model's (viscous friction that \
+             differs by direction, friction that changes near standstill) the two spread the misfit differently: a \
+             difference of some per cent is the model's, not the noise's",
             pairs.join("; ")
         )
     })
+}
+
+/// Decimals that show five digits of a value.
+fn decimals(value: f64) -> usize {
+    let magnitude = value.abs().max(1e-12).log10().floor();
+    crate::numerics::count::whole((4.0 - magnitude).max(0.0))
 }

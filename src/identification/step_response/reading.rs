@@ -5,8 +5,13 @@ use super::curve::{MEETING, height, meeting_time, ratio};
 use crate::numerics::statistics;
 use crate::plant::{Input, Scenario};
 
-/// Share of the largest voltage within which a level is one level, and within which it is zero.
+/// Share of the largest voltage of the run below which a level counts as zero.
+const ZERO: f64 = 0.02;
+/// Share of its own voltage within which a level is one level, and share of the largest that noise may take.
 const SAME_LEVEL: f64 = 0.02;
+const NOISE: f64 = 0.005;
+/// Mechanical time constants that a step has to be held for: the response is then at 97 % at least.
+const HELD: f64 = 3.5;
 /// Samples before the step that have to be at rest, at least and at most.
 const REST: std::ops::RangeInclusive<usize> = 2..=20;
 /// Speed at rest, as a share of the largest of the run.
@@ -79,8 +84,8 @@ pub fn read(scenario: &Scenario) -> Result<Reading, String> {
     steps.sort_by(|a, b| b.voltage_v.abs().total_cmp(&a.voltage_v.abs()));
     let mut refusal = None;
     for step in steps {
-        match Response::of(scenario, step) {
-            Ok(response) => return response.read(),
+        match Response::of(scenario, step).and_then(|response| response.read()) {
+            Ok(reading) => return Ok(reading),
             Err(reason) => {
                 refusal.get_or_insert(reason);
             }
@@ -106,10 +111,9 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
     // Levels: begin and voltage; a held value that is written on every row is one level.
     let mut levels: Vec<(f64, f64)> = Vec::new();
     for &(at_s, volts) in &scenario.events {
-        if levels
-            .last()
-            .is_none_or(|level| (volts - level.1).abs() > SAME_LEVEL * most_v)
-        {
+        if levels.last().is_none_or(|level| {
+            (volts - level.1).abs() > (SAME_LEVEL * level.1.abs()).max(NOISE * most_v)
+        }) {
             levels.push((at_s, volts));
         }
     }
@@ -127,7 +131,11 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
             .collect();
         let still =
             rest.len() >= *REST.start() && statistics::median(&rest).abs() <= AT_REST * most_rad_s;
-        if before.1.abs() <= SAME_LEVEL * most_v && still && until_s > level.0 {
+        if before.1.abs() <= ZERO * most_v
+            && level.1.abs() > ZERO * most_v
+            && still
+            && until_s > level.0
+        {
             let held = scenario
                 .events
                 .iter()
@@ -230,6 +238,17 @@ impl Response {
         for _ in 0..20 {
             r = ratio(self.height_at(0.5 * tm));
             tm = meeting_s / meeting_time(r.unwrap_or(0.0));
+        }
+        let held_s = self.step.until_s - self.step.at_s;
+        if held_s < HELD * tm {
+            return Err(format!(
+                "no steady state: the step of {:.2} V at {:.3} s is held for {:.1} times TM as it seems ({:.1} ms), \
+                 {HELD} times are needed",
+                self.step.voltage_v,
+                self.step.at_s,
+                held_s / tm,
+                1e3 * tm
+            ));
         }
         let (area_tm, area_ta) = self.areas();
         let current = self.steady_current();

@@ -123,3 +123,40 @@ fn no_step_no_rest_and_no_steady_state_are_told_apart() {
         }
     }
 }
+
+#[test]
+fn a_random_voltage_holds_no_step() {
+    let mut events = vec![(0.0, 0.0)];
+    for k in 0..600_i32 {
+        let t = 0.2 + 0.005 * f64::from(k);
+        events.push((t, 30.0 * (5.0 * t).sin() + 10.0 * (17.0 * t).cos()));
+    }
+    let truth = Model::baseline(Motor::zk_22fc());
+    let run = record(&truth, events, 0.001, 3.2, 5);
+    let (parameters, notes) = estimates(&Model::baseline(Motor::new("?")), &run);
+    assert!(notes.is_empty(), "{notes:?}");
+    assert!(parameters.iter().all(|p| p.value.is_none()));
+}
+
+#[test]
+#[ignore = "prints the readings beside the truth"]
+fn table() {
+    for (volts, period_s) in [
+        (60.0, 0.001),
+        (20.0, 0.001),
+        (6.0, 0.001),
+        (60.0, 0.005),
+        (60.0, 0.01),
+    ] {
+        let run = step(volts, period_s, 0.6, 1);
+        let (parameters, notes) = estimates(&Model::baseline(Motor::new("?")), &run);
+        eprintln!("{volts} V, {period_s} s: {notes:?}");
+        for (key, truth, _) in TRUTH {
+            let p = of(&parameters, key);
+            eprintln!(
+                "  {key} {truth}: {:?} +- {:?} {:?}",
+                p.value, p.std, p.reason
+            );
+        }
+    }
+}
