@@ -28,14 +28,12 @@ fn run_of(scenario: &Scenario) -> Run {
 }
 
 fn steps() -> Vec<(f64, f64)> {
-    let levels = [0.0, 30.0, 60.0, 20.0, -30.0, -60.0, -10.0, 40.0];
-    (0..24)
-        .map(|k| (0.3 + 0.25 * f64::from(k), levels[k as usize % levels.len()]))
-        .map(|(time_s, volts)| (if volts == 0.0 { time_s } else { time_s + 0.1 }, volts))
-        .fold(vec![(0.0, 0.0)], |mut events, event| {
-            events.push(event);
-            events
-        })
+    let levels = [30.0, 60.0, 20.0, -30.0, -60.0, -10.0, 40.0, 0.0];
+    let mut events = vec![(0.0, 0.0)];
+    for (k, volts) in levels.iter().cycle().take(24).enumerate() {
+        events.push((0.4 + 0.25 * k as f64, *volts));
+    }
+    events
 }
 
 fn identify(scheme: &dyn Scheme, run: &Run) -> Option<Identified> {

@@ -8,16 +8,18 @@
 
 mod contract_tests;
 mod error;
+mod inverse_dynamics;
 mod online;
 mod output_error;
 mod scheme_1;
 mod scheme_1_tests;
 mod scheme_2_rectangle;
+mod step_response;
 mod weak_form;
 
 pub use error::IdentifyError;
 
-use crate::plant::{Input, Model, Scenario};
+use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Run};
 
 /// What a scheme works on.
@@ -54,6 +56,15 @@ impl Identified {
                 model.set(&slot, value);
             }
         }
+        // A torque constant that was found on its own ends the rule that it equals the back-EMF constant.
+        let torque = MotorKey::TorqueConstant;
+        if let Some(value) = parameters
+            .iter()
+            .find(|parameter| parameter.key == torque.key())
+            .and_then(|parameter| parameter.value)
+        {
+            model.motor.set(torque, value);
+        }
         Self {
             scheme,
             model,
@@ -85,9 +96,11 @@ pub static CATALOGUE: &[&dyn Scheme] = &[
     &scheme_1::Printed,
     &scheme_1::Exact,
     &scheme_1::WithInstruments,
+    &inverse_dynamics::InverseDynamics,
     &online::Scheme2,
     &scheme_2_rectangle::Rectangle,
     &online::Scheme3,
+    &step_response::StepResponse,
 ];
 
 /// The scheme of that name.
