@@ -9,6 +9,7 @@
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! ```
 
+pub mod kalman;
 pub mod noise;
 pub mod online;
 pub mod output_error;

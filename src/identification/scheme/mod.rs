@@ -7,6 +7,7 @@
 //! A new method is one file here and one line in [`CATALOGUE`]; its arithmetic lives in a room of its own.
 
 mod contract_tests;
+mod ekf;
 mod error;
 mod online;
 mod output_error;
@@ -81,6 +82,7 @@ pub static CATALOGUE: &[&dyn Scheme] = &[
     &weak_form::WeakForm,
     &online::Scheme2,
     &online::Scheme3,
+    &ekf::Ekf,
 ];
 
 /// The scheme of that name.
