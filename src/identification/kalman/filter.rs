@@ -22,6 +22,8 @@ use crate::plant::Instant;
 /// Standard deviations of the speed noise, and share of the largest speed, below which its sign is not certain.
 const CERTAIN: f64 = 4.0;
 const SHARE: f64 = 0.005;
+/// Multiple of that speed at which a motion begins to be used; it ends at the speed itself.
+const STARTS: f64 = 2.0;
 /// Samples at zero speed in a row that make a rest, and the deviation that ends it.
 const REST_ROWS: u32 = 8;
 const REST_ENDS: f64 = 3.0;
@@ -98,6 +100,8 @@ pub(super) struct Filter {
     pub(super) log_likelihood: f64,
     pub(super) innovation: [Option<f64>; 2],
     early: f64,
+    /// Sign of the last measured speed where it was certain.
+    heading: f64,
     zeros: u32,
     zero_sum: f64,
     streak: [u32; 2],
@@ -123,6 +127,7 @@ impl Filter {
             log_likelihood: 0.0,
             innovation: [None; 2],
             early: EARLY_LOSS,
+            heading: 0.0,
             zeros: 0,
             zero_sum: 0.0,
             streak: [0; 2],
@@ -203,6 +208,7 @@ impl Filter {
         };
         if used {
             self.tally.used += 1;
+            self.heading = 0.0;
         } else {
             self.anchor(measured);
         }
@@ -493,10 +499,21 @@ impl Filter {
         self.belief.x[W] = speed;
         self.belief.forget(W, mechanical);
         let zone = self.zone_rad_s();
+        let heading = if speed.abs() > zone {
+            speed.signum()
+        } else {
+            0.0
+        };
+        let before = std::mem::replace(&mut self.heading, heading);
+        // The sample that first clears the zone was chosen by its noise: the state begins with the one after it, and so
+        // far outside that noise does not decide whether the next interval is used. Else the friction comes out high.
+        if before != 0.0 && before * speed > zone {
+            (self.zeros, self.zero_sum) = (0, 0.0);
+            self.mode = Mode::Turning(before);
+            return;
+        }
         if speed.abs() > zone {
-            self.zeros = 0;
-            self.zero_sum = 0.0;
-            self.mode = Mode::Turning(speed.signum());
+            (self.zeros, self.zero_sum) = (0, 0.0);
             return;
         }
         self.zeros = self.zeros.saturating_add(1);
