@@ -261,24 +261,27 @@ impl Filter {
 
     fn rest(&mut self, length_s: f64, measured: [Option<f64>; 2]) -> bool {
         let noise = self.sensors[1].variance().sqrt();
-        if measured[1].is_some_and(|speed| speed.abs() > REST_ENDS * noise) || self.may_break_away()
-        {
+        let before = self.belief;
+        let moves = measured[1].is_some_and(|speed| speed.abs() > REST_ENDS * noise);
+        if !moves && self.source == Source::Voltage {
+            self.predict(length_s, 0.0);
+        }
+        if moves || self.may_break_away(before.x[I]) || self.may_break_away(self.belief.x[I]) {
+            self.belief = before;
             self.walk(length_s);
             return false;
-        }
-        if self.source == Source::Voltage {
-            self.predict(length_s, 0.0);
         }
         self.walk(length_s);
         self.update([measured[0], None])
     }
 
-    /// Whether the torque is so near to a known friction that the motor may move within the interval.
-    fn may_break_away(&self) -> bool {
-        let (level, variance) = (self.belief.x[MC], self.belief.p[MC][MC]);
-        let known = level > 0.0 && variance < 0.04 * level * level;
-        let torque = self.physics().kt * self.belief.x[I] - self.belief.x[TL];
-        known && torque.abs() > NEAR_BREAKAWAY * level
+    /// Whether the torque comes so near to what is known of the friction that the motor may already move although the
+    /// speed does not show it yet.
+    fn may_break_away(&self, current_a: f64) -> bool {
+        let level = self.belief.x[MC] - self.belief.p[MC][MC].sqrt();
+        let torque = self.physics().kt * current_a - self.belief.x[TL];
+        let noise = self.physics().kt * self.sensors[0].variance().sqrt();
+        torque.abs() > (NEAR_BREAKAWAY * level).max(REST_ENDS * noise)
     }
 
     /// The load torque walks on, unseen.
@@ -523,7 +526,7 @@ impl Filter {
             let mean = self.zero_sum / rows;
             let still = mean.abs() < REST_ENDS * (mechanical / rows).sqrt() + 1e-9;
             (self.zeros, self.zero_sum) = (0, 0.0);
-            if still && !self.may_break_away() {
+            if still && !self.may_break_away(self.belief.x[I]) {
                 self.belief.x[W] = 0.0;
                 self.belief.forget(W, 0.0);
                 self.mode = Mode::AtRest;

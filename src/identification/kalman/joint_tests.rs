@@ -130,3 +130,23 @@ fn without_noise_every_parameter_is_found() {
         assert!(found.iter().all(|e| e.abs() < 0.001), "{name} {found:?}");
     }
 }
+
+#[test]
+#[ignore = "debug"]
+fn debug_large() {
+    for (name, truth, scale, hold_s, period_s) in [cases()[4], cases()[5], cases()[1]] {
+        let model = Model::baseline(motor(&truth));
+        let record = Record::of(&model, steps(6.0, scale, hold_s), every(period_s, 6.0));
+        for seed in 0..12 {
+            let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], seed);
+            let found = identify(&unknown(), &run);
+            let z: Vec<f64> = found
+                .estimates()
+                .iter()
+                .zip(&truth)
+                .map(|(e, t)| (e.value.unwrap() - t) / e.std.unwrap())
+                .collect();
+            println!("{name} {seed} {z:.2?} {}", found.summary());
+        }
+    }
+}
