@@ -24,6 +24,13 @@ const PARAMETERS: [(MotorKey, usize); 5] = [
 const GUESS_SPREAD: f64 = 0.5;
 const START_SPREAD: f64 = 0.3;
 const UNKNOWN_SPREAD: f64 = 1.0;
+/// Standard deviations of one start that the next is wide, and how narrow it may be at least.
+const WIDER: f64 = 10.0;
+const LEAST_SPREAD: f64 = 0.01;
+const LEAST_FIRST_SPREAD: f64 = 0.05;
+/// Passes over a recorded run after the first, and the change, in standard deviations, after which there is none.
+const MOST_PASSES: u32 = 3;
+const SETTLED_STEP: f64 = 0.3;
 /// Share of the largest electrical torque by which the Coulomb torque may be off whatever the start says.
 const LOAD_SPREAD: f64 = 0.05;
 /// Relative standard deviation from which scheme 3 counts as certain, and the contradiction that discards the start.
@@ -110,12 +117,23 @@ impl Kalman {
         kalman
     }
 
-    /// Starts from these values; no other start is looked for.
-    fn from_values(config: &KalmanConfig, values: [f64; 5], largest_current_a: f64) -> Self {
+    /// Starts from what another pass over the same data has found; no other start is looked for.
+    fn again(config: &KalmanConfig, found: &Self) -> Self {
         let mut kalman = Self::new(config);
-        kalman.filter.sensors[I].largest = largest_current_a;
+        let seen = &found.filter.sensors;
+        if seen.iter().any(|sensor| sensor.at_rest().is_none()) {
+            kalman.filter.sensors = *seen;
+        }
+        kalman.filter.sensors[I].largest = seen[I].largest;
         kalman.starter = None;
-        kalman.start(values, [START_SPREAD; 5]);
+        let values = found.values();
+        let spread = std::array::from_fn(|k| {
+            let state = PARAMETERS[k].1;
+            let size = if state == MC { values[k].abs() } else { 1.0 };
+            let std = (found.filter.belief.p[state][state] * found.widening()).sqrt();
+            (WIDER * std / size.max(f64::MIN_POSITIVE)).clamp(LEAST_SPREAD, START_SPREAD)
+        });
+        kalman.start(values, spread);
         kalman.filter.trust_start();
         kalman
     }
@@ -134,7 +152,14 @@ impl Kalman {
         let torque = self.filter.torque_n_m_per_a.unwrap_or(x[KE].exp());
         let most = torque * self.filter.sensors[I].largest.max(1e-3);
         if variance[MC] > 0.0 {
-            variance[MC] = (spread[4] * x[MC]).powi(2) + (LOAD_SPREAD * most).powi(2);
+            // A start without any friction says nothing of its size.
+            variance[MC] = (spread[4] * x[MC])
+                .powi(2)
+                .max(if spread[4] < START_SPREAD {
+                    0.0
+                } else {
+                    (LOAD_SPREAD * most).powi(2)
+                });
         }
         if self.filter.disturbance.load > 0.0 {
             variance[TL] = most * most;
@@ -196,7 +221,12 @@ impl Kalman {
         let (Some(r), Some(ke), Some(j)) = (value(0), value(2), value(3)) else {
             return;
         };
-        let mut spread = [START_SPREAD; 5];
+        let mut spread: [f64; 5] = std::array::from_fn(|k| {
+            let relative = found.get(k).and_then(|e| Some(e.std? / e.value?.abs()));
+            relative.map_or(START_SPREAD, |std| {
+                (WIDER * std).clamp(LEAST_FIRST_SPREAD, START_SPREAD)
+            })
+        });
         let l = value(1).unwrap_or_else(|| {
             spread[1] = UNKNOWN_SPREAD;
             r * self.filter.period_s / 3.0
@@ -419,29 +449,34 @@ pub(super) fn good(sample: &Sample, channel: Channel) -> Option<f64> {
         .filter(|_| sample.quality(channel) == Quality::Good)
 }
 
-/// A recorded run: once through it to find the values, and once more from there, so that its beginning is not lost and
-/// nothing is linearised about a poor start. The second start is as uncertain as any (30 %): the data count once.
+/// A recorded run: through it once to find the values, and again from there until they stay, so that its beginning is
+/// not lost and nothing is linearised about a poor start. Each further start is ten standard deviations wide: the data
+/// count once (and by a hundredth again), and what the first rows do to the parameters stays within the linear range.
+/// With a start 30 % wide the first few rows, at thousands of times the noise, throw the parameters so far that the
+/// derivatives are off and the Coulomb torque comes out 1.5 standard deviations high.
 pub fn identify(config: &KalmanConfig, run: &Run) -> Kalman {
-    let mut first = Kalman::new(config);
-    run.samples().for_each(|sample| first.push(&sample));
-    let values = first.values();
-    let usable = first.begun
-        && values.iter().all(|value| value.is_finite())
-        && values[..4].iter().all(|value| *value > 0.0);
-    if !usable {
-        return first;
+    let mut found = Kalman::new(config);
+    run.samples().for_each(|sample| found.push(&sample));
+    for _ in 0..MOST_PASSES {
+        let values = found.values();
+        let usable = found.begun
+            && values.iter().all(|value| value.is_finite())
+            && values[..4].iter().all(|value| *value > 0.0);
+        if !usable {
+            break;
+        }
+        let mut next = Kalman::again(config, &found);
+        run.samples().for_each(|sample| next.push(&sample));
+        let still = PARAMETERS.iter().all(|(_, state)| {
+            let step = next.filter.belief.x[*state] - found.filter.belief.x[*state];
+            step.abs() <= SETTLED_STEP * next.filter.belief.p[*state][*state].sqrt()
+        });
+        found = next;
+        if still {
+            break;
+        }
     }
-    let mut second = Kalman::from_values(config, values, first.filter.sensors[I].largest);
-    if first
-        .filter
-        .sensors
-        .iter()
-        .any(|sensor| sensor.at_rest().is_none())
-    {
-        second.filter.sensors = first.filter.sensors;
-    }
-    run.samples().for_each(|sample| second.push(&sample));
-    second
+    found
 }
 
 #[cfg(test)]
