@@ -100,6 +100,9 @@ pub(super) struct Filter {
     pub(super) log_likelihood: f64,
     pub(super) innovation: [Option<f64>; 2],
     early: f64,
+    early_loss: f64,
+    /// Only the load is tracked: the noise is that of the rest, where there was one.
+    pub(super) fixed_noise: bool,
     /// Sign of the last measured speed where it was certain.
     heading: f64,
     zeros: u32,
@@ -127,6 +130,8 @@ impl Filter {
             log_likelihood: 0.0,
             innovation: [None; 2],
             early: EARLY_LOSS,
+            early_loss: EARLY_LOSS,
+            fixed_noise: false,
             heading: 0.0,
             zeros: 0,
             zero_sum: 0.0,
@@ -145,13 +150,24 @@ impl Filter {
             self.belief.p[state][state] = variance[state];
         }
         self.prior = variance;
-        self.early = EARLY_LOSS;
+        self.early = self.early_loss;
         self.stop();
     }
 
     /// No loss of early information: the start is a good one.
     pub(super) fn trust_start(&mut self) {
         self.early = 0.0;
+    }
+
+    /// The parameters are known and nothing depends on the sign of the speed.
+    fn is_signless(&self) -> bool {
+        self.belief.x[MC] == 0.0 && self.prior[MC] <= 0.0 && self.effects.is_empty()
+    }
+
+    /// Parameters that never change: only the load torque is followed.
+    pub(super) fn freeze(&mut self) {
+        (self.early, self.early_loss) = (0.0, 0.0);
+        self.fixed_noise = true;
     }
 
     pub(super) fn physics(&self) -> Physics {
@@ -426,7 +442,7 @@ impl Filter {
             let own = self.belief.p[channel][channel];
             let noise = self.sensors[channel].variance();
             let square = innovation * innovation / (own + noise);
-            self.sensors[channel].take(innovation, own);
+            self.sensors[channel].take(innovation, own, self.fixed_noise);
             self.innovation[channel] = Some(innovation);
             self.log_likelihood -= 0.5 * (square.min(OUTLIER * OUTLIER) + (own + noise).ln());
             if square > OUTLIER * OUTLIER {
@@ -449,7 +465,7 @@ impl Filter {
         self.tally.reopened += 1;
         self.streak = [0; 2];
         self.scale(REOPEN);
-        self.early = EARLY_LOSS;
+        self.early = self.early_loss;
     }
 
     fn fade(&mut self) {
@@ -501,8 +517,12 @@ impl Filter {
         );
         self.belief.x[W] = speed;
         self.belief.forget(W, mechanical);
+        if self.is_signless() {
+            self.mode = Mode::Turning(1.0);
+            return;
+        }
         let zone = self.zone_rad_s();
-        let heading = if speed.abs() > zone {
+        let heading = if speed.abs() > STARTS * zone {
             speed.signum()
         } else {
             0.0

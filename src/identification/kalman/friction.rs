@@ -41,6 +41,10 @@ impl KnownEffects {
         (Self { terms }, left)
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.terms.is_empty()
+    }
+
     /// Sets the slope of the friction in `physics` and gives what is left; `direction` is the sign of the motion.
     pub(super) fn linearise(&self, physics: &mut Physics, at: &Instant, direction: f64) -> Offsets {
         if self.terms.is_empty() {

@@ -7,10 +7,11 @@
 use super::covariance::{I, J, KE, L, MC, N, R, TL};
 use super::filter::{Disturbance, Filter, Mode, Tally};
 use super::friction::KnownEffects;
+use super::load::{LoadPoint, good};
 use crate::identification::recursive::{Memory, Scheme3};
 use crate::identification::verdict;
 use crate::plant::{Model, MotorKey, Slot};
-use crate::sample::{Channel, ParameterEstimate, Quality, Run, Sample, Verdict};
+use crate::sample::{Channel, ParameterEstimate, Run, Sample, Verdict};
 
 /// The five parameters and the states that carry them.
 const PARAMETERS: [(MotorKey, usize); 5] = [
@@ -55,15 +56,6 @@ pub struct KalmanConfig {
     pub drift_per_sqrt_s: f64,
     /// Random walk of a load torque beside the Coulomb torque, N.m/sqrt(s); zero: there is none.
     pub load_rate_n_m_per_sqrt_s: f64,
-}
-
-/// Load torque with its standard deviation at one instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LoadPoint {
-    pub time_s: f64,
-    /// Positive against positive speed, negative where it drives; Coulomb and known friction are not in it.
-    pub load_torque_n_m: f64,
-    pub std_n_m: f64,
 }
 
 /// The joint filter; interface as [`crate::identification::online::Online`].
@@ -440,13 +432,6 @@ impl Kalman {
             ),
         }
     }
-}
-
-/// The value of a channel if it is good.
-pub(super) fn good(sample: &Sample, channel: Channel) -> Option<f64> {
-    sample
-        .get(channel)
-        .filter(|_| sample.quality(channel) == Quality::Good)
 }
 
 /// A recorded run: through it once to find the values, and again from there until they stay, so that its beginning is

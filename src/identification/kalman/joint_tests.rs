@@ -4,7 +4,6 @@ use rayon::prelude::*;
 
 use super::super::bench::*;
 use super::*;
-use crate::plant::Motor;
 
 fn errors(found: &Kalman, truth: &Truth) -> Vec<f64> {
     found

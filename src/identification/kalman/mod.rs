@@ -17,7 +17,11 @@ mod filter;
 mod friction;
 mod held_voltage;
 mod joint;
+mod load;
+mod load_trace;
 mod sensor;
 mod transition;
 
-pub use joint::{Kalman, KalmanConfig, LoadPoint, identify};
+pub use joint::{Kalman, KalmanConfig, identify};
+pub use load::{LoadError, LoadPoint, LoadTracker};
+pub use load_trace::{LoadOptions, LoadTrace, load_torque_trace};

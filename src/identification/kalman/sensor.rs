@@ -82,8 +82,9 @@ impl Sensor {
             .max(f64::MIN_POSITIVE)
     }
 
-    /// One innovation, of which the filter itself explains the variance `own`.
-    pub(super) fn take(&mut self, innovation: f64, own: f64) {
+    /// One innovation, of which the filter itself explains the variance `own`. `fixed`: the noise stays that of the rest,
+    /// where there was one.
+    pub(super) fn take(&mut self, innovation: f64, own: f64, fixed: bool) {
         let noise = self.variance();
         let square = innovation * innovation;
         let reference = self.at_rest().unwrap_or(noise);
@@ -92,6 +93,9 @@ impl Sensor {
             innovation / whole.sqrt(),
             (square / (own + reference)).min(CLIP_TEST),
         );
+        if fixed && self.at_rest().is_some() {
+            return;
+        }
         // While the parameters are still moving the innovation says little about the sensor.
         if own < 0.5 * noise || square > CLIP * whole {
             self.innovations += 1.0;
@@ -183,7 +187,7 @@ mod tests {
         let mut sensor = Sensor::default();
         noise(0.1, 200, 2).iter().for_each(|v| sensor.see(*v, true));
         for innovation in noise(0.3, 3000, 3) {
-            sensor.take(innovation, 1e-4);
+            sensor.take(innovation, 1e-4, false);
         }
         let (ratio, allowed) = sensor.consistency().unwrap();
         assert!(
@@ -201,7 +205,7 @@ mod tests {
         let mut value = 0.0;
         for step in noise(0.06, 3000, 5) {
             value = 0.8 * value + step;
-            sensor.take(value, 1e-6);
+            sensor.take(value, 1e-6, false);
         }
         // rho = 0.8: (1 + 0.8)/(1 - 0.8) = 9.
         assert!(
