@@ -28,6 +28,9 @@ pub(super) struct Arguments {
     /// Exit with status 5 unless each of these keys was found
     #[arg(long, value_name = "KEY,...", value_delimiter = ',')]
     require: Vec<String>,
+    /// Instead of parameters: the load torque over time, with the parameters of --model, into this file
+    #[arg(long, value_name = "FILE.csv", requires = "model")]
+    load_torque: Option<PathBuf>,
     /// Write the identified model here
     #[arg(long, value_name = "MODEL2.toml")]
     output: Option<PathBuf>,
@@ -56,6 +59,9 @@ Examples:
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let run = load(&arguments.run, arguments.map.of_run()?.as_ref())?;
     let file = model(arguments.model.as_ref(), &run)?.file;
+    if let Some(path) = &arguments.load_torque {
+        return super::load_torque::execute(path, &run.run, &file.model, arguments.json);
+    }
     let scenario = Scenario::from_run(&run.run)?;
     if scenario.input_channel == Channel::VoltageCmd {
         output::message("voltage_cmd_v serves as the voltage");
