@@ -44,6 +44,9 @@ pub(super) struct Arguments {
     /// Motor turns per turn of the load: inertia and load torque are then also given on the load's shaft
     #[arg(long, value_name = "N")]
     gear_ratio: Option<f64>,
+    /// Instead of parameters: the load torque over time, with the parameters of --model, into this file
+    #[arg(long, value_name = "FILE.csv", requires = "model")]
+    load_torque: Option<PathBuf>,
     /// Write the identified model here
     #[arg(long, value_name = "MODEL2.toml")]
     output: Option<PathBuf>,
@@ -122,6 +125,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             Some(file) => file,
             none => none.insert(model(arguments.model.as_ref(), &loaded)?.file),
         };
+        if let Some(trace) = &arguments.load_torque {
+            if arguments.runs.len() > 1 {
+                return Err(Failure::with_help(
+                    USAGE,
+                    format!(
+                        "--load-torque with {} runs is not allowed (expected one)",
+                        arguments.runs.len()
+                    ),
+                    "a trace over time belongs to one run",
+                ));
+            }
+            return super::load_torque::execute(trace, &loaded.run, &file.model, arguments.json);
+        }
         runs.push(identify(loaded, &file.model, arguments)?);
     }
     let commanded = |run: &OneRun| run.scenario.input_channel == Channel::VoltageCmd;

@@ -14,6 +14,7 @@ mod emulate;
 mod failure;
 mod identify;
 mod live;
+mod load_torque;
 mod output;
 mod pages;
 mod plan;

@@ -14,6 +14,7 @@
 
 pub mod added_inertia;
 pub mod inverse_dynamics;
+pub mod kalman;
 pub mod missing_cells;
 pub mod noise;
 pub mod online;

@@ -7,6 +7,7 @@
 //! A new method is one file here and one line in [`CATALOGUE`]; its arithmetic lives in a room of its own.
 
 mod contract_tests;
+mod ekf;
 mod error;
 mod inverse_dynamics;
 mod online;
@@ -101,6 +102,7 @@ pub static CATALOGUE: &[&dyn Scheme] = &[
     &scheme_2_rectangle::Rectangle,
     &online::Scheme3,
     &step_response::StepResponse,
+    &ekf::Ekf,
 ];
 
 /// The scheme of that name.
