@@ -13,6 +13,7 @@ pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+pub mod sanity;
 pub mod scheme;
 pub mod speed_from_angle;
 pub mod start;
