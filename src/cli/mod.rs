@@ -17,7 +17,9 @@ mod live;
 mod output;
 mod pages;
 mod plan;
+mod provenance;
 mod run;
+mod sanity_report;
 mod screen;
 mod simulate;
 

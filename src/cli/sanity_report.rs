@@ -4,7 +4,8 @@ use serde_json::{Map, Value, json};
 
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output;
-use crate::identification::sanity::{self, Finding};
+use super::provenance;
+use crate::identification::sanity::{self, Finding, Kind};
 use crate::plant::{Model, Scenario, Slot};
 use crate::recording::ColumnMap;
 use crate::sample::{ParameterEstimate, Run, Verdict};
@@ -50,6 +51,7 @@ pub(super) fn before_identify(
         "rows_used": scenario.samples(),
         "rows_dropped": run.rows_dropped,
         "input": scenario.input_channel.key(),
+        "signals": provenance::signals(run),
         "findings": findings,
         "notes": notes(run, &findings),
     });
@@ -66,16 +68,35 @@ pub(super) fn before_identify(
     Err(failure(refusal))
 }
 
-/// Looks at the data before a command that judges a model. `refits`: parameters are fitted to the data, so what forbids
-/// an identification forbids the command as well; a comparison with a model as given is only warned.
+/// What a command that judges a model does with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Judging {
+    /// Compares the model as given.
+    AsGiven,
+    /// Refits the given model: a record that excites nothing still has the verdict that nothing can be said.
+    Refits,
+    /// Has no model but the one that it fits to the data.
+    FitsFirst,
+}
+
+/// Looks at the data before a command that judges a model; what cannot be judged ends it, the rest is cautions.
 pub(super) fn before_judging(
     run: &mut Run,
     scenario: &Scenario,
     model: &Model,
-    refits: bool,
+    judging: Judging,
 ) -> Result<(), Failure> {
     let findings = sanity::examine(run, scenario, model);
-    match findings.iter().find(|finding| finding.refuses && refits) {
+    let forbids = |finding: &&Finding| {
+        let excites_nothing = matches!(finding.kind, Kind::Steady | Kind::Standstill);
+        finding.refuses
+            && match judging {
+                Judging::AsGiven => false,
+                Judging::Refits => !excites_nothing,
+                Judging::FitsFirst => true,
+            }
+    };
+    match findings.iter().find(forbids) {
         Some(refusal) => Err(failure(refusal)),
         None => {
             caution(run, &findings);

@@ -8,9 +8,11 @@
 //!
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! repeat, added_inertia: what several runs say together
+//! sanity: what is wrong with the data, asked first; claims: what their origin allows to be said, applied last
 //! ```
 
 pub mod added_inertia;
+pub mod claims;
 pub mod noise;
 pub mod online;
 pub mod output_error;
