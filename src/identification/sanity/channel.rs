@@ -23,6 +23,7 @@ const NEARLY_NONE: f64 = 0.05;
 
 pub(super) fn check(table: &Table) -> Vec<Finding> {
     let mut findings = Vec::new();
+    let speed_moves = Activity::of(&table.speed_rad_s).moves;
     for (key, values, others) in [
         (
             "current_a",
@@ -37,6 +38,11 @@ pub(super) fn check(table: &Table) -> Vec<Finding> {
     ] {
         let activity = Activity::of(values);
         if !activity.moves {
+            continue;
+        }
+        // A winding at rest, sampled slowly and without noise, does follow the voltage in jumps.
+        if speed_moves && let Some(held) = held(key, values, &activity) {
+            findings.push(held);
             continue;
         }
         // A plateau at the limit is no freezing.
@@ -110,6 +116,44 @@ impl Stretches {
         }
         self.last = Some(value);
     }
+}
+
+/// Share of neighbours that are equal in a held signal, jumps that it has at least, and their size as a share of the range.
+const HELD: f64 = 0.8;
+const JUMPS: usize = 3;
+const JUMP: f64 = 0.1;
+
+/// A measured signal that stands still between jumps is a command: no shaft and no winding does that.
+fn held(key: &str, values: &[f64], activity: &Activity) -> Option<Finding> {
+    let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    let pairs = || present.windows(2).map(|pair| (pair[0], pair[1]));
+    // At rest any signal stands still.
+    let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
+    let equal = lively
+        .clone()
+        .filter(|(a, b)| a.to_bits() == b.to_bits())
+        .count();
+    let jumps: Vec<f64> = pairs()
+        .map(|(a, b)| (b - a).abs())
+        .filter(|jump| *jump > 0.0)
+        .collect();
+    let large = jumps
+        .iter()
+        .filter(|jump| **jump > JUMP * activity.range())
+        .count();
+    let is_held =
+        equal as f64 > HELD * lively.count() as f64 && large >= JUMPS && 2 * large > jumps.len();
+    is_held.then(|| {
+        Finding::refusal(
+            Kind::Swapped,
+            format!(
+                "{key} stands exactly still between {large} jumps of up to {:.4}, as a command does and no measurement: is it \
+                 in another signal's column?",
+                jumps.iter().copied().fold(0.0, f64::max)
+            ),
+            "map the measured column; a commanded voltage is voltage_cmd_v, a commanded speed reference_rad_s",
+        )
+    })
 }
 
 /// Plateaus at the largest or smallest value that are entered at full slope.

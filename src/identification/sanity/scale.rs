@@ -120,14 +120,16 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     }
     let seen = format!("the integral of speed_rad_s is {ratio:.4} times the change of angle_rad");
     let is = |factor: f64| near(ratio, factor, ANGLE_FACTOR);
-    let angle_help = "convert it with --map angle_rad=COLUMN*FACTOR, or leave it out";
-    let speed_and_angle = |units: &str| {
+    let angle_help = "map the angle in rad, or leave it out";
+    let speed_and_angle = |units: &str, correction: f64| {
         Finding::refusal(
             Kind::Unit,
             format!(
                 "speed_rad_s seems to be in r/min (a factor 9.5493) and angle_rad in {units}: {seen}"
             ),
-            "convert them with --map speed_rad_s=COLUMN*0.104719755,angle_rad=COLUMN*FACTOR",
+            format!(
+                "convert them with --map speed_rad_s=COLUMN*0.104719755,angle_rad=COLUMN*{correction:.9}"
+            ),
         )
     };
     for (factor, unit, correction) in [(1e3, "ms", "0.001"), (1e6, "us", "0.000001")] {
@@ -143,15 +145,20 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
         return Some(confusion.refusal(&seen));
     }
     if is(rpm_from_rad_s(1.0) / DEGREES) {
-        return Some(speed_and_angle("degrees"));
+        return Some(speed_and_angle("degrees", 1.0 / DEGREES));
     }
     if is(rpm_from_rad_s(1.0) * TAU) {
-        return Some(speed_and_angle("turns"));
+        return Some(speed_and_angle("turns", TAU));
     }
     Some(if is(1.0 / DEGREES) || is(TAU) {
-        let unit = if ratio < 1.0 { "degrees" } else { "turns" };
+        let (unit, correction) = if ratio < 1.0 {
+            ("degrees", 1.0 / DEGREES)
+        } else {
+            ("turns", TAU)
+        };
         let sentence = format!("angle_rad seems to be in {unit}, not in rad: {seen}");
-        Finding::caution(Kind::Unit, &[], sentence, angle_help)
+        let help = format!("convert it with --map angle_rad=COLUMN*{correction:.9}");
+        Finding::caution(Kind::Unit, &[], sentence, help)
     } else if is(-1.0) {
         Finding::caution(
             Kind::Reversed,
