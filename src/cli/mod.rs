@@ -18,6 +18,7 @@ mod output;
 mod pages;
 mod plan;
 mod provenance;
+mod replay;
 mod run;
 mod sanity_report;
 mod screen;
@@ -55,6 +56,7 @@ enum Command {
     Plan(plan::Arguments),
     Run(run::Arguments),
     Identify(identify::Arguments),
+    Replay(replay::Arguments),
     Simulate(simulate::Arguments),
     Compare(compare::Arguments),
     Diagnose(diagnose::Arguments),
@@ -89,6 +91,7 @@ pub fn main() -> ExitCode {
         Command::Plan(arguments) => plan::execute(&arguments),
         Command::Run(arguments) => run::execute(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
+        Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),

@@ -20,6 +20,7 @@ pub mod recursive;
 pub mod repeat;
 pub mod sanity;
 pub mod scheme;
+pub mod scheme_1;
 pub mod speed_from_angle;
 pub mod start;
 mod verdict;
