@@ -96,13 +96,11 @@ pub(super) fn before_judging(
                 Judging::FitsFirst => true,
             }
     };
-    match findings.iter().find(forbids) {
-        Some(refusal) => Err(failure(refusal)),
-        None => {
-            caution(run, &findings);
-            Ok(())
-        }
+    if let Some(refusal) = findings.iter().find(forbids) {
+        return Err(failure(refusal));
     }
+    caution(run, &findings);
+    Ok(())
 }
 
 fn failure(refusal: &Finding) -> Failure {

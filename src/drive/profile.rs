@@ -145,7 +145,7 @@ pub struct SignalSides {
 }
 
 impl SignalSides {
-    pub const fn get(&self, channel: Channel) -> Option<Side> {
+    pub const fn get(self, channel: Channel) -> Option<Side> {
         match channel {
             Channel::Voltage => self.voltage_v,
             Channel::Current => self.current_a,

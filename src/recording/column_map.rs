@@ -93,20 +93,17 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
         )
     };
     let source = source.trim();
-    let (header, factor, offset, scaled) = match source.strip_prefix('"') {
-        Some(quoted) => {
-            let close = closing_quote(quoted.as_bytes(), 0)
-                .ok_or_else(|| wrong(item, "the quote around the header is not closed"))?;
-            let scale = quoted[close + 1..].trim();
-            let (factor, offset) = parse_scale(item, scale)?;
-            let header = quoted[..close].replace("\"\"", "\"");
-            (header, factor, offset, !scale.is_empty())
-        }
-        None => {
-            let (header, factor, offset) = parse_plain(item, source)?;
-            let scaled = header.trim() != source;
-            (header, factor, offset, scaled)
-        }
+    let (header, factor, offset, scaled) = if let Some(quoted) = source.strip_prefix('"') {
+        let close = closing_quote(quoted.as_bytes(), 0)
+            .ok_or_else(|| wrong(item, "the quote around the header is not closed"))?;
+        let scale = quoted[close + 1..].trim();
+        let (factor, offset) = parse_scale(item, scale)?;
+        let header = quoted[..close].replace("\"\"", "\"");
+        (header, factor, offset, !scale.is_empty())
+    } else {
+        let (header, factor, offset) = parse_plain(item, source)?;
+        let scaled = header.trim() != source;
+        (header, factor, offset, scaled)
     };
     let header = header.trim().to_owned();
     if header.is_empty() {

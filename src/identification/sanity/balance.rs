@@ -3,14 +3,12 @@
 //! `int u = R int i + L (i_b - i_a) + Ke int w` and `int i = (J/Kt) (w_b - w_a) + (Mc/Kt) int sgn w + (B/Kt) int w`,
 //! each integral by the trapezoid, so that every column is treated alike whatever it is taken for.
 
+use std::ops::Range;
+
 use nalgebra::{SMatrix, SVector};
 
 use super::table::Table;
 
-/// Length of a window, s, samples it has at least, and windows that are looked at.
-const WINDOW_S: f64 = 0.03;
-const FEWEST_SAMPLES: usize = 3;
-const MOST_WINDOWS: usize = 3000;
 /// Speeds below this share of the largest have no direction.
 const DEAD_ZONE: f64 = 0.05;
 /// Share of a regressor that the others must leave to it: below, its coefficient is not determined.
@@ -20,6 +18,7 @@ const LEAST_OWN: f64 = 1e-4;
 #[derive(Clone, Copy)]
 pub(super) struct Roles<'a> {
     pub(super) time_s: &'a [f64],
+    pub(super) windows: &'a [Range<usize>],
     pub(super) voltage: &'a [f64],
     pub(super) current: &'a [f64],
     pub(super) speed: &'a [f64],
@@ -32,6 +31,7 @@ impl<'a> Roles<'a> {
     pub(super) fn of(table: &'a Table) -> Self {
         Self {
             time_s: &table.time_s,
+            windows: &table.windows,
             voltage: &table.voltage_v,
             current: &table.current_a,
             speed: &table.speed_rad_s,
@@ -165,20 +165,8 @@ fn sums(roles: &Roles<'_>) -> Vec<Sums> {
         .filter(|w| w.is_finite())
         .fold(0.0, |most, w| f64::max(most, w.abs()));
     let zone = DEAD_ZONE * largest;
-    let mut windows = Vec::new();
-    let mut begin = 0;
-    while begin + FEWEST_SAMPLES <= times.len() {
-        let mut end = begin + FEWEST_SAMPLES - 1;
-        while end + 1 < times.len() && times[end] - times[begin] < WINDOW_S {
-            end += 1;
-        }
-        windows.push(begin..end);
-        begin = end;
-    }
-    // A long record is looked at in places, evenly.
-    let stride = windows.len().div_ceil(MOST_WINDOWS).max(1);
     let mut sums = Vec::new();
-    for window in windows.into_iter().step_by(stride) {
+    for window in roles.windows {
         let (begin, end) = (window.start, window.end);
         let trapezoid = |values: &[f64], sign: f64| -> f64 {
             (begin..end)

@@ -3,6 +3,7 @@
 use super::balance::{Balances, Roles};
 use super::table::{Activity, Table};
 use super::{Finding, Kind};
+use crate::plant::MotorKey;
 
 /// Error of both balances up to which an assignment explains the data.
 const EXPLAINS: f64 = 0.35;
@@ -48,16 +49,21 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
     });
     Some(Assigned {
         exchanged: better.map(|(assignment, found)| assignment.finding(table, &given, &found)),
-        impossible: impossible.map(|(name, value)| Finding::refusal(
-            Kind::Reversed,
-            format!(
+        impossible: impossible.map(|(name, value)| {
+            let sentence = format!(
                 "the balances of voltage and torque give {name} of {value:.3e}, which no motor has, and no exchange of \
                  columns or signs mends it (they leave {:.0} % and {:.0} % unexplained)",
                 100.0 * given.voltage_error,
                 100.0 * given.torque_error
-            ),
-            "check columns, signs and units of voltage, current and speed; a supply current is not the armature current",
-        )),
+            );
+            let help = "check columns, signs and units of voltage, current and speed; a supply current is not the armature current";
+            // Balances that hold with an impossible sign leave no doubt; ones that do not hold may miss some physics.
+            if given.error() < EXPLAINS {
+                Finding::refusal(Kind::Reversed, sentence, help)
+            } else {
+                Finding::caution(Kind::Reversed, &MotorKey::ALL, sentence, help)
+            }
+        }),
     })
 }
 
@@ -97,6 +103,7 @@ impl Assignment {
         let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
         Roles {
             time_s: &table.time_s,
+            windows: &table.windows,
             voltage: columns[self.place[0]],
             current: columns[self.place[1]],
             speed: columns[self.place[2]],

@@ -1,6 +1,8 @@
 //! Units. Each balance holds in any unit of speed or current, so a wrong one shows only against the angle, a torque,
 //! a nameplate, or a size that no motor has.
 
+use std::fmt::Write as _;
+
 use super::balance::{Balances, Roles, back_emf_without_current};
 use super::table::{Activity, Table};
 use super::{Finding, Kind};
@@ -227,7 +229,9 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
         findings.extend(against_torque(run, found));
     }
     if findings.is_empty() {
+        // Who says where the speed comes from has looked at it: a drive's profile, or the user with --origin.
         let confirmed = nameplate.is_some()
+            || run.origin(Channel::Speed) != Origin::Unknown
             || speed_over_angle(run).is_some_and(|ratio| near(ratio, 1.0, ANGLE_AGREES));
         findings.extend(sizes(table, confirmed, back_emf));
     }
@@ -246,9 +250,10 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
         given / found
     );
     if let Some((found, given)) = windings {
-        seen.push_str(&format!(
+        let _ = write!(
+            seen,
             ", a resistance of {found:.4e} ohm, the model {given:.4e}"
-        ));
+        );
     }
     if like(1.0)
         && let Some(unit) = speed_units()
@@ -363,7 +368,7 @@ fn sizes(table: &Table, confirmed: bool, back_emf: Option<f64>) -> Vec<Finding> 
                 rpm_from_rad_s(fast),
                 rad_s_from_rpm(fast)
             ),
-            "convert it with --map speed_rad_s=COLUMN*0.104719755, or confirm it: give back_emf_v_s_per_rad with --model, or map the angle",
+            "convert it with --map speed_rad_s=COLUMN*0.104719755, or confirm it with --origin speed_rad_s=measured",
         ));
     }
     findings

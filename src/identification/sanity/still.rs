@@ -3,6 +3,7 @@
 use super::balance::{Roles, voltage_at_rest};
 use super::table::{Activity, Table, correlation};
 use super::{Finding, Kind};
+use crate::numerics::statistics::median;
 use crate::plant::MotorKey;
 
 /// Correlation of voltage and current above which the current answers the voltage.
@@ -45,7 +46,52 @@ pub(super) fn check(table: &Table) -> Vec<Finding> {
     if current_moves && speed.is_there() && !speed.moves {
         findings.extend(shaft_at_rest(table, &speed));
     }
+    if current.moves && speed.moves && voltage.is_there() {
+        findings.extend(open_for_a_while(table, &voltage, &current, &speed));
+    }
     findings
+}
+
+/// Share of the largest voltage that is none, of the largest speed that is a clear one, and of the largest current that
+/// is none.
+const NO_VOLTAGE: f64 = 0.002;
+const CLEAR_SPEED: f64 = 0.2;
+const NO_CURRENT: f64 = 0.02;
+/// Rows from which such a stretch counts, and the share of the record that forbids an identification.
+const OPEN_ROWS: usize = 20;
+const OPEN_SHARE: f64 = 0.02;
+
+/// A shorted armature that turns brakes with `Ke w/R`; one that carries nothing at zero volt is open.
+fn open_for_a_while(
+    table: &Table,
+    voltage: &Activity,
+    current: &Activity,
+    speed: &Activity,
+) -> Option<Finding> {
+    let coasts = |row: &usize| {
+        table.voltage_v[*row].abs() <= NO_VOLTAGE * voltage.largest()
+            && table.speed_rad_s[*row].abs() > CLEAR_SPEED * speed.largest()
+            && table.current_a[*row].is_finite()
+    };
+    let rows: Vec<usize> = (0..table.time_s.len()).filter(coasts).collect();
+    let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
+    let level = median(&currents);
+    if rows.len() < OPEN_ROWS || level > NO_CURRENT * current.largest() {
+        return None;
+    }
+    let sentence = format!(
+        "in {} rows from {:.3} s on the voltage is stated as 0 V and the shaft turns, but the current is {level:.3} A: the \
+         terminals are open there, so no voltage is known and no balance of voltages holds",
+        rows.len(),
+        table.time_s[rows[0]]
+    );
+    let help = "cut the coast-down out of the file; on its own, without a voltage and with torque_n_m_per_a given, it shows the torque balance";
+    let share = rows.len() as f64 / table.time_s.len() as f64;
+    Some(if share > OPEN_SHARE {
+        Finding::refusal(Kind::OpenCircuit, sentence, help)
+    } else {
+        Finding::caution(Kind::OpenCircuit, &MotorKey::ALL, sentence, help)
+    })
 }
 
 /// One operating point, moving or not.

@@ -1,5 +1,7 @@
 //! The signals side by side at the sample times, and what can be said of one of them alone.
 
+use std::ops::Range;
+
 use crate::plant::{Input, Scenario};
 
 /// Voltage (as held), current and speed at each sample; NaN where missing. Without a voltage the first is all NaN.
@@ -8,6 +10,8 @@ pub(super) struct Table {
     pub(super) voltage_v: Vec<f64>,
     pub(super) current_a: Vec<f64>,
     pub(super) speed_rad_s: Vec<f64>,
+    /// Short stretches of rows over which both balances are looked at.
+    pub(super) windows: Vec<Range<usize>>,
     /// Column that gave the voltage.
     pub(super) voltage_key: &'static str,
 }
@@ -24,6 +28,7 @@ impl Table {
             })
             .collect();
         Self {
+            windows: windows(&scenario.sample_time_s),
             time_s: scenario.sample_time_s.clone(),
             voltage_v,
             current_a: scenario.current_a.clone(),
@@ -48,6 +53,27 @@ impl Table {
             .collect();
         crate::numerics::statistics::median(&gaps)
     }
+}
+
+/// Length of a window, s, samples it has at least, and windows that are looked at.
+const WINDOW_S: f64 = 0.03;
+const FEWEST_SAMPLES: usize = 3;
+const MOST_WINDOWS: usize = 3000;
+
+/// First and last row of each window; a long record is looked at in places, evenly.
+fn windows(times: &[f64]) -> Vec<Range<usize>> {
+    let mut windows = Vec::new();
+    let mut begin = 0;
+    while begin + FEWEST_SAMPLES <= times.len() {
+        let mut end = begin + FEWEST_SAMPLES - 1;
+        while end + 1 < times.len() && times[end] - times[begin] < WINDOW_S {
+            end += 1;
+        }
+        windows.push(begin..end);
+        begin = end;
+    }
+    let stride = windows.len().div_ceil(MOST_WINDOWS).max(1);
+    windows.into_iter().step_by(stride).collect()
 }
 
 /// A held signal read at times that only grow.

@@ -342,3 +342,44 @@ fn a_coast_down_with_open_terminals_is_no_shorted_one() {
         &["terminals are open"],
     );
 }
+
+#[test]
+fn a_stretch_with_open_terminals_is_seen_within_a_record() {
+    let mut bad = columns(0.002, 6);
+    // From 2.6 s on the drive lets go: the shaft coasts, nothing flows, and 0 V was written down.
+    let from = 1300;
+    let begin = bad.speed[from];
+    for row in from..bad.time_s.len() {
+        let time_s = bad.time_s[row] - bad.time_s[from];
+        bad.voltage[row] = 0.0;
+        bad.current[row] = bad.current[row % 200];
+        bad.speed[row] = begin * (1.0 - 0.4 * time_s);
+    }
+    refused(
+        &bad.run(),
+        unknown(),
+        Kind::OpenCircuit,
+        &["terminals are open", "2.600 s"],
+    );
+    // A shorted one brakes, and that is a record like any other: the levels hold zero volt at speed.
+    let mut levels = LEVELS.to_vec();
+    levels.push((4.2, 0.0));
+    let scenario = record(&Model::baseline(Motor::zk_22fc()), levels, 0.002, 4.6, 6);
+    let shorted = Columns {
+        voltage: Table::new(&scenario).voltage_v,
+        time_s: scenario.sample_time_s,
+        current: scenario.current_a,
+        speed: scenario.speed_rad_s,
+        angle: Vec::new(),
+    };
+    assert!(examined(&shorted.run(), unknown()).is_empty());
+}
+
+#[test]
+fn a_held_signal_is_no_measurement() {
+    let mut bad = columns(0.005, 8);
+    bad.speed = scaled(&bad.voltage, 2.5);
+    let findings = examined(&bad.run(), unknown());
+    assert!(findings[0].refuses, "{findings:#?}");
+    assert!(findings[0].sentence.contains("speed"), "{findings:#?}");
+}
