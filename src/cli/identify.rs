@@ -7,13 +7,14 @@ use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use super::data::{MapArguments, load, model};
+use super::data::{MapArguments, model};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output;
+use super::sanity_report;
 use crate::identification::added_inertia::{self, Seen};
 use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Data, Identified};
-use crate::identification::{temperature, voltage_departure};
+use crate::identification::{claims, temperature, voltage_departure};
 use crate::plant::{Model, MotorKey, Scenario};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate};
@@ -166,11 +167,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn open(path: &Path, arguments: &Arguments) -> Result<LoadedRun, Failure> {
-    load(path, arguments.map.of_run()?.as_ref())
+    arguments.map.load(path)
 }
 
-fn identify(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<OneRun, Failure> {
+fn identify(
+    mut loaded: LoadedRun,
+    model: &Model,
+    arguments: &Arguments,
+) -> Result<OneRun, Failure> {
     let scenario = Scenario::from_run(&loaded.run)?;
+    let findings =
+        sanity_report::before_identify(&mut loaded.run, &scenario, model, arguments.json)?;
     let scheme = match &arguments.scheme {
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),
@@ -186,6 +193,10 @@ fn identify(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<O
         departure.limit(&mut found.parameters);
         found.notes.push(departure.sentence());
     }
+    claims::doubt(&mut found.parameters, &findings);
+    found
+        .notes
+        .extend(claims::limit(&mut found.parameters, &loaded.run, &scenario));
     let found = temperature::complete(found, &loaded.run, &scenario);
     Ok(OneRun {
         loaded,

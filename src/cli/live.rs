@@ -384,6 +384,9 @@ impl Rig {
             if let Some(origin) = self.profile.signals.get(channel) {
                 manifest.set_origin(channel, origin);
             }
+            if let Some(side) = self.profile.sides.get(channel) {
+                manifest.set_side(channel, side);
+            }
         }
         manifest
     }

@@ -18,8 +18,10 @@ mod load_torque;
 mod output;
 mod pages;
 mod plan;
+mod provenance;
 mod replay;
 mod run;
+mod sanity_report;
 mod screen;
 mod simulate;
 

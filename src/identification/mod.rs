@@ -10,9 +10,11 @@
 //!
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! repeat, added_inertia: what several runs say together
+//! sanity: what is wrong with the data, asked first; claims: what their origin allows to be said, applied last
 //! ```
 
 pub mod added_inertia;
+pub mod claims;
 pub mod inverse_dynamics;
 pub mod kalman;
 pub mod missing_cells;
@@ -21,6 +23,7 @@ pub mod online;
 pub mod output_error;
 pub mod recursive;
 pub mod repeat;
+pub mod sanity;
 pub mod scheme;
 pub mod scheme_1;
 pub mod speed_from_angle;

@@ -112,7 +112,7 @@ pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Recor
     if map.is_none()
         && let Some(manifest) = &source.manifest
     {
-        set_origins(&mut run, manifest)?;
+        set_origins(&mut run, manifest);
     }
     Ok(LoadedRun {
         run,
@@ -159,7 +159,7 @@ fn folder_of(
     }
 }
 
-fn set_origins(run: &mut Run, manifest: &Manifest) -> Result<(), RecordingError> {
+fn set_origins(run: &mut Run, manifest: &Manifest) {
     for channel in Channel::ALL {
         let origin = manifest.origin(channel).unwrap_or_else(|| {
             if channel.is_commanded() {
@@ -168,18 +168,17 @@ fn set_origins(run: &mut Run, manifest: &Manifest) -> Result<(), RecordingError>
                 Origin::Unknown
             }
         });
-        if let Some(values) = run.column(channel).map(<[f64]>::to_vec) {
-            let file = run.name.clone();
-            run.set_column(channel, values, origin)
-                .map_err(|source| RecordingError::Run { file, source })?;
+        run.set_origin(channel, origin);
+        if let Some(side) = manifest.side(channel) {
+            run.set_side(channel, side);
         }
     }
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sample::Side;
     use std::fs;
 
     fn folder(root: &Path, manifest: &Manifest, samples: &str) -> RunFolder {
@@ -198,6 +197,7 @@ mod tests {
             ..Manifest::default()
         };
         manifest.set_origin(Channel::Voltage, Origin::Measured);
+        manifest.set_side(Channel::Voltage, Side::Terminal);
         let folder = folder(
             root.path(),
             &manifest,
@@ -208,6 +208,8 @@ mod tests {
             assert_eq!(loaded.run.rows(), 2);
             assert_eq!(loaded.run.origin(Channel::Voltage), Origin::Measured);
             assert_eq!(loaded.run.origin(Channel::VoltageCmd), Origin::Commanded);
+            assert_eq!(loaded.run.side(Channel::Voltage), Some(Side::Terminal));
+            assert_eq!(loaded.run.side(Channel::Current), None);
             assert_eq!(loaded.manifest.as_ref(), Some(&manifest));
             assert_eq!(loaded.folder.as_deref(), Some(folder.path()));
             assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
