@@ -9,8 +9,8 @@ use drivebench::bench::replay;
 use drivebench::identification::noise::NoiseFloor;
 use drivebench::identification::online::{Online, OnlineConfig};
 use drivebench::identification::output_error;
-use drivebench::numerics::plain_recursive_least_squares::PlainRecursiveLeastSquares;
 use drivebench::numerics::recursive_least_squares::RecursiveLeastSquares;
+use drivebench::numerics::reference_recursive_least_squares::ReferenceRecursiveLeastSquares;
 use drivebench::plant::{Model, Motor};
 use drivebench::recording::{CsvRows, ReadOptions, write_run};
 use drivebench::sample::{Channel, Origin, Run, Sample};
@@ -42,7 +42,7 @@ fn guarded<const N: usize>(criterion: &mut Criterion) {
             }
         });
     });
-    let mut estimator = PlainRecursiveLeastSquares::new([0.0; N], 1e6, 0.98);
+    let mut estimator = ReferenceRecursiveLeastSquares::new([0.0; N], [1e6; N], 0.98);
     group.bench_function(format!("plain_{N}"), |bencher| {
         bencher.iter(|| {
             for (psi, value) in &rows {
