@@ -104,12 +104,14 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         self.recent_news += (news.min(1.0) - self.recent_news) * (1.0 / NEWS_ROWS);
         let forgets = self.recent_news >= self.least_news
             && self.variance.iter().all(|variance| *variance < self.prior);
+        // Whatever does not need the gain comes first: a processor works on it while it waits for the divisions.
+        let foreseen = self.foresee_spread(&psi, noise);
         let growth = if forgets { self.growth } else { 1.0 };
         let (gain, news) = self.measure(&f, growth);
         for (parameter, gain) in self.scaled.iter_mut().zip(&gain) {
             *parameter += gain * innovation;
         }
-        self.propagate_spread(&psi, &gain, noise);
+        self.propagate_spread(foreseen, &gain);
         if news < FREE_ROW {
             let square =
                 innovation * innovation / ((1.0 + news) * (1.0 + noise.carry * noise.carry));
@@ -127,10 +129,6 @@ impl<const N: usize> RecursiveLeastSquares<N> {
 
     /// Bierman's measurement update for unit noise, after `D` has grown by the forgetting: the gain, and `psi' P psi`
     /// before it.
-    #[expect(
-        clippy::needless_range_loop,
-        reason = "triangular indices as the literature prints them"
-    )]
     fn measure(&mut self, f: &[f64; N], growth: f64) -> ([f64; N], f64) {
         let grown: [f64; N] = std::array::from_fn(|j| self.diagonal[j] * growth);
         let v: [f64; N] = std::array::from_fn(|j| grown[j] * f[j]);
@@ -165,17 +163,22 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         (gain.map(|g| g * inverse_before), sum - 1.0)
     }
 
-    /// `Q <- A Q A' + (1 + carry^2) K K' - carry (A s K' + K s' A')`, `A = I - K psi'`, `s` the covariance with `e_begin`,
-    /// as `Q - K a' - a K'` with `a = Q psi - (psi' Q psi + 1 + carry^2)/2 K + carry A s`.
-    fn propagate_spread(&mut self, psi: &[f64; N], gain: &[f64; N], noise: RowNoise) {
+    /// The parts of [`Self::propagate_spread`] that the gain does not enter: `Q psi + carry s`, and what the gain is
+    /// multiplied with.
+    fn foresee_spread(&self, psi: &[f64; N], noise: RowNoise) -> ([f64; N], f64) {
         let carry = noise.carry;
-        let q_psi: [f64; N] = std::array::from_fn(|i| dot(&self.spread[i], psi));
-        let half = 0.5 * (dot(psi, &q_psi) + 1.0 + carry * carry);
         let linked = if noise.continues { carry } else { 0.0 };
+        let q_psi: [f64; N] = std::array::from_fn(|i| dot(&self.spread[i], psi));
+        let half = 0.5 * (dot(psi, &q_psi) + (1.0 + carry * carry));
         let along = linked * dot(psi, &self.shared);
-        let a: [f64; N] = std::array::from_fn(|i| {
-            q_psi[i] - half * gain[i] + (linked * self.shared[i] - along * gain[i])
-        });
+        let sum = std::array::from_fn(|i| q_psi[i] + linked * self.shared[i]);
+        (sum, half + along)
+    }
+
+    /// `Q <- A Q A' + (1 + carry^2) K K' - carry (A s K' + K s' A')`, `A = I - K psi'`, `s` the covariance with `e_begin`,
+    /// as `Q - K a' - a K'` with `a = Q psi + carry s - ((psi' Q psi + 1 + carry^2)/2 + carry psi' s) K`.
+    fn propagate_spread(&mut self, (sum, share): ([f64; N], f64), gain: &[f64; N]) {
+        let a: [f64; N] = std::array::from_fn(|i| sum[i] - share * gain[i]);
         for (i, row) in self.spread.iter_mut().enumerate() {
             for (j, cell) in row.iter_mut().enumerate() {
                 *cell -= gain[i] * a[j] + a[i] * gain[j];

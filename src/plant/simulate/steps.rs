@@ -20,6 +20,8 @@ pub(super) struct Steps {
     linear: LinearPart,
     with_half: bool,
     latest: [Step; 2],
+    /// Which of them was used last.
+    last: usize,
 }
 
 impl Steps {
@@ -28,25 +30,27 @@ impl Steps {
             linear: LinearPart::new(a),
             with_half,
             latest: [Step::default(); 2],
+            last: 0,
         }
     }
 
     /// Forgets all lengths, so that a run does not depend on the one before.
     pub(super) fn clear(&mut self) {
         self.latest = [Step::default(); 2];
+        self.last = 0;
     }
 
     /// The step of this length, which must be positive.
     #[inline]
     pub(super) fn over(&mut self, length_s: f64) -> &Step {
         let is = |step: &Step| (step.length_s - length_s).abs() <= SAME_LENGTH * length_s;
-        if !is(&self.latest[0]) {
-            self.latest.swap(0, 1);
-            if !is(&self.latest[0]) {
+        if !is(&self.latest[self.last]) {
+            self.last = 1 - self.last;
+            if !is(&self.latest[self.last]) {
                 self.make(length_s);
             }
         }
-        &self.latest[0]
+        &self.latest[self.last]
     }
 
     #[inline(never)]
@@ -56,7 +60,7 @@ impl Steps {
         } else {
             (self.linear.over(length_s), Propagator::default())
         };
-        self.latest[0] = Step {
+        self.latest[self.last] = Step {
             length_s,
             whole,
             half,
