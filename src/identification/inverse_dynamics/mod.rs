@@ -170,11 +170,11 @@ fn balance(
     processing: Processing,
 ) -> Balanced {
     let slots: Vec<Slot> = unknowns.iter().map(|unknown| unknown.0).collect();
-    let rows = |parts: &[Part]| -> Vec<Rows> {
-        let of_part = |part| columns::rows(model, scenario, equation, &slots, part, &processing);
+    let rows = |parts: &[Part], processing: &Processing| -> Vec<Rows> {
+        let of_part = |part| columns::rows(model, scenario, equation, &slots, part, processing);
         parts.iter().filter_map(of_part).collect()
     };
-    let full = rows(parts);
+    let full = rows(parts, &processing);
     if let Some(reason) = why_not(&full, scenario, equation, &slots) {
         return refused(equation, unknowns, Some(processing), &reason);
     }
@@ -188,8 +188,18 @@ fn balance(
     };
     // The same filter on every second sample: central differences err with the square of the period, so a third of what
     // a value moves is the error that is left at the full rate.
-    let thin = rows(&parts.iter().map(Part::thinned).collect::<Vec<_>>());
-    let coarse = Solved::new(&thin, unknowns, (processing.decimation / 2).max(1));
+    let thinned: Vec<Part> = parts.iter().map(Part::thinned).collect();
+    let thin = rows(&thinned, &processing);
+    // Half the cut-off: signs and other terms that the filter blunts err the more the lower it is.
+    let blunter = processing.at_half_cut_off();
+    let blunt = rows(parts, &blunter);
+    let others = [
+        (
+            Solved::new(&thin, unknowns, (processing.decimation / 2).max(1)),
+            1.0 / 3.0,
+        ),
+        (Solved::new(&blunt, unknowns, blunter.decimation), 1.0),
+    ];
     let free: Vec<&Slot> = unknowns
         .iter()
         .filter(|unknown| unknown.1.is_none())
@@ -199,7 +209,7 @@ fn balance(
         && scenario.input != Input::Torque
         && model.motor.torque_constant().is_none();
     let estimates = free.iter().enumerate().map(|(place, slot)| {
-        let found = solved.judged(place, slot, &free, coarse.as_ref(), &processing);
+        let found = solved.judged(place, slot, &free, &others, &processing);
         if relative {
             torque_ratio::told(found)
         } else {
@@ -340,7 +350,7 @@ impl Solved {
         place: usize,
         slot: &Slot,
         free: &[&Slot],
-        coarse: Option<&Self>,
+        others: &[(Option<Self>, f64)],
         processing: &Processing,
     ) -> ParameterEstimate {
         let own = |place: usize| 1.0 / self.bread[(place, place)].max(f64::MIN_POSITIVE);
@@ -362,10 +372,14 @@ impl Solved {
             .map_or(0.0, |inertia| {
                 self.bread[(place, inertia)] * power * self.x[inertia]
             });
-        let moved = coarse.map_or(0.0, |coarse| (coarse.x[place] - self.x[place]) / 3.0);
-        let variance = self.covariance[(place, place)];
-        let doubts = [pull, moved].map(|doubt| if doubt.is_finite() { doubt } else { 0.0 });
-        let std = (variance.max(0.0) + doubts[0].powi(2) + doubts[1].powi(2)).sqrt();
+        let moves = others.iter().map(|(other, share)| {
+            other
+                .as_ref()
+                .map_or(0.0, |other| share * (other.x[place] - self.x[place]))
+        });
+        let variance = self.covariance[(place, place)].max(0.0);
+        let doubts = moves.chain([pull]).filter(|doubt| doubt.is_finite());
+        let std = (variance + doubts.map(|doubt| doubt * doubt).sum::<f64>()).sqrt();
         let std = if determined { std } else { f64::NAN };
         judge(slot, self.x[place], Some(std), 1.0 / processing.rate_hz)
     }

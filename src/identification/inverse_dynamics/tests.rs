@@ -325,3 +325,72 @@ fn rest_a_stuck_column_and_wrong_signs_settle_nothing() {
     assert_eq!(inertia.verdict, Verdict::Invalid);
     assert!(inertia.value.unwrap() < 0.0 && inertia.reason.is_some());
 }
+
+#[test]
+fn the_interval_covers_on_even_jittered_and_quantised_data() {
+    use rayon::prelude::*;
+    let cover = |prepare: &(dyn Fn(u64) -> Run + Sync)| -> Vec<(String, f64, f64)> {
+        let all: Vec<(String, f64, f64)> = (0..60_u64)
+            .into_par_iter()
+            .flat_map_iter(|seed| {
+                let motor = Motor::new("?").with(MotorKey::TorqueConstant, 0.3538);
+                let balances = fitted(&Model::baseline(motor), &prepare(seed));
+                let parameters = balances.into_iter().flat_map(|balance| balance.parameters);
+                parameters
+                    .filter_map(|p| Some((p.key, p.value?, p.std?)))
+                    .collect::<Vec<_>>()
+            })
+            .collect();
+        all
+    };
+    let even = |seed: u64| bench(seed, every(0.001, 4.0));
+    let jittered = |seed: u64| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed + 500);
+        let times = every(0.002, 5.0).into_iter();
+        bench(
+            seed,
+            times.map(|t| t + rng.random_range(0.0..0.0006)).collect(),
+        )
+    };
+    let slow = |seed: u64| bench(seed, every(0.01, 12.0));
+    let quantised = |seed: u64| {
+        let mut run = bench(seed, every(0.001, 4.0));
+        for (channel, step) in [(Channel::Current, 0.05), (Channel::Speed, 0.5)] {
+            let cells = run.column(channel).unwrap();
+            let coarse = cells
+                .iter()
+                .map(|cell| (cell / step).round() * step)
+                .collect();
+            run.set_column(channel, coarse, Origin::Measured).unwrap();
+        }
+        run
+    };
+    let truth = Motor::zk_22fc();
+    for (name, prepare) in [
+        ("even", &even as &(dyn Fn(u64) -> Run + Sync)),
+        ("jittered", &jittered),
+        ("slow", &slow),
+        ("quantised", &quantised),
+    ] {
+        let found = cover(prepare);
+        for key in MotorKey::ALL {
+            let Some(expected) = truth.get(key) else {
+                continue;
+            };
+            let of: Vec<_> = found.iter().filter(|f| f.0 == key.key()).collect();
+            let inside = of
+                .iter()
+                .filter(|f| (f.1 - expected).abs() <= 1.96 * f.2)
+                .count();
+            let mean = of.iter().map(|f| f.1 / expected - 1.0).sum::<f64>() / of.len() as f64;
+            let std = of.iter().map(|f| f.2 / expected).sum::<f64>() / of.len() as f64;
+            eprintln!(
+                "{name} {}: {inside} of {} mean error {:.3} % std {:.3} %",
+                key.key(),
+                of.len(),
+                100.0 * mean,
+                100.0 * std
+            );
+        }
+    }
+}
