@@ -38,6 +38,8 @@ use crate::sample::{ParameterEstimate, Run, Verdict};
 
 /// An acceleration whose own part is less than this many times its noise (in power) carries no inertia.
 const LEAST_SIGNAL: f64 = 4.0;
+/// Period as a share of the electrical time constant beyond which the current is not resolved.
+const SLOWEST: f64 = 0.5;
 /// A left-hand side that varies less than this, relatively, is a stuck column and no measurement.
 const STUCK: f64 = 1e-9;
 
@@ -95,7 +97,34 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
         }
         balances.push(balance);
     }
+    if let Some(gridded) = &gridded
+        && let Some(ta_s) = model.motor.electrical_time_constant_s()
+    {
+        let period_s = gridded.parts[0].period_s;
+        let slow = period_s > SLOWEST * ta_s;
+        let all = balances.iter_mut().flat_map(|b| &mut b.parameters);
+        all.filter(|_| slow)
+            .for_each(|parameter| unresolved(parameter, period_s, ta_s));
+    }
     balances
+}
+
+/// The current moves on between two samples, and half the samples miss it as well: what they differ by understates the
+/// error, up to 2.3 times where the period equals the time constant (measured on the ZK-22FC at 10 ms).
+fn unresolved(parameter: &mut ParameterEstimate, period_s: f64, ta_s: f64) {
+    if parameter.value.is_none() || parameter.verdict == Verdict::Fixed {
+        return;
+    }
+    parameter.std = parameter.std.map(|std| 3.0 * std);
+    if parameter.verdict == Verdict::Settled {
+        parameter.verdict = Verdict::Searching;
+        parameter.reason = Some(format!(
+            "the period of {:.1} ms does not resolve the armature circuit (L/R = {:.1} ms): use the output-error fit, or \
+             sample faster",
+            1e3 * period_s,
+            1e3 * ta_s
+        ));
+    }
 }
 
 /// The parameters that enter a balance linearly, each with its value where that is fixed.
@@ -170,11 +199,11 @@ fn balance(
     processing: Processing,
 ) -> Balanced {
     let slots: Vec<Slot> = unknowns.iter().map(|unknown| unknown.0).collect();
-    let rows = |parts: &[Part]| -> Vec<Rows> {
-        let of_part = |part| columns::rows(model, scenario, equation, &slots, part, &processing);
+    let rows = |parts: &[Part], processing: &Processing| -> Vec<Rows> {
+        let of_part = |part| columns::rows(model, scenario, equation, &slots, part, processing);
         parts.iter().filter_map(of_part).collect()
     };
-    let full = rows(parts);
+    let full = rows(parts, &processing);
     if let Some(reason) = why_not(&full, scenario, equation, &slots) {
         return refused(equation, unknowns, Some(processing), &reason);
     }
@@ -186,10 +215,17 @@ fn balance(
         );
         return refused(equation, unknowns, Some(processing), &reason);
     };
-    // The same filter on every second sample: central differences err with the square of the period, so a third of what
-    // a value moves is the error that is left at the full rate.
-    let thin = rows(&parts.iter().map(Part::thinned).collect::<Vec<_>>());
-    let coarse = Solved::new(&thin, unknowns, (processing.decimation / 2).max(1));
+    // The same filter on every second sample: what the samples miss between them moves the values. Where motion and
+    // current are well resolved a third of the move would be the error at the full rate, where they are not all of it.
+    let thinned: Vec<Part> = parts.iter().map(Part::thinned).collect();
+    let thin = rows(&thinned, &processing);
+    // Half the cut-off: signs and other terms that the filter blunts err the more the lower it is.
+    let blunter = processing.at_half_cut_off();
+    let blunt = rows(parts, &blunter);
+    let others = [
+        Solved::new(&thin, unknowns, (processing.decimation / 2).max(1)),
+        Solved::new(&blunt, unknowns, blunter.decimation),
+    ];
     let free: Vec<&Slot> = unknowns
         .iter()
         .filter(|unknown| unknown.1.is_none())
@@ -199,7 +235,7 @@ fn balance(
         && scenario.input != Input::Torque
         && model.motor.torque_constant().is_none();
     let estimates = free.iter().enumerate().map(|(place, slot)| {
-        let found = solved.judged(place, slot, &free, coarse.as_ref(), &processing);
+        let found = solved.judged(place, slot, &free, &others, &processing);
         if relative {
             torque_ratio::told(found)
         } else {
@@ -340,7 +376,7 @@ impl Solved {
         place: usize,
         slot: &Slot,
         free: &[&Slot],
-        coarse: Option<&Self>,
+        others: &[Option<Self>],
         processing: &Processing,
     ) -> ParameterEstimate {
         let own = |place: usize| 1.0 / self.bread[(place, place)].max(f64::MIN_POSITIVE);
@@ -362,10 +398,13 @@ impl Solved {
             .map_or(0.0, |inertia| {
                 self.bread[(place, inertia)] * power * self.x[inertia]
             });
-        let moved = coarse.map_or(0.0, |coarse| (coarse.x[place] - self.x[place]) / 3.0);
-        let variance = self.covariance[(place, place)];
-        let doubts = [pull, moved].map(|doubt| if doubt.is_finite() { doubt } else { 0.0 });
-        let std = (variance.max(0.0) + doubts[0].powi(2) + doubts[1].powi(2)).sqrt();
+        let moves = others
+            .iter()
+            .flatten()
+            .map(|other| other.x[place] - self.x[place]);
+        let variance = self.covariance[(place, place)].max(0.0);
+        let doubts = moves.chain([pull]).filter(|doubt| doubt.is_finite());
+        let std = (variance + doubts.map(|doubt| doubt * doubt).sum::<f64>()).sqrt();
         let std = if determined { std } else { f64::NAN };
         judge(slot, self.x[place], Some(std), 1.0 / processing.rate_hz)
     }

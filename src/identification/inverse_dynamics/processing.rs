@@ -84,6 +84,15 @@ impl Processing {
         }
     }
 
+    /// The same with half the cut-off.
+    pub(super) fn at_half_cut_off(&self) -> Self {
+        Self {
+            cut_off_hz: 0.5 * self.cut_off_hz,
+            decimation: 2 * self.decimation,
+            ..self.clone()
+        }
+    }
+
     /// Samples over which the filter reaches.
     pub(super) fn reach(&self, period_s: f64) -> usize {
         crate::numerics::count::whole((1.0 / (self.cut_off_hz * period_s)).ceil())

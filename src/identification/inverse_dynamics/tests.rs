@@ -325,3 +325,56 @@ fn rest_a_stuck_column_and_wrong_signs_settle_nothing() {
     assert_eq!(inertia.verdict, Verdict::Invalid);
     assert!(inertia.value.unwrap() < 0.0 && inertia.reason.is_some());
 }
+
+/// Runs of one kind that the coverage of the intervals is counted on.
+type Kind = (&'static str, fn(u64) -> Run);
+
+const KINDS: [Kind; 4] = [
+    ("even", |seed| bench(seed, every(0.001, 4.0))),
+    ("jittered", |seed| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed + 500);
+        let times = every(0.002, 5.0).into_iter();
+        let times = times.map(|t| t + rng.random_range(0.0..0.0006));
+        // Without the voltage: on such rows it would be written down late.
+        without_voltage(&bench(seed, times.collect()))
+    }),
+    ("slow", |seed| bench(seed, every(0.01, 12.0))),
+    ("quantised", |seed| {
+        let mut run = bench(seed, every(0.001, 4.0));
+        for (channel, step) in [(Channel::Current, 0.05), (Channel::Speed, 0.5)] {
+            let cells = run.column(channel).unwrap().iter();
+            let coarse = cells.map(|cell| (cell / step).round() * step).collect();
+            run.set_column(channel, coarse, Origin::Measured).unwrap();
+        }
+        run
+    }),
+];
+
+#[test]
+fn the_interval_covers_on_even_jittered_slow_and_quantised_data() {
+    use rayon::prelude::*;
+    let truth = Motor::zk_22fc();
+    let model = Model::baseline(Motor::new("?").with(MotorKey::TorqueConstant, 0.3538));
+    for (name, prepare) in KINDS {
+        let all: Vec<ParameterEstimate> = (0..40_u64)
+            .into_par_iter()
+            .flat_map_iter(|seed| fitted(&model, &prepare(seed)))
+            .flat_map_iter(|balance| balance.parameters)
+            .filter(|parameter| parameter.value.is_some())
+            .collect();
+        assert!(all.len() >= 80, "{name}");
+        let covered = |p: &&ParameterEstimate| {
+            let expected = truth.get(MotorKey::from_key(&p.key).unwrap()).unwrap();
+            (p.value.unwrap() - expected).abs() <= 1.96 * p.std.unwrap()
+        };
+        let share = all.iter().filter(covered).count() as f64 / all.len() as f64;
+        assert!(share > 0.9, "{name} {share}");
+        let settled = all.iter().filter(|p| p.verdict == Verdict::Settled);
+        let settled = settled.count() as f64 / all.len() as f64;
+        let few = name == "slow";
+        assert!(
+            if few { settled < 0.01 } else { settled > 0.95 },
+            "{name} {settled}"
+        );
+    }
+}

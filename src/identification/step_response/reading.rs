@@ -1,5 +1,7 @@
 //! What one step of voltage shows.
 
+use nalgebra::{DMatrix, DVector};
+
 use super::Read;
 use super::curve::{MEETING, height, meeting_time, ratio};
 use crate::numerics::statistics;
@@ -22,6 +24,8 @@ const FEWEST: usize = 20;
 const STEADY: f64 = 0.02;
 /// Samples within the electrical time constant that the start of the current must have.
 const FEWEST_AT_START: usize = 4;
+/// Share of the peak's time over which the current's peak is smoothed, to either side.
+const PEAK_REACH: f64 = 0.3;
 
 /// A step of voltage out of rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -376,14 +380,17 @@ impl Response {
             .unwrap_or(0);
         if peak < 2 || peak + 2 >= self.current.len() {
             return Err(format!(
-                "the current is largest {:.1} ms after the step, {peak} samples into it: the peak is not resolved, sample \
+                "the current is largest {:.1} ms after the step, in its sample {peak}: the peak is not resolved, sample \
                  faster",
                 1e3 * self.current.get(peak).map_or(0.0, |point| point.0)
             ));
         }
-        let around = &self.current[peak - 1..=peak + 1];
-        let current = around.iter().map(|point| point.1).sum::<f64>() / 3.0;
-        let at_s = self.current[peak].0;
+        // A parabola about the peak: the largest of noisy samples is not the peak.
+        let reach_s = (PEAK_REACH * self.current[peak].0).max(1.5 * self.period_s);
+        let near = |point: &&(f64, f64)| (point.0 - self.current[peak].0).abs() <= reach_s;
+        let around: Vec<(f64, f64)> = self.current.iter().filter(near).copied().collect();
+        let (at_s, current) = vertex(&around, sign)
+            .ok_or_else(|| "the current has no rounded peak: noise hides it".to_owned())?;
         let (final_speed, voltage) = (self.final_speed.value, self.step.voltage_v);
         let speed = final_speed * self.height_at(at_s);
         let room = current * final_speed - steady.value * speed;
@@ -401,12 +408,14 @@ impl Response {
             * (self.height_at(at_s + self.period_s) - self.height_at(at_s - self.period_s))
             / 2.0;
         let misplaced = back_emf * 0.5 * steepness / current;
-        let noise =
-            value * steady.std * (self.current.len() as f64 / 5.0).sqrt() / current / 3f64.sqrt();
-        let flat = value * (size(peak) - sign * current).abs() / current.abs();
+        let one = steady.std * (self.current.len() as f64 / 5.0).sqrt();
+        let noise = value * one / current.abs() / (around.len() as f64 / 3.0).max(1.0).sqrt();
+        let nearest = self.current[peak - 1..=peak + 1].iter().map(|p| p.1);
+        // What the parabola does not follow, as the three samples at the top show it.
+        let shape = value * (nearest.sum::<f64>() / 3.0 / current - 1.0).abs();
         Ok(Read {
             value,
-            std: misplaced.hypot(noise).hypot(flat),
+            std: misplaced.hypot(noise).hypot(shape),
         })
     }
 
@@ -445,6 +454,23 @@ impl Response {
             std: value.abs() * (noise / slope).hypot(cut_off / slope),
         })
     }
+}
+
+/// Place and height of the top of the least-squares parabola; `None` where it has none within the points.
+fn vertex(points: &[(f64, f64)], sign: f64) -> Option<(f64, f64)> {
+    let centre = points.iter().map(|p| p.0).sum::<f64>() / points.len() as f64;
+    let (first, last) = (points.first()?.0 - centre, points.last()?.0 - centre);
+    let scale = last - first;
+    let matrix = DMatrix::from_fn(points.len(), 3, |row, power| match power {
+        0 => 1.0,
+        1 => (points[row].0 - centre) / scale,
+        _ => ((points[row].0 - centre) / scale).powi(2),
+    });
+    let heights = DVector::from_iterator(points.len(), points.iter().map(|p| p.1));
+    let x = matrix.svd(true, true).solve(&heights, 1e-9).ok()?;
+    let at = -0.5 * x[1] / x[2];
+    let inside = at * scale > first && at * scale < last;
+    (sign * x[2] < 0.0 && inside).then(|| (centre + at * scale, x[0] + 0.5 * x[1] * at))
 }
 
 /// Height at `at` and slope of the least-squares line; the mean where there is one point, `None` without any.

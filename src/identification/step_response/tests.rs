@@ -137,26 +137,3 @@ fn a_random_voltage_holds_no_step() {
     assert!(notes.is_empty(), "{notes:?}");
     assert!(parameters.iter().all(|p| p.value.is_none()));
 }
-
-#[test]
-#[ignore = "prints the readings beside the truth"]
-fn table() {
-    for (volts, period_s) in [
-        (60.0, 0.001),
-        (20.0, 0.001),
-        (6.0, 0.001),
-        (60.0, 0.005),
-        (60.0, 0.01),
-    ] {
-        let run = step(volts, period_s, 0.6, 1);
-        let (parameters, notes) = estimates(&Model::baseline(Motor::new("?")), &run);
-        eprintln!("{volts} V, {period_s} s: {notes:?}");
-        for (key, truth, _) in TRUTH {
-            let p = of(&parameters, key);
-            eprintln!(
-                "  {key} {truth}: {:?} +- {:?} {:?}",
-                p.value, p.std, p.reason
-            );
-        }
-    }
-}
