@@ -60,7 +60,7 @@ impl Scheme for WithInstruments {
     fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
         let grid = Grid::of(self.id(), data)?;
         let note = format!(
-            "instrumental variables over {} samples at {:.3} ms: free of the bias of sensor noise in a batch; over a memory of some tens of samples they scatter too much to be of use",
+            "instrumental variables over {} samples at {:.3} ms: free of the bias of sensor noise over a whole run in batch; over a memory of some tens of samples they scatter by tens of per cent",
             grid.speed_rad_s.len(),
             1e3 * grid.period_s
         );

@@ -39,10 +39,6 @@ fn with_sensor_noise_the_instruments_are_ten_times_less_biased_than_least_square
         .map(|seed| trial(seed, 20_000, false))
         .collect();
     let (printed, free) = (middle(&trials, 0), middle(&trials, 2));
-    println!(
-        "printed {printed:.2?} exact {:.2?} iv {free:.2?}",
-        middle(&trials, 1)
-    );
     for j in 0..2 {
         assert!(
             free[j].abs() < 0.1 * printed[j].abs(),
@@ -71,11 +67,6 @@ fn over_reversals_the_instruments_stay_free_of_bias_and_their_intervals_cover() 
         .collect();
     let free = middle(&trials, 2);
     let counts = [0, 1, 2].map(|j| covered(&trials, j));
-    println!(
-        "printed {:.2?} iv {free:.2?} {counts:?} std {:.2?}",
-        middle(&trials, 0),
-        middle(&trials, 3)
-    );
     for j in 0..3 {
         assert!(free[j].abs() < 3.0, "{free:?}");
         assert!(counts[j] >= 34, "{counts:?}");
@@ -119,7 +110,6 @@ fn the_instruments_bear_fast_sampling_but_not_a_memory_of_some_tens_of_samples()
         "{fast:?}"
     );
     let short: Vec<f64> = trials(0.02, 40, 10).iter().map(|trial| trial.0).collect();
-    println!("40 samples: {short:.0?}");
     assert!(
         short.len() < 24 || robust_deviation(&short) > 10.0,
         "{short:?}"

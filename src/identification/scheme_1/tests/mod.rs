@@ -137,7 +137,6 @@ fn off(found: f64, truth: f64) -> f64 {
 
 #[test]
 fn without_noise_the_exact_form_is_exact_however_coarse_the_sampling() {
-    let mut worst = 0.0_f64;
     for ratio in [0.5, 1.0, 2.0, 5.0, 10.0, 30.0] {
         for alpha in [0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 3.0] {
             let truth = Truth {
@@ -157,7 +156,6 @@ fn without_noise_the_exact_form_is_exact_however_coarse_the_sampling() {
                 off(found.load_torque, truth.load_v * KE / R),
             ];
             for error in errors {
-                worst = worst.max(error.abs());
                 assert!(
                     error.abs() < 0.1,
                     "TM/Ta {ratio} T/Ta {alpha}: {errors:?} %"
@@ -165,7 +163,6 @@ fn without_noise_the_exact_form_is_exact_however_coarse_the_sampling() {
             }
         }
     }
-    println!("worst error {worst:.2e} %");
 }
 
 #[test]
@@ -190,7 +187,6 @@ fn at_one_time_constant_the_printed_form_errs_as_the_table_says() {
             off(found.tm_s, truth.tm_s),
             off(found.ke, KE),
         ];
-        println!("{ratio} {errors:?}");
         assert!(
             (errors[0] - ta).abs() < 1.0 && (errors[1] - tm).abs() < 1.0,
             "{ratio} {errors:?}"
@@ -245,7 +241,6 @@ fn at_constant_voltage_the_estimate_neither_winds_up_nor_drifts_away() {
         "{spread:?}"
     );
     let after = after.dynamics().unwrap();
-    println!("{before:?} {after:?}");
     assert!(
         (after.ke / before.ke - 1.0).abs() < 0.1,
         "{before:?} {after:?}"
