@@ -235,7 +235,11 @@ mod tests {
     proptest! {
         #[test]
         fn a_run_comes_back_to_the_bit(
-            values in prop::collection::vec(prop::option::of(prop::num::f64::NORMAL), 1..30),
+            // A run holds no larger ones.
+            values in prop::collection::vec(
+                prop::option::of(prop::num::f64::NORMAL.prop_filter("a size", |v| v.abs() <= 1e12)),
+                1..30,
+            ),
             start in -1e6..1e6f64,
         ) {
             let time_s = (0..values.len()).map(|row| start + row as f64 * 0.01).collect();
