@@ -1,18 +1,18 @@
 //! Exact propagation of the linear part over one interval: `x(t) = Phi x(0) + Gamma g` for `dx/dt = A x + g`.
 
 /// A two-by-two matrix, row by row.
-pub(super) type M2 = [[f64; 2]; 2];
+pub(crate) type M2 = [[f64; 2]; 2];
 
 /// `Phi = exp(A t)` and `Gamma = integral of exp(A s) ds from 0 to t`, in closed form from the eigenvalues of `A`.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Propagator {
+pub(crate) struct Propagator {
     pub(super) interval_s: f64,
     phi: M2,
     gamma: M2,
 }
 
 impl Propagator {
-    pub(super) fn new(a: &M2, t: f64) -> Self {
+    pub(crate) fn new(a: &M2, t: f64) -> Self {
         // m: mean of the eigenvalues; d: square of their half distance.
         let m = 0.5 * (a[0][0] + a[1][1]);
         let half = 0.5 * (a[0][0] - a[1][1]);
@@ -67,7 +67,7 @@ impl Propagator {
 
     /// State after the interval under a constant forcing `g`.
     #[inline]
-    pub(super) fn apply(&self, x: [f64; 2], g: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn apply(&self, x: [f64; 2], g: [f64; 2]) -> [f64; 2] {
         let (p, q) = (&self.phi, &self.gamma);
         [
             p[0][0] * x[0] + p[0][1] * x[1] + q[0][0] * g[0] + q[0][1] * g[1],

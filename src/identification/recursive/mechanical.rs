@@ -68,11 +68,17 @@ impl MechanicalBalance {
         self.innovation_rad_s
     }
 
-    /// Kt/J where the data carry it, for the curvature of the speed between samples.
-    pub(super) fn acceleration_per_ampere(&self) -> Option<f64> {
+    /// Kt/J where the data carry it to this relative standard deviation, for the speed between samples.
+    pub(super) fn acceleration_per_ampere(&self, uncertainty: f64) -> Option<f64> {
         let std = self.estimator.standard_deviations()?[0];
         let value = self.estimator.parameters()[0];
-        (self.estimator.rows() > FEWEST_ROWS && value > 0.0 && std < 0.3 * value).then_some(value)
+        (self.estimator.rows() > FEWEST_ROWS && value > 0.0 && std < uncertainty * value)
+            .then_some(value)
+    }
+
+    /// Variance of one speed sample's error, (rad/s)^2.
+    pub(super) fn noise_variance(&self) -> Option<f64> {
+        self.estimator.noise_variance()
     }
 
     pub(super) fn ignorance(&self) -> [f64; 2] {

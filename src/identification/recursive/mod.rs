@@ -10,6 +10,7 @@ mod direction;
 mod mechanical;
 mod scheme_2;
 mod scheme_3;
+mod track;
 mod winding;
 
 pub use scheme_2::{CurrentIntegral, Scheme2};
