@@ -32,6 +32,13 @@ const IGNORANT: f64 = 0.3;
 /// A current counts as one above so many standard deviations of its noise and above this share of the largest.
 const CURRENT_NOISE: f64 = 5.0;
 const CURRENT_SHARE: f64 = 0.01;
+/// Rows after which the linear start hands over R and Ke alone, and the L/R in periods that then compete: where L/R is
+/// short against the period, a regression on integrals does not see the inductance.
+const LATE_ROWS: u64 = 60;
+const LATE_TIME_CONSTANTS: [f64; 4] = [0.6, 0.25, 0.1, 0.04];
+/// Rows of a trial at most, and the factor by which such a one may change a value.
+const LONGEST_TRIAL_ROWS: u32 = 80;
+const LARGEST_MOVE: f64 = 2.0;
 /// Rows of a trial at least, the relative standard deviations below which it ends, and how far it may have moved a value
 /// to be the last one. Its torque balance forgets faster than later.
 const TRIAL_ROWS: u32 = 40;
@@ -291,9 +298,6 @@ impl Scheme3 {
             row.direction = 0;
         }
         self.balance.take(&row);
-        if std::env::var("DBG").is_ok() {
-            eprintln!("{begin_s:.3} {:?} trial {:?} di {:?} dw {:?} w {:?} acc {:?} v {:?}", self.winding(), self.trial, self.current_innovation_a, self.balance.innovation_rad_s(), self.readings.iter().map(|r| r.speed_rad_s).collect::<Vec<_>>(), self.acceleration, self.voltage);
-        }
         if let Some(value) = self
             .balance
             .acceleration_per_ampere(ACCELERATION_UNCERTAINTY)
@@ -384,20 +388,33 @@ impl Scheme3 {
         };
         estimator.update(&regressor, volt_s / length_s);
         let found = estimator.parameters();
-        let certain = estimator.rows() >= START_ROWS
-            && estimator.standard_deviations().is_some_and(|stds| {
-                found
-                    .iter()
-                    .zip(&stds)
-                    .all(|(value, std)| *value > 0.0 && *std < START_UNCERTAINTY * value)
-            });
-        if certain {
-            self.starting = None;
-            self.trial = Trial::On(0);
-            self.balance = MechanicalBalance::new(TRIAL_FORGETTING);
-            let rivals = std::iter::once(found).chain(self.guess);
-            self.tracks = rivals.map(|start| self.track(start, false)).collect();
+        let rows = estimator.rows();
+        let certain = |j: usize| {
+            estimator.standard_deviations().is_some_and(|stds| {
+                found[j] > 0.0 && stds[j] < START_UNCERTAINTY * found[j]
+            })
+        };
+        if rows < START_ROWS || !certain(0) || !certain(2) {
+            return;
         }
+        let [r, _, ke] = found;
+        let rivals: Vec<Winding> = if certain(1) {
+            vec![found]
+        } else if rows >= LATE_ROWS {
+            LATE_TIME_CONSTANTS
+                .map(|share| [r, share * self.period_s * r, ke])
+                .to_vec()
+        } else {
+            return;
+        };
+        self.starting = None;
+        self.trial = Trial::On(0);
+        self.balance = MechanicalBalance::new(TRIAL_FORGETTING);
+        self.tracks = rivals
+            .into_iter()
+            .chain(self.guess)
+            .map(|start| self.track(start, false))
+            .collect();
     }
 
     fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
@@ -413,43 +430,56 @@ impl Scheme3 {
             intervals: (self.readings.len() - 1) as f64,
             continues,
         };
-        let innovations: Vec<Option<f64>> = tracks
-            .iter_mut()
-            .map(|track| track.take(&block, noise))
-            .collect();
+        let mut innovation = None;
+        for track in tracks.iter_mut().rev() {
+            innovation = track.take(&block, noise);
+        }
         drop(block);
         self.tracks = tracks;
-        self.current_innovation_a = innovations.first().copied().flatten();
+        self.current_innovation_a = innovation;
         if let Trial::On(rows) = self.trial {
             self.trial = Trial::On(rows + 1);
             if rows + 1 >= TRIAL_ROWS {
-                self.end_trial();
+                self.end_trial(rows + 1);
             }
         }
     }
 
     /// Starts again from where the trial has come, until a trial moves little.
-    fn end_trial(&mut self) {
+    fn end_trial(&mut self, rows: u32) {
         let Some(best) = self.best() else {
             return;
         };
         let values = best.estimator().parameters();
-        let near = best
-            .estimator()
-            .standard_deviations()
-            .is_some_and(|stds| (0..3).all(|j| stds[j] < TRIAL_UNCERTAINTY * values[j]))
-            && self.acceleration.is_some();
-        if !near {
+        let gone = self.is_gone(&values);
+        // An inductance that is gone between two samples need not be known.
+        let asked = |j: &usize| *j != 1 || !gone;
+        let near = self.acceleration.is_some()
+            && best.estimator().standard_deviations().is_some_and(|stds| {
+                (0..3)
+                    .filter(asked)
+                    .all(|j| stds[j] < TRIAL_UNCERTAINTY * values[j])
+            });
+        if !near && rows < LONGEST_TRIAL_ROWS {
             return;
         }
-        let last = (0..3).all(|j| best.moved(j) < TRIAL_MOVE);
-        self.tracks = vec![self.track(values, last)];
+        let last = near && (0..3).filter(asked).all(|j| best.moved(j) < TRIAL_MOVE);
+        let from = best.winding();
+        let start = std::array::from_fn(|j| {
+            values[j].clamp(from[j] / LARGEST_MOVE, from[j] * LARGEST_MOVE)
+        });
+        self.tracks = vec![self.track(start, last)];
         self.balance = MechanicalBalance::new(if last {
             self.memory.mechanical
         } else {
             TRIAL_FORGETTING
         });
         self.trial = if last { Trial::Over } else { Trial::On(0) };
+    }
+
+    /// Whether nothing is left of the transient of the winding between two samples.
+    fn is_gone(&self, [r, l, _]: &Winding) -> bool {
+        self.period_s * r > MOST_PERIODS * l
     }
 
     fn mechanical_row(&self, begin_s: f64, end_s: f64) -> MechanicalRow {
@@ -514,6 +544,13 @@ impl Scheme3 {
     /// R, L, Ke, J, Mc with verdicts.
     pub fn estimates(&self) -> Vec<ParameterEstimate> {
         let mut out = self.electrical_estimates();
+        if let Some(reason) = self.on_trial() {
+            let keys = [MotorKey::Inertia, MotorKey::LoadTorque];
+            out.extend(keys.map(|key| {
+                ParameterEstimate::not_observable(key.key(), key.unit(), reason.clone())
+            }));
+            return out;
+        }
         out.extend(self.balance.estimates(
             self.torque_constant(),
             (
@@ -523,6 +560,22 @@ impl Scheme3 {
             self.period_s,
         ));
         out
+    }
+
+    /// Why the integral of the current between samples is not known yet, once the shaft has moved.
+    fn on_trial(&self) -> Option<String> {
+        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
+        let rows = match self.trial {
+            Trial::Waiting => self.starting.as_ref()?.rows().to_string(),
+            Trial::On(rows) => format!("{rows} of the {TRIAL_ROWS} or more of a trial"),
+            Trial::Over => return None,
+        };
+        moved.then(|| {
+            format!(
+                "the current between two samples ({:.1} ms) is not known before R, L and Ke are: {rows} rows so far",
+                1e3 * self.period_s
+            )
+        })
     }
 
     fn electrical_estimates(&self) -> Vec<ParameterEstimate> {
@@ -553,7 +606,7 @@ impl Scheme3 {
                 let time_constant_s = values[1] / values[0];
                 // Early on the ratio itself is not known well enough to say so.
                 let known = !starting && stds[0] < CERTAIN_RATIO * values[0];
-                let gone = self.period_s > MOST_PERIODS * time_constant_s;
+                let gone = self.is_gone(&values);
                 if key == MotorKey::Inductance && known && gone {
                     // What is left of the transient between two samples is below the noise of everything else.
                     let reason = format!(

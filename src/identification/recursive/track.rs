@@ -22,7 +22,7 @@ const CERTAIN: f64 = 0.02;
 /// away in steady state.
 const GRADIENT_NOISE: f64 = 3.0;
 /// Rows over which the innovations of rivals are compared.
-const CONTEST_ROWS: f64 = 15.0;
+const CONTEST_ROWS: f64 = 40.0;
 
 /// Standard deviations of the noise of one sample.
 #[derive(Clone, Copy, Debug)]
