@@ -29,7 +29,9 @@ fn schemes() -> Vec<(&'static str, fn(&Run, &[f64; 5]) -> Vec<ParameterEstimate>
             let scenario = Scenario::from_run(run).unwrap();
             let model = start::complete(&Model::baseline(Motor::new("?")), &scenario).unwrap();
             let noise = NoiseFloor::from_standstill(&scenario).unwrap();
-            output_error::fit(&[model], &scenario, &noise).unwrap().parameters
+            output_error::fit(&[model], &scenario, &noise)
+                .unwrap()
+                .parameters
         }),
         ("weak-form", |run, _| {
             let scenario = Scenario::from_run(run).unwrap();
@@ -40,7 +42,9 @@ fn schemes() -> Vec<(&'static str, fn(&Run, &[f64; 5]) -> Vec<ParameterEstimate>
                 .collect()
         }),
         ("scheme 3", |run, _| online(run, None).estimates()),
-        ("scheme 2", |run, truth| online(run, Some(truth[2])).scheme_2()),
+        ("scheme 2", |run, truth| {
+            online(run, Some(truth[2])).scheme_2()
+        }),
     ]
 }
 
@@ -58,11 +62,21 @@ fn online(run: &Run, kt: Option<f64>) -> Online {
 #[test]
 #[ignore]
 fn explore() {
-    let env = |name: &str, default: u64| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default);
+    let env = |name: &str, default: u64| {
+        std::env::var(name)
+            .ok()
+            .and_then(|v| v.parse().ok())
+            .unwrap_or(default)
+    };
     let (base, motors, seeds) = (env("BASE", 1000), env("MOTORS", 40), env("SEEDS", 5));
     let only = std::env::var("SCHEME").unwrap_or_default();
     let verbose = std::env::var("VERBOSE").is_ok();
-    let all = [Sampling::Regular, Sampling::Jittered, Sampling::Quantised, Sampling::Fast];
+    let all = [
+        Sampling::Regular,
+        Sampling::Jittered,
+        Sampling::Quantised,
+        Sampling::Fast,
+    ];
     for sampling in all {
         if env("FAST", 1) == 0 && sampling == Sampling::Fast {
             continue;
@@ -74,7 +88,10 @@ fn explore() {
             .into_par_iter()
             .map(|m| {
                 let mut t = Trajectory::random(base + m, sampling, 5.0);
-                t.scale_noise(env("NOISE", 100) as f64 / 100.0, env("NOISEW", env("NOISE", 100)) as f64 / 100.0);
+                t.scale_noise(
+                    env("NOISE", 100) as f64 / 100.0,
+                    env("NOISEW", env("NOISE", 100)) as f64 / 100.0,
+                );
                 t
             })
             .collect();
@@ -85,10 +102,15 @@ fn explore() {
             let begin = std::time::Instant::now();
             let found: Vec<(usize, Vec<ParameterEstimate>)> = (0..motors * seeds)
                 .into_par_iter()
-                .filter(|k| env("ONLY", k / seeds) == k / seeds && env("SEED", k % seeds) == k % seeds)
+                .filter(|k| {
+                    env("ONLY", k / seeds) == k / seeds && env("SEED", k % seeds) == k % seeds
+                })
                 .map(|k| {
                     let t = (k / seeds) as usize;
-                    (t, scheme(&trajectories[t].run(77 + k), &trajectories[t].truth))
+                    (
+                        t,
+                        scheme(&trajectories[t].run(77 + k), &trajectories[t].truth),
+                    )
                 })
                 .collect();
             println!("{sampling:?} {name} {:.1} s", begin.elapsed().as_secs_f64());
@@ -96,7 +118,9 @@ fn explore() {
                 let mut z: Vec<(usize, f64, f64)> = Vec::new();
                 let (mut settled, mut none, mut wrong) = (0, 0, 0);
                 for (t, estimates) in &found {
-                    let Some(e) = estimates.iter().find(|e| e.key == *key) else { continue };
+                    let Some(e) = estimates.iter().find(|e| e.key == *key) else {
+                        continue;
+                    };
                     match (e.value, e.std) {
                         (Some(v), Some(s)) => {
                             let truth = trajectories[*t].truth[j];
@@ -109,7 +133,9 @@ fn explore() {
                         _ => none += 1,
                     }
                 }
-                if z.is_empty() && none == 0 { continue }
+                if z.is_empty() && none == 0 {
+                    continue;
+                }
                 let n = z.len() as f64;
                 let inside = z.iter().filter(|z| z.1.abs() < 1.96).count() as f64;
                 let rms = (z.iter().map(|z| z.1 * z.1).sum::<f64>() / n).sqrt();
@@ -129,10 +155,15 @@ fn explore() {
                 if verbose {
                     for t in 0..trajectories.len() {
                         let own: Vec<f64> = z.iter().filter(|z| z.0 == t).map(|z| z.1).collect();
-                        let rms = (own.iter().map(|z| z * z).sum::<f64>() / own.len() as f64).sqrt();
+                        let rms =
+                            (own.iter().map(|z| z * z).sum::<f64>() / own.len() as f64).sqrt();
                         if rms > 1.8 {
                             let mean = own.iter().sum::<f64>() / own.len() as f64;
-                            println!("      {t} {} rms {rms:.2} mean {mean:.2} std {:.1e}", trajectories[t].describe(), z.iter().find(|z| z.0 == t).unwrap().2);
+                            println!(
+                                "      {t} {} rms {rms:.2} mean {mean:.2} std {:.1e}",
+                                trajectories[t].describe(),
+                                z.iter().find(|z| z.0 == t).unwrap().2
+                            );
                         }
                     }
                 }

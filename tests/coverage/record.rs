@@ -48,7 +48,8 @@ impl Trajectory {
     /// DISCOVERY.md, voltage steps at instants of their own.
     pub(crate) fn random(seed: u64, sampling: Sampling, seconds: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut log_uniform = |from: f64, to: f64| -> f64 { rng.random_range(from.ln()..to.ln()).exp() };
+        let mut log_uniform =
+            |from: f64, to: f64| -> f64 { rng.random_range(from.ln()..to.ln()).exp() };
         let mut ta = log_uniform(0.5e-3, 50e-3);
         let ratio = log_uniform(1.0, 50.0);
         let tm = (ta * ratio).clamp(0.01, 1.0);
@@ -75,7 +76,11 @@ impl Trajectory {
             events.push((at_s, sign * level * largest_v));
             at_s += hold_s * rng.random_range(0.4..1.6);
         }
-        let period_s = if sampling == Sampling::Fast { 0.001 } else { 0.01 };
+        let period_s = if sampling == Sampling::Fast {
+            0.001
+        } else {
+            0.01
+        };
         let times: Vec<f64> = (0_u32..)
             .map(|k| f64::from(k) * period_s)
             .take_while(|time_s| *time_s < seconds - 0.5 * period_s)
@@ -125,7 +130,11 @@ impl Trajectory {
         );
         let mut read = |value: f64, std: f64, step: f64| {
             let noisy = value + std * rng.sample::<f64, _>(StandardNormal);
-            if quantised { (noisy / step).round() * step } else { noisy }
+            if quantised {
+                (noisy / step).round() * step
+            } else {
+                noisy
+            }
         };
         let mut rows: Vec<(f64, f64, f64, f64)> = Vec::new();
         for (k, &time_s) in self.times.iter().enumerate() {
@@ -142,9 +151,21 @@ impl Trajectory {
         // Jitter may put the first sample after the first command.
         let mut run = Run::new("seeded", rows.iter().map(|row| row.0).collect()).unwrap();
         for (channel, origin, values) in [
-            (Channel::VoltageCmd, Origin::Commanded, rows.iter().map(|r| r.1).collect::<Vec<f64>>()),
-            (Channel::Current, Origin::Measured, rows.iter().map(|r| r.2).collect()),
-            (Channel::Speed, Origin::Measured, rows.iter().map(|r| r.3).collect()),
+            (
+                Channel::VoltageCmd,
+                Origin::Commanded,
+                rows.iter().map(|r| r.1).collect::<Vec<f64>>(),
+            ),
+            (
+                Channel::Current,
+                Origin::Measured,
+                rows.iter().map(|r| r.2).collect(),
+            ),
+            (
+                Channel::Speed,
+                Origin::Measured,
+                rows.iter().map(|r| r.3).collect(),
+            ),
         ] {
             run.set_column(channel, values, origin).unwrap();
         }
@@ -154,7 +175,13 @@ impl Trajectory {
 
 /// Current and speed at `times` under held voltages, by the emulator's machine in fine steps.
 fn integrate(truth: &[f64; 5], events: &[(f64, f64)], times: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let [resistance_ohm, inductance_h, back_emf_v_s_per_rad, inertia_kg_m2, load_torque_n_m] = *truth;
+    let [
+        resistance_ohm,
+        inductance_h,
+        back_emf_v_s_per_rad,
+        inertia_kg_m2,
+        load_torque_n_m,
+    ] = *truth;
     let mut plant = Plant::new(
         MotorTruth {
             name: "random".to_owned(),

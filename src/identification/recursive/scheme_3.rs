@@ -7,14 +7,14 @@
 //! all rows before are dropped: they were linearised about a start that was off.
 //! Mechanical line: `mechanical`, with the integral of the current corrected for its curvature between samples.
 
+mod verdicts;
+
 use super::direction::Direction;
-use super::mechanical::{MechanicalBalance, MechanicalRow};
+use super::mechanical::{self, MechanicalBalance, MechanicalRow};
 use super::track::{Block, SampleNoise, Track};
 use super::winding::{self, Interval, Winding};
-use crate::identification::verdict;
 use crate::numerics::recursive_least_squares::RecursiveLeastSquares;
-use crate::plant::{Motor, MotorKey, Slot};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::plant::{Motor, MotorKey};
 
 const LONGEST_BLOCK_S: f64 = 0.01;
 /// A longer gap between samples ends the block.
@@ -27,8 +27,6 @@ const START_ROWS: u64 = 20;
 const START_UNCERTAINTY: f64 = 0.2;
 /// Noise where none was measured: share of the largest value.
 const NOISE_SHARE: f64 = 1e-3;
-/// Share of the prior variance above which a parameter counts as not excited.
-const IGNORANT: f64 = 0.3;
 /// A current counts as one above so many standard deviations of its noise and above this share of the largest.
 const CURRENT_NOISE: f64 = 5.0;
 const CURRENT_SHARE: f64 = 0.01;
@@ -49,8 +47,6 @@ const TRIAL_FORGETTING: f64 = 0.95;
 const ACCELERATION_UNCERTAINTY: f64 = 0.05;
 /// Periods per electrical time constant (as estimated) beyond which the inductance is not claimed.
 const MOST_PERIODS: f64 = 3.0;
-/// Relative standard deviation of the resistance from which on that estimate is trusted.
-const CERTAIN_RATIO: f64 = 0.01;
 const KEYS: [MotorKey; 3] = [
     MotorKey::Resistance,
     MotorKey::Inductance,
@@ -239,9 +235,7 @@ impl Scheme3 {
 
     /// What the verdicts on R, L, Ke rest on.
     fn electrical(&self) -> Option<&RecursiveLeastSquares<3>> {
-        self.best()
-            .map(Track::estimator)
-            .or(self.starting.as_ref())
+        self.best().map(Track::estimator).or(self.starting.as_ref())
     }
 
     /// The track that predicts better.
@@ -269,11 +263,16 @@ impl Scheme3 {
     }
 
     /// Current at the end of the block, predicted from its begin.
-    fn predict(&self, winding: &Winding, begin_a: f64, speed_error: f64) -> f64 {
-        let mut error = speed_error;
+    fn predict(&self, winding: &Winding, begin_a: f64, speed_errors: [f64; 2]) -> f64 {
+        let [mut first, last] = speed_errors;
+        let end = self.readings.len().saturating_sub(2);
         self.intervals()
-            .fold(begin_a, |current, (_, _, mut interval)| {
-                interval.speed[0] -= std::mem::take(&mut error);
+            .enumerate()
+            .fold(begin_a, |current, (index, (_, _, mut interval))| {
+                interval.speed[0] -= std::mem::take(&mut first);
+                if index == end {
+                    interval.speed[1] -= last;
+                }
                 winding::propagate(winding, current, &interval).0
             })
     }
@@ -390,9 +389,9 @@ impl Scheme3 {
         let found = estimator.parameters();
         let rows = estimator.rows();
         let certain = |j: usize| {
-            estimator.standard_deviations().is_some_and(|stds| {
-                found[j] > 0.0 && stds[j] < START_UNCERTAINTY * found[j]
-            })
+            estimator
+                .standard_deviations()
+                .is_some_and(|stds| found[j] > 0.0 && stds[j] < START_UNCERTAINTY * found[j])
         };
         if rows < START_ROWS || !certain(0) || !certain(2) {
             return;
@@ -421,8 +420,8 @@ impl Scheme3 {
         let noise = self.noise();
         let mut tracks = std::mem::take(&mut self.tracks);
         let block = Block {
-            predict: |winding: &Winding, begin_a, speed_error| {
-                self.predict(winding, begin_a, speed_error)
+            predict: |winding: &Winding, begin_a, speed_errors| {
+                self.predict(winding, begin_a, speed_errors)
             },
             first_current_a: self.readings[0].current_a,
             last_current_a: self.readings[self.readings.len() - 1].current_a,
@@ -484,180 +483,51 @@ impl Scheme3 {
 
     fn mechanical_row(&self, begin_s: f64, end_s: f64) -> MechanicalRow {
         let winding = self.winding();
-        let charge = self
-            .intervals()
-            .map(|(a, b, interval)| {
-                let h = interval.length_s;
-                let chord = 0.5 * h * (a.current_a + b.current_a);
-                // The chord through the measured ends, and what the winding bends away from a chord.
-                chord
-                    + winding.map_or(0.0, |winding| {
-                        let (end, charge) = winding::propagate(&winding, a.current_a, &interval);
-                        charge - 0.5 * h * (a.current_a + end)
-                    })
-            })
-            .sum();
+        // The chord through the measured ends, and what the winding bends away from a chord.
+        let charge = |winding: Option<Winding>| -> f64 {
+            self.intervals()
+                .map(|(a, b, interval)| {
+                    let h = interval.length_s;
+                    let chord = 0.5 * h * (a.current_a + b.current_a);
+                    chord
+                        + winding.map_or(0.0, |winding| {
+                            let (end, charge) =
+                                winding::propagate(&winding, a.current_a, &interval);
+                            charge - 0.5 * h * (a.current_a + end)
+                        })
+                })
+                .sum()
+        };
         let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
         let same = self.readings.iter().all(|r| r.direction == first.direction);
+        let noise = self.noise();
         MechanicalRow {
             begin_s,
             end_s,
             speed_step_rad_s: last.speed_rad_s - first.speed_rad_s,
-            current_integral_a_s: charge,
+            current_integral_a_s: charge(winding),
+            doubtful_integral_a_s: charge(winding.map(|w| self.with_doubtful_inductance(w))),
             direction: if same { first.direction } else { 0 },
+            carry: mechanical::carry(
+                self.acceleration.unwrap_or(0.0) * noise.current_a * (end_s - begin_s)
+                    / noise.speed_rad_s,
+                (self.readings.len() - 1) as f64,
+            ),
         }
+    }
+
+    /// The inductance one standard deviation off: it shapes the current between samples.
+    fn with_doubtful_inductance(&self, [r, l, ke]: Winding) -> Winding {
+        let std = self
+            .best()
+            .and_then(|track| track.estimator().standard_deviations())
+            .map_or(l, |stds| stds[1]);
+        [r, l * (1.0 + (std / l).min(1.0)), ke]
     }
 
     /// Innovations of the last block: current, A, and speed, rad/s; `None` at standstill, at a reversal and at the start.
     pub fn innovation(&self) -> Option<(f64, f64)> {
         Some((self.current_innovation_a?, self.balance.innovation_rad_s()?))
-    }
-
-    /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
-    pub fn excitation(&self) -> [f64; 5] {
-        let electrical = self.electrical().map_or([1.0; 3], |estimator| {
-            [0, 1, 2].map(|j| estimator.ignorance(j))
-        });
-        let [a, b] = self.balance.ignorance();
-        let [r, l, ke] = electrical;
-        [r, l, ke, a, b].map(|ignorance| (1.0 - ignorance).clamp(0.0, 1.0))
-    }
-
-    /// Standard deviation of the speed at standstill, rad/s, where there was one.
-    pub fn speed_noise_rad_s(&self) -> Option<f64> {
-        self.speed_at_rest.deviation()
-    }
-
-    /// Torque constant and its standard deviation: the given one, else the back-EMF constant.
-    pub fn torque_constant(&self) -> Option<(f64, f64)> {
-        if let Some(given) = self.torque_n_m_per_a {
-            return Some((given, 0.0));
-        }
-        let estimator = self.electrical()?;
-        let (value, std) = (
-            estimator.parameters()[2],
-            estimator.standard_deviations()?[2],
-        );
-        (estimator.ignorance(2) < IGNORANT && value > 0.0).then_some((value, std))
-    }
-
-    /// R, L, Ke, J, Mc with verdicts.
-    pub fn estimates(&self) -> Vec<ParameterEstimate> {
-        let mut out = self.electrical_estimates();
-        if let Some(reason) = self.on_trial() {
-            let keys = [MotorKey::Inertia, MotorKey::LoadTorque];
-            out.extend(keys.map(|key| {
-                ParameterEstimate::not_observable(key.key(), key.unit(), reason.clone())
-            }));
-            return out;
-        }
-        out.extend(self.balance.estimates(
-            self.torque_constant(),
-            (
-                self.direction.largest_rad_s(),
-                self.direction.dead_zone_rad_s(),
-            ),
-            self.period_s,
-        ));
-        out
-    }
-
-    /// Why the integral of the current between samples is not known yet, once the shaft has moved.
-    fn on_trial(&self) -> Option<String> {
-        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
-        let rows = match self.trial {
-            Trial::Waiting => self.starting.as_ref()?.rows().to_string(),
-            Trial::On(rows) => format!("{rows} of the {TRIAL_ROWS} or more of a trial"),
-            Trial::Over => return None,
-        };
-        moved.then(|| {
-            format!(
-                "the current between two samples ({:.1} ms) is not known before R, L and Ke are: {rows} rows so far",
-                1e3 * self.period_s
-            )
-        })
-    }
-
-    fn electrical_estimates(&self) -> Vec<ParameterEstimate> {
-        let Some(estimator) = self.electrical() else {
-            return Vec::new();
-        };
-        let starting = self.tracks.is_empty();
-        let values = estimator.parameters();
-        let stds = estimator
-            .standard_deviations()
-            .filter(|_| estimator.rows() >= START_ROWS);
-        let certain = |j: usize| {
-            estimator.ignorance(j) < IGNORANT
-                && stds.is_some_and(|stds| stds[j] < START_UNCERTAINTY * values[j])
-        };
-        // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: neither
-        // may be told from the linear start without the other.
-        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
-        let confounded = starting && moved && !(certain(0) && certain(2));
-        (0..3)
-            .map(|j| {
-                let key = KEYS[j];
-                let excited = estimator.ignorance(j) < IGNORANT && values[j] > 0.0 && !confounded;
-                let Some(stds) = stds.filter(|_| excited) else {
-                    let reason = self.why_not(key, estimator.rows());
-                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
-                };
-                let time_constant_s = values[1] / values[0];
-                // Early on the ratio itself is not known well enough to say so.
-                let known = !starting && stds[0] < CERTAIN_RATIO * values[0];
-                let gone = self.is_gone(&values);
-                if key == MotorKey::Inductance && known && gone {
-                    // What is left of the transient between two samples is below the noise of everything else.
-                    let reason = format!(
-                        "L/R = {:.1} ms or less against a period of {:.1} ms; sample faster, or use burst capture",
-                        1e3 * time_constant_s,
-                        1e3 * self.period_s
-                    );
-                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
-                }
-                let slot = Slot::Motor(key);
-                let mut judged = verdict::judge(&slot, values[j], Some(stds[j]), self.period_s);
-                if starting && judged.verdict == Verdict::Settled {
-                    judged.verdict = Verdict::Searching;
-                    judged.reason = Some("from the linear start: biased by coarse sampling".into());
-                } else if let (Trial::On(rows), Verdict::Settled) = (self.trial, judged.verdict) {
-                    judged.verdict = Verdict::Searching;
-                    judged.reason = Some(format!(
-                        "{rows} rows since the linear start, linearised again after {TRIAL_ROWS}"
-                    ));
-                }
-                judged
-            })
-            .collect()
-    }
-
-    fn why_not(&self, key: MotorKey, rows: u64) -> String {
-        let current = self.largest_current_a;
-        let speed = self.direction.largest_rad_s();
-        let zone = self.direction.dead_zone_rad_s();
-        if self.voltage.is_empty() {
-            return "no voltage command seen yet".into();
-        }
-        if rows < START_ROWS {
-            return format!("{rows} rows so far, at least {START_ROWS} are needed");
-        }
-        if key == MotorKey::BackEmf && speed <= zone {
-            return format!(
-                "not moved yet: largest speed {speed:.2} rad/s, dead zone {zone:.2} rad/s"
-            );
-        }
-        if key == MotorKey::Inductance {
-            let period_ms = 1e3 * self.period_s;
-            return self.winding().map_or_else(
-                || format!("the current does not change enough at a period of {period_ms:.1} ms (largest {current:.2} A)"),
-                |[r, l, _]| format!(
-                    "the current does not change enough: period {period_ms:.1} ms, L/R about {:.1} ms",
-                    1e3 * l / r
-                ),
-            );
-        }
-        format!("not excited: largest current {current:.2} A, largest speed {speed:.2} rad/s")
     }
 }
 

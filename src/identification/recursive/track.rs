@@ -32,8 +32,8 @@ pub(super) struct SampleNoise {
 }
 
 /// One block.
-pub(super) struct Block<F: Fn(&Winding, f64, f64) -> f64> {
-    /// Current at the end from the winding, the current at the begin and the error of the speed at the begin.
+pub(super) struct Block<F: Fn(&Winding, f64, [f64; 2]) -> f64> {
+    /// Current at the end from the winding, the current at the begin and the errors of the first and the last speed.
     pub(super) predict: F,
     pub(super) first_current_a: f64,
     pub(super) last_current_a: f64,
@@ -56,29 +56,15 @@ struct Filtered {
     covariance: [f64; 3],
 }
 
-/// Currents that errors of the speed samples of a block make at its end, A per rad/s.
-struct SpeedGains {
-    first: f64,
-    last: f64,
-    /// Root of the sum of squares of the samples between.
-    between: f64,
-}
-
-impl SpeedGains {
-    /// A speed that is linear between samples, `n` intervals of `share` times L/R together.
-    fn new([r, _, ke]: &Winding, share: f64, n: f64) -> Self {
-        let x = share / n;
-        let c = (-x).exp();
-        let step = -(-x).exp_m1() / x;
-        let (begin, end) = (step - c, 1.0 - step);
-        let squares = (1.0 - c.powf(2.0 * (n - 1.0))) / (1.0 - c * c);
-        let gain = ke / r;
-        Self {
-            first: gain * begin * c.powf(n - 1.0),
-            last: gain * end,
-            between: gain * (end * c + begin) * squares.max(0.0).sqrt(),
-        }
-    }
+/// Current that independent errors of the speed samples inside a block of `n` intervals and `share` times L/R make at its
+/// end, A per rad/s: root of the sum of squares.
+fn inner_speed_gain([r, _, ke]: &Winding, share: f64, n: f64) -> f64 {
+    let x = share / n;
+    let c = (-x).exp();
+    let step = -(-x).exp_m1() / x;
+    let (begin, end) = (step - c, 1.0 - step);
+    let squares = (1.0 - c.powf(2.0 * (n - 1.0))) / (1.0 - c * c);
+    ke / r * (end * c + begin) * squares.max(0.0).sqrt()
 }
 
 #[derive(Clone, Debug)]
@@ -128,7 +114,7 @@ impl Track {
     }
 
     /// Takes a block and returns the innovation, A.
-    pub(super) fn take<F: Fn(&Winding, f64, f64) -> f64>(
+    pub(super) fn take<F: Fn(&Winding, f64, [f64; 2]) -> f64>(
         &mut self,
         block: &Block<F>,
         noise: SampleNoise,
@@ -148,7 +134,8 @@ impl Track {
                 covariance: [power, 0.0, speed_power],
             });
         self.filtered = None;
-        let predicted = (block.predict)(&winding, begin.current_a, begin.speed_error);
+        let errors = [begin.speed_error, 0.0];
+        let predicted = (block.predict)(&winding, begin.current_a, errors);
         let surprise = block.last_current_a - predicted;
         // Along each parameter, with the begin that goes with it.
         let psi: [f64; 3] = std::array::from_fn(|j| {
@@ -159,26 +146,29 @@ impl Track {
                 (block.predict)(
                     &moved,
                     begin.current_a + step * begin.current_by[j],
-                    begin.speed_error + step * begin.speed_error_by[j],
+                    [begin.speed_error + step * begin.speed_error_by[j], 0.0],
                 )
             };
             (at(step) - at(-step)) / (2.0 * step)
         });
         let share = block.length_s * winding[0] / winding[1];
-        let carry = (-share).exp();
-        let gains = SpeedGains::new(&winding, share, block.intervals);
+        // The prediction is affine in the begin and in the errors.
+        let carry = (block.predict)(&winding, begin.current_a + 1.0, errors) - predicted;
+        let first = (block.predict)(&winding, begin.current_a, [errors[0] + 1.0, 0.0]) - predicted;
+        let last = (block.predict)(&winding, begin.current_a, [errors[0], 1.0]) - predicted;
+        let between = inner_speed_gain(&winding, share, block.intervals);
         let [current, cross, speed] = begin.covariance;
         let variance = carry * carry * current
-            + 2.0 * carry * gains.first * cross
-            + gains.first * gains.first * speed
-            + (gains.last * gains.last + gains.between * gains.between) * speed_power;
-        let shared = gains.last * speed_power;
+            + 2.0 * carry * first * cross
+            + first * first * speed
+            + (last * last + between * between) * speed_power;
+        let shared = last * speed_power;
         let total = power + variance;
         let state = variance.sqrt();
-        let by_speed = gains.first.hypot(gains.last).hypot(gains.between) * noise.speed_rad_s;
+        let by_speed = first.hypot(last).hypot(between) * noise.speed_rad_s;
         let least = [
-            (1.0 - carry) * state / winding[0],
-            share * carry * state / winding[1],
+            -(-share).exp_m1() * state / winding[0],
+            share * (-share).exp() * state / winding[1],
             by_speed / winding[2],
         ];
         let gated: [f64; 3] = std::array::from_fn(|j| {
