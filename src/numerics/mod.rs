@@ -3,5 +3,7 @@
 pub mod count;
 pub mod least_squares;
 pub mod levenberg_marquardt;
+pub mod plain_recursive_least_squares;
 pub mod recursive_least_squares;
+pub mod reference_recursive_least_squares;
 pub mod statistics;

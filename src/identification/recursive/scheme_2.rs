@@ -2,8 +2,8 @@
 //!
 //! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T` on consecutive samples with their true stamps.
 //! Between samples the current is known only as a straight line. What that costs is measured, not assumed: a second
-//! estimate from every second sample moves by three times the error of a rule of second order (Richardson), and a third
-//! of the move is part of the standard deviation. Scheme 3 knows the current between samples and does not have this error.
+//! estimate from every second sample moves by one (first order) to three times (second order) the error (Richardson), and
+//! its move over 1.5 is part of the standard deviation. Scheme 3 knows the current between samples and does not have this error.
 
 use super::direction::Direction;
 use super::mechanical::{MechanicalBalance, MechanicalRow, SAMPLING_ORDER};

@@ -70,7 +70,7 @@ impl Default for Memory {
     }
 }
 
-/// First guess of the winding; without it the data give one.
+/// First guess of the winding: it competes with the one that the data give, and the data decide.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StartValues {
     pub resistance_ohm: f64,
@@ -284,9 +284,6 @@ impl Scheme3 {
         let taken = !self.is_at_rest() && !stuck;
         if taken {
             self.take_start_row(end_s - begin_s);
-            if let (true, Some(guess)) = (self.tracks.is_empty(), self.guess) {
-                self.tracks.push(self.track(guess, false));
-            }
             self.take_prediction_error(end_s - begin_s, continues);
         } else {
             self.tracks.iter_mut().for_each(Track::interrupt);

@@ -4,7 +4,7 @@
 //! and load) is the one that brings the speed from its measured begin to its measured end. Where the shaft is held, or
 //! Kt/J is not known, Kt/J = 0 makes the speed a straight line. No assumption on T against L/R or on the speed's shape.
 
-use crate::plant::propagator::Propagator;
+use crate::plant::propagator::LinearPart;
 
 /// R, L, Ke.
 pub(super) type Winding = [f64; 3];
@@ -49,15 +49,15 @@ pub(super) fn propagate(
 ) -> (f64, f64) {
     let per_ampere = interval.acceleration_per_ampere;
     // States i and w.
-    let a = [[-r / l, -ke / l], [per_ampere, 0.0]];
+    let linear = LinearPart::new(&[[-r / l, -ke / l], [per_ampere, 0.0]]);
     let [w_begin, w_end] = interval.speed;
     let h = interval.length_s;
-    let whole = Propagator::new(&a, h);
+    let whole = linear.over(h);
     let mut x = [current_a, w_begin];
     for (length_s, volts) in interval.pieces() {
         let forcing = [volts / l, 0.0];
         x = if length_s < h {
-            Propagator::new(&a, length_s).apply(x, forcing)
+            linear.over(length_s).apply(x, forcing)
         } else {
             whole.apply(x, forcing)
         };

@@ -10,11 +10,14 @@ mod contract_tests;
 mod error;
 mod online;
 mod output_error;
+mod scheme_1;
+mod scheme_1_tests;
+mod scheme_2_rectangle;
 mod weak_form;
 
 pub use error::IdentifyError;
 
-use crate::plant::{Input, Model, Scenario};
+use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Run};
 
 /// What a scheme works on.
@@ -51,6 +54,15 @@ impl Identified {
                 model.set(&slot, value);
             }
         }
+        // A torque constant that was found on its own ends the rule that it equals the back-EMF constant.
+        let torque = MotorKey::TorqueConstant;
+        if let Some(value) = parameters
+            .iter()
+            .find(|parameter| parameter.key == torque.key())
+            .and_then(|parameter| parameter.value)
+        {
+            model.motor.set(torque, value);
+        }
         Self {
             scheme,
             model,
@@ -79,7 +91,11 @@ pub trait Scheme: Sync {
 pub static CATALOGUE: &[&dyn Scheme] = &[
     &output_error::OutputError,
     &weak_form::WeakForm,
+    &scheme_1::Printed,
+    &scheme_1::Exact,
+    &scheme_1::WithInstruments,
     &online::Scheme2,
+    &scheme_2_rectangle::Rectangle,
     &online::Scheme3,
 ];
 
