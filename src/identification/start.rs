@@ -245,7 +245,13 @@ mod tests {
     #[test]
     fn current_and_speed_on_rows_of_their_own_give_a_start_too() {
         let truth = Model::baseline(Motor::zk_22fc());
-        let events = vec![(0.0, 0.0), (0.3, 20.0), (0.8, -25.0), (1.5, 60.0), (2.2, -10.0)];
+        let events = vec![
+            (0.0, 0.0),
+            (0.3, 20.0),
+            (0.8, -25.0),
+            (1.5, 60.0),
+            (2.2, -10.0),
+        ];
         let mut scenario = crate::plant::testing::record(&truth, events, 0.005, 3.0, 1);
         for row in 0..scenario.samples() {
             let missing = if row.is_multiple_of(2) {

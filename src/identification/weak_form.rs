@@ -82,12 +82,7 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError
         }
         balances.push(voltage);
     }
-    balances.push(balance(
-        &model,
-        scenario,
-        Balance::Torque,
-        doubt_of_torque,
-    ));
+    balances.push(balance(&model, scenario, Balance::Torque, doubt_of_torque));
     Ok(balances)
 }
 
@@ -109,12 +104,7 @@ struct Unknown {
 }
 
 /// `doubt_of_left`: relative standard deviation of a factor of the left-hand side.
-fn balance(
-    model: &Model,
-    scenario: &Scenario,
-    equation: Balance,
-    doubt_of_left: f64,
-) -> Balanced {
+fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left: f64) -> Balanced {
     let half = half_window(scenario, equation);
     let noise = Noise::of(scenario);
     let system = System::new(model, scenario, equation, half, &noise);
@@ -144,15 +134,9 @@ fn balance(
         parameters.push(match (&solution, &doubts) {
             (Some(solution), Some(doubts)) => {
                 let value = solution.x[place] + doubts[place].pulled;
-                let variance = solution.covariance[(place, place)].max(0.0)
-                    + (doubt_of_left * value).powi(2);
-                estimate(
-                    unknown,
-                    value,
-                    variance,
-                    &doubts[place],
-                    period_s,
-                )
+                let variance =
+                    solution.covariance[(place, place)].max(0.0) + (doubt_of_left * value).powi(2);
+                estimate(unknown, value, variance, &doubts[place], period_s)
             }
             _ => ParameterEstimate::not_observable(
                 &unknown.slot.key(),

@@ -103,9 +103,18 @@ impl Trajectory {
         }
     }
 
-    pub(crate) fn scale_noise(&mut self, factor: f64, by_speed: f64) {
-        self.current_noise_a *= factor;
-        self.speed_noise_rad_s *= by_speed;
+    /// The end of a long hold: the motor turns at constant speed from the first sample to the last.
+    pub(crate) fn steady(seed: u64, sampling: Sampling, seconds: f64) -> Self {
+        let mut one = Self::random(seed, sampling, seconds);
+        let [r, l, ke, j, _] = one.truth;
+        let settled_s = 40.0 * (l / r + r * j / (ke * ke));
+        let volts = one.events[1].1;
+        let held = [(0.0, volts)];
+        let times: Vec<f64> = one.times.iter().map(|time_s| time_s + settled_s).collect();
+        (one.current, one.speed) = integrate(&one.truth, &held, &times);
+        one.events = vec![(0.0, volts)];
+        one.times.iter_mut().for_each(|time_s| *time_s += 1e-3);
+        one
     }
 
     pub(crate) fn describe(&self) -> String {
@@ -148,7 +157,6 @@ impl Trajectory {
                 Err(at) => rows.insert(at, (time_s, volts, f64::NAN, f64::NAN)),
             }
         }
-        // Jitter may put the first sample after the first command.
         let mut run = Run::new("seeded", rows.iter().map(|row| row.0).collect()).unwrap();
         for (channel, origin, values) in [
             (
