@@ -28,6 +28,7 @@ use crate::emulator::{
 };
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
+use crate::plant::Model;
 use crate::recording::{Manifest, Recorder, RunFile, RunFolder, utc_stamp};
 use crate::sample::{Channel, Command, Demand};
 
@@ -321,7 +322,7 @@ impl Rig {
         if !self.clock.is_real() {
             layout = layout.without_host_time();
         }
-        let config = OnlineConfig::default();
+        let config = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
         manifest.configs.insert(
             OnlineSettings::NAME.to_owned(),
             OnlineSettings::from(config).text(),

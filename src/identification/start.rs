@@ -93,7 +93,8 @@ struct Integrals {
 
 fn integrals(scenario: &Scenario) -> Vec<Integrals> {
     let times = &scenario.sample_time_s;
-    let (current, speed) = (&scenario.current_a, &scenario.speed_rad_s);
+    let current = &between(times, &scenario.current_a);
+    let speed = &between(times, &scenario.speed_rad_s);
     let dead_zone = 0.01
         * speed
             .iter()
@@ -132,6 +133,33 @@ fn integrals(scenario: &Scenario) -> Vec<Integrals> {
     }
     windows.retain(|w| w.voltage.is_finite() && w.current.is_finite() && w.angle.is_finite());
     windows
+}
+
+/// Missing cells on the straight line between their neighbours: current and speed may come on rows of their own.
+fn between(times: &[f64], values: &[f64]) -> Vec<f64> {
+    let points: Vec<(f64, f64)> = times
+        .iter()
+        .zip(values)
+        .filter(|(_, value)| value.is_finite())
+        .map(|(time, value)| (*time, *value))
+        .collect();
+    times
+        .iter()
+        .zip(values)
+        .map(|(time, value)| {
+            if value.is_finite() {
+                return *value;
+            }
+            let after = points.partition_point(|point| point.0 < *time);
+            match (after.checked_sub(1), points.get(after)) {
+                (Some(before), Some(after)) => {
+                    let before = points[before];
+                    before.1 + (after.1 - before.1) * (time - before.0) / (after.0 - before.0)
+                }
+                _ => f64::NAN,
+            }
+        })
+        .collect()
 }
 
 /// Integral of a held signal between two instants.
@@ -211,6 +239,32 @@ mod tests {
                     slot.key()
                 );
             }
+        }
+    }
+
+    #[test]
+    fn current_and_speed_on_rows_of_their_own_give_a_start_too() {
+        let truth = Model::baseline(Motor::zk_22fc());
+        let events = vec![
+            (0.0, 0.0),
+            (0.3, 20.0),
+            (0.8, -25.0),
+            (1.5, 60.0),
+            (2.2, -10.0),
+        ];
+        let mut scenario = crate::plant::testing::record(&truth, events, 0.005, 3.0, 1);
+        for row in 0..scenario.samples() {
+            let missing = if row.is_multiple_of(2) {
+                &mut scenario.current_a
+            } else {
+                &mut scenario.speed_rad_s
+            };
+            missing[row] = f64::NAN;
+        }
+        let found = complete(&Model::baseline(Motor::new("?")), &scenario).unwrap();
+        for slot in truth.slots() {
+            let ratio = found.get(&slot).unwrap() / truth.get(&slot).unwrap();
+            assert!((0.5..2.0).contains(&ratio), "{} {ratio}", slot.key());
         }
     }
 

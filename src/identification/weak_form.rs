@@ -5,8 +5,9 @@
 //! method for runs that carry torque and motion but no voltage. The price: the signals must be sampled several times
 //! per time constant (at 10 ms the armature circuit is not), and an effect's shape parameters stay as they are given.
 //! What that costs is measured, not assumed: the same fit with every second sample left out moves each value, and for a
-//! quadrature of second order a third of the move is the error at the full rate. It is added to the uncertainty, as is
-//! the pull towards zero of a regressor that is hardly larger than its own noise.
+//! quadrature of second order a third of the move is the error at the full rate. It is added to the uncertainty. Noise in
+//! a regressor pulls its value towards zero: the pull follows from the noise, is taken back, and what is not known of it
+//! is added too. A torque constant found in the same run hands its uncertainty on to everything in the torque balance.
 //!
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
@@ -66,16 +67,22 @@ pub struct WindowResidual {
 pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError> {
     let mut balances = Vec::new();
     let mut model = model.clone();
+    let given = model.motor.get(MotorKey::TorqueConstant).is_some();
+    // Relative standard deviation of the torque constant.
+    let mut doubt_of_torque = 0.0;
     if scenario.input == Input::Voltage {
-        let voltage = balance(&model, scenario, Balance::Voltage);
+        let voltage = balance(&model, scenario, Balance::Voltage, 0.0);
         for estimate in &voltage.parameters {
             if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
                 model.motor.set(key, value);
+                if key == MotorKey::BackEmf && !given {
+                    doubt_of_torque = estimate.std.unwrap_or(0.0) / value.abs();
+                }
             }
         }
         balances.push(voltage);
     }
-    balances.push(balance(&model, scenario, Balance::Torque));
+    balances.push(balance(&model, scenario, Balance::Torque, doubt_of_torque));
     Ok(balances)
 }
 
@@ -96,7 +103,8 @@ struct Unknown {
     fixed: Option<f64>,
 }
 
-fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Balanced {
+/// `doubt_of_left`: relative standard deviation of a factor of the left-hand side.
+fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left: f64) -> Balanced {
     let half = half_window(scenario, equation);
     let noise = Noise::of(scenario);
     let system = System::new(model, scenario, equation, half, &noise);
@@ -125,14 +133,10 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Balanced {
         }
         parameters.push(match (&solution, &doubts) {
             (Some(solution), Some(doubts)) => {
-                let variance = solution.covariance[(place, place)].max(0.0);
-                estimate(
-                    unknown,
-                    solution.x[place],
-                    variance,
-                    &doubts[place],
-                    period_s,
-                )
+                let value = solution.x[place] + doubts[place].pulled;
+                let variance =
+                    solution.covariance[(place, place)].max(0.0) + (doubt_of_left * value).powi(2);
+                estimate(unknown, value, variance, &doubts[place], period_s)
             }
             _ => ParameterEstimate::not_observable(
                 &unknown.slot.key(),
@@ -166,7 +170,9 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance) -> Balanced {
 struct Doubt {
     /// Error by coarse sampling.
     sampling: f64,
-    /// Pull towards zero by noise in the regressor.
+    /// Pull by noise in the regressors, taken back.
+    pulled: f64,
+    /// What is not known of the pull.
     noise: f64,
     /// Power of the regressor's own part over that of its noise.
     signal: f64,
@@ -310,24 +316,32 @@ impl System {
             .collect();
         // Noise in one regressor pulls every value that shares its direction. Where a value is lost in noise, it may be
         // anything up to what would explain the whole left-hand side.
+        let lost = |other: usize| own(other) < LEAST_SIGNAL * power[other];
         let pull = |place: usize, other: usize| {
             let slope = bread[(place, other)];
-            if own(other) < LEAST_SIGNAL * power[other] {
+            if lost(other) {
                 let most = self.right.norm() / self.matrix.column(other).norm();
                 slope * own(other) * most
             } else {
                 slope * power[other] * solution.x[other]
             }
         };
+        let finite = |pull: f64| if pull.is_finite() { pull } else { 0.0 };
         (0..free.len())
             .map(|place| Doubt {
                 sampling: coarse
                     .map(|coarse| (coarse.x[place] - solution.x[place]).abs() / 3.0)
                     .filter(|moved| moved.is_finite())
                     .unwrap_or(0.0),
+                pulled: (0..free.len())
+                    .filter(|other| !lost(*other))
+                    .map(|other| finite(pull(place, other)))
+                    .sum(),
                 noise: (0..free.len())
-                    .map(|other| pull(place, other).abs())
-                    .filter(|pull| pull.is_finite())
+                    .map(|other| {
+                        let share = if lost(other) { 1.0 } else { noise.uncertainty };
+                        share * finite(pull(place, other)).abs()
+                    })
                     .sum(),
                 signal: own(place) / power[place].max(f64::MIN_POSITIVE),
             })

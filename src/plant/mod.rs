@@ -13,7 +13,7 @@ pub mod effect;
 mod model;
 mod model_file;
 mod motor;
-mod propagator;
+pub(crate) mod propagator;
 mod scenario;
 mod simulate;
 #[cfg(test)]

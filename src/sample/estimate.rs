@@ -28,21 +28,56 @@ impl Verdict {
     }
 }
 
-/// One estimated parameter. Serialises to the contract of `identify --json`.
+/// Standard deviations that hold 95 % of a normal distribution on either side of its mean.
+const TWO_SIDED_95: f64 = 1.959_964;
+
+/// One estimated parameter. Serialises to the contract of `identify --json`, with the 95 % interval beside.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(into = "Contract")]
 pub struct ParameterEstimate {
     /// `inertia_kg_m2`, or `stribeck_friction.stribeck_n_m` for a parameter of an effect.
-    #[serde(skip)]
     pub key: String,
     pub value: Option<f64>,
-    /// Standard deviation, same unit.
+    /// Standard deviation, same unit. The 95 % interval is the value and 1.96 of these on either side; an estimator with
+    /// few degrees of freedom has widened it by Student's t over 1.96.
     pub std: Option<f64>,
     pub unit: &'static str,
     pub verdict: Verdict,
     pub reason: Option<String>,
 }
 
+/// What `identify --json` prints of a parameter.
+#[derive(Serialize)]
+struct Contract {
+    value: Option<f64>,
+    std: Option<f64>,
+    interval_95: Option<[f64; 2]>,
+    unit: &'static str,
+    verdict: Verdict,
+    reason: Option<String>,
+}
+
+impl From<ParameterEstimate> for Contract {
+    fn from(estimate: ParameterEstimate) -> Self {
+        Self {
+            interval_95: estimate.interval_95(),
+            value: estimate.value,
+            std: estimate.std,
+            unit: estimate.unit,
+            verdict: estimate.verdict,
+            reason: estimate.reason,
+        }
+    }
+}
+
 impl ParameterEstimate {
+    /// Interval that covers the truth in 95 % of runs; none for a value that was given, or without one.
+    pub fn interval_95(&self) -> Option<[f64; 2]> {
+        let (value, std) = (self.value?, self.std.filter(|std| *std > 0.0)?);
+        let half = TWO_SIDED_95 * std;
+        Some([value - half, value + half])
+    }
+
     /// A parameter that the data do not carry.
     pub fn not_observable(key: &str, unit: &'static str, reason: impl Into<String>) -> Self {
         Self {

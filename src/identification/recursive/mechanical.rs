@@ -11,12 +11,18 @@ const PRIOR: f64 = 1e8;
 /// Rows below which nothing is said.
 const FEWEST_ROWS: u64 = 4;
 
+/// Move by leaving out every second sample over the error at the full rate. A rule of second order would give 3, but the
+/// current has a corner at each step of the voltage, and where L/R is not resolved the order falls to the first.
+pub(super) const SAMPLING_ORDER: f64 = 1.5;
+
 /// A torque constant with its standard deviation, N.m/A.
 pub(super) type TorqueConstant = (f64, f64);
 
 #[derive(Clone, Debug)]
 pub(super) struct MechanicalBalance {
     estimator: RecursiveLeastSquares<2>,
+    /// The same with the integral of the current off by what is not known of it.
+    doubtful: RecursiveLeastSquares<2>,
     /// End of the last row taken: the next one shares its sample.
     last_end_s: f64,
     innovation_rad_s: Option<f64>,
@@ -30,14 +36,32 @@ pub(super) struct MechanicalRow {
     pub(super) end_s: f64,
     pub(super) speed_step_rad_s: f64,
     pub(super) current_integral_a_s: f64,
+    /// The same if what it rests on is one standard deviation off.
+    pub(super) doubtful_integral_a_s: f64,
     /// Sign of the speed over the whole block; zero where it has none: the row is dropped.
     pub(super) direction: i8,
+    /// Share of the noise of the begin in that of the row, see [`carry`].
+    pub(super) carry: f64,
+}
+
+/// The noise of a row as `e_end - carry e_begin` with white `e`: `charge_noise` is that of `(Kt/J) h` times a current
+/// sample over that of a speed sample, `n` the intervals between samples of a row.
+///
+/// Alone, the noise of the speed gives 1. Each end's current counts half in both rows that share it, with equal signs.
+pub(super) fn carry(charge_noise: f64, n: f64) -> f64 {
+    let one = (charge_noise / n).powi(2);
+    let power = 2.0 + one * (n - 0.5);
+    let shared = 1.0 - 0.25 * one;
+    let k = shared / power;
+    2.0 * k / (1.0 + (1.0 - 4.0 * k * k).max(0.0).sqrt())
 }
 
 impl MechanicalBalance {
     pub(super) fn new(forgetting: f64) -> Self {
+        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting);
         Self {
-            estimator: RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting),
+            doubtful: estimator.clone(),
+            estimator,
             last_end_s: f64::NAN,
             innovation_rad_s: None,
             blocked_rows: 0,
@@ -50,17 +74,16 @@ impl MechanicalBalance {
             self.blocked_rows += 1;
             return;
         }
-        let regressor = [
-            row.current_integral_a_s,
-            -f64::from(row.direction) * (row.end_s - row.begin_s),
-        ];
+        let held = -f64::from(row.direction) * (row.end_s - row.begin_s);
         let noise = RowNoise {
-            carry: 1.0,
+            carry: row.carry,
             continues: row.begin_s.total_cmp(&self.last_end_s).is_eq(),
         };
-        self.innovation_rad_s = self
-            .estimator
-            .update_row(&regressor, row.speed_step_rad_s, noise);
+        let step = row.speed_step_rad_s;
+        let regressor = [row.current_integral_a_s, held];
+        self.innovation_rad_s = self.estimator.update_row(&regressor, step, noise);
+        self.doubtful
+            .update_row(&[row.doubtful_integral_a_s, held], step, noise);
         self.last_end_s = row.end_s;
     }
 
@@ -68,23 +91,43 @@ impl MechanicalBalance {
         self.innovation_rad_s
     }
 
-    /// Kt/J where the data carry it, for the curvature of the speed between samples.
-    pub(super) fn acceleration_per_ampere(&self) -> Option<f64> {
+    /// Kt/J where the data carry it to this relative standard deviation, for the speed between samples.
+    pub(super) fn acceleration_per_ampere(&self, uncertainty: f64) -> Option<f64> {
         let std = self.estimator.standard_deviations()?[0];
         let value = self.estimator.parameters()[0];
-        (self.estimator.rows() > FEWEST_ROWS && value > 0.0 && std < 0.3 * value).then_some(value)
+        (self.estimator.rows() > FEWEST_ROWS && value > 0.0 && std < uncertainty * value)
+            .then_some(value)
+    }
+
+    /// Variance of one speed sample's error, (rad/s)^2.
+    pub(super) fn noise_variance(&self) -> Option<f64> {
+        self.estimator.noise_variance()
+    }
+
+    /// Kt/J and Mc/J once enough rows have spoken of them.
+    pub(super) fn values(&self) -> Option<[f64; 2]> {
+        let [a, b] = self.estimator.parameters();
+        (self.estimator.rows() >= FEWEST_ROWS && a > 0.0).then_some([a, b])
+    }
+
+    /// Memory from the next row on.
+    pub(super) fn set_forgetting(&mut self, forgetting: f64) {
+        self.estimator.set_forgetting(forgetting);
+        self.doubtful.set_forgetting(forgetting);
     }
 
     pub(super) fn ignorance(&self) -> [f64; 2] {
         [self.estimator.ignorance(0), self.estimator.ignorance(1)]
     }
 
-    /// Inertia and load torque; `moved` is the largest speed so far and the dead zone, rad/s.
+    /// Inertia and load torque; `moved` is the largest speed so far and the dead zone, rad/s, `sampling` the relative
+    /// error of J and the error of Mc/Kt, A, that coarse sampling leaves.
     pub(super) fn estimates(
         &self,
         torque: Option<TorqueConstant>,
         moved: (f64, f64),
         period_s: f64,
+        sampling: [f64; 2],
     ) -> Vec<ParameterEstimate> {
         let unknown = |reason: &str| -> Vec<ParameterEstimate> {
             [MotorKey::Inertia, MotorKey::LoadTorque]
@@ -114,26 +157,42 @@ impl MechanicalBalance {
             let (aa, ab, bb) = (covariance(0, 0)?, covariance(0, 1)?, covariance(1, 1)?);
             let kt_share = (kt_std / kt).powi(2);
             let ratio = b / a;
-            let inertia_std = inertia * (aa / (a * a) + kt_share).max(0.0).sqrt();
+            let [other_a, other_b] = self.doubtful.parameters();
+            let inertia_doubt = (inertia * (other_a / a - 1.0)).hypot(inertia * sampling[0]);
+            let load_doubt = (kt * (other_b / other_a - ratio)).hypot(kt * sampling[1]);
+            let inertia_std =
+                (inertia * (aa / (a * a) + kt_share).max(0.0).sqrt()).hypot(inertia_doubt);
             let ratio_variance = (bb - 2.0 * ratio * ab + ratio * ratio * aa) / (a * a);
             let load_std = (kt * kt * ratio_variance + load * load * kt_share)
                 .max(0.0)
-                .sqrt();
+                .sqrt()
+                .hypot(load_doubt);
             Some((inertia_std, load_std))
         })();
-        vec![
-            verdict::judge(
-                &Slot::Motor(MotorKey::Inertia),
-                inertia,
-                stds.map(|s| s.0),
-                period_s,
-            ),
-            verdict::judge(
-                &Slot::Motor(MotorKey::LoadTorque),
-                load,
-                stds.map(|s| s.1),
-                period_s,
-            ),
-        ]
+        let relative = [
+            sampling[0],
+            kt * sampling[1] / load.abs().max(f64::MIN_POSITIVE),
+        ];
+        let found = [
+            (MotorKey::Inertia, inertia, stds.map(|s| s.0)),
+            (MotorKey::LoadTorque, load, stds.map(|s| s.1)),
+        ];
+        found
+            .into_iter()
+            .zip(relative)
+            .map(|((key, value, std), doubt)| {
+                let mut judged = verdict::judge(&Slot::Motor(key), value, std, period_s);
+                let most = std.is_some_and(|std| doubt * value.abs() > std / 2f64.sqrt());
+                if let (true, Some(reason)) = (most, judged.reason.as_mut()) {
+                    let moved = format!(
+                        "; half the samples ({:.1} ms apart) move it by {:.1} %: sample faster, or use scheme 3",
+                        2e3 * period_s,
+                        100.0 * doubt * SAMPLING_ORDER
+                    );
+                    reason.push_str(&moved);
+                }
+                judged
+            })
+            .collect()
     }
 }

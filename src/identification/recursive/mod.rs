@@ -10,6 +10,7 @@ mod direction;
 mod mechanical;
 mod scheme_2;
 mod scheme_3;
+mod track;
 mod winding;
 
 pub(in crate::identification) use direction::Direction;

@@ -1,22 +1,20 @@
 //! Scheme 3: voltage, current and speed give R, L, Ke, J and Mc; nothing is assumed known.
 //!
-//! Electrical line: the current at the end of a block of about one L/R (at most 10 ms) is predicted from its begin with
-//! the closed form of `winding`; the innovation drives a recursive prediction-error step (Ljung and Soderstrom,
-//! *Theory and Practice of Recursive Identification* (1983), section 3.4) on (R, L, Ke). It starts from a linear
-//! regression on integrals, `int u = R int i + L di + Ke int w`, which coarse sampling biases by some per cent.
-//! Measured on the motor of paper A (L/R = 9 ms) under voltage steps, 30 mA and 0.15 rad/s of noise, 40 seeds, after 2 s:
-//! at T = 1 ms no bias above 0.1 %; at 10 ms R +0.04 %, L -0.2 %, others below 0.1 %. Noise on the regressors (the first
-//! sample of a block) is harmless there because a block moves the current by amperes; in steady state it is not, hence
-//! the gates below.
+//! Electrical line: over a block of about one L/R (at most 10 ms) the current is predicted with the exact solution of
+//! `winding`, and the innovation drives the recursive prediction-error step of `track` on (R, L, Ke). It starts from a
+//! linear regression on integrals, `int u = R int i + L di + Ke int w`, which coarse sampling biases by some per cent to
+//! some ten. After a trial the better of its track and of the first guess's is linearised again at the values found, and
+//! all rows before are dropped: they were linearised about a start that was off.
 //! Mechanical line: `mechanical`, with the integral of the current corrected for its curvature between samples.
 
+mod verdicts;
+
 use super::direction::Direction;
-use super::mechanical::{MechanicalBalance, MechanicalRow};
+use super::mechanical::{self, MechanicalBalance, MechanicalRow};
+use super::track::{Block, SampleNoise, Track};
 use super::winding::{self, Interval, Winding};
-use crate::identification::verdict;
-use crate::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
-use crate::plant::{Motor, MotorKey, Slot};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::numerics::recursive_least_squares::RecursiveLeastSquares;
+use crate::plant::{Motor, MotorKey};
 
 const LONGEST_BLOCK_S: f64 = 0.01;
 /// A longer gap between samples ends the block.
@@ -27,33 +25,28 @@ const START_PRIOR: f64 = 1e8;
 /// The linear start hands over at this many rows and this relative standard deviation.
 const START_ROWS: u64 = 20;
 const START_UNCERTAINTY: f64 = 0.2;
-/// Relative prior standard deviation at the hand-over, and the noise it is counted in where none was measured: share of
-/// the largest current.
-const PRIOR: f64 = 0.5;
+/// Noise where none was measured: share of the largest value.
 const NOISE_SHARE: f64 = 1e-3;
-/// Share of the prior variance above which a parameter counts as not excited.
-const IGNORANT: f64 = 0.3;
-/// A gradient to the inductance below this many standard deviations of what the noise of the first sample makes of it
-/// is noise: taking it would pull the inductance away at rest.
-const GRADIENT_NOISE: f64 = 3.0;
 /// A current counts as one above so many standard deviations of its noise and above this share of the largest.
 const CURRENT_NOISE: f64 = 5.0;
 const CURRENT_SHARE: f64 = 0.01;
-/// Relative difference between the guess and the linear start that discards the guess.
-const GUESS_ERROR: f64 = 0.2;
-/// Forgetting of the first rows of the prediction-error step (Ljung and Soderstrom, section 5.6), and how long it lasts.
-const EARLY_LOSS: f64 = 0.08;
-const EARLY_ROWS: f64 = 40.0;
+/// Rows after which the linear start hands over R and Ke alone, and the L/R in periods that then compete: where L/R is
+/// short against the period, a regression on integrals does not see the inductance.
+const LATE_ROWS: u64 = 60;
+const LATE_TIME_CONSTANTS: [f64; 4] = [0.6, 0.25, 0.1, 0.04];
+/// Rows of a trial at most, and the factor by which such a one may change a value.
+const LONGEST_TRIAL_ROWS: u32 = 80;
+const LARGEST_MOVE: f64 = 2.0;
+/// Rows of a trial at least, the relative standard deviations below which it ends, and how far it may have moved a value
+/// to be the last one. Its torque balance forgets faster than later.
+const TRIAL_ROWS: u32 = 40;
+const TRIAL_UNCERTAINTY: f64 = 0.1;
+const TRIAL_MOVE: f64 = 0.05;
+const TRIAL_FORGETTING: f64 = 0.95;
+/// Relative standard deviation of Kt/J below which a newer value replaces the last one.
+const ACCELERATION_UNCERTAINTY: f64 = 0.05;
 /// Periods per electrical time constant (as estimated) beyond which the inductance is not claimed.
 const MOST_PERIODS: f64 = 3.0;
-/// Relative standard deviation of the resistance from which on that estimate is trusted.
-const CERTAIN_RATIO: f64 = 0.01;
-/// Relative error that the shape of the speed between samples leaves, times (T R/L)^2: measured on the motor of paper A at
-/// 5 to 20 ms (inductance; resistance and back-EMF less). It is part of the standard deviation.
-const COARSE: f64 = 0.002;
-/// Factor by which one row may change a parameter.
-const LARGEST_STEP: f64 = 1.5;
-
 const KEYS: [MotorKey; 3] = [
     MotorKey::Resistance,
     MotorKey::Inductance,
@@ -77,7 +70,7 @@ impl Default for Memory {
     }
 }
 
-/// First guess of the winding; without it the data give one.
+/// First guess of the winding: it competes with the one that the data give, and the data decide.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StartValues {
     pub resistance_ohm: f64,
@@ -97,6 +90,15 @@ impl StartValues {
     }
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trial {
+    /// The linear start has not handed over.
+    Waiting,
+    /// Rows so far.
+    On(u32),
+    Over,
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Reading {
     time_s: f64,
@@ -113,8 +115,11 @@ pub struct Scheme3 {
     guess: Option<Winding>,
     /// The linear start, until it has handed over.
     starting: Option<RecursiveLeastSquares<3>>,
-    /// The prediction-error step, from the guess or from the linear start.
-    running: Option<RecursiveLeastSquares<3>>,
+    /// Prediction-error steps, from the guess and from the linear start; one after the trial.
+    tracks: Vec<Track>,
+    trial: Trial,
+    /// Kt/J where it was known last, rad/(A.s^2).
+    acceleration: Option<f64>,
     balance: MechanicalBalance,
     direction: Direction,
     readings: Vec<Reading>,
@@ -142,7 +147,9 @@ impl Scheme3 {
                 START_PRIOR,
                 memory.electrical,
             )),
-            running: None,
+            tracks: Vec::with_capacity(2),
+            trial: Trial::Waiting,
+            acceleration: None,
             balance: MechanicalBalance::new(memory.mechanical),
             direction: Direction::default(),
             readings: Vec::with_capacity(32),
@@ -223,34 +230,32 @@ impl Scheme3 {
 
     /// R, L, Ke of the prediction-error step, before that the guess.
     fn winding(&self) -> Option<Winding> {
-        self.running
-            .as_ref()
-            .map(RecursiveLeastSquares::parameters)
-            .or(self.guess)
+        self.best().map(Track::winding).or(self.guess)
     }
 
     /// What the verdicts on R, L, Ke rest on.
     fn electrical(&self) -> Option<&RecursiveLeastSquares<3>> {
-        self.running.as_ref().or(self.starting.as_ref())
+        self.best().map(Track::estimator).or(self.starting.as_ref())
+    }
+
+    /// The track that predicts better.
+    fn best(&self) -> Option<&Track> {
+        self.tracks
+            .iter()
+            .min_by(|a, b| a.misfit().total_cmp(&b.misfit()))
     }
 
     fn intervals(&self) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
-        let curvature = self.balance.acceleration_per_ampere().unwrap_or(0.0);
+        let acceleration = self.acceleration.unwrap_or(0.0);
         self.readings.windows(2).map(move |pair| {
             let (a, b) = (&pair[0], &pair[1]);
-            let length_s = b.time_s - a.time_s;
-            // Half the second derivative of the speed, from the change of torque; at rest there is none.
-            let c = if a.direction != 0 && a.direction == b.direction {
-                0.5 * curvature * (b.current_a - a.current_a) / length_s
-            } else {
-                0.0
-            };
-            let slope = (b.speed_rad_s - a.speed_rad_s) / length_s;
             let held = self.voltage.partition_point(|event| event.0 <= a.time_s);
+            let moving = a.direction != 0 || b.direction != 0;
             let interval = Interval {
                 begin_s: a.time_s,
-                length_s,
-                speed: [a.speed_rad_s, slope - c * length_s, c],
+                length_s: b.time_s - a.time_s,
+                speed: [a.speed_rad_s, b.speed_rad_s],
+                acceleration_per_ampere: if moving { acceleration } else { 0.0 },
                 voltage: &self.voltage[held.saturating_sub(1)..],
             };
             (a, b, interval)
@@ -258,9 +263,16 @@ impl Scheme3 {
     }
 
     /// Current at the end of the block, predicted from its begin.
-    fn predict(&self, winding: &Winding) -> f64 {
+    fn predict(&self, winding: &Winding, begin_a: f64, speed_errors: [f64; 2]) -> f64 {
+        let [mut first, last] = speed_errors;
+        let end = self.readings.len().saturating_sub(2);
         self.intervals()
-            .fold(self.readings[0].current_a, |current, (_, _, interval)| {
+            .enumerate()
+            .fold(begin_a, |current, (index, (_, _, mut interval))| {
+                interval.speed[0] -= std::mem::take(&mut first);
+                if index == end {
+                    interval.speed[1] -= last;
+                }
                 winding::propagate(winding, current, &interval).0
             })
     }
@@ -268,18 +280,41 @@ impl Scheme3 {
     fn take_block(&mut self, begin_s: f64, end_s: f64) {
         let continues = begin_s.total_cmp(&self.last_end_s).is_eq();
         self.current_innovation_a = None;
-        if !self.is_at_rest() {
+        let stuck = self.may_have_stuck();
+        let taken = !self.is_at_rest() && !stuck;
+        if taken {
             self.take_start_row(end_s - begin_s);
-            if self.running.is_none() {
-                self.running = self.guess.map(|guess| self.prediction_error(guess));
-            }
-            if let Some(winding) = self.winding() {
-                self.take_prediction_error(&winding, end_s - begin_s, continues);
-            }
+            self.take_prediction_error(end_s - begin_s, continues);
+        } else {
+            self.tracks.iter_mut().for_each(Track::interrupt);
         }
         self.last_end_s = end_s;
-        let row = self.mechanical_row(begin_s, end_s);
+        let mut row = self.mechanical_row(begin_s, end_s);
+        if stuck {
+            row.direction = 0;
+        }
         self.balance.take(&row);
+        if let Some(value) = self
+            .balance
+            .acceleration_per_ampere(ACCELERATION_UNCERTAINTY)
+        {
+            self.acceleration = Some(value);
+        }
+    }
+
+    /// The shaft breaks away, comes to rest or turns inside an interval: when, and so the shape of the speed, is not
+    /// known. Between two samples of one direction it may have come back from a stop.
+    fn may_have_stuck(&self) -> bool {
+        let acceleration = self.acceleration.unwrap_or(0.0);
+        let zone = self.direction.dead_zone_rad_s();
+        self.readings.windows(2).any(|pair| {
+            let (a, b) = (&pair[0], &pair[1]);
+            let step_s = b.time_s - a.time_s;
+            // A change of the current that comes at once in the middle bends the speed by a quarter of this.
+            let bend = 0.25 * acceleration * step_s * (b.current_a - a.current_a).abs();
+            let least = a.speed_rad_s.abs().min(b.speed_rad_s.abs());
+            a.direction != b.direction || (a.direction != 0 && least < zone + bend)
+        })
     }
 
     /// Nothing applied, no motion, no current: such a block is noise, which would pass for certainty.
@@ -297,14 +332,33 @@ impl Scheme3 {
                 .all(|r| r.direction == 0 && r.current_a.abs() <= least)
     }
 
-    fn prediction_error(&self, start: Winding) -> RecursiveLeastSquares<3> {
-        let noise = self
-            .current_noise_a()
-            .unwrap_or(0.0)
-            .max(NOISE_SHARE * self.largest_current_a)
-            .max(f64::MIN_POSITIVE.sqrt());
-        let prior = (PRIOR / noise).powi(2);
-        RecursiveLeastSquares::new(start, start, prior, self.memory.electrical)
+    fn track(&self, start: Winding, certain: bool) -> Track {
+        Track::new(start, self.noise(), self.memory.electrical, certain)
+    }
+
+    /// Noise of one sample: from standstill, else from what the predictions leave.
+    fn noise(&self) -> SampleNoise {
+        let by_rows = |variance: Option<f64>| variance.map(f64::sqrt);
+        let least = |value: f64, largest: f64| {
+            value
+                .max(1e-2 * NOISE_SHARE * largest)
+                .max(f64::MIN_POSITIVE.sqrt())
+        };
+        SampleNoise {
+            current_a: least(
+                self.current_noise_a()
+                    .or_else(|| by_rows(self.best()?.estimator().noise_variance()))
+                    .unwrap_or(NOISE_SHARE * self.largest_current_a),
+                self.largest_current_a,
+            ),
+            speed_rad_s: least(
+                self.speed_at_rest
+                    .deviation()
+                    .or_else(|| by_rows(self.balance.noise_variance()))
+                    .unwrap_or(NOISE_SHARE * self.direction.largest_rad_s()),
+                self.direction.largest_rad_s(),
+            ),
+        }
     }
 
     /// Noise of one current sample, A: from the time before anything was applied.
@@ -330,212 +384,147 @@ impl Scheme3 {
         };
         estimator.update(&regressor, volt_s / length_s);
         let found = estimator.parameters();
-        let certain = estimator.rows() >= START_ROWS
-            && estimator.standard_deviations().is_some_and(|stds| {
-                found
-                    .iter()
-                    .zip(&stds)
-                    .all(|(value, std)| *value > 0.0 && *std < START_UNCERTAINTY * value)
-            });
-        if certain {
-            self.starting = None;
-            let far = |now: Winding| (0..3).any(|j| (now[j] / found[j] - 1.0).abs() > GUESS_ERROR);
-            // A guess that the data contradict is dropped whole: from far off the prediction-error step may go astray.
-            if self.running.as_ref().is_none_or(|r| far(r.parameters())) {
-                self.running = Some(self.prediction_error(found));
+        let rows = estimator.rows();
+        let certain = |j: usize| {
+            estimator
+                .standard_deviations()
+                .is_some_and(|stds| found[j] > 0.0 && stds[j] < START_UNCERTAINTY * found[j])
+        };
+        if rows < START_ROWS || !certain(0) || !certain(2) {
+            return;
+        }
+        let [r, _, ke] = found;
+        let rivals: Vec<Winding> = if certain(1) {
+            vec![found]
+        } else if rows >= LATE_ROWS {
+            LATE_TIME_CONSTANTS
+                .map(|share| [r, share * self.period_s * r, ke])
+                .to_vec()
+        } else {
+            return;
+        };
+        self.starting = None;
+        self.trial = Trial::On(0);
+        self.balance = MechanicalBalance::new(TRIAL_FORGETTING);
+        self.tracks = rivals
+            .into_iter()
+            .chain(self.guess)
+            .map(|start| self.track(start, false))
+            .collect();
+    }
+
+    fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
+        let noise = self.noise();
+        let mut tracks = std::mem::take(&mut self.tracks);
+        let block = Block {
+            predict: |winding: &Winding, begin_a, speed_errors| {
+                self.predict(winding, begin_a, speed_errors)
+            },
+            first_current_a: self.readings[0].current_a,
+            last_current_a: self.readings[self.readings.len() - 1].current_a,
+            length_s,
+            intervals: (self.readings.len() - 1) as f64,
+            continues,
+        };
+        let mut innovation = None;
+        for track in tracks.iter_mut().rev() {
+            innovation = track.take(&block, noise);
+        }
+        drop(block);
+        self.tracks = tracks;
+        self.current_innovation_a = innovation;
+        if let Trial::On(rows) = self.trial {
+            self.trial = Trial::On(rows + 1);
+            if rows + 1 >= TRIAL_ROWS {
+                self.end_trial(rows + 1);
             }
         }
     }
 
-    fn take_prediction_error(&mut self, winding: &Winding, length_s: f64, continues: bool) {
-        const STEP: f64 = 1e-4;
-        let innovation = self.readings[self.readings.len() - 1].current_a - self.predict(winding);
-        // Derivatives to the logarithms, then to the parameters.
-        let mut gradient: [f64; 3] = std::array::from_fn(|j| {
-            let (mut up, mut down) = (*winding, *winding);
-            up[j] *= 1.0 + STEP;
-            down[j] *= 1.0 - STEP;
-            (self.predict(&up) - self.predict(&down)) / (2.0 * STEP)
-        });
-        let share = length_s * winding[0] / winding[1];
-        let carry = (-share).exp();
-        let noise = self
-            .current_noise_a()
-            .or_else(|| Some(self.running.as_ref()?.noise_variance()?.sqrt()));
-        if gradient[1].abs() < GRADIENT_NOISE * noise.unwrap_or(0.0) * share * carry {
-            gradient[1] = 0.0;
-        }
-        let value = innovation + gradient.iter().sum::<f64>();
-        let psi: [f64; 3] = std::array::from_fn(|j| gradient[j] / winding[j]);
-        let Some(estimator) = &mut self.running else {
+    /// Starts again from where the trial has come, until a trial moves little.
+    fn end_trial(&mut self, rows: u32) {
+        let Some(best) = self.best() else {
             return;
         };
-        // Short memory at first: early rows were linearised about a start that is some per cent off.
-        let age = f64::from(u32::try_from(estimator.rows()).unwrap_or(u32::MAX));
-        let lack = (1.0 - self.memory.electrical).max(EARLY_LOSS * (-age / EARLY_ROWS).exp());
-        estimator.set_forgetting(1.0 - lack);
-        self.current_innovation_a =
-            estimator.update_row(&psi, value, RowNoise { carry, continues });
-        let moved = estimator.parameters();
-        estimator.set_parameters(&std::array::from_fn(|j| {
-            moved[j].clamp(winding[j] / LARGEST_STEP, winding[j] * LARGEST_STEP)
-        }));
+        let values = best.estimator().parameters();
+        let gone = self.is_gone(&values);
+        // An inductance that is gone between two samples need not be known.
+        let asked = |j: &usize| *j != 1 || !gone;
+        let near = self.acceleration.is_some()
+            && best.estimator().standard_deviations().is_some_and(|stds| {
+                (0..3)
+                    .filter(asked)
+                    .all(|j| stds[j] < TRIAL_UNCERTAINTY * values[j])
+            });
+        if !near && rows < LONGEST_TRIAL_ROWS {
+            return;
+        }
+        let last = near && (0..3).filter(asked).all(|j| best.moved(j) < TRIAL_MOVE);
+        let from = best.winding();
+        let start = std::array::from_fn(|j| {
+            values[j].clamp(from[j] / LARGEST_MOVE, from[j] * LARGEST_MOVE)
+        });
+        self.tracks = vec![self.track(start, last)];
+        self.balance = MechanicalBalance::new(if last {
+            self.memory.mechanical
+        } else {
+            TRIAL_FORGETTING
+        });
+        self.trial = if last { Trial::Over } else { Trial::On(0) };
+    }
+
+    /// Whether nothing is left of the transient of the winding between two samples.
+    fn is_gone(&self, [r, l, _]: &Winding) -> bool {
+        self.period_s * r > MOST_PERIODS * l
     }
 
     fn mechanical_row(&self, begin_s: f64, end_s: f64) -> MechanicalRow {
         let winding = self.winding();
-        let charge = self
-            .intervals()
-            .map(|(a, b, interval)| {
-                let h = interval.length_s;
-                let chord = 0.5 * h * (a.current_a + b.current_a);
-                // The chord through the measured ends, and what the winding bends away from a chord.
-                chord
-                    + winding.map_or(0.0, |winding| {
-                        let (end, charge) = winding::propagate(&winding, a.current_a, &interval);
-                        charge - 0.5 * h * (a.current_a + end)
-                    })
-            })
-            .sum();
+        // The chord through the measured ends, and what the winding bends away from a chord.
+        let charge = |winding: Option<Winding>| -> f64 {
+            self.intervals()
+                .map(|(a, b, interval)| {
+                    let h = interval.length_s;
+                    let chord = 0.5 * h * (a.current_a + b.current_a);
+                    chord
+                        + winding.map_or(0.0, |winding| {
+                            let (end, charge) =
+                                winding::propagate(&winding, a.current_a, &interval);
+                            charge - 0.5 * h * (a.current_a + end)
+                        })
+                })
+                .sum()
+        };
         let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
         let same = self.readings.iter().all(|r| r.direction == first.direction);
+        let noise = self.noise();
         MechanicalRow {
             begin_s,
             end_s,
             speed_step_rad_s: last.speed_rad_s - first.speed_rad_s,
-            current_integral_a_s: charge,
+            current_integral_a_s: charge(winding),
+            doubtful_integral_a_s: charge(winding.map(|w| self.with_doubtful_inductance(w))),
             direction: if same { first.direction } else { 0 },
+            carry: mechanical::carry(
+                self.acceleration.unwrap_or(0.0) * noise.current_a * (end_s - begin_s)
+                    / noise.speed_rad_s,
+                (self.readings.len() - 1) as f64,
+            ),
         }
+    }
+
+    /// The inductance one standard deviation off: it shapes the current between samples.
+    fn with_doubtful_inductance(&self, [r, l, ke]: Winding) -> Winding {
+        let std = self
+            .best()
+            .and_then(|track| track.estimator().standard_deviations())
+            .map_or(l, |stds| stds[1]);
+        [r, l * (1.0 + (std / l).min(1.0)), ke]
     }
 
     /// Innovations of the last block: current, A, and speed, rad/s; `None` at standstill, at a reversal and at the start.
     pub fn innovation(&self) -> Option<(f64, f64)> {
         Some((self.current_innovation_a?, self.balance.innovation_rad_s()?))
-    }
-
-    /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
-    pub fn excitation(&self) -> [f64; 5] {
-        let electrical = self.electrical().map_or([1.0; 3], |estimator| {
-            [0, 1, 2].map(|j| estimator.ignorance(j))
-        });
-        let [a, b] = self.balance.ignorance();
-        let [r, l, ke] = electrical;
-        [r, l, ke, a, b].map(|ignorance| (1.0 - ignorance).clamp(0.0, 1.0))
-    }
-
-    /// Standard deviation of the speed at standstill, rad/s, where there was one.
-    pub fn speed_noise_rad_s(&self) -> Option<f64> {
-        self.speed_at_rest.deviation()
-    }
-
-    /// Torque constant and its standard deviation: the given one, else the back-EMF constant.
-    pub fn torque_constant(&self) -> Option<(f64, f64)> {
-        if let Some(given) = self.torque_n_m_per_a {
-            return Some((given, 0.0));
-        }
-        let estimator = self.electrical()?;
-        let (value, std) = (
-            estimator.parameters()[2],
-            estimator.standard_deviations()?[2],
-        );
-        (estimator.ignorance(2) < IGNORANT && value > 0.0).then_some((value, std))
-    }
-
-    /// R, L, Ke, J, Mc with verdicts.
-    pub fn estimates(&self) -> Vec<ParameterEstimate> {
-        let mut out = self.electrical_estimates();
-        out.extend(self.balance.estimates(
-            self.torque_constant(),
-            (
-                self.direction.largest_rad_s(),
-                self.direction.dead_zone_rad_s(),
-            ),
-            self.period_s,
-        ));
-        out
-    }
-
-    fn electrical_estimates(&self) -> Vec<ParameterEstimate> {
-        let Some(estimator) = self.electrical() else {
-            return Vec::new();
-        };
-        let starting = self.running.is_none();
-        let values = estimator.parameters();
-        let stds = estimator
-            .standard_deviations()
-            .filter(|_| estimator.rows() >= START_ROWS);
-        let certain = |j: usize| {
-            estimator.ignorance(j) < IGNORANT
-                && stds.is_some_and(|stds| stds[j] < START_UNCERTAINTY * values[j])
-        };
-        // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: neither
-        // may be told from the linear start without the other.
-        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
-        let confounded = starting && moved && !(certain(0) && certain(2));
-        (0..3)
-            .map(|j| {
-                let key = KEYS[j];
-                let excited = estimator.ignorance(j) < IGNORANT && values[j] > 0.0 && !confounded;
-                let Some(stds) = stds.filter(|_| excited) else {
-                    let reason = self.why_not(key, estimator.rows());
-                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
-                };
-                let time_constant_s = values[1] / values[0];
-                // Early on the ratio itself is not known well enough to say so.
-                let known = !starting && stds[0] < CERTAIN_RATIO * values[0];
-                let gone = self.period_s > MOST_PERIODS * time_constant_s;
-                if key == MotorKey::Inductance && known && gone {
-                    // What is left of the transient between two samples is below the noise of everything else.
-                    let reason = format!(
-                        "L/R = {:.1} ms or less against a period of {:.1} ms; sample faster, or use burst capture",
-                        1e3 * time_constant_s,
-                        1e3 * self.period_s
-                    );
-                    return ParameterEstimate::not_observable(key.key(), key.unit(), reason);
-                }
-                let slot = Slot::Motor(key);
-                let coarse = COARSE * (self.period_s * values[0] / values[1]).powi(2) * values[j];
-                let std = if starting {
-                    stds[j]
-                } else {
-                    stds[j].hypot(coarse)
-                };
-                let mut judged = verdict::judge(&slot, values[j], Some(std), self.period_s);
-                if starting && judged.verdict == Verdict::Settled {
-                    judged.verdict = Verdict::Searching;
-                    judged.reason = Some("from the linear start: biased by coarse sampling".into());
-                }
-                judged
-            })
-            .collect()
-    }
-
-    fn why_not(&self, key: MotorKey, rows: u64) -> String {
-        let current = self.largest_current_a;
-        let speed = self.direction.largest_rad_s();
-        let zone = self.direction.dead_zone_rad_s();
-        if self.voltage.is_empty() {
-            return "no voltage command seen yet".into();
-        }
-        if rows < START_ROWS {
-            return format!("{rows} rows so far, at least {START_ROWS} are needed");
-        }
-        if key == MotorKey::BackEmf && speed <= zone {
-            return format!(
-                "not moved yet: largest speed {speed:.2} rad/s, dead zone {zone:.2} rad/s"
-            );
-        }
-        if key == MotorKey::Inductance {
-            let period_ms = 1e3 * self.period_s;
-            return self.winding().map_or_else(
-                || format!("the current does not change enough at a period of {period_ms:.1} ms (largest {current:.2} A)"),
-                |[r, l, _]| format!(
-                    "the current does not change enough: period {period_ms:.1} ms, L/R about {:.1} ms",
-                    1e3 * l / r
-                ),
-            );
-        }
-        format!("not excited: largest current {current:.2} A, largest speed {speed:.2} rad/s")
     }
 }
 

@@ -1,20 +1,44 @@
-//! Current of the winding over one sampling interval, in closed form.
+//! Current of the winding over one sampling interval, exactly.
 //!
-//! `Ta di/dt + i = (u - Ke w)/R`, `Ta = L/R`; the voltage is held piece by piece and the speed is a parabola, so each
-//! piece has the solution `i = y(s) + (i_0 - y(0)) exp(-s/Ta)` with a polynomial `y`. No assumption on T against Ta.
+//! `L di/dt = u - R i - Ke w`, `dw/dt = (Kt/J) i + c`: the voltage is held piece by piece, and the constant `c` (friction
+//! and load) is the one that brings the speed from its measured begin to its measured end. Where the shaft is held, or
+//! Kt/J is not known, Kt/J = 0 makes the speed a straight line. No assumption on T against L/R or on the speed's shape.
+
+use crate::plant::propagator::LinearPart;
 
 /// R, L, Ke.
 pub(super) type Winding = [f64; 3];
 
-/// One sampling interval: `speed(s) = w0 + w1 s + w2 s^2` and the voltage pieces `(from, volts)`, the first at or before
-/// zero, times in s after its begin.
+/// One sampling interval.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Interval<'a> {
     pub(super) begin_s: f64,
     pub(super) length_s: f64,
-    pub(super) speed: [f64; 3],
+    /// Measured speed at the begin and at the end, rad/s.
+    pub(super) speed: [f64; 2],
+    /// Kt/J, rad/(A.s^2); 0: the speed is a straight line.
+    pub(super) acceleration_per_ampere: f64,
     /// `(absolute time, volts)`, in order, holding until the next; the first at or before `begin_s`.
     pub(super) voltage: &'a [(f64, f64)],
+}
+
+impl Interval<'_> {
+    /// `(length, volts)` of the held pieces inside the interval.
+    fn pieces(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let end_s = self.begin_s + self.length_s;
+        self.voltage
+            .iter()
+            .enumerate()
+            .take_while(move |(_, event)| event.0 < end_s)
+            .filter_map(move |(index, &(at_s, volts))| {
+                let to = self
+                    .voltage
+                    .get(index + 1)
+                    .map_or(end_s, |next| next.0.min(end_s));
+                let length_s = to - at_s.max(self.begin_s);
+                (length_s > 0.0).then_some((length_s, volts))
+            })
+    }
 }
 
 /// Current at the end and its integral over the interval.
@@ -23,48 +47,37 @@ pub(super) fn propagate(
     current_a: f64,
     interval: &Interval<'_>,
 ) -> (f64, f64) {
-    let ta = l / r;
-    let end_s = interval.begin_s + interval.length_s;
-    let (mut current, mut charge) = (current_a, 0.0);
-    for (index, &(at_s, volts)) in interval.voltage.iter().enumerate() {
-        let from = at_s.max(interval.begin_s);
-        let to = interval
-            .voltage
-            .get(index + 1)
-            .map_or(end_s, |next| next.0.min(end_s));
-        let h = to - from;
-        if h <= 0.0 {
-            continue;
-        }
-        let s = from - interval.begin_s;
-        let [w0, w1, w2] = interval.speed;
-        // The forcing as a polynomial of the time since the piece began.
-        let v0 = (volts - ke * (w0 + w1 * s + w2 * s * s)) / r;
-        let v1 = -ke * (w1 + 2.0 * w2 * s) / r;
-        let v2 = -ke * w2 / r;
-        let y0 = v0 - ta * v1 + 2.0 * ta * ta * v2;
-        let y1 = v1 - 2.0 * ta * v2;
-        let free = current - y0;
-        let lost = -(-h / ta).exp_m1();
-        current = y0 + y1 * h + v2 * h * h + free * (1.0 - lost);
-        charge += h * (y0 + h * (y1 / 2.0 + h * v2 / 3.0)) + free * ta * lost;
+    let per_ampere = interval.acceleration_per_ampere;
+    // States i and w.
+    let linear = LinearPart::new(&[[-r / l, -ke / l], [per_ampere, 0.0]]);
+    let [w_begin, w_end] = interval.speed;
+    let h = interval.length_s;
+    let whole = linear.over(h);
+    let mut x = [current_a, w_begin];
+    for (length_s, volts) in interval.pieces() {
+        let forcing = [volts / l, 0.0];
+        x = if length_s < h {
+            linear.over(length_s).apply(x, forcing)
+        } else {
+            whole.apply(x, forcing)
+        };
     }
-    (current, charge)
+    // What one unit of the constant acceleration adds.
+    let unit = whole.apply([0.0; 2], [0.0, 1.0]);
+    let c = (w_end - x[1]) / unit[1];
+    let end = x[0] + c * unit[0];
+    let charge = if per_ampere > 0.0 {
+        (w_end - w_begin - c * h) / per_ampere
+    } else {
+        (voltage_integral(interval) - l * (end - current_a) - ke * 0.5 * (w_begin + w_end) * h) / r
+    };
+    (end, charge)
 }
 
 /// Integral of the held voltage over the interval, V.s.
 pub(super) fn voltage_integral(interval: &Interval<'_>) -> f64 {
-    let end_s = interval.begin_s + interval.length_s;
     interval
-        .voltage
-        .iter()
-        .enumerate()
-        .map(|(index, &(at_s, volts))| {
-            let to = interval
-                .voltage
-                .get(index + 1)
-                .map_or(end_s, |next| next.0.min(end_s));
-            volts * (to - at_s.max(interval.begin_s)).max(0.0)
-        })
+        .pieces()
+        .map(|(length_s, volts)| length_s * volts)
         .sum()
 }

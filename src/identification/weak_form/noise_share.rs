@@ -12,6 +12,8 @@ pub(super) struct Noise {
     speed_rad_s: f64,
     pub(super) dead_zone_rad_s: f64,
     from_standstill: bool,
+    /// Relative standard deviation of the noise power.
+    pub(super) uncertainty: f64,
 }
 
 impl Noise {
@@ -31,6 +33,8 @@ impl Noise {
                 .min(WIDEST_DEAD_ZONE * largest)
                 .max(DEAD_ZONE * largest),
             from_standstill: floor.is_some(),
+            // Of a variance from n samples; the roughness of a signal also holds some of the signal.
+            uncertainty: floor.map_or(1.0, |f| (2.0 / f.samples as f64).sqrt()),
         }
     }
 
