@@ -1,0 +1,192 @@
+//! Table 1: scheme 2 on the transient of Figure 4, after N samples.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::figure_4::{PERIOD_S, SAMPLES, noisy, stamps, start};
+use super::machine::value;
+use crate::identification::recursive::{CurrentIntegral, Scheme2};
+use crate::numerics::statistics::{mean, variance};
+use crate::plant::{Motor, MotorKey, Trajectory};
+
+/// Paper A, Table 1: N, J in 1e-6 kg.m2, Mc in N.m.
+const PRINTED: [(usize, f64, f64); 6] = [
+    (8, 3654.0, 0.4380),
+    (10, 4650.0, 0.4644),
+    (20, 4483.0, 0.4630),
+    (30, 4500.0, 0.4549),
+    (40, 4508.0, 0.4552),
+    (50, 4536.0, 0.4149),
+];
+/// The paper's catalogue value, kg.m2.
+const CATALOGUE_KG_M2: f64 = 0.004_25;
+/// All rows count alike: a transient of 50 samples has nothing to forget.
+const FORGETTING: f64 = 0.98;
+const SEEDS: u64 = 200;
+/// Half width of a 95 % interval in standard deviations.
+const INTERVAL: f64 = 1.96;
+
+/// J and Mc.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Values {
+    pub inertia_kg_m2: f64,
+    pub load_torque_n_m: f64,
+}
+
+/// One quantity over the seeds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct OverSeeds {
+    pub mean: f64,
+    pub std: f64,
+    /// Of the mean, per cent of the truth.
+    pub error_percent: f64,
+    /// Share of all seeds whose 95 % interval holds the truth, per cent; a seed without an estimate does not.
+    pub coverage_percent: f64,
+    /// Share of the seeds that give an estimate at all, per cent.
+    pub told_percent: f64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Row {
+    pub n: usize,
+    /// As printed, from the paper's own measured transient.
+    pub paper: Values,
+    /// Noise-free, with the printed left rectangle.
+    pub rectangle: Values,
+    /// Noise-free, with the trapezoid.
+    pub trapezoid: Values,
+    /// With the noise of the sensors, trapezoid.
+    pub inertia_with_noise: OverSeeds,
+    pub load_torque_with_noise: OverSeeds,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Table1 {
+    /// What the emulated motor really has.
+    pub truth: Values,
+    pub catalogue_inertia_kg_m2: f64,
+    pub period_s: f64,
+    pub electrical_time_constant_s: f64,
+    pub forgetting: f64,
+    pub seeds: u64,
+    pub rows: Vec<Row>,
+}
+
+pub(super) fn table_1() -> Table1 {
+    let motor = Motor::zk_22fc();
+    let clean = start(&motor, PERIOD_S, SAMPLES);
+    let truth = Values {
+        inertia_kg_m2: value(&motor, MotorKey::Inertia),
+        load_torque_n_m: value(&motor, MotorKey::LoadTorque),
+    };
+    let silent = |integral| -> Vec<Values> {
+        let found = at_each_n(&motor, &clean, integral);
+        found.iter().map(|pair| pair.map(|(value, _)| value)).map(values).collect()
+    };
+    let (rectangle, trapezoid) = (
+        silent(CurrentIntegral::Rectangle),
+        silent(CurrentIntegral::Trapezoid),
+    );
+    let noisy: Vec<Vec<Estimates>> = (0..SEEDS)
+        .into_par_iter()
+        .map(|seed| at_each_n(&motor, &noisy(&clean, seed), CurrentIntegral::Trapezoid))
+        .collect();
+    let over_seeds = |row: usize, which: usize, truth: f64| {
+        OverSeeds::of(truth, noisy.iter().map(|seed| seed[row][which]))
+    };
+    let rows = PRINTED.iter().enumerate().map(|(row, printed)| Row {
+        n: printed.0,
+        paper: Values {
+            inertia_kg_m2: printed.1 * 1e-6,
+            load_torque_n_m: printed.2,
+        },
+        rectangle: rectangle[row],
+        trapezoid: trapezoid[row],
+        inertia_with_noise: over_seeds(row, 0, truth.inertia_kg_m2),
+        load_torque_with_noise: over_seeds(row, 1, truth.load_torque_n_m),
+    });
+    Table1 {
+        truth,
+        catalogue_inertia_kg_m2: CATALOGUE_KG_M2,
+        period_s: PERIOD_S,
+        electrical_time_constant_s: motor.electrical_time_constant_s().unwrap_or(f64::NAN),
+        forgetting: FORGETTING,
+        seeds: SEEDS,
+        rows: rows.collect(),
+    }
+}
+
+/// Value and standard deviation of J and of Mc; NaN where the scheme gives none.
+type Estimates = [(f64, f64); 2];
+
+const fn values([inertia_kg_m2, load_torque_n_m]: [f64; 2]) -> Values {
+    Values {
+        inertia_kg_m2,
+        load_torque_n_m,
+    }
+}
+
+/// The estimates after each N of the table: N steps from one sample to the next, from the start of the voltage on.
+fn at_each_n(motor: &Motor, record: &Trajectory, integral: CurrentIntegral) -> Vec<Estimates> {
+    let mut scheme = Scheme2::new(integral, FORGETTING, 0.0);
+    scheme.set_speed_noise(super::figure_4::SPEED_NOISE_RAD_S);
+    let torque = Some((value(motor, MotorKey::BackEmf), 0.0));
+    let mut found = Vec::new();
+    for (k, time_s) in stamps(PERIOD_S, SAMPLES).into_iter().enumerate() {
+        scheme.push(time_s, record.current_a[k], record.speed_rad_s[k]);
+        if PRINTED.iter().any(|printed| printed.0 == k) {
+            let estimates = scheme.estimates(torque);
+            found.push([0, 1].map(|which| {
+                let estimate = &estimates[which];
+                (
+                    estimate.value.unwrap_or(f64::NAN),
+                    estimate.std.unwrap_or(f64::NAN),
+                )
+            }));
+        }
+    }
+    found
+}
+
+impl OverSeeds {
+    fn of(truth: f64, estimates: impl Iterator<Item = (f64, f64)>) -> Self {
+        let all: Vec<(f64, f64)> = estimates.collect();
+        let told: Vec<f64> = all.iter().map(|e| e.0).filter(|v| v.is_finite()).collect();
+        let covered = all
+            .iter()
+            .filter(|(value, std)| (value - truth).abs() <= INTERVAL * std)
+            .count();
+        let centre = mean(&told);
+        let percent = |count: usize| 100.0 * count as f64 / all.len().max(1) as f64;
+        Self {
+            mean: centre,
+            std: variance(&told).sqrt(),
+            error_percent: 100.0 * (centre / truth - 1.0),
+            coverage_percent: percent(covered),
+            told_percent: percent(told.len()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_trapezoid_meets_the_truth_and_the_rectangle_shows_the_excess_of_the_paper() {
+        let table = table_1();
+        assert!(table.period_s <= 0.5 * table.electrical_time_constant_s);
+        let truth = table.truth.inertia_kg_m2;
+        let error = |values: Values| 100.0 * (values.inertia_kg_m2 / truth - 1.0);
+        for row in &table.rows {
+            println!("{} {:.3} {:.3} {:?} {:?}", row.n, error(row.rectangle), error(row.trapezoid), row.inertia_with_noise, row.load_torque_with_noise);
+        }
+        for row in table.rows.iter().filter(|row| row.n >= 20) {
+            assert!(error(row.trapezoid).abs() < 1.0, "{row:?}");
+            assert!((4.0..15.0).contains(&error(row.rectangle)), "{row:?}");
+            let noisy = row.inertia_with_noise;
+            assert!(noisy.error_percent.abs() < 1.0, "{row:?}");
+            assert!((90.0..=98.5).contains(&noisy.coverage_percent), "{row:?}");
+        }
+    }
+}
