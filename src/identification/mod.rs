@@ -14,6 +14,7 @@ pub mod online;
 pub mod output_error;
 pub mod recursive;
 pub mod scheme;
+pub mod scheme_1;
 pub mod speed_from_angle;
 pub mod start;
 mod verdict;
