@@ -7,12 +7,15 @@
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
 //! scheme: all of these by name, as `identify --scheme` calls them
+//! repeat, added_inertia: what several runs say together
 //! ```
 
+pub mod added_inertia;
 pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+pub mod repeat;
 pub mod scheme;
 pub mod scheme_1;
 pub mod speed_from_angle;
