@@ -10,7 +10,9 @@ use serde::Serialize;
 use super::machine::{ZeroOrderHold, forward, motor, value};
 use super::signal::{SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
-use crate::identification::scheme_1::{Form, Scheme1, Scheme1Values, Series, instrumental_variables};
+use crate::identification::scheme_1::{
+    Form, Scheme1, Scheme1Values, Series, instrumental_variables,
+};
 use crate::numerics::statistics::{median, variance};
 use crate::plant::{Motor, MotorKey};
 
@@ -45,7 +47,9 @@ impl Method {
             Self::Printed => "scheme 1 printed",
             Self::Exact => "scheme 1 exact",
             Self::PrintedBatch => "scheme 1 printed, all samples since the change",
-            Self::InstrumentalVariables => "scheme 1 instrumental variables, all samples since the change",
+            Self::InstrumentalVariables => {
+                "scheme 1 instrumental variables, all samples since the change"
+            }
         }
     }
 
@@ -100,10 +104,7 @@ type Ask = (NoiseModel, SignalToNoise, Method);
 pub(super) fn figure_2() -> Figure2 {
     use Method::{Exact, InstrumentalVariables, Printed, PrintedBatch};
     use NoiseModel::{EquationError, Sensor};
-    let (power, amplitude) = (
-        SignalToNoise::power(RATIO),
-        SignalToNoise::amplitude(RATIO),
-    );
+    let (power, amplitude) = (SignalToNoise::power(RATIO), SignalToNoise::amplitude(RATIO));
     let asked: [Ask; 8] = [
         (EquationError, amplitude, Printed),
         (EquationError, power, Printed),
@@ -165,7 +166,11 @@ fn case(ask: Ask) -> Case {
         .collect();
     let spread = |motor: &Motor, from: usize, to: usize| {
         let truth = truth(motor);
-        let first = if method.is_batch() { to - 1 } else { from + FILLING };
+        let first = if method.is_batch() {
+            to - 1
+        } else {
+            from + FILLING
+        };
         by_parameter(|which| {
             let told = every.iter().flat_map(|seed| &seed[first..to]);
             Spread::of(truth[which], told.map(|five| five[which]))
@@ -234,7 +239,11 @@ fn estimates((noise, ratio, method): Ask, seed: u64, whole_trace: bool) -> Vec<F
     let resistance = value(&motors()[0], MotorKey::Resistance);
     match method {
         Method::Printed | Method::Exact | Method::PrintedBatch => {
-            let form = if method == Method::Exact { Form::Exact } else { Form::Printed };
+            let form = if method == Method::Exact {
+                Form::Exact
+            } else {
+                Form::Printed
+            };
             let forgetting = if method.is_batch() { 1.0 } else { FORGETTING };
             let fresh = || Scheme1::new(form, PERIOD_S, forgetting);
             let mut scheme = fresh();
@@ -251,6 +260,7 @@ fn estimates((noise, ratio, method): Ask, seed: u64, whole_trace: bool) -> Vec<F
         Method::InstrumentalVariables => {
             let direction = [FORWARD; SAMPLES];
             let mut out = Vec::with_capacity(SAMPLES);
+            let mut known = None;
             for k in 0..SAMPLES {
                 let begin = if k < JUMP_AT { 0 } else { JUMP_AT };
                 let at_end = k + 1 == JUMP_AT || k + 1 == SAMPLES;
@@ -262,8 +272,16 @@ fn estimates((noise, ratio, method): Ask, seed: u64, whole_trace: bool) -> Vec<F
                         voltage_v: &ending[begin..=k],
                         speed_rad_s: &speed[begin..=k],
                     };
-                    let found = instrumental_variables(&series, &direction[begin..=k], None);
-                    five(found.ok().and_then(|found| found.dynamics.values(resistance, None).ok()))
+                    let found = instrumental_variables(&series, &direction[begin..=k], known);
+                    if at_end {
+                        // After the jump the motor before it is the first guess.
+                        known = found.as_ref().ok().map(|found| found.dynamics);
+                    }
+                    five(
+                        found
+                            .ok()
+                            .and_then(|found| found.dynamics.values(resistance, None).ok()),
+                    )
                 } else if length > 1 {
                     out[k - 1]
                 } else {
@@ -303,10 +321,24 @@ mod tests {
     fn the_figure_is_met_with_equation_error_and_not_with_sensor_noise() {
         let figure = figure_2();
         for case in &figure.cases {
-            println!("{} {} {} follow {:?}", case.noise.text(), case.signal_to_noise.text(), case.method.text(), case.samples_to_follow);
+            println!(
+                "{} {} {} follow {:?}",
+                case.noise.text(),
+                case.signal_to_noise.text(),
+                case.method.text(),
+                case.samples_to_follow
+            );
             for half in [&case.before, &case.after] {
-                for s in [half.mechanical_time_constant_s, half.electrical_time_constant_s, half.back_emf_v_s_per_rad, half.load_torque_n_m] {
-                    print!("  {:.3} [{:.3} {:.3} {:.3}] {:+.1}% told {:.0}", s.set_value, s.low, s.median, s.high, s.error_percent, s.told_percent);
+                for s in [
+                    half.mechanical_time_constant_s,
+                    half.electrical_time_constant_s,
+                    half.back_emf_v_s_per_rad,
+                    half.load_torque_n_m,
+                ] {
+                    print!(
+                        "  {:.3} [{:.3} {:.3} {:.3}] {:+.1}% told {:.0}",
+                        s.set_value, s.low, s.median, s.high, s.error_percent, s.told_percent
+                    );
                 }
                 println!();
             }

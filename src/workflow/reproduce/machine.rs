@@ -26,7 +26,9 @@ pub(super) fn motor(ta_s: f64, tm_s: f64) -> Motor {
 
 /// A value of a motor from this file, which sets every one of them.
 pub(super) fn value(motor: &Motor, key: MotorKey) -> f64 {
-    motor.get(key).expect("the motors of the figures are complete")
+    motor
+        .get(key)
+        .expect("the motors of the figures are complete")
 }
 
 /// Speed, rad/s, and current, A.
@@ -164,7 +166,8 @@ mod tests {
                 assert!((now.speed_rad_s - w[k]).abs() < 1e-9, "{k}");
                 assert!((now.current_a - truth.current_a[k]).abs() < 1e-9, "{k}");
                 if k > 1 {
-                    let next = a1 * w[k - 1] + a2 * w[k - 2] + b1 * volts(k - 1) + b2 * volts(k - 2) - b3;
+                    let next =
+                        a1 * w[k - 1] + a2 * w[k - 2] + b1 * volts(k - 1) + b2 * volts(k - 2) - b3;
                     assert!((next - w[k]).abs() < 1e-9, "{k} {next} {}", w[k]);
                 }
             }

@@ -9,14 +9,19 @@
 //! Pure computation from stated seeds: the same program gives the same numbers. Where a paper does not say what it
 //! did (motor, excitation, what S/N is a ratio of), the result says what was chosen.
 
+mod figure_2;
 mod figure_3;
 mod figure_4;
 mod machine;
+mod noise;
+mod sampling;
+mod schemes;
 mod signal;
 mod table_1;
 
 use serde::{Serialize, Serializer};
 
+pub use figure_2::{ByParameter, Figure2, Method};
 pub use figure_3::Figure3;
 pub use figure_4::Figure4;
 pub use signal::{RatioOf, SignalToNoise, Spread};

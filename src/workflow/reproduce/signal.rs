@@ -84,7 +84,9 @@ pub(super) fn random_binary(
 
 /// White Gaussian noise of variance one.
 pub(super) fn white(random: &mut ChaCha8Rng, samples: usize) -> Vec<f64> {
-    (0..samples).map(|_| StandardNormal.sample(random)).collect()
+    (0..samples)
+        .map(|_| StandardNormal.sample(random))
+        .collect()
 }
 
 /// `signal + deviation * noise`.
@@ -120,7 +122,8 @@ impl Spread {
             let last = told.len().checked_sub(1)?;
             told.get(whole((share * last as f64).round())).copied()
         };
-        let [low, median, high] = [0.05, 0.5, 0.95].map(|share| quantile(share).unwrap_or(f64::NAN));
+        let [low, median, high] =
+            [0.05, 0.5, 0.95].map(|share| quantile(share).unwrap_or(f64::NAN));
         Self {
             set_value,
             low,
@@ -138,7 +141,9 @@ mod tests {
 
     #[test]
     fn noise_has_the_asked_ratio_to_the_signal() {
-        let signal: Vec<f64> = (0..4000).map(|k| 50.0 + (0.1 * f64::from(k)).sin()).collect();
+        let signal: Vec<f64> = (0..4000)
+            .map(|k| 50.0 + (0.1 * f64::from(k)).sin())
+            .collect();
         let noise = white(&mut random(1, 1), 4000);
         for (ratio, power) in [
             (SignalToNoise::power(10.0), 10.0),

@@ -81,7 +81,11 @@ pub(super) fn table_1() -> Table1 {
     };
     let silent = |integral| -> Vec<Values> {
         let found = at_each_n(&motor, &clean, integral);
-        found.iter().map(|pair| pair.map(|(value, _)| value)).map(values).collect()
+        found
+            .iter()
+            .map(|pair| pair.map(|(value, _)| value))
+            .map(values)
+            .collect()
     };
     let (rectangle, trapezoid) = (
         silent(CurrentIntegral::Rectangle),
@@ -179,7 +183,14 @@ mod tests {
         let truth = table.truth.inertia_kg_m2;
         let error = |values: Values| 100.0 * (values.inertia_kg_m2 / truth - 1.0);
         for row in &table.rows {
-            println!("{} {:.3} {:.3} {:?} {:?}", row.n, error(row.rectangle), error(row.trapezoid), row.inertia_with_noise, row.load_torque_with_noise);
+            println!(
+                "{} {:.3} {:.3} {:?} {:?}",
+                row.n,
+                error(row.rectangle),
+                error(row.trapezoid),
+                row.inertia_with_noise,
+                row.load_torque_with_noise
+            );
         }
         for row in table.rows.iter().filter(|row| row.n >= 20) {
             assert!(error(row.trapezoid).abs() < 1.0, "{row:?}");
