@@ -17,6 +17,7 @@ mod live;
 mod output;
 mod pages;
 mod plan;
+mod reproduce;
 mod run;
 mod screen;
 mod simulate;
@@ -59,6 +60,7 @@ enum Command {
     Add(add::Arguments),
     Remove(add::Arguments),
     Effects(effects::Arguments),
+    Reproduce(reproduce::Arguments),
 }
 
 /// Runs the program with the process's arguments.
@@ -93,6 +95,7 @@ pub fn main() -> ExitCode {
         Command::Add(arguments) => add::execute(&arguments, true),
         Command::Remove(arguments) => add::execute(&arguments, false),
         Command::Effects(arguments) => effects::execute(&arguments),
+        Command::Reproduce(arguments) => reproduce::execute(&arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -53,7 +53,18 @@ impl Method {
         }
     }
 
-    const fn is_batch(self) -> bool {
+    /// In file columns.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Printed => "printed",
+            Self::Exact => "exact",
+            Self::PrintedBatch => "printed_batch",
+            Self::InstrumentalVariables => "instrumental_variables",
+        }
+    }
+
+    /// Told of the jump, and without forgetting.
+    pub(super) const fn is_batch(self) -> bool {
         matches!(self, Self::PrintedBatch | Self::InstrumentalVariables)
     }
 }

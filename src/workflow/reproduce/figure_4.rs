@@ -3,10 +3,9 @@
 
 use serde::Serialize;
 
-use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
+use crate::plant::{Input, Model, Motor, Plant, Scenario, State, Trajectory};
 use crate::sample::Channel;
 
-use super::machine::value;
 use super::signal::{random, white, with_noise};
 
 /// Voltage of the start: the full 110 V would draw 75 A on a motor of 5.7 A; 25 V draws some three times rated.
@@ -101,7 +100,9 @@ pub(super) fn noisy(clean: &Trajectory, seed: u64) -> Trajectory {
 
 #[cfg(test)]
 mod tests {
+    use super::super::machine::value;
     use super::*;
+    use crate::plant::MotorKey;
 
     #[test]
     fn the_transient_starts_at_rest_peaks_and_settles() {

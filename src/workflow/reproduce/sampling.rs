@@ -17,7 +17,9 @@ const RATIOS: [f64; 11] = [0.01, 0.02, 0.03, 0.06, 0.1, 0.2, 0.3, 0.6, 1.0, 2.0,
 const WELL_DAMPED: f64 = 5.0;
 /// TM/Ta of the motor that is swept over T/TM: with the same T/Ta, so that it is its armature circuit that oscillates.
 const OSCILLATING: f64 = 1.0;
+/// Ta of the first motor is that of the ZK-22FC; the second has its TM and a choke before the armature.
 const TA_S: f64 = 0.009;
+const TA_WITH_CHOKE_S: f64 = 0.03;
 const FEWEST_SAMPLES: usize = 400;
 /// Mechanical time constants that a record lasts at least.
 const LEAST_LENGTH: f64 = 40.0;
@@ -60,21 +62,22 @@ pub struct Sampling {
 pub(super) fn sampling() -> Sampling {
     Sampling {
         sweeps: vec![
-            sweep("T/Ta", WELL_DAMPED, 1.0),
-            sweep("T/TM", OSCILLATING, OSCILLATING),
+            sweep("T/Ta", TA_S, WELL_DAMPED),
+            sweep("T/TM", TA_WITH_CHOKE_S, OSCILLATING),
         ],
         at_ta: AT_TA.map(at_ta).into(),
     }
 }
 
-/// `unit`: the time constant that the ratios are of, in Ta.
-fn sweep(against: &'static str, tm_over_ta: f64, unit: f64) -> Sweep {
-    let motor = motor(TA_S, tm_over_ta * TA_S);
+fn sweep(against: &'static str, ta_s: f64, tm_over_ta: f64) -> Sweep {
+    let tm_s = tm_over_ta * ta_s;
+    let motor = motor(ta_s, tm_s);
+    let unit_s = if against == "T/TM" { tm_s } else { ta_s };
     let records: Vec<_> = RATIOS
         .into_par_iter()
         .map(|ratio| {
-            let period_s = ratio * unit * TA_S;
-            let least = whole(LEAST_LENGTH * tm_over_ta * TA_S / period_s);
+            let period_s = ratio * unit_s;
+            let least = whole(LEAST_LENGTH * tm_s / period_s);
             record(&motor, period_s, least.max(FEWEST_SAMPLES), SEED, None)
         })
         .collect();
@@ -88,7 +91,7 @@ fn sweep(against: &'static str, tm_over_ta: f64, unit: f64) -> Sweep {
     Sweep {
         against,
         tm_over_ta,
-        electrical_time_constant_s: TA_S,
+        electrical_time_constant_s: ta_s,
         ratios: RATIOS.into(),
         curves: curves.collect(),
     }
