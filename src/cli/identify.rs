@@ -13,6 +13,7 @@ use super::output;
 use crate::identification::added_inertia::{self, Seen};
 use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Data, Identified};
+use crate::identification::voltage_departure;
 use crate::plant::{Model, MotorKey, Scenario};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate};
@@ -158,11 +159,17 @@ fn identify(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<O
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),
     };
-    let found = scheme.identify(&Data {
+    let mut found = scheme.identify(&Data {
         run: &loaded.run,
         scenario: &scenario,
         model,
     })?;
+    if scenario.input_channel == Channel::VoltageCmd
+        && let Some(departure) = voltage_departure::find(&loaded.run)
+    {
+        departure.limit(&mut found.parameters);
+        found.notes.push(departure.sentence());
+    }
     Ok(OneRun {
         loaded,
         scenario,

@@ -21,4 +21,5 @@ pub mod scheme_1;
 pub mod speed_from_angle;
 pub mod start;
 mod verdict;
+pub mod voltage_departure;
 pub mod weak_form;
