@@ -4,4 +4,5 @@ pub mod count;
 pub mod least_squares;
 pub mod levenberg_marquardt;
 pub mod recursive_least_squares;
+pub mod reference_recursive_least_squares;
 pub mod statistics;

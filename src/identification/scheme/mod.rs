@@ -10,6 +10,9 @@ mod contract_tests;
 mod error;
 mod online;
 mod output_error;
+mod scheme_1;
+mod scheme_1_tests;
+mod scheme_2_rectangle;
 mod weak_form;
 
 pub use error::IdentifyError;
@@ -88,7 +91,11 @@ pub trait Scheme: Sync {
 pub static CATALOGUE: &[&dyn Scheme] = &[
     &output_error::OutputError,
     &weak_form::WeakForm,
+    &scheme_1::Printed,
+    &scheme_1::Exact,
+    &scheme_1::WithInstruments,
     &online::Scheme2,
+    &scheme_2_rectangle::Rectangle,
     &online::Scheme3,
 ];
 

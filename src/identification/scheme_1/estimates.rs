@@ -29,9 +29,11 @@ pub struct Claim {
 pub struct Doubt {
     pub better: Dynamics,
     pub covariance: Option<[[f64; 4]; 4]>,
-    /// Why the claim is off, as the begin of the reason: "noise of the speed biases least squares".
+    /// Why the claim is off, as the begin of the reason.
     pub cause: String,
-    /// Who says so: "1-iv gives".
+    /// A known error of the method: what it makes of `better`, and the cause to name where that is most of the difference.
+    pub systematic: Option<(Dynamics, String)>,
+    /// Whose value it is.
     pub source: &'static str,
 }
 
@@ -128,26 +130,29 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
     }
     for doubt in &claim.doubts {
         let better = of(&doubt.better);
-        let error = (value - better).abs();
+        let error = value - better;
         let noise = deviation(&doubt.better, &doubt.covariance).unwrap_or(0.0);
-        let relative = error / better.abs().max(f64::MIN_POSITIVE);
-        // A difference that is not finite is none that can be trusted.
-        if relative <= VISIBLE || error <= SIGNIFICANT * noise {
+        let relative = error.abs() / better.abs().max(f64::MIN_POSITIVE);
+        // A comparison with what is not finite shows nothing.
+        let visible = relative > VISIBLE && error.abs() > SIGNIFICANT * noise;
+        if !visible || judged.verdict == Verdict::Invalid {
             continue;
         }
-        let (verdict, off) = if relative <= SPOILT {
-            (Verdict::Searching, 100.0 * (value / better - 1.0))
+        judged.verdict = if relative > SPOILT {
+            Verdict::Invalid
         } else {
-            (Verdict::Invalid, 100.0 * (value / better - 1.0))
+            Verdict::Searching
         };
-        let worse = judged.verdict == Verdict::Settled || verdict == Verdict::Invalid;
-        if worse && judged.verdict != Verdict::Invalid {
-            judged.verdict = verdict;
-            judged.reason = Some(format!(
-                "{}: {off:+.0} % against {better:.4e} {} {}",
-                doubt.cause, quantity.unit, doubt.source
-            ));
-        }
+        let cause = match &doubt.systematic {
+            Some((made_of_it, cause)) if (of(made_of_it) - better) / error > 0.5 => cause,
+            _ => &doubt.cause,
+        };
+        judged.reason = Some(format!(
+            "{cause}: {:+.0} % against {better:.4e} {} {}",
+            100.0 * error / better,
+            quantity.unit,
+            doubt.source
+        ));
     }
     judged
 }

@@ -18,13 +18,19 @@ use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
 use crate::sample::Channel;
 
 type M5 = SMatrix<f64, 5, 5>;
+type M4 = SMatrix<f64, 4, 4>;
+type V4 = SVector<f64, 4>;
 type V5 = SVector<f64, 5>;
 
-const MOST_ROUNDS: usize = 30;
-/// The rounds end when each coefficient changes by less than this share of its standard deviation, or of the largest
-/// effect that any coefficient has.
-const CONVERGED_DEVIATIONS: f64 = 0.01;
-const CONVERGED: f64 = 1e-9;
+/// Rounds without a Newton step, ended early by this relative change, and all together.
+const PLAIN_ROUNDS: usize = 6;
+const NEAR: f64 = 1e-3;
+const MOST_ROUNDS: usize = 16;
+/// The slope of a round is taken anew after so many.
+const SLOPE_ROUNDS: usize = 6;
+/// The end: a step of less than this share of the standard deviation, or of the value.
+const CONVERGED_DEVIATIONS: f64 = 0.1;
+const CONVERGED: f64 = 1e-6;
 /// Share of the auxiliary model's largest speed below which it counts as standing.
 const DEAD_ZONE: f64 = 0.02;
 /// Smallest singular value of the scaled normal matrix that counts as excited.
@@ -50,6 +56,8 @@ pub struct Instrumental {
     /// Sandwich covariance of (Ta, TM, Ke, load voltage), clustered over stretches longer than the time constants.
     pub covariance: [[f64; 4]; 4],
     pub coefficients: Coefficients,
+    /// In the order of the fields of [`Coefficients`].
+    pub coefficient_covariance: [[f64; 5]; 5],
     pub rows: usize,
     pub rounds: usize,
     pub converged: bool,
@@ -105,11 +113,7 @@ fn first_models(series: &Series<'_>, direction: &[i8]) -> Vec<Dynamics> {
         }
         models.extend(scheme.dynamics());
     }
-    let size = |values: &[f64]| {
-        let finite = values.iter().filter(|value| value.is_finite());
-        (finite.clone().map(|v| v * v).sum::<f64>() / finite.count().max(1) as f64).sqrt()
-    };
-    let ke = size(series.voltage_v) / size(series.speed_rad_s);
+    let ke = root_mean_square(series.voltage_v) / root_mean_square(series.speed_rad_s);
     if ke.is_finite() && ke > 0.0 {
         models.push(Dynamics {
             ta_s: 2.0 * series.period_s,
@@ -121,40 +125,134 @@ fn first_models(series: &Series<'_>, direction: &[i8]) -> Vec<Dynamics> {
     models
 }
 
-fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, InstrumentalError> {
-    let mut model = start;
-    let mut before: Option<V5> = None;
-    let mut rounds = 0;
-    loop {
-        rounds += 1;
-        let pairs = pairs(series, &auxiliary(series, &model), &model);
+/// One round: the estimate with the instruments, the filter and the rows of `model`.
+struct Round {
+    dynamics: Dynamics,
+    coefficients: Coefficients,
+    pairs: Vec<Pair>,
+    solution: Solution,
+}
+
+impl Round {
+    fn of(series: &Series<'_>, model: &Dynamics) -> Result<Self, InstrumentalError> {
+        let pairs = pairs(series, &auxiliary(series, model), model);
         let solution = Solution::of(&pairs)?;
         let coefficients = Coefficients::from_array(solution.theta.into());
-        model = Dynamics::from_coefficients(Form::Exact, &coefficients, series.period_s)?;
-        let spread = solution.covariance(&pairs, &model, series.period_s);
-        let converged = before.is_some_and(|before| {
-            let least = CONVERGED * solution.effect.iter().copied().fold(0.0, f64::max);
-            (0..5).all(|j| {
-                let change = (solution.theta[j] - before[j]).abs();
-                change <= CONVERGED_DEVIATIONS * spread[(j, j)].max(0.0).sqrt()
-                    || change * solution.norms[j] <= least
-            })
-        });
-        before = Some(solution.theta);
+        Ok(Self {
+            dynamics: Dynamics::from_coefficients(Form::Exact, &coefficients, series.period_s)?,
+            coefficients,
+            pairs,
+            solution,
+        })
+    }
+
+    fn covariance(&self, period_s: f64) -> [[f64; 5]; 5] {
+        let spread = self
+            .solution
+            .covariance(&self.pairs, &self.dynamics, period_s);
+        std::array::from_fn(|i| std::array::from_fn(|j| spread[(i, j)]))
+    }
+}
+
+/// Plain rounds towards the fixed point, then Newton steps on it: it is slow to approach where the auxiliary model stands
+/// in the corrections at reversals.
+fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, InstrumentalError> {
+    let sizes = |model: &Dynamics| {
+        let mut sizes = model.to_array();
+        sizes[3] = root_mean_square(series.voltage_v);
+        sizes
+    };
+    let mut model = start;
+    let mut rounds = 0;
+    let mut slope_gain = None;
+    for _ in 0..PLAIN_ROUNDS {
+        rounds += 1;
+        let found = Round::of(series, &model)?.dynamics;
+        let (before, after, sizes) = (model.to_array(), found.to_array(), sizes(&found));
+        model = found;
+        if (0..4).all(|j| (after[j] - before[j]).abs() <= NEAR * sizes[j].abs()) {
+            break;
+        }
+    }
+    loop {
+        rounds += 1;
+        let round = Round::of(series, &model)?;
+        let (at, sizes) = (model.to_array(), sizes(&model));
+        let coefficient_covariance = round.covariance(series.period_s);
+        let of_one_round = propagate(
+            Form::Exact,
+            &round.coefficients,
+            &coefficient_covariance,
+            series.period_s,
+        );
+        let gain = match slope_gain {
+            Some(gain) if rounds % SLOPE_ROUNDS != 0 => gain,
+            _ => gain(series, &at, &sizes, &of_one_round)?,
+        };
+        slope_gain = Some(gain);
+        let one = M4::from_fn(|i, j| of_one_round[i][j]);
+        let covariance = gain * one * gain.transpose();
+        let ahead = V4::from(round.dynamics.to_array()) - V4::from(at);
+        let step = gain * ahead;
+        let newton = Dynamics::from_array((V4::from(at) + step).into());
+        let sound = newton.ta_s > 0.0 && newton.tm_s > 0.0 && newton.ke > 0.0;
+        model = if sound { newton } else { round.dynamics };
+        let converged = sound
+            && (0..4).all(|j| {
+                step[j].abs()
+                    <= (CONVERGED_DEVIATIONS * covariance[(j, j)].max(0.0).sqrt())
+                        .max(CONVERGED * sizes[j].abs())
+            });
         if converged || rounds >= MOST_ROUNDS {
-            let covariance: [[f64; 5]; 5] =
-                std::array::from_fn(|i| std::array::from_fn(|j| spread[(i, j)]));
             return Ok(Instrumental {
                 dynamics: model,
-                covariance: propagate(Form::Exact, &coefficients, &covariance, series.period_s),
-                coefficients,
-                rows: pairs.len(),
+                covariance: std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)])),
+                coefficients: round.coefficients,
+                coefficient_covariance,
+                rows: round.pairs.len(),
                 rounds,
                 converged,
-                residual_rad_s: solution.residual_rad_s,
+                residual_rad_s: round.solution.residual_rad_s,
             });
         }
     }
+}
+
+fn root_mean_square(values: &[f64]) -> f64 {
+    let finite = values.iter().filter(|value| value.is_finite());
+    let count = finite.clone().count().max(1) as f64;
+    (finite.map(|value| value * value).sum::<f64>() / count).sqrt()
+}
+
+/// The rounds end where `x = F(x) + e`; an error `e` of one round then moves the end by `(I - F')^-1 e`, which is returned.
+/// `F'` by differences over one standard deviation; where a neighbour belongs to no motor it counts as zero.
+fn gain(
+    series: &Series<'_>,
+    at: &[f64; 4],
+    sizes: &[f64; 4],
+    of_one_round: &[[f64; 4]; 4],
+) -> Result<M4, InstrumentalError> {
+    let mut slope = M4::zeros();
+    for j in 0..4 {
+        let size = sizes[j].abs();
+        let step = of_one_round[j][j]
+            .max(0.0)
+            .sqrt()
+            .clamp(1e-6 * size, 0.05 * size);
+        let moved = |by: f64| {
+            let mut there = *at;
+            there[j] += by;
+            Round::of(series, &Dynamics::from_array(there)).map(|round| round.dynamics.to_array())
+        };
+        if let (Ok(up), Ok(down)) = (moved(step), moved(-step)) {
+            for i in 0..4 {
+                slope[(i, j)] = (up[i] - down[i]) / (2.0 * step);
+            }
+        }
+    }
+    (M4::identity() - slope)
+        .try_inverse()
+        .ok_or(InstrumentalError::NotExcited { least: 0.0 })
 }
 
 /// Free run of the model from the voltage: speed and direction at each sample.
@@ -206,9 +304,13 @@ struct Pair {
     value: f64,
 }
 
-/// Rows and instruments, both filtered by `1/A(z)` of the model from the begin of each chain of rows.
+/// Rows and instruments, both filtered by `1/A(z)` of the model from the begin of each chain of samples.
+///
+/// A row over a reversal or a standstill is no equation, but the filter must not start afresh behind it: such a row is
+/// corrected by what the auxiliary model lacks there, `A x - B u - b3 s`, and only passes through the filter.
 fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pair> {
-    let [a1, a2] = poles(model, series.period_s);
+    let coefficients = Coefficients::of_motor(model, series.period_s);
+    let theta = coefficients.to_array();
     let measured = |k: usize| Reading {
         speed_rad_s: series.speed_rad_s[k],
         ..auxiliary[k]
@@ -216,50 +318,48 @@ fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pa
     let mut out = Vec::with_capacity(auxiliary.len());
     let mut memory = [[0.0; 11]; 2];
     for k in 2..auxiliary.len() {
-        let instrument = rows::row(&auxiliary[k - 2], &auxiliary[k - 1], &auxiliary[k]);
-        let row = rows::row(&measured(k - 2), &measured(k - 1), &measured(k));
-        let Some((instrument, row)) = instrument.zip(row) else {
+        let last = [&auxiliary[k - 2], &auxiliary[k - 1], &auxiliary[k]];
+        let instrument = rows::whatever_direction(last[0], last[1], last[2]);
+        let row = rows::whatever_direction(&measured(k - 2), &measured(k - 1), &measured(k));
+        let Some((instrument, mut row)) = instrument.zip(row) else {
             memory = [[0.0; 11]; 2];
             continue;
         };
+        let usable = rows::row(last[0], last[1], last[2]).is_some();
+        if !usable {
+            let explained: f64 = instrument
+                .regressor
+                .iter()
+                .zip(theta)
+                .map(|(x, t)| x * t)
+                .sum();
+            row.value -= instrument.value - explained;
+        }
         let now: [f64; 11] = std::array::from_fn(|j| {
             let raw = match j {
                 0..5 => instrument.regressor[j],
                 5..10 => row.regressor[j - 5],
                 _ => row.value,
             };
-            raw + a1 * memory[0][j] + a2 * memory[1][j]
+            raw + coefficients.a1() * memory[0][j] + coefficients.a2() * memory[1][j]
         });
         memory = [now, memory[0]];
-        out.push(Pair {
-            sample: k,
-            instrument: V5::from_fn(|j, _| now[j]),
-            regressor: V5::from_fn(|j, _| now[j + 5]),
-            value: now[10],
-        });
+        if usable {
+            out.push(Pair {
+                sample: k,
+                instrument: V5::from_fn(|j, _| now[j]),
+                regressor: V5::from_fn(|j, _| now[j + 5]),
+                value: now[10],
+            });
+        }
     }
     out
-}
-
-/// `a1` and `a2` of a motor at a period.
-fn poles(model: &Dynamics, period_s: f64) -> [f64; 2] {
-    let half = -0.5 * period_s / model.ta_s;
-    let square = half * half - period_s * period_s / (model.ta_s * model.tm_s);
-    let between = if square >= 0.0 {
-        square.sqrt().cosh()
-    } else {
-        (-square).sqrt().cos()
-    };
-    [2.0 * half.exp() * between, -(2.0 * half).exp()]
 }
 
 struct Solution {
     theta: V5,
     /// Inverse of the sum of instrument times regressor.
     inverse: M5,
-    /// Length of each column of regressors, and of its product with the coefficient.
-    norms: V5,
-    effect: V5,
     residual_rad_s: f64,
 }
 
@@ -295,8 +395,6 @@ impl Solution {
         Ok(Self {
             theta,
             inverse,
-            norms,
-            effect: theta.component_mul(&norms).abs(),
             residual_rad_s: (squares / (rows - 5) as f64).sqrt(),
         })
     }

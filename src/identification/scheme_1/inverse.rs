@@ -58,6 +58,32 @@ impl Coefficients {
         ]
     }
 
+    /// Those of a motor at a period, the voltage held: what eq. (13) has for it, without any assumption on the period.
+    pub fn of_motor(motor: &Dynamics, period_s: f64) -> Self {
+        let half = -0.5 * period_s / motor.ta_s;
+        let square = half * half - period_s * period_s / (motor.ta_s * motor.tm_s);
+        let root = square.abs().sqrt();
+        // cosh and sinh(x)/x of the half distance of the poles, or cos and sin(x)/x of half their angle.
+        let (even, odd) = if root < 1e-6 {
+            (1.0, 1.0)
+        } else if square > 0.0 {
+            (root.cosh(), root.sinh() / root)
+        } else {
+            (root.cos(), root.sin() / root)
+        };
+        let decay = half.exp();
+        let p = 2.0 - 2.0 * decay * even;
+        let q = p - 1.0 + decay * decay;
+        let first_step = 1.0 - decay * (even - half * odd);
+        Self {
+            p,
+            q,
+            voltage: 0.5 * q / motor.ke,
+            load: motor.load_v * q / motor.ke,
+            voltage_step: (first_step - 0.5 * q) / motor.ke,
+        }
+    }
+
     pub(super) const fn from_array([p, q, voltage, load, voltage_step]: [f64; 5]) -> Self {
         Self {
             p,

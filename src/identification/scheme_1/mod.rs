@@ -12,13 +12,19 @@
 //! squares on a measured speed, so noise of the sensor biases them, the more the faster the sampling. The instrumental
 //! variables are free of that bias over a whole run; over a short memory (some tens of samples) they scatter too much.
 
+mod compensated;
 mod estimates;
 mod instrumental;
 mod inverse;
 mod recursive;
 mod rows;
 
+pub use compensated::{Noise, noise_free};
+pub(in crate::identification) use estimates::all_unknown;
 pub use estimates::{Claim, Doubt, estimates};
 pub use instrumental::{Instrumental, InstrumentalError, Series, instrumental_variables};
 pub use inverse::{Coefficients, Dynamics, Form, Scheme1Rejection, Scheme1Values};
 pub use recursive::Scheme1;
+
+#[cfg(test)]
+mod tests;

@@ -19,16 +19,25 @@ pub(super) struct Row {
     pub(super) value: f64,
 }
 
-/// The row that ends at `now`; `before` and `earlier` are one and two periods back.
+/// The row that ends at `now`, where the motion keeps its direction; `before` and `earlier` are one and two periods back.
 pub(super) fn row(earlier: &Reading, before: &Reading, now: &Reading) -> Option<Row> {
     let sign = now.direction;
     if sign == 0 || before.direction != sign || earlier.direction != sign {
         return None;
     }
+    whatever_direction(earlier, before, now)
+}
+
+/// The row without regard to the direction, signed by the last; `None` where a value is missing.
+pub(super) fn whatever_direction(
+    earlier: &Reading,
+    before: &Reading,
+    now: &Reading,
+) -> Option<Row> {
     let (u1, u2) = (now.voltage_v, before.voltage_v);
     let (w0, w1, w2) = (now.speed_rad_s, before.speed_rad_s, earlier.speed_rad_s);
     let built = Row {
-        regressor: [w2 - w1, -w2, u1 + u2, -f64::from(sign), u1 - u2],
+        regressor: [w2 - w1, -w2, u1 + u2, -f64::from(now.direction), u1 - u2],
         value: (w0 - w1) - (w1 - w2),
     };
     (built.value.is_finite() && built.regressor.iter().all(|x| x.is_finite())).then_some(built)
