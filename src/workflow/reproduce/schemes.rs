@@ -85,10 +85,13 @@ pub(super) fn record(
     let mut rng = random(seed, 1);
     let mut volts = vec![0.0; REST_SAMPLES];
     let mut high = true;
+    // Between the time constants, but never the same length again and again: that would excite one frequency only.
+    let shortest = whole(ta_s / period_s).max(1);
+    let longest = whole(3.0 * tm_s / period_s).max(shortest + 3);
     while volts.len() < samples {
-        let held_s = rng.random_range(ta_s.min(3.0 * tm_s)..=ta_s.max(3.0 * tm_s));
-        let length = whole((held_s / period_s).round()).max(1);
-        let length = length.min(samples - volts.len());
+        let length = rng
+            .random_range(shortest..=longest)
+            .min(samples - volts.len());
         volts.extend(std::iter::repeat_n(LEVELS_V[usize::from(high)], length));
         high = !high;
     }
@@ -193,9 +196,7 @@ fn errors_of(found: &[ParameterEstimate], known: &Motor, truth: &Motor) -> Error
             .and_then(|parameter| parameter.value)
             .or_else(|| known.get(key))
     };
-    // Only what the scheme itself found counts; the torque constant is the back-EMF constant.
-    let sought = Motor::new("found");
-    let mut all = sought;
+    let mut all = Motor::new("found");
     for key in MotorKey::ALL {
         if let Some(value) = told(key) {
             all.set(key, value);
