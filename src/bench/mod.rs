@@ -12,6 +12,7 @@ mod bench_file;
 mod check;
 mod clock;
 mod describe;
+mod difference;
 mod guard;
 mod limits;
 mod live_online;
@@ -32,9 +33,12 @@ pub use bench_file::{
 pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check};
 pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, manifest};
+pub use difference::{Difference, first_difference};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use limits::{Limits, Nameplate};
-pub use live_online::{LiveOnline, replay};
+pub use live_online::{
+    LiveOnline, OnlineResult, OnlineSettings, RowEstimator, StartSettings, replay,
+};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
 pub use runner::{Bench, LiveEstimator, RunOptions, RunSummary, run};

@@ -13,7 +13,7 @@ use super::output;
 use crate::identification::added_inertia::{self, Seen};
 use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Data, Identified};
-use crate::identification::voltage_departure;
+use crate::identification::{temperature, voltage_departure};
 use crate::plant::{Model, MotorKey, Scenario};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate};
@@ -170,6 +170,7 @@ fn identify(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<O
         departure.limit(&mut found.parameters);
         found.notes.push(departure.sentence());
     }
+    let found = temperature::complete(found, &loaded.run, &scenario);
     Ok(OneRun {
         loaded,
         scenario,

@@ -17,6 +17,7 @@ mod live;
 mod output;
 mod pages;
 mod plan;
+mod replay;
 mod reproduce;
 mod run;
 mod screen;
@@ -54,6 +55,7 @@ enum Command {
     Plan(plan::Arguments),
     Run(run::Arguments),
     Identify(identify::Arguments),
+    Replay(replay::Arguments),
     Simulate(simulate::Arguments),
     Compare(compare::Arguments),
     Diagnose(diagnose::Arguments),
@@ -89,6 +91,7 @@ pub fn main() -> ExitCode {
         Command::Plan(arguments) => plan::execute(&arguments),
         Command::Run(arguments) => run::execute(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
+        Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),

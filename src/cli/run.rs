@@ -71,8 +71,7 @@ fn write_results(recorded: &Recorded, plan: &Plan, nameplate: &Motor) -> Result<
         RunFile::Model,
         &online_model(&recorded.summary, nameplate, folder.path()).to_toml(),
     )?;
-    let result = serde_json::to_string_pretty(&result(plan, recorded)).unwrap_or_default();
-    folder.write(RunFile::Result, &result)?;
+    recorded.write_result(&result(plan, recorded))?;
     folder.write(RunFile::Report, &pages::run(recorded, plan, nameplate)?)?;
     Ok(())
 }

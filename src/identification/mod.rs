@@ -4,6 +4,8 @@
 //! samples, one by one --> online (recursive: schemes 2 and 3) ------------------+
 //! Run (angle -> speed_from_angle) -> Scenario -+-> start -> output_error -------+-> ParameterEstimate
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
+//!                                              +-> inverse_dynamics (both) -----+
+//!                                              +-> step_response (one step) ----+
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
 //! scheme: all of these by name, as `identify --scheme` calls them
@@ -11,6 +13,8 @@
 //! ```
 
 pub mod added_inertia;
+pub mod inverse_dynamics;
+pub mod missing_cells;
 pub mod noise;
 pub mod online;
 pub mod output_error;
@@ -20,6 +24,10 @@ pub mod scheme;
 pub mod scheme_1;
 pub mod speed_from_angle;
 pub mod start;
+pub mod step_response;
+pub mod temperature;
+mod torque_ratio;
 mod verdict;
 pub mod voltage_departure;
 pub mod weak_form;
+mod wrapped_angle;

@@ -8,11 +8,13 @@
 
 mod contract_tests;
 mod error;
+mod inverse_dynamics;
 mod online;
 mod output_error;
 mod scheme_1;
 mod scheme_1_tests;
 mod scheme_2_rectangle;
+mod step_response;
 mod weak_form;
 
 pub use error::IdentifyError;
@@ -94,9 +96,11 @@ pub static CATALOGUE: &[&dyn Scheme] = &[
     &scheme_1::Printed,
     &scheme_1::Exact,
     &scheme_1::WithInstruments,
+    &inverse_dynamics::InverseDynamics,
     &online::Scheme2,
     &scheme_2_rectangle::Rectangle,
     &online::Scheme3,
+    &step_response::StepResponse,
 ];
 
 /// The scheme of that name.

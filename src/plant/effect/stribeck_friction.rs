@@ -46,6 +46,11 @@ impl Effect for StribeckFriction {
 impl Terms for Hump {
     fn friction_n_m(&self, at: &Instant) -> f64 {
         let ratio = at.speed_rad_s / self.speed_rad_s;
-        self.level_n_m * (-ratio * ratio).exp()
+        let square = ratio * ratio;
+        // Beyond, what is left is below the rounding of the friction that it is added to.
+        if square > 40.0 {
+            return 0.0;
+        }
+        self.level_n_m * (-square).exp()
     }
 }
