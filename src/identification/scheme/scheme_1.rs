@@ -76,8 +76,10 @@ impl Scheme for WithInstruments {
                     for parameter in &mut parameters {
                         if parameter.verdict == Verdict::Settled {
                             parameter.verdict = Verdict::Searching;
-                            parameter.reason =
-                                Some(format!("not converged after {} rounds", found.rounds));
+                            parameter.reason = Some(format!(
+                                "not converged after {} rounds, or the model lacks an effect: its free run misses the speed by {:.3} rad/s, its equations by {:.3}",
+                                found.rounds, found.free_run_rad_s, found.residual_rad_s
+                            ));
                         }
                     }
                 }

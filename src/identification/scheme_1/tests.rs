@@ -545,17 +545,8 @@ fn claimed_deviations_of_least_squares_are_those_of_repeated_trials_with_equatio
 #[test]
 #[ignore]
 fn explore() {
-    for (snr, samples) in [
-        (10.0, 20_000),
-        (10.0, 2000),
-        (3.0, 5000),
-        (10.0, 300),
-        (10.0, 100),
-        (10.0, 40),
-        (1000.0, 40),
-        (1000.0, 300),
-    ] {
-        for period_s in [0.002, 0.005, 0.02, 0.1, 0.3] {
+    for (snr, samples) in [(10.0, 2000), (1000.0, 400)] {
+        for period_s in [0.002, 0.005, 0.02, 0.1] {
             for reversing in [false, true] {
                 let hold = (0.2_f64 / period_s).ceil() as usize;
                 let all: Vec<_> = (0..24_u64)
