@@ -84,7 +84,7 @@ impl Serialize for Trace {
     }
 }
 
-/// What the paper says of its own computer: its figures only. Ours are measured by `cargo bench`.
+/// What the paper says of its own computer: its figures only. Ours are measured by `cargo bench` (benches/).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct IterationTime {
     pub computer: &'static str,

@@ -38,7 +38,7 @@ impl PaperA {
                 Section {
                     heading: "Time per iteration".to_owned(),
                     paragraphs: vec![format!(
-                        "The paper's own figures on its {}: less than {} ms for scheme 1, less than {} ms for scheme 2. Ours are measured by the benchmarks of the repository (cargo bench), not here.",
+                        "The paper's own figures on its {}: less than {} ms for scheme 1, less than {} ms for scheme 2. Ours are measured by the benchmarks of the repository (cargo bench, in benches/), not here.",
                         self.paper_iteration_time.computer,
                         self.paper_iteration_time.scheme_1_ms,
                         self.paper_iteration_time.scheme_2_ms
