@@ -20,6 +20,7 @@ mod pages;
 mod plan;
 mod provenance;
 mod replay;
+mod reproduce;
 mod run;
 mod sanity_report;
 mod screen;
@@ -64,6 +65,7 @@ enum Command {
     Add(add::Arguments),
     Remove(add::Arguments),
     Effects(effects::Arguments),
+    Reproduce(reproduce::Arguments),
 }
 
 /// Runs the program with the process's arguments.
@@ -99,6 +101,7 @@ pub fn main() -> ExitCode {
         Command::Add(arguments) => add::execute(&arguments, true),
         Command::Remove(arguments) => add::execute(&arguments, false),
         Command::Effects(arguments) => effects::execute(&arguments),
+        Command::Reproduce(arguments) => reproduce::execute(&arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

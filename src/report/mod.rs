@@ -3,6 +3,7 @@
 //! ```text
 //! CommissionReport, RunReport --(facts, tables, figures)--> Page --> html: one file, inline CSS and SVG
 //!                                                             '----> text: Markdown that a terminal shows well
+//! Reproduction of a paper (sections of tables and pictures) -> the same page, and every figure and table as a file
 //! scenario, trajectories --> plot (ticks, decimation, gaps) --> SVG figure in the page
 //! ```
 //!
@@ -15,6 +16,7 @@ mod escape;
 pub mod number;
 pub mod page;
 pub mod plot;
+pub mod reproduce;
 pub mod run;
 mod style;
 mod tables;

@@ -32,7 +32,7 @@ for (const svg of document.querySelectorAll("svg.panels")) {
       text.setAttribute("x", right ? x - 6 : x + 6);
       text.setAttribute("y", Number(panel.dataset.y.split(" ")[3]) + 14);
       text.setAttribute("text-anchor", right ? "end" : "start");
-      text.textContent = `${(t0 + (x - x0) / (x1 - x0) * (t1 - t0)).toFixed(3)} s: ${values.join(", ")} ${panel.dataset.unit}`;
+      text.textContent = `${(t0 + (x - x0) / (x1 - x0) * (t1 - t0)).toFixed(3)} ${svg.dataset.xUnit}: ${values.join(", ")} ${panel.dataset.unit}`;
     });
   });
 }

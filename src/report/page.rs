@@ -65,6 +65,29 @@ pub struct Table {
     pub rows: Vec<Vec<Cell>>,
 }
 
+impl Table {
+    /// The cells as comma-separated values; notes are left out.
+    pub fn csv(&self) -> String {
+        let quoted = |text: &str| {
+            if text.contains([',', '"', '\n']) {
+                format!("\"{}\"", text.replace('"', "\"\""))
+            } else {
+                text.to_owned()
+            }
+        };
+        let head = self.head.iter().map(|cell| quoted(cell)).collect();
+        let rows = self.rows.iter().map(|row| {
+            let cells = padded(row, self.head.len());
+            cells.map(|cell| quoted(&cell.text)).collect::<Vec<_>>()
+        });
+        let mut out = String::new();
+        for line in std::iter::once(head).chain(rows) {
+            let _ = writeln!(out, "{}", line.join(","));
+        }
+        out
+    }
+}
+
 #[derive(Clone, Debug)]
 enum Block {
     Heading(String),

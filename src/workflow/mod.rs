@@ -10,6 +10,7 @@
 
 mod commission;
 mod progress;
+pub mod reproduce;
 mod result;
 
 pub use commission::{Commission, Role, Task};

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
+//! ratios  -> curves over a logarithmic axis (errors of many schemes), one legend
 //! rungs   -> bars with the noise floor as the goal
 //! ```
 //!
@@ -10,9 +11,28 @@
 
 pub mod axis;
 mod bars;
+mod curves;
 pub mod decimate;
 mod draw;
 mod panels;
 
 pub use bars::{Bar, BarChart};
+pub use curves::{CurveChart, CurvePanel};
 pub use panels::{Band, Panel, PanelPlot, Series, Style};
+
+/// A picture as a file of its own: with the page's style sheet, which every viewer of SVG understands.
+pub fn standalone(svg: &str) -> String {
+    let opened = svg.replacen(
+        "<svg ",
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"900\" ",
+        1,
+    );
+    let style = format!(
+        "><style>{}svg.plot{{background:var(--paper)}}</style>",
+        super::style::STYLE
+    );
+    format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
+        opened.replacen('>', &style, 1)
+    )
+}

@@ -149,6 +149,8 @@ impl Panel {
 #[derive(Clone, Debug, Default)]
 pub struct PanelPlot {
     panels: Vec<Panel>,
+    /// Name and unit of what runs along the panels, where it is not the time.
+    axis: Option<(&'static str, &'static str)>,
 }
 
 impl PanelPlot {
@@ -157,6 +159,13 @@ impl PanelPlot {
         if !panel.is_empty() {
             self.panels.push(panel);
         }
+        self
+    }
+
+    /// Something else than the time runs along the panels; the unit may be empty.
+    #[must_use]
+    pub const fn with_axis(mut self, name: &'static str, unit: &'static str) -> Self {
+        self.axis = Some((name, unit));
         self
     }
 
@@ -182,8 +191,9 @@ impl PanelPlot {
             .sum::<f64>()
             + FOOT
             - GAP;
+        let (name, unit) = self.axis.unwrap_or(("time", "s"));
         let mut out = format!(
-            "<svg class=\"plot panels\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\" data-x=\"{} {} {} {}\">",
+            "<svg class=\"plot panels\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\" data-x=\"{} {} {} {}\" data-x-unit=\"{unit}\">",
             px(WIDTH),
             px(height),
             escape(description),
@@ -207,7 +217,11 @@ impl PanelPlot {
             "unit middle",
             0.5 * (x.from_px + x.to_px),
             base + 33.0,
-            "time, s",
+            &if unit.is_empty() {
+                name.to_owned()
+            } else {
+                format!("{name}, {unit}")
+            },
         );
         out.push_str("</svg>");
         out

@@ -1,0 +1,177 @@
+//! The motors of the paper's figures, and their exact discrete form while they turn forward.
+
+use nalgebra::Matrix4;
+
+use crate::plant::{Motor, MotorKey};
+
+/// Resistance, ohm, and back-EMF constant, V.s/rad, of paper A's motor ZK-22FC; the figures' motors differ from it only
+/// in their time constants.
+const RESISTANCE_OHM: f64 = 1.1;
+const BACK_EMF: f64 = 0.3538;
+/// Torque at rated current, N.m: large enough to be told beside 60 V at the terminals.
+const LOAD_TORQUE_N_M: f64 = 2.0;
+
+/// A motor with the resistance and back-EMF constant of the ZK-22FC and these time constants, s.
+pub(super) fn motor(ta_s: f64, tm_s: f64) -> Motor {
+    Motor::new(format!("Ta {ta_s} s, TM {tm_s} s"))
+        .with(MotorKey::Resistance, RESISTANCE_OHM)
+        .with(MotorKey::Inductance, ta_s * RESISTANCE_OHM)
+        .with(MotorKey::BackEmf, BACK_EMF)
+        .with(
+            MotorKey::Inertia,
+            tm_s * BACK_EMF * BACK_EMF / RESISTANCE_OHM,
+        )
+        .with(MotorKey::LoadTorque, LOAD_TORQUE_N_M)
+}
+
+/// A value of a motor from this file, which sets every one of them.
+pub(super) fn value(motor: &Motor, key: MotorKey) -> f64 {
+    motor
+        .get(key)
+        .expect("the motors of the figures are complete")
+}
+
+/// Speed, rad/s, and current, A.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Turning {
+    pub(super) speed_rad_s: f64,
+    pub(super) current_a: f64,
+}
+
+/// Paper A, eq. (10) to (12) with the misprint of eq. (10) corrected: the state one period later, exactly, under a held
+/// voltage and a load torque against forward motion.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ZeroOrderHold {
+    /// Rows and columns: speed, current, voltage, load (`sign Mc`).
+    step: Matrix4<f64>,
+}
+
+impl ZeroOrderHold {
+    pub(super) fn new(motor: &Motor, period_s: f64) -> Self {
+        let of = |key| value(motor, key);
+        let (r, l, ke) = (
+            of(MotorKey::Resistance),
+            of(MotorKey::Inductance),
+            of(MotorKey::BackEmf),
+        );
+        let inertia = of(MotorKey::Inertia);
+        #[rustfmt::skip]
+        let rates = Matrix4::new(
+            0.0,     ke / inertia, 0.0,     of(MotorKey::LoadTorque) / inertia,
+            -ke / l, -r / l,       1.0 / l, 0.0,
+            0.0,     0.0,          0.0,     0.0,
+            0.0,     0.0,          0.0,     0.0,
+        );
+        Self {
+            step: (rates * period_s).exp(),
+        }
+    }
+
+    /// The state one period later; `sign Mc = -1` for forward motion.
+    pub(super) fn after(&self, now: Turning, voltage_v: f64) -> Turning {
+        let g = &self.step;
+        let next = |row: usize| {
+            g[(row, 0)] * now.speed_rad_s + g[(row, 1)] * now.current_a + g[(row, 2)] * voltage_v
+                - g[(row, 3)]
+        };
+        Turning {
+            speed_rad_s: next(0),
+            current_a: next(1),
+        }
+    }
+
+    /// `[a1, a2, b1, b2, b3]` of paper A, eq. (13).
+    pub(super) fn difference_equation(&self) -> [f64; 5] {
+        let g = &self.step;
+        let (g11, g12, g21, g22) = (g[(0, 0)], g[(0, 1)], g[(1, 0)], g[(1, 1)]);
+        let input = |column: usize| {
+            let (h1, h2) = (g[(0, column)], g[(1, column)]);
+            (h1, h2 * g12 - h1 * g22)
+        };
+        let ((b1, b2), (m1, m2)) = (input(2), input(3));
+        [g11 + g22, g12 * g21 - g11 * g22, b1, b2, m1 + m2]
+    }
+}
+
+/// Speed and current at each sample; each motor in turn for so many samples, from the first one's steady state under the
+/// first voltage. `voltage_v[k]` is held from sample `k` to the next; `disturbance_rad_s[k]` strikes the speed at sample
+/// `k`, as a load that nobody measures.
+pub(super) fn forward(
+    motors: &[(&Motor, usize)],
+    period_s: f64,
+    voltage_v: &[f64],
+    disturbance_rad_s: Option<&[f64]>,
+) -> Vec<Turning> {
+    let mut out = Vec::with_capacity(voltage_v.len());
+    let Some((first, _)) = motors.first() else {
+        return out;
+    };
+    let mut now = steady(first, voltage_v.first().copied().unwrap_or(0.0));
+    for (motor, samples) in motors {
+        let hold = ZeroOrderHold::new(motor, period_s);
+        for _ in 0..*samples {
+            let k = out.len();
+            if let Some(strike) = disturbance_rad_s {
+                now.speed_rad_s += strike[k];
+            }
+            out.push(now);
+            now = hold.after(now, voltage_v[k]);
+        }
+    }
+    out
+}
+
+/// Constant speed under a constant voltage.
+pub(super) fn steady(motor: &Motor, voltage_v: f64) -> Turning {
+    let of = |key| value(motor, key);
+    let current_a = of(MotorKey::LoadTorque) / of(MotorKey::BackEmf);
+    Turning {
+        speed_rad_s: (voltage_v - of(MotorKey::Resistance) * current_a) / of(MotorKey::BackEmf),
+        current_a,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::{Input, Model, Plant, Scenario, State};
+    use crate::sample::Channel;
+
+    #[test]
+    fn the_discrete_form_is_the_plant() {
+        for (ta_s, tm_s) in [(0.1, 0.2), (0.1, 0.4), (0.009, 0.045)] {
+            let motor = motor(ta_s, tm_s);
+            let times = (0..200).map(|k| 0.02 * f64::from(k)).collect::<Vec<_>>();
+            let volts = |k: usize| if k.is_multiple_of(7) { 90.0 } else { 40.0 };
+            let start = steady(&motor, 60.0);
+            let scenario = Scenario {
+                name: String::new(),
+                input: Input::Voltage,
+                input_channel: Channel::Voltage,
+                events: (0..200).map(|k| (times[k], volts(k))).collect(),
+                sample_time_s: times,
+                current_a: vec![],
+                speed_rad_s: vec![],
+                angle: vec![],
+                scored: 0..200,
+            };
+            let truth = Plant::new(&Model::baseline(motor.clone()), Input::Voltage)
+                .unwrap()
+                .simulate(&scenario, State::at(start.current_a, start.speed_rad_s));
+            let hold = ZeroOrderHold::new(&motor, 0.02);
+            let [a1, a2, b1, b2, b3] = hold.difference_equation();
+            let (mut now, w) = (start, &truth.speed_rad_s);
+            for k in 1..200 {
+                now = hold.after(now, volts(k - 1));
+                assert!((now.speed_rad_s - w[k]).abs() < 1e-9, "{k}");
+                assert!((now.current_a - truth.current_a[k]).abs() < 1e-9, "{k}");
+                if k > 1 {
+                    let next =
+                        a1 * w[k - 1] + a2 * w[k - 2] + b1 * volts(k - 1) + b2 * volts(k - 2) - b3;
+                    assert!((next - w[k]).abs() < 1e-9, "{k} {next} {}", w[k]);
+                }
+            }
+            assert!((motor.mechanical_time_constant_s().unwrap() - tm_s).abs() < 1e-12);
+        }
+    }
+}

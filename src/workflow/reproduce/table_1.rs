@@ -1,0 +1,224 @@
+//! Table 1: scheme 2 on the transient of Figure 4, after N samples.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::figure_4::{PERIOD_S, SAMPLES, SPEED_NOISE_RAD_S, noisy, stamps, start};
+use super::machine::value;
+use crate::identification::recursive::{CurrentIntegral, Scheme2};
+use crate::numerics::statistics::{mean, variance};
+use crate::plant::{Motor, MotorKey, Trajectory};
+
+/// Paper A, Table 1: N, J in 1e-6 kg.m2, Mc in N.m.
+const PRINTED: [(usize, f64, f64); 6] = [
+    (8, 3654.0, 0.4380),
+    (10, 4650.0, 0.4644),
+    (20, 4483.0, 0.4630),
+    (30, 4500.0, 0.4549),
+    (40, 4508.0, 0.4552),
+    (50, 4536.0, 0.4149),
+];
+/// The paper's catalogue value, kg.m2.
+const CATALOGUE_KG_M2: f64 = 0.004_25;
+/// The paper's for scheme 2 (Figure 3); beside Table 1 it gives none.
+const FORGETTING: f64 = 0.98;
+/// Periods beside that of the table, s; the last is half of L/R.
+const PERIODS_S: [f64; 5] = [0.001, 0.002, 0.003, 0.004, 0.004_5];
+const SEEDS: u64 = 200;
+/// Half width of a 95 % interval in standard deviations.
+const INTERVAL: f64 = 1.96;
+
+/// J and Mc.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Values {
+    pub inertia_kg_m2: f64,
+    pub load_torque_n_m: f64,
+}
+
+/// One quantity over the seeds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct OverSeeds {
+    pub mean: f64,
+    pub std: f64,
+    /// Of the mean, per cent of the truth.
+    pub error_percent: f64,
+    /// Share of all seeds whose 95 % interval holds the truth, per cent; a seed without an estimate does not.
+    pub coverage_percent: f64,
+    /// Share of the seeds that give an estimate at all, per cent.
+    pub told_percent: f64,
+}
+
+/// The same transient after N steps from sample to sample.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Row {
+    pub period_s: f64,
+    pub n: usize,
+    /// As printed, from the paper's own measured transient.
+    pub paper: Values,
+    /// Noise-free, with the printed left rectangle.
+    pub rectangle: Values,
+    /// Noise-free, with the trapezoid.
+    pub trapezoid: Values,
+    /// With the noise of the sensors, trapezoid.
+    pub inertia_with_noise: OverSeeds,
+    pub load_torque_with_noise: OverSeeds,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Table1 {
+    /// What the emulated motor really has.
+    pub truth: Values,
+    pub catalogue_inertia_kg_m2: f64,
+    pub period_s: f64,
+    pub electrical_time_constant_s: f64,
+    pub forgetting: f64,
+    pub seeds: u64,
+    pub rows: Vec<Row>,
+    /// What the period does: N = 20 and 50 of the same start.
+    pub by_period: Vec<Row>,
+}
+
+pub(super) fn table_1() -> Table1 {
+    let motor = Motor::zk_22fc();
+    let truth = truth(&motor);
+    Table1 {
+        truth,
+        catalogue_inertia_kg_m2: CATALOGUE_KG_M2,
+        period_s: PERIOD_S,
+        electrical_time_constant_s: motor.electrical_time_constant_s().unwrap_or(f64::NAN),
+        forgetting: FORGETTING,
+        seeds: SEEDS,
+        rows: rows(&motor, PERIOD_S),
+        by_period: PERIODS_S
+            .iter()
+            .flat_map(|period_s| rows(&motor, *period_s))
+            .filter(|row| row.n == 20 || row.n == 50)
+            .collect(),
+    }
+}
+
+fn truth(motor: &Motor) -> Values {
+    Values {
+        inertia_kg_m2: value(motor, MotorKey::Inertia),
+        load_torque_n_m: value(motor, MotorKey::LoadTorque),
+    }
+}
+
+fn rows(motor: &Motor, period_s: f64) -> Vec<Row> {
+    let clean = start(motor, period_s, SAMPLES);
+    let truth = truth(motor);
+    let silent = |integral| -> Vec<Values> {
+        let found = at_each_n(motor, period_s, &clean, integral);
+        found
+            .iter()
+            .map(|[inertia, load]| Values {
+                inertia_kg_m2: inertia.0,
+                load_torque_n_m: load.0,
+            })
+            .collect()
+    };
+    let (rectangle, trapezoid) = (
+        silent(CurrentIntegral::Rectangle),
+        silent(CurrentIntegral::Trapezoid),
+    );
+    let noisy: Vec<Vec<Estimates>> = (0..SEEDS)
+        .into_par_iter()
+        .map(|seed| {
+            let record = noisy(&clean, seed);
+            at_each_n(motor, period_s, &record, CurrentIntegral::Trapezoid)
+        })
+        .collect();
+    let over_seeds = |row: usize, which: usize, truth: f64| {
+        OverSeeds::of(truth, noisy.iter().map(|seed| seed[row][which]))
+    };
+    let rows = PRINTED.iter().enumerate().map(|(row, printed)| Row {
+        period_s,
+        n: printed.0,
+        paper: Values {
+            inertia_kg_m2: printed.1 * 1e-6,
+            load_torque_n_m: printed.2,
+        },
+        rectangle: rectangle[row],
+        trapezoid: trapezoid[row],
+        inertia_with_noise: over_seeds(row, 0, truth.inertia_kg_m2),
+        load_torque_with_noise: over_seeds(row, 1, truth.load_torque_n_m),
+    });
+    rows.collect()
+}
+
+/// Value and standard deviation of J and of Mc; NaN where the scheme gives none.
+type Estimates = [(f64, f64); 2];
+
+/// The estimates after each N of the table: N steps from one sample to the next, from the start of the voltage on.
+fn at_each_n(
+    motor: &Motor,
+    period_s: f64,
+    record: &Trajectory,
+    integral: CurrentIntegral,
+) -> Vec<Estimates> {
+    let mut scheme = Scheme2::new(integral, FORGETTING, 0.0);
+    scheme.set_speed_noise(SPEED_NOISE_RAD_S);
+    let torque = Some((value(motor, MotorKey::BackEmf), 0.0));
+    let mut found = Vec::new();
+    for (k, time_s) in stamps(period_s, SAMPLES).into_iter().enumerate() {
+        scheme.push(time_s, record.current_a[k], record.speed_rad_s[k]);
+        if PRINTED.iter().any(|printed| printed.0 == k) {
+            let estimates = scheme.estimates(torque);
+            found.push([0, 1].map(|which| {
+                let estimate = &estimates[which];
+                (
+                    estimate.value.unwrap_or(f64::NAN),
+                    estimate.std.unwrap_or(f64::NAN),
+                )
+            }));
+        }
+    }
+    found
+}
+
+impl OverSeeds {
+    fn of(truth: f64, estimates: impl Iterator<Item = (f64, f64)>) -> Self {
+        let all: Vec<(f64, f64)> = estimates.collect();
+        let told: Vec<f64> = all.iter().map(|e| e.0).filter(|v| v.is_finite()).collect();
+        let covered = all
+            .iter()
+            .filter(|(value, std)| (value - truth).abs() <= INTERVAL * std)
+            .count();
+        let centre = mean(&told);
+        let percent = |count: usize| 100.0 * count as f64 / all.len().max(1) as f64;
+        Self {
+            mean: centre,
+            std: variance(&told).sqrt(),
+            error_percent: 100.0 * (centre / truth - 1.0),
+            coverage_percent: percent(covered),
+            told_percent: percent(told.len()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_trapezoid_meets_the_truth_and_the_rectangle_shows_the_excess_of_the_paper() {
+        let table = table_1();
+        assert!(table.period_s <= 0.5 * table.electrical_time_constant_s);
+        let truth = table.truth.inertia_kg_m2;
+        let error = |values: Values| 100.0 * (values.inertia_kg_m2 / truth - 1.0);
+        for row in table.rows.iter().filter(|row| row.n >= 20) {
+            assert!(error(row.trapezoid).abs() < 1.0, "{row:?}");
+            let noisy = row.inertia_with_noise;
+            assert!(noisy.error_percent.abs() < 1.0, "{row:?}");
+            assert!((90.0..=98.5).contains(&noisy.coverage_percent), "{row:?}");
+        }
+        for row in &table.by_period {
+            assert!(row.period_s <= 0.5 * table.electrical_time_constant_s);
+            assert!(error(row.trapezoid).abs() < 1.0, "{row:?}");
+            // While the current still rises, the left rectangle makes J too large, as the paper's is.
+            if row.n == 20 && row.period_s < 0.0025 {
+                assert!((5.0..20.0).contains(&error(row.rectangle)), "{row:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! `reproduce` through the real binary: text, JSON, files, and what it refuses.
+
+mod program;
+
+use std::fs;
+
+use program::{drivebench, line, only_folder};
+use serde_json::Value;
+
+#[test]
+fn an_unknown_paper_is_told_what_is_allowed() {
+    let error = drivebench(line("reproduce paper-z --json", &[]))
+        .expect(2)
+        .error();
+    assert!(
+        error.contains("paper-z") && error.contains("paper-a"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_folder_with_results_is_not_overwritten() {
+    let out = tempfile::tempdir().unwrap();
+    fs::write(out.path().join("mine.txt"), "mine").unwrap();
+    let done = drivebench(line("reproduce paper-a --out {}", &[out.path()])).expect(2);
+    assert!(
+        done.error().contains("never overwritten"),
+        "{}",
+        done.stderr
+    );
+    assert!(done.stdout.is_empty());
+    assert_eq!(fs::read_dir(out.path()).unwrap().count(), 1);
+}
+
+/// One run serves the text and the files; a second one, as JSON, is the same to the bit.
+#[test]
+fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
+    let room = tempfile::tempdir().unwrap();
+    let out = room.path().join("paper-a");
+    let done = drivebench(line("reproduce paper-a --out {}", &[&out])).expect(0);
+    assert_eq!(only_folder(room.path()), out);
+    for word in [
+        "Figure 2",
+        "Figure 3",
+        "Figure 4",
+        "Table 1",
+        "TQ16",
+        "power",
+        "equation error",
+    ] {
+        assert!(done.stdout.contains(word), "{word}");
+    }
+    for word in ["NaN", "inf"] {
+        assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
+    }
+    for name in [
+        "figure-2",
+        "figure-3",
+        "figure-4",
+        "sampling-ta",
+        "sampling-tm",
+        "noise",
+    ] {
+        let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
+        assert!(
+            svg.starts_with("<?xml") && svg.trim_end().ends_with("</svg>"),
+            "{name}"
+        );
+        assert!(
+            !svg.contains("NaN") && svg.matches("class=\"series").count() > 1,
+            "{name}"
+        );
+    }
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    assert_eq!(page.matches("<svg class=\"plot").count(), 6);
+    let table = fs::read_to_string(out.join("table-1.csv")).unwrap();
+    let first: Vec<&str> = table
+        .lines()
+        .map(|row| row.split(',').next().unwrap())
+        .collect();
+    assert_eq!(first, ["N", "8", "10", "20", "30", "40", "50"]);
+    // The paper's own figures stand beside ours.
+    assert!(
+        table.contains("3654,0.4380") && table.contains("4536,0.4149"),
+        "{table}"
+    );
+
+    let json = drivebench(line("reproduce paper-a --json", &[]))
+        .expect(0)
+        .json();
+    assert_eq!(json["paper"], "paper-a");
+    let rows = json["table_1"]["rows"].as_array().unwrap();
+    let mean = |row: &Value| row["inertia_with_noise"]["mean"].as_f64().unwrap();
+    for (row, text) in rows.iter().zip(table.lines().skip(1)) {
+        let printed = format!("{:.0} ±", 1e6 * mean(row));
+        assert!(text.contains(&printed), "{printed} in {text}");
+    }
+    let cases = json["figure_2"]["cases"].as_array().unwrap();
+    let noises: Vec<&Value> = cases.iter().map(|case| &case["noise"]).collect();
+    assert!(
+        noises.iter().any(|n| **n == "sensor") && noises.iter().any(|n| **n == "equation_error")
+    );
+    for case in cases {
+        let of = &case["signal_to_noise"]["of"];
+        assert!(*of == "power" || *of == "amplitude", "{of}");
+    }
+}
