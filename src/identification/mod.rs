@@ -6,9 +6,12 @@
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
+//! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! ```
 
+pub mod escalation;
+pub mod nameplate;
 pub mod noise;
 pub mod online;
 pub mod output_error;
