@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
+
 /// Converts revolutions per minute to radians per second.
 pub fn rad_s_from_rpm(rpm: f64) -> f64 {
     rpm * TAU / 60.0
@@ -20,6 +22,21 @@ pub fn turns_from_rad(angle_rad: f64) -> f64 {
 /// Converts a back-EMF constant from V.s/rad to volts per 1000 r/min.
 pub fn v_per_krpm_from_v_s_per_rad(back_emf_v_s_per_rad: f64) -> f64 {
     back_emf_v_s_per_rad * rad_s_from_rpm(1000.0)
+}
+
+/// Converts a back-EMF constant from V.s/rad to the speed constant in r/min per volt.
+pub fn rpm_per_v_from_v_s_per_rad(back_emf_v_s_per_rad: f64) -> f64 {
+    rpm_from_rad_s(1.0 / back_emf_v_s_per_rad)
+}
+
+/// Converts an inertia from kg.m2 to kg.cm2.
+pub fn kg_cm2_from_kg_m2(inertia_kg_m2: f64) -> f64 {
+    1e4 * inertia_kg_m2
+}
+
+/// Converts an inertia from kg.m2 to the flywheel effect GD2 = 4 g J in N.m2.
+pub fn gd2_n_m2_from_kg_m2(inertia_kg_m2: f64) -> f64 {
+    4.0 * STANDARD_GRAVITY_M_S2 * inertia_kg_m2
 }
 
 #[cfg(test)]

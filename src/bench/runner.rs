@@ -53,7 +53,8 @@ pub struct RunOptions {
     pub name: String,
     pub target: Target,
     pub rate_hz: f64,
-    pub motor: Nameplate,
+    /// The motor of which the model runs beside the measurement; `None`: none is known yet.
+    pub motor: Option<Nameplate>,
     /// Starts the program as soon as the session is safe, as a headless run does; else `Intent::Start` does.
     pub auto_start: bool,
 }
@@ -104,7 +105,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         ..Snapshot::default()
     };
     let mut runner = Runner {
-        publisher: Publisher::new(bench.snapshots.clone(), first, &options.motor),
+        publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
         session,
         link: StopOnDrop(bench.link),
         recorder: bench.recorder,

@@ -1,24 +1,33 @@
-//! `identify`: parameters with confidence and verdict.
+//! `identify`: parameters with confidence and verdict, from one run or several of the same machine.
+
+mod answer;
+mod write;
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
-
-use serde_json::{Map, Value, json};
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
 
 use super::data::{MapArguments, load, model};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output;
+use crate::identification::added_inertia::{self, Seen};
+use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Data, Identified};
-use crate::plant::{FittedValue, ModelFile, MotorKey, Scenario};
+use crate::plant::{Model, MotorKey, Scenario};
 use crate::recording::LoadedRun;
-use crate::sample::Channel;
+use crate::sample::{Channel, ParameterEstimate};
+
+/// Kt over Ke of real direct-current machines: iron loss takes some of the torque (ZK-22FC: 0.85), sensor gains add some
+/// per cent either way.
+const PLAUSIBLE_RATIO: RangeInclusive<f64> = 0.7..=1.1;
 
 /// Find the motor's parameters in a recorded run, each with its uncertainty and verdict
 #[derive(clap::Args)]
 #[command(after_help = after_help())]
 pub(super) struct Arguments {
-    /// Run folder, samples.csv, or any CSV with --map
-    run: PathBuf,
+    /// Run folder, samples.csv, or any CSV with --map; several runs of one machine also give the spread between them
+    #[arg(required = true, value_name = "RUN")]
+    runs: Vec<PathBuf>,
     /// Model file: which parameters are sought, which are fixed; without it the five-parameter baseline
     #[arg(long)]
     model: Option<PathBuf>,
@@ -28,6 +37,12 @@ pub(super) struct Arguments {
     /// Exit with status 5 unless each of these keys was found
     #[arg(long, value_name = "KEY,...", value_delimiter = ',')]
     require: Vec<String>,
+    /// A run of the same machine with a known inertia added to the motor shaft: fixes Kt, J and Mc absolutely
+    #[arg(long, value_name = "RUN=KG_M2")]
+    added_inertia: Option<String>,
+    /// Motor turns per turn of the load: inertia and load torque are then also given on the load's shaft
+    #[arg(long, value_name = "N")]
+    gear_ratio: Option<f64>,
     /// Write the identified model here
     #[arg(long, value_name = "MODEL2.toml")]
     output: Option<PathBuf>,
@@ -48,166 +63,184 @@ fn after_help() -> String {
         "
 Examples:
   drivebench identify runs/a --model runs/a/model.toml --require inertia_kg_m2
+  drivebench identify runs/a runs/b runs/c
+  drivebench identify runs/bare --added-inertia runs/disc=0.002
   drivebench identify axis.csv --model axis.toml --map time_s=t,torque_n_m=force,angle_rad=position",
     );
     text
 }
 
+/// One run with what was found in it.
+struct OneRun {
+    loaded: LoadedRun,
+    scenario: Scenario,
+    found: Identified,
+}
+
+/// Everything that the command answers.
+struct Answer {
+    runs: Vec<OneRun>,
+    combined: Vec<Repeated>,
+    /// Torque constant, inertia and load torque on the absolute scale of a known inertia.
+    absolute: Option<Vec<ParameterEstimate>>,
+    gear_ratio: Option<f64>,
+    /// What the found values, each sound by itself, say together that cannot be.
+    caution: Option<String>,
+}
+
+impl Answer {
+    /// What the model file, `--require` and the exit status go by.
+    fn parameters(&self) -> Vec<ParameterEstimate> {
+        let of_runs = self.combined.iter().map(|repeated| &repeated.estimate);
+        let absolute = self.absolute.iter().flatten();
+        let replaced = |key: &str| absolute.clone().any(|p| p.key == key && p.value.is_some());
+        of_runs
+            .filter(|p| !replaced(&p.key))
+            .chain(absolute.clone().filter(|p| p.value.is_some()))
+            .cloned()
+            .collect()
+    }
+}
+
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let run = load(&arguments.run, arguments.map.of_run()?.as_ref())?;
-    let file = model(arguments.model.as_ref(), &run)?.file;
-    let scenario = Scenario::from_run(&run.run)?;
-    if scenario.input_channel == Channel::VoltageCmd {
+    if let Some(ratio) = arguments
+        .gear_ratio
+        .filter(|ratio| !(ratio.is_finite() && *ratio > 0.0))
+    {
+        return Err(Failure::with_help(
+            USAGE,
+            format!("--gear-ratio {ratio} is not allowed (expected a number above 0)"),
+            "give motor turns per turn of the load, as --gear-ratio 10",
+        ));
+    }
+    let mut file = None;
+    let mut runs = Vec::new();
+    for path in &arguments.runs {
+        let loaded = open(path, arguments)?;
+        let file = match &mut file {
+            Some(file) => file,
+            none => none.insert(model(arguments.model.as_ref(), &loaded)?.file),
+        };
+        runs.push(identify(loaded, &file.model, arguments)?);
+    }
+    let commanded = |run: &OneRun| run.scenario.input_channel == Channel::VoltageCmd;
+    if runs.iter().any(commanded) {
         output::message("voltage_cmd_v serves as the voltage");
     }
+    let file = file.ok_or_else(|| Failure::new(USAGE, "no run is given"))?;
+    let per_run: Vec<Vec<ParameterEstimate>> = runs
+        .iter()
+        .map(|run| run.found.parameters.clone())
+        .collect();
+    let absolute = absolute(arguments, &file.model, &runs)?;
+    let combined = repeat::combine(&per_run);
+    let answer = Answer {
+        caution: caution(&combined, absolute.as_deref()),
+        combined,
+        absolute,
+        gear_ratio: arguments.gear_ratio,
+        runs,
+    };
+    output::result(&answer.json(), arguments.json, |_| answer.text())?;
+    if let Some(path) = &arguments.output {
+        write::model(path, file, &answer)?;
+    }
+    verdict(&arguments.require, &answer.parameters())
+}
+
+fn open(path: &Path, arguments: &Arguments) -> Result<LoadedRun, Failure> {
+    load(path, arguments.map.of_run()?.as_ref())
+}
+
+fn identify(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<OneRun, Failure> {
+    let scenario = Scenario::from_run(&loaded.run)?;
     let scheme = match &arguments.scheme {
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),
     };
     let found = scheme.identify(&Data {
-        run: &run.run,
+        run: &loaded.run,
         scenario: &scenario,
-        model: &file.model,
+        model,
     })?;
-    print(arguments, &found, &run, &scenario)?;
-    if let Some(path) = &arguments.output {
-        write_model(path, file, &found, &run)?;
-    }
-    verdict(arguments, &found)
+    Ok(OneRun {
+        loaded,
+        scenario,
+        found,
+    })
 }
 
-fn print(
+/// The absolute scale from the run with the added inertia, where one is given.
+fn absolute(
     arguments: &Arguments,
-    found: &Identified,
-    run: &LoadedRun,
-    scenario: &Scenario,
-) -> Result<(), Failure> {
-    let parameters: Map<String, Value> = found
-        .parameters
-        .iter()
-        .map(|parameter| {
-            (
-                parameter.key.clone(),
-                serde_json::to_value(parameter).unwrap_or_default(),
-            )
-        })
-        .collect();
-    let measured = [Channel::Current, Channel::Speed]
-        .into_iter()
-        .find_map(|channel| run.run.period_s(channel));
-    let value = json!({
-        "scheme": found.scheme,
-        "parameters": parameters,
-        "rows": run.run.rows(),
-        "rows_used": scenario.samples(),
-        "rows_dropped": run.run.rows_dropped,
-        "period_s": measured,
-        "input": scenario.input_channel.key(),
-        "notes": run.run.notes.iter().chain(&found.notes).collect::<Vec<_>>(),
-    });
-    output::result(&value, arguments.json, |_| text(found))
-}
-
-fn text(found: &Identified) -> String {
-    let mut text = format!("scheme {}\n", found.scheme);
-    for parameter in &found.parameters {
-        let number = match (parameter.value, parameter.std) {
-            (Some(value), Some(std)) => format!("{value:>12.5e} +- {std:.1e} {}", parameter.unit),
-            (Some(value), None) => format!("{value:>12.5e} {}", parameter.unit),
-            (None, _) => format!("{:>12}", "-"),
-        };
-        let reason = parameter
-            .reason
-            .as_deref()
-            .map_or_else(String::new, |reason| format!(": {reason}"));
-        let _ = writeln!(
-            text,
-            "{:<44} {number:<36} {}{reason}",
-            parameter.key,
-            parameter.verdict.name()
-        );
-    }
-    if let Some(constant) = found
-        .parameters
-        .iter()
-        .find(|p| p.key == MotorKey::BackEmf.key())
-        .and_then(|p| p.value)
-    {
-        let volts = crate::units::v_per_krpm_from_v_s_per_rad(constant);
-        let _ = writeln!(
-            text,
-            "back-EMF {volts:.2} V per 1000 r/min; torque constant {constant:.4} N.m/A (equal in SI)"
-        );
-    }
-    for note in &found.notes {
-        let _ = writeln!(text, "{note}");
-    }
-    text
-}
-
-fn write_model(
-    path: &PathBuf,
-    mut file: ModelFile,
-    found: &Identified,
-    run: &LoadedRun,
-) -> Result<(), Failure> {
-    if path.exists() {
-        let headline = format!(
-            "{}: exists already, and models are never overwritten",
-            path.display()
-        );
-        return Err(Failure::with_help(
-            USAGE,
-            headline,
-            "choose another name for --output",
-        ));
-    }
-    file.model = found.model.clone();
-    file.history.fitted_on = vec![run.run.name.clone()];
-    file.history.fitted = found
-        .parameters
-        .iter()
-        .filter_map(|p| {
-            Some(FittedValue {
-                key: p.key.clone(),
-                std: p.std.filter(|std| *std > 0.0)?,
-            })
-        })
-        .collect();
-    std::fs::write(path, file.to_toml()).map_err(|error| {
+    model: &Model,
+    runs: &[OneRun],
+) -> Result<Option<Vec<ParameterEstimate>>, Failure> {
+    let (Some(text), Some(without)) = (&arguments.added_inertia, runs.first()) else {
+        return Ok(None);
+    };
+    let wrong = || {
         Failure::with_help(
             USAGE,
-            format!("{}: cannot write: {error}", path.display()),
-            "check the folder",
+            format!("--added-inertia {text:?} is not allowed (expected RUN=KG_M2, above 0)"),
+            "name the run with the disc and the disc's inertia, as --added-inertia runs/disc=0.002",
+        )
+    };
+    let (path, added) = text.rsplit_once('=').ok_or_else(wrong)?;
+    let added: f64 = added.parse().map_err(|_| wrong())?;
+    if !(added.is_finite() && added > 0.0) {
+        return Err(wrong());
+    }
+    let with = identify(open(Path::new(path), arguments)?, model, arguments)?;
+    let seen = |run: &OneRun| run.found.model.motor.torque_constant();
+    let (Some(kt_without), Some(kt_with)) = (seen(without), seen(&with)) else {
+        return Err(Failure::with_help(
+            NOT_IDENTIFIABLE,
+            "neither run carries a torque constant to start from",
+            "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
+        ));
+    };
+    let without = Seen {
+        parameters: &without.found.parameters,
+        torque_n_m_per_a: kt_without,
+    };
+    let with = Seen {
+        parameters: &with.found.parameters,
+        torque_n_m_per_a: kt_with,
+    };
+    Ok(Some(added_inertia::absolute(&without, &with, added)))
+}
+
+/// Kt above Ke would be a machine that gives more power than it takes; far below, most of it would be lost in the iron.
+fn caution(combined: &[Repeated], absolute: Option<&[ParameterEstimate]>) -> Option<String> {
+    let of = |key: MotorKey| move |p: &&ParameterEstimate| p.key == key.key();
+    let kt = absolute?.iter().find(of(MotorKey::TorqueConstant))?.value?;
+    let mut found = combined.iter().map(|repeated| &repeated.estimate);
+    let ke = found.find(of(MotorKey::BackEmf))?.value?;
+    let ratio = kt / ke;
+    (!PLAUSIBLE_RATIO.contains(&ratio)).then(|| {
+        format!(
+            "Kt is {ratio:.2} times Ke, {:.2} to {:.2} is plausible: check the added inertia, the shaft it is given on, \
+             and that both runs are of the same machine",
+            PLAUSIBLE_RATIO.start(),
+            PLAUSIBLE_RATIO.end()
         )
     })
 }
 
 /// Status 5 when nothing, or not everything that was required, could be found.
-fn verdict(arguments: &Arguments, found: &Identified) -> Result<(), Failure> {
-    let missing = |key: &String| {
-        !found
-            .parameters
-            .iter()
-            .any(|parameter| parameter.key == *key && parameter.value.is_some())
-    };
-    if let Some(key) = arguments.require.iter().find(|key| missing(key)) {
-        let known = found
-            .parameters
-            .iter()
-            .find(|parameter| parameter.key == *key);
-        let reason = known.and_then(|parameter| parameter.reason.clone());
+fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), Failure> {
+    let find = |key: &String| parameters.iter().find(|parameter| parameter.key == *key);
+    let missing = |key: &&String| find(key).is_none_or(|parameter| parameter.value.is_none());
+    if let Some(key) = require.iter().find(missing) {
+        let reason = find(key).and_then(|parameter| parameter.reason.clone());
         let reason = reason.unwrap_or_else(|| "it is not a parameter of this model".to_owned());
         return Err(Failure::new(
             NOT_IDENTIFIABLE,
             format!("{key} could not be identified: {reason}"),
         ));
     }
-    if found
-        .parameters
-        .iter()
-        .all(|parameter| parameter.value.is_none())
-    {
+    if parameters.iter().all(|parameter| parameter.value.is_none()) {
         return Err(Failure::with_help(
             NOT_IDENTIFIABLE,
             "no parameter can be identified from these data",

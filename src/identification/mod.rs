@@ -8,14 +8,17 @@
 //!
 //! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! scheme: all of these by name, as `identify --scheme` calls them
+//! repeat, added_inertia: what several runs say together
 //! ```
 
+pub mod added_inertia;
 pub mod escalation;
 pub mod nameplate;
 pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+pub mod repeat;
 pub mod scheme;
 pub mod speed_from_angle;
 pub mod start;

@@ -10,7 +10,7 @@ const SETTLED_EFFECT: f64 = 0.1;
 /// Relative standard deviation above which a coefficient may as well be zero (1 % in two directions).
 const TOLD_FROM_ZERO: f64 = 1.0 / 2.58;
 /// Relative standard deviation below which it is settled.
-const SETTLED: f64 = 0.02;
+pub(super) const SETTLED: f64 = 0.02;
 
 /// Standard deviations that hold 95 % of the values.
 const TWO_SIDED_95: f64 = 1.96;

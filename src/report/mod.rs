@@ -10,6 +10,7 @@
 //! standard deviation and verdict ([`number`]); a value that is missing is a gap or a word, never a zero and never NaN.
 
 pub mod commission;
+pub mod conventions;
 mod escape;
 pub mod number;
 pub mod page;

@@ -40,7 +40,11 @@ pub(in crate::bench) struct Publisher {
 }
 
 impl Publisher {
-    pub(in crate::bench) fn new(cell: SnapshotCell, first: Snapshot, motor: &Nameplate) -> Self {
+    pub(in crate::bench) fn new(
+        cell: SnapshotCell,
+        first: Snapshot,
+        motor: Option<&Nameplate>,
+    ) -> Self {
         Self {
             cell,
             snapshot: first,

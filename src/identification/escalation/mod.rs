@@ -89,6 +89,19 @@ pub struct StageResult {
     pub line: String,
 }
 
+impl StageResult {
+    /// Before any stage was run.
+    pub fn nothing() -> Self {
+        Self {
+            kind: StageKind::Feel,
+            peak_v: 0.0,
+            peak_current_a: 0.0,
+            peak_speed_rad_s: 0.0,
+            line: String::new(),
+        }
+    }
+}
+
 /// The state of an escalation: a stage to run, or how it ended.
 #[derive(Clone, Debug)]
 pub struct Escalation {

@@ -14,7 +14,7 @@ mod weak_form;
 
 pub use error::IdentifyError;
 
-use crate::plant::{Input, Model, Scenario};
+use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Run};
 
 /// What a scheme works on.
@@ -50,6 +50,15 @@ impl Identified {
             if let Some(value) = found.and_then(|parameter| parameter.value) {
                 model.set(&slot, value);
             }
+        }
+        // A torque constant that was found on its own ends the rule that it equals the back-EMF constant.
+        let torque = MotorKey::TorqueConstant;
+        if let Some(value) = parameters
+            .iter()
+            .find(|parameter| parameter.key == torque.key())
+            .and_then(|parameter| parameter.value)
+        {
+            model.motor.set(torque, value);
         }
         Self {
             scheme,

@@ -1,0 +1,169 @@
+//! Several runs of one machine: what each parameter is, and how far it differs from run to run.
+//!
+//! The deviation of one fit knows only the noise of its own run. What changes between runs (temperature, load, the
+//! position of a belt) shows in the spread alone, which is therefore what counts as soon as it is larger
+//! (DISCOVERY.md 2.12).
+
+use serde::Serialize;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use super::verdict::SETTLED;
+use crate::numerics::statistics::{mean, variance};
+use crate::sample::{ParameterEstimate, Verdict};
+
+/// Probability below which a spread is no longer put down to the noise within the runs.
+const BY_CHANCE: f64 = 0.01;
+
+/// One parameter over several runs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Repeated {
+    /// Mean over the runs that carry it, with the standard deviation of that mean.
+    #[serde(flatten)]
+    pub estimate: ParameterEstimate,
+    /// Runs that carry it.
+    pub runs: usize,
+    /// Standard deviation of one run's value about the mean; from two runs on.
+    pub run_to_run_std: Option<f64>,
+}
+
+/// Combines the estimates of several runs, key by key in the order of the first run that names it.
+pub fn combine(per_run: &[Vec<ParameterEstimate>]) -> Vec<Repeated> {
+    let mut keys: Vec<&str> = Vec::new();
+    for parameter in per_run.iter().flatten() {
+        if !keys.contains(&parameter.key.as_str()) {
+            keys.push(&parameter.key);
+        }
+    }
+    keys.into_iter()
+        .filter_map(|key| {
+            let all: Vec<&ParameterEstimate> = per_run
+                .iter()
+                .filter_map(|run| run.iter().find(|parameter| parameter.key == key))
+                .collect();
+            one(&all)
+        })
+        .collect()
+}
+
+fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
+    let first = *all.first()?;
+    let carried: Vec<(f64, f64)> = all
+        .iter()
+        .filter(|p| matches!(p.verdict, Verdict::Settled | Verdict::Searching))
+        .filter_map(|p| Some((p.value?, p.std?)))
+        .collect();
+    if carried.len() < 2 {
+        // Nothing to compare: the one run that says something, else the first one's reason.
+        let told = all.iter().find(|p| p.value.is_some()).unwrap_or(&first);
+        return Some(Repeated {
+            estimate: (*told).clone(),
+            runs: carried.len(),
+            run_to_run_std: None,
+        });
+    }
+    let values: Vec<f64> = carried.iter().map(|(value, _)| *value).collect();
+    let count = values.len() as f64;
+    let value = mean(&values);
+    let spread = variance(&values);
+    let within = carried.iter().map(|(_, std)| std * std).sum::<f64>() / count;
+    let std = (spread.max(within) / count).sqrt();
+    let differs = !by_chance(spread, within, values.len());
+    // Where the runs differ, a further run may come out anywhere within the spread: the mean alone settles nothing.
+    let doubt = if differs { spread.sqrt() } else { std };
+    let relative = |deviation: f64| 100.0 * deviation / value.abs().max(f64::MIN_POSITIVE);
+    let mut reasons = Vec::new();
+    if differs {
+        reasons.push(format!(
+            "differs from run to run by {:.2} % where the noise within a run allows {:.2} %: \
+             something changes between the runs (temperature, load) that the model does not hold",
+            relative(spread.sqrt()),
+            relative(within.sqrt())
+        ));
+    }
+    if values.len() < all.len() {
+        reasons.push(format!("{} of {} runs carry it", values.len(), all.len()));
+    }
+    let settled = relative(doubt) <= 100.0 * SETTLED;
+    if !settled && reasons.is_empty() {
+        reasons.push(format!("relative uncertainty {:.1} %", relative(doubt)));
+    }
+    Some(Repeated {
+        estimate: ParameterEstimate {
+            key: first.key.clone(),
+            value: Some(value),
+            std: Some(std),
+            unit: first.unit,
+            verdict: if settled {
+                Verdict::Settled
+            } else {
+                Verdict::Searching
+            },
+            reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
+        },
+        runs: values.len(),
+        run_to_run_std: Some(spread.sqrt()),
+    })
+}
+
+/// Whether values that scatter with variance `spread` may be one value seen with variance `within` (chi-square test of
+/// homogeneity).
+fn by_chance(spread: f64, within: f64, runs: usize) -> bool {
+    let freedom = runs as f64 - 1.0;
+    let statistic = freedom * spread / within;
+    match ChiSquared::new(freedom) {
+        Ok(chi) if statistic.is_finite() => 1.0 - chi.cdf(statistic) >= BY_CHANCE,
+        _ => spread <= within,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(value: f64, std: f64) -> Vec<ParameterEstimate> {
+        vec![ParameterEstimate {
+            key: "resistance_ohm".to_owned(),
+            value: Some(value),
+            std: Some(std),
+            unit: "ohm",
+            verdict: Verdict::Settled,
+            reason: None,
+        }]
+    }
+
+    #[test]
+    fn agreeing_runs_share_their_noise() {
+        let combined = combine(&[run(1.100, 0.002), run(1.102, 0.002), run(1.099, 0.002)]);
+        let estimate = &combined[0].estimate;
+        assert!((estimate.value.unwrap() - 1.100_333).abs() < 1e-6);
+        assert!((estimate.std.unwrap() - 0.002 / 3f64.sqrt()).abs() < 1e-12);
+        assert_eq!(estimate.verdict, Verdict::Settled);
+        assert_eq!(estimate.reason, None);
+        assert!((combined[0].run_to_run_std.unwrap() - 0.001_527_5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn runs_that_differ_beyond_their_noise_are_not_settled_by_their_mean() {
+        let combined = combine(&[run(1.0, 0.001), run(1.1, 0.001), run(1.2, 0.001)]);
+        let estimate = &combined[0].estimate;
+        assert_eq!(estimate.verdict, Verdict::Searching);
+        assert!(estimate.reason.as_ref().unwrap().contains("run to run"));
+        assert!((estimate.std.unwrap() - 0.1 / 3f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_run_that_carries_nothing_is_counted_out_loud() {
+        let dumb = vec![ParameterEstimate::not_observable(
+            "resistance_ohm",
+            "ohm",
+            "at rest",
+        )];
+        let combined = combine(&[run(1.1, 0.001), dumb.clone(), run(1.1, 0.001)]);
+        assert_eq!(combined[0].runs, 2);
+        let reason = combined[0].estimate.reason.as_deref();
+        assert_eq!(reason, Some("2 of 3 runs carry it"));
+        let none = combine(&[dumb.clone(), dumb]);
+        assert_eq!(none[0].estimate.verdict, Verdict::NotObservable);
+        assert_eq!(none[0].runs, 0);
+    }
+}

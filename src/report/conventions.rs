@@ -1,0 +1,145 @@
+//! The same values in the units that data sheets and drives use.
+
+use serde::Serialize;
+
+use crate::plant::MotorKey;
+use crate::sample::ParameterEstimate;
+use crate::units;
+
+/// How the constants of a direct-current machine belong together.
+pub const RELATION: &str = "in SI Ke (V.s/rad) and Kt (N.m/A) are the same number for a DC machine; Kv = 60/(2 pi Ke). \
+     All values are those of the equivalent DC machine, line to line for a brushless motor";
+
+/// A value in another unit, with its standard deviation.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Converted {
+    #[serde(skip)]
+    pub key: &'static str,
+    pub value: f64,
+    pub std: Option<f64>,
+    pub unit: &'static str,
+}
+
+/// Every motor value that has a second convention; only values that were found.
+pub fn of(parameters: &[ParameterEstimate]) -> Vec<Converted> {
+    let mut out = Vec::new();
+    let mut add = |of: MotorKey, key, unit, convert: fn(f64) -> f64| {
+        let Some(found) = parameters.iter().find(|p| p.key == of.key()) else {
+            return;
+        };
+        let Some(value) = found.value.filter(|value| *value > 0.0) else {
+            return;
+        };
+        // Each of them is a power law: the relative deviation stays.
+        let converted = convert(value);
+        out.push(Converted {
+            key,
+            value: converted,
+            std: found.std.map(|std| std / value * converted),
+            unit,
+        });
+    };
+    add(
+        MotorKey::BackEmf,
+        "back_emf_v_per_krpm",
+        "V/krpm",
+        units::v_per_krpm_from_v_s_per_rad,
+    );
+    add(
+        MotorKey::BackEmf,
+        "speed_constant_rpm_per_v",
+        "r/min/V",
+        units::rpm_per_v_from_v_s_per_rad,
+    );
+    let torque_is_given = parameters
+        .iter()
+        .any(|p| p.key == MotorKey::TorqueConstant.key() && p.value.is_some());
+    let torque = if torque_is_given {
+        MotorKey::TorqueConstant
+    } else {
+        MotorKey::BackEmf
+    };
+    add(torque, "torque_constant_n_m_per_a", "N.m/A", |value| value);
+    add(
+        MotorKey::Inertia,
+        "inertia_kg_cm2",
+        "kg.cm2",
+        units::kg_cm2_from_kg_m2,
+    );
+    add(
+        MotorKey::Inertia,
+        "gd2_n_m2",
+        "N.m2",
+        units::gd2_n_m2_from_kg_m2,
+    );
+    out
+}
+
+/// Inertia and load torque seen from the load side of a gearbox that turns the motor `ratio` times per turn of the load.
+pub fn on_load_shaft(parameters: &[ParameterEstimate], ratio: f64) -> Vec<ParameterEstimate> {
+    let factor = |key: &str| match MotorKey::from_key(key) {
+        Some(MotorKey::Inertia) => Some(ratio * ratio),
+        Some(MotorKey::LoadTorque) => Some(ratio),
+        _ => None,
+    };
+    parameters
+        .iter()
+        .filter_map(|parameter| {
+            let factor = factor(&parameter.key)?;
+            Some(ParameterEstimate {
+                value: parameter.value.map(|value| factor * value),
+                std: parameter.std.map(|std| factor * std),
+                ..parameter.clone()
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::Verdict;
+
+    fn parameter(key: MotorKey, value: f64) -> ParameterEstimate {
+        ParameterEstimate {
+            key: key.key().to_owned(),
+            value: Some(value),
+            std: Some(0.01 * value),
+            unit: key.unit(),
+            verdict: Verdict::Settled,
+            reason: None,
+        }
+    }
+
+    #[test]
+    fn the_constants_keep_their_relative_deviation() {
+        let found = of(&[parameter(MotorKey::BackEmf, 0.3538)]);
+        let of_key = |key| found.iter().find(|c| c.key == key).unwrap();
+        assert!((of_key("back_emf_v_per_krpm").value - 37.05).abs() < 0.01);
+        assert!((of_key("speed_constant_rpm_per_v").value - 26.99).abs() < 0.01);
+        assert!((of_key("torque_constant_n_m_per_a").value - 0.3538).abs() < 1e-12);
+        for converted in &found {
+            assert!((converted.std.unwrap() / converted.value - 0.01).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn inertia_crosses_a_gearbox_with_the_square_of_its_ratio() {
+        let motor = [
+            parameter(MotorKey::Resistance, 1.1),
+            parameter(MotorKey::Inertia, 0.004),
+            parameter(MotorKey::LoadTorque, 0.4),
+        ];
+        let load = on_load_shaft(&motor, 10.0);
+        assert_eq!(load.len(), 2);
+        assert!((load[0].value.unwrap() - 0.4).abs() < 1e-12);
+        assert!((load[1].value.unwrap() - 4.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn gd2_is_four_g_j() {
+        let found = of(&[parameter(MotorKey::Inertia, 0.0045)]);
+        let gd2 = found.iter().find(|c| c.key == "gd2_n_m2").unwrap();
+        assert!((gd2.value - 0.17652).abs() < 1e-5, "{gd2:?}");
+    }
+}
