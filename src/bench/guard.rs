@@ -95,10 +95,15 @@ impl Guard {
         Self::with_shaper(limits, shaper)
     }
 
-    /// A guard for a motor that is not known: `winding_v` bounds the voltage from standstill, as far as the resistance
-    /// is known at all; without it the program itself has to feel its way.
-    pub fn for_unknown_motor(limits: Limits, winding_v: Option<f64>) -> Self {
-        let shaper = shape::Shaper::new(&limits, 0.0, winding_v);
+    /// A guard for a motor that is not known: `winding_v` bounds the voltage across the winding, as far as the resistance
+    /// is known at all, around a back-EMF of which the constant may be 0; without it the program itself has to feel its
+    /// way.
+    pub fn for_unknown_motor(
+        limits: Limits,
+        winding_v: Option<f64>,
+        back_emf_v_s_per_rad: f64,
+    ) -> Self {
+        let shaper = shape::Shaper::new(&limits, back_emf_v_s_per_rad, winding_v);
         Self::with_shaper(limits, shaper)
     }
 

@@ -15,6 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::clock::Clock;
+use super::guard::RearmError;
 use super::limits::Nameplate;
 use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
@@ -218,6 +219,9 @@ impl Runner<'_> {
     /// nobody is there to try again. Returns whether the matter is settled.
     fn try_start(&mut self, clock: &dyn Clock, waited_s: f64) -> bool {
         if self.session.phase() == Phase::Safe {
+            if waited_s <= CONNECT_TIME_S && self.still_moves() {
+                return false;
+            }
             self.feed(clock, Input::Intent(Intent::Start));
             if self.session.phase() != Phase::Safe {
                 return true;
@@ -234,6 +238,16 @@ impl Runner<'_> {
         }
         self.feed(clock, Input::Intent(Intent::Stop));
         true
+    }
+
+    /// Whether the shaft, or the current that brakes it, has not come to rest after what was before this run.
+    fn still_moves(&self) -> bool {
+        self.session.last_sample().is_some_and(|sample| {
+            matches!(
+                self.session.guard().check_rest(sample),
+                Err(RearmError::Moving { .. })
+            )
+        })
     }
 
     /// One input and everything that follows from it.

@@ -110,6 +110,16 @@ pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
     }
 }
 
+/// Four significant digits, plain as long as that can be read.
+pub(super) fn significant(value: f64) -> String {
+    let size = value.abs();
+    if size > 0.0 && !(1e-3..1e5).contains(&size) {
+        return format!("{value:.3e}");
+    }
+    let decimals = (3.0 - size.max(1e-3).log10().floor()).clamp(0.0, 6.0) as usize;
+    format!("{value:.decimals$}")
+}
+
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
     let estimate = found.iter().find(|estimate| estimate.key == key.key());
     let value = estimate
@@ -139,14 +149,12 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
         }
         _ => Fits::NotTold,
     };
-    let shown = |value: f64| {
-        let decimals = (3.0 - value.abs().max(1e-12).log10().floor()).clamp(0.0, 9.0) as usize;
-        format!("{value:.decimals$}")
-    };
     let name = key.key();
     let sentence = match (nameplate, value) {
         (Some(plate), Some(value)) => {
-            let spread = std.map_or_else(String::new, |std| format!(" +- {}", shown(std)));
+            let spread = std.map_or_else(String::new, |std| {
+                format!(" +- {:.1} %", 100.0 * std / value.abs().max(f64::MIN_POSITIVE))
+            });
             let times = ratio.map_or_else(String::new, |ratio| match ratio {
                 ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),
                 ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
@@ -154,8 +162,8 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
             });
             format!(
                 "{name}: found {}{spread} {unit}, nameplate {} {unit}{times}{}",
-                shown(value),
-                shown(plate),
+                significant(value),
+                significant(plate),
                 if fits == Fits::No { ", does not fit" } else { "" }
             )
         }
@@ -163,13 +171,13 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
             let reason = estimate.and_then(|estimate| estimate.reason.as_deref());
             format!(
                 "{name}: nameplate {} {unit}, not told from the data ({})",
-                shown(plate),
+                significant(plate),
                 reason.unwrap_or("not estimated")
             )
         }
         (None, value) => format!(
             "{name}: found {} {unit}, not on the nameplate",
-            shown(value.unwrap_or(f64::NAN))
+            significant(value.unwrap_or(f64::NAN))
         ),
     };
     Some(Row {

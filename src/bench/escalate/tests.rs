@@ -197,7 +197,6 @@ fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
         }
         // The limits of the bench: 13 A and 340 rad/s.
         assert!(done.peak_a < 13.0 && done.peak_rad_s < 340.0, "{}", report(&done));
-        println!("{name}\n{}", report(&done));
     }
 }
 
@@ -293,8 +292,10 @@ fn fault_of(seed: u64) -> Option<String> {
 
 #[test]
 fn random_motors_are_found_without_a_trip_and_below_every_limit() {
-    for seed in [1, 2, 3, 4] {
-        assert_eq!(fault_of(seed), None);
+    for seed in 0..16 {
+        if let Some(fault) = fault_of(seed) {
+            panic!("{fault}");
+        }
     }
 }
 
@@ -303,7 +304,7 @@ fn random_motors_are_found_without_a_trip_and_below_every_limit() {
 #[ignore = "minutes; cargo test --release -- --ignored random_motors_by"]
 fn random_motors_by_the_hundred() {
     use rayon::prelude::*;
-    let count = 300;
+    let count: u64 = std::env::var("COUNT").ok().and_then(|n| n.parse().ok()).unwrap_or(300);
     let faults: Vec<String> = (100..100 + count).into_par_iter().filter_map(fault_of).collect();
     for fault in &faults {
         println!("{fault}");

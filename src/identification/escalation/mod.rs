@@ -7,7 +7,10 @@
 //!            BreakAway: 50 %, 100 % rated     \           --- current, no motion -> locked rotor
 //!            | it turns                        v
 //!            +---------------------------> Turn: steps both ways, from R (lower bound) and what was seen before
-//!                                            | R, Ke, J known well enough           --- rounds used up -> not identified
+//!                                            | R, Ke, J known roughly              --- rounds used up -> not identified
+//!                                            v
+//!                                          Sweep: to a share of the speed limit, slow enough for the current
+//!                                            | R, Ke, J known well
 //!                                            v
 //!                                          Found: the motor; nameplate::compare says whether the plate fits
 //! ```
@@ -52,6 +55,11 @@ const MOVES: f64 = 0.03;
 /// Share of the current limit that no step is meant to exceed, and the share of the speed limit.
 const CURRENT_SHARE: f64 = 0.8;
 const SPEED_SHARE: f64 = 0.5;
+/// A sweep goes to this share of the speed limit, to no more than so many times the voltage of before, and takes no
+/// longer than this for one slope, s.
+const SWEEP_SHARE: f64 = 0.35;
+const SWEEP_GROWTH: f64 = 10.0;
+const SLOPE_S: f64 = 1.5;
 /// Current at which break-away is given up, in rated currents, and the least of it that counts as having been reached.
 const BREAK_AWAY: f64 = 1.1;
 const REACHED: f64 = 0.85;
@@ -199,7 +207,7 @@ impl Escalation {
         match stage.kind {
             StageKind::Feel => self.felt(scenario, seen),
             StageKind::BreakAway => self.broke_away(scenario, seen),
-            StageKind::Turn => self.turned(scenario, seen),
+            StageKind::Turn | StageKind::Sweep => self.turned(stage.kind, scenario, seen),
         }
     }
 
@@ -255,7 +263,7 @@ impl Escalation {
         (self.over(ending.clone()), ending.sentence())
     }
 
-    fn turned(&mut self, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+    fn turned(&mut self, kind: StageKind, scenario: &Scenario, seen: &Seen) -> (Next, String) {
         self.rounds += 1;
         let found = fit::turned(scenario, self.rest);
         let line = match &found {
@@ -266,10 +274,9 @@ impl Escalation {
         if let Ok(found) = found {
             self.turned = Some(found);
         }
-        let good = self.turned.as_ref().is_some_and(|turned| turned.is_within(GOOD));
-        let usable = self.turned.as_ref().is_some_and(|turned| turned.is_within(USABLE));
-        // The second round is larger: what the first one found has been tried before it is believed.
-        if (good && self.rounds >= 2) || (usable && self.rounds >= ROUNDS) {
+        let within = |most| self.turned.as_ref().is_some_and(|turned| turned.is_within(most));
+        // Only a sweep has shown more than a corner of what the motor will be used for.
+        if (within(GOOD) && kind == StageKind::Sweep) || (within(USABLE) && self.rounds >= ROUNDS) {
             return (self.found(), line);
         }
         if self.rounds >= ROUNDS {
@@ -282,7 +289,12 @@ impl Escalation {
             let ending = Ending::NotIdentified { reason };
             return (self.over(ending), line);
         }
-        (self.turn(), line)
+        let next = if within(USABLE) {
+            self.sweep().unwrap_or_else(|| self.turn())
+        } else {
+            self.turn()
+        };
+        (next, line)
     }
 
     fn learn_rest(&mut self, scenario: &Scenario, seen: &Seen) {
@@ -360,6 +372,41 @@ impl Escalation {
             constant_s,
             reason,
         ))
+    }
+
+    /// Farther up, once the motor is known roughly: the slew is the one of which the lag of the back-EMF draws the wanted
+    /// current, `s TM / R`.
+    fn sweep(&self) -> Option<Next> {
+        let bounds = &self.bounds;
+        let turned = self.turned.as_ref()?;
+        let lowest_ohm = self.lowest_resistance_ohm();
+        let friction_a = turned.friction_a().unwrap_or(0.0);
+        let rated_a = bounds.rated_current_a;
+        let most_a = CURRENT_SHARE * bounds.current_limit_a;
+        let accelerating_a = rated_a.min(most_a - friction_a).max(0.2 * rated_a);
+        // Half as slow again as what was found: an inertia that was hardly seen may be larger.
+        let mechanical_s = 1.5 * turned.mechanical_s()?.max(bounds.period_s);
+        let slew_v_per_s = accelerating_a * lowest_ohm / mechanical_s;
+        let speed_rad_s = SWEEP_SHARE * bounds.speed_limit_rad_s;
+        let peak_v = turned
+            .voltage_at(speed_rad_s)?
+            .min(bounds.voltage_limit_v)
+            .min(SWEEP_GROWTH * self.last_v)
+            .min(SLOPE_S * slew_v_per_s)
+            .max(1.5 * friction_a * lowest_ohm);
+        let sweep = stage::Sweep {
+            peak_v,
+            slew_v_per_s,
+            winding_v: bounds.current_limit_a * lowest_ohm,
+            back_emf_v_s_per_rad: turned.motor().get(MotorKey::BackEmf)?,
+            mechanical_s,
+            stop_current_a: (1.5 * (accelerating_a + friction_a)).min(0.9 * bounds.current_limit_a),
+        };
+        let reason = format!(
+            "{:.2} A of acceleration at {slew_v_per_s:.1} V/s",
+            accelerating_a
+        );
+        Some(Next::Run(stage::sweep(bounds, &sweep, reason)))
     }
 
     /// What the data still allow the resistance to be, ohm.

@@ -21,6 +21,8 @@ pub enum StageKind {
     BreakAway,
     /// Steps in both directions.
     Turn,
+    /// Farther up in speed, as fast as the current allows.
+    Sweep,
 }
 
 impl StageKind {
@@ -29,6 +31,7 @@ impl StageKind {
             Self::Feel => "feel",
             Self::BreakAway => "break away",
             Self::Turn => "turn",
+            Self::Sweep => "sweep",
         }
     }
 }
@@ -46,6 +49,8 @@ pub struct Stage {
     pub stop_speed_rad_s: f64,
     /// Largest voltage across the winding, V, where the resistance is known well enough to bound it.
     pub winding_v: Option<f64>,
+    /// Back-EMF constant around which that bound lies; 0 where it is not known.
+    pub back_emf_v_s_per_rad: f64,
     /// Why it is as large as it is.
     pub reason: String,
 }
@@ -92,6 +97,7 @@ pub(super) fn feel(bounds: &Bounds, peak_v: f64, reason: String) -> Stage {
         stop_current_a: FEEL_CURRENT * bounds.rated_current_a,
         stop_speed_rad_s: MOVES * bounds.speed_limit_rad_s,
         winding_v: None,
+        back_emf_v_s_per_rad: 0.0,
         reason,
     }
 }
@@ -117,6 +123,7 @@ pub(super) fn break_away(bounds: &Bounds, rest: &RestWinding, most: f64) -> Stag
             .min(CURRENT_SHARE * bounds.current_limit_a),
         stop_speed_rad_s: MOVES * bounds.speed_limit_rad_s,
         winding_v: None,
+        back_emf_v_s_per_rad: 0.0,
         reason: format!(
             "{:.3} ohm at rest: {peak_v:.2} V drive the rated current",
             rest.resistance_ohm
@@ -152,6 +159,43 @@ pub(super) fn turn(
         stop_current_a: (1.5 * wanted_a).min(0.9 * bounds.current_limit_a),
         stop_speed_rad_s: 0.7 * bounds.speed_limit_rad_s,
         winding_v: Some(winding_v),
+        back_emf_v_s_per_rad: 0.0,
+        reason,
+    }
+}
+
+/// What a sweep is made of: the motor as far as it is known.
+pub(super) struct Sweep {
+    pub(super) peak_v: f64,
+    pub(super) slew_v_per_s: f64,
+    pub(super) winding_v: f64,
+    pub(super) back_emf_v_s_per_rad: f64,
+    pub(super) mechanical_s: f64,
+    pub(super) stop_current_a: f64,
+}
+
+/// Up to a speed, to rest, and the same backward, with a slew that the acceleration current bounds.
+pub(super) fn sweep(bounds: &Bounds, sweep: &Sweep, reason: String) -> Stage {
+    let slope_s = sweep.peak_v / sweep.slew_v_per_s;
+    let settle_s = (2.0 * sweep.mechanical_s)
+        .clamp(0.1, 0.5)
+        .max(10.0 * bounds.period_s);
+    Stage {
+        kind: StageKind::Sweep,
+        segments: vec![
+            standstill(bounds),
+            Segment::Steps(Steps {
+                levels_v: vec![sweep.peak_v, 0.0, -sweep.peak_v, 0.0],
+                hold_s: slope_s + settle_s,
+                dither: None,
+            }),
+        ],
+        slew_v_per_s: sweep.slew_v_per_s,
+        peak_v: sweep.peak_v,
+        stop_current_a: sweep.stop_current_a,
+        stop_speed_rad_s: 0.7 * bounds.speed_limit_rad_s,
+        winding_v: Some(sweep.winding_v),
+        back_emf_v_s_per_rad: sweep.back_emf_v_s_per_rad,
         reason,
     }
 }
