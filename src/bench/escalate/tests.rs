@@ -204,12 +204,15 @@ fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
 fn random_motor(seed: u64) -> (BenchFile, EmulatorConfig) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut log = |from: f64, to: f64| from * (to / from).powf(rng.random::<f64>());
-    let resistance = log(0.1, 20.0);
     let electrical_s = log(0.3e-3, 50e-3);
-    let rated_v = log(12.0, 220.0);
-    // Share of the rated power in the winding, and rated speed.
-    let loss = log(0.02, 0.3);
-    let rated_a = loss * rated_v / resistance;
+    // Rated power in the winding as a share; a current of which the drive's resolution of 10 mA is 2 % at most.
+    let (resistance, rated_v, loss, rated_a) = loop {
+        let (resistance, rated_v, loss) = (log(0.1, 20.0), log(12.0, 220.0), log(0.02, 0.3));
+        let rated_a = loss * rated_v / resistance;
+        if (0.5..60.0).contains(&rated_a) {
+            break (resistance, rated_v, loss, rated_a);
+        }
+    };
     let rated_rad_s = log(60.0, 500.0);
     let back_emf = (1.0 - loss) * rated_v / rated_rad_s;
     let mechanical_s = log(8e-3, 0.5);
