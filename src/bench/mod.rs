@@ -39,7 +39,7 @@ pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{LiveOnline, replay};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
-pub use runner::{Bench, LiveEstimator, RunOptions, RunSummary, run};
+pub use runner::{Bench, Excitation, LiveEstimator, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 pub use snapshot::{Snapshot, SnapshotCell, Target, TracePoint};
 pub use timing::Timing;

@@ -7,7 +7,7 @@
 //! The same code runs in real time and, with the virtual clock and the drive in memory, faster than that and the same to
 //! the byte for each seed.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 
@@ -34,7 +34,15 @@ pub trait LiveEstimator {
     fn push(&mut self, sample: &Sample);
 
     fn estimates(&self) -> Vec<ParameterEstimate>;
+
+    /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
+    fn excitation(&self) -> Excitation {
+        Excitation::new()
+    }
 }
+
+/// Share of each parameter that the data have taught, by key: 0 nothing, 1 all of it.
+pub type Excitation = BTreeMap<&'static str, f64>;
 
 /// What a run is made with; all of it belongs to the calling thread.
 pub struct Bench<'a> {
@@ -69,6 +77,8 @@ pub struct RunSummary {
     pub timing: Timing,
     pub link: LinkStatistics,
     pub estimates: Vec<ParameterEstimate>,
+    /// How far the data carried each of them at the end.
+    pub excitation: Excitation,
     pub notices: Vec<Notice>,
     /// Why zero output could not be confirmed at the very end, if it could not.
     pub stop_error: Option<String>,
@@ -209,6 +219,7 @@ impl Runner<'_> {
             timing: self.punctuality.timing(options.rate_hz),
             link: self.link.0.statistics(),
             estimates: self.estimates(),
+            excitation: self.excitation(),
             notices: std::mem::take(&mut self.notices),
             stop_error,
             recorder_error: recorder.error,
@@ -337,6 +348,13 @@ impl Runner<'_> {
             .unwrap_or_default()
     }
 
+    fn excitation(&self) -> Excitation {
+        self.estimator
+            .as_ref()
+            .map(|estimator| estimator.excitation())
+            .unwrap_or_default()
+    }
+
     fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
         let estimates = self.estimates();
         let state = RunState {
@@ -345,6 +363,7 @@ impl Runner<'_> {
             timing: self.punctuality.timing(rate_hz),
             recorder: self.recorder.status(),
             estimates,
+            excitation: self.excitation(),
             outcome,
         };
         self.publisher.publish(now_s, state);

@@ -45,8 +45,8 @@ pub(super) fn escalate(
         tell(&record.stage.line);
     }
     let mut result = workflow.result();
-    tell(&result.sentence);
     if let Some(found) = result.found(&rig.bench) {
+        tell(&result.sentence);
         let claimed = !rig.bench.motor.is_unknown();
         if let Some(refusal) = result.scale(&rig.bench, rig.drive_current_limit_a())? {
             return Err(Failure::with_help(
@@ -62,16 +62,13 @@ pub(super) fn escalate(
         let fits = result.nameplate.as_ref().is_none_or(|comparison| comparison.fits);
         if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
             // The plate is believed by whoever wrote the sequence: run as written it would be too much.
-            let differences: Vec<&str> = result
-                .nameplate
-                .iter()
-                .flat_map(crate::identification::nameplate::Comparison::differences)
-                .collect();
+            if let Some(comparison) = &result.nameplate {
+                comparison.text().lines().for_each(&mut tell);
+            }
             return Err(Failure::with_help(
                 USAGE,
                 format!(
-                    "the nameplate does not fit, and with the motor that was found the sequence is refused: {refusal}; {}",
-                    differences.join("; ")
+                    "the nameplate does not fit, and with the motor that was found the sequence is refused: {refusal}"
                 ),
                 "correct [motor], or set motor.unknown = true to have the sequence made smaller",
             ));

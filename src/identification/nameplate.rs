@@ -120,6 +120,16 @@ pub(super) fn significant(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
+/// A relative deviation as a percentage.
+pub(super) fn share(relative: f64) -> String {
+    let percent = 100.0 * relative.abs();
+    if percent < 0.1 {
+        "less than 0.1 %".to_owned()
+    } else {
+        format!("{percent:.1} %")
+    }
+}
+
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
     let estimate = found.iter().find(|estimate| estimate.key == key.key());
     let value = estimate
@@ -153,7 +163,7 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     let sentence = match (nameplate, value) {
         (Some(plate), Some(value)) => {
             let spread = std.map_or_else(String::new, |std| {
-                format!(" +- {:.1} %", 100.0 * std / value.abs().max(f64::MIN_POSITIVE))
+                format!(" +- {}", share(std / value))
             });
             let times = ratio.map_or_else(String::new, |ratio| match ratio {
                 ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),

@@ -2,12 +2,14 @@
 
 use serde::Serialize;
 
-use super::{RestWinding, Seen};
+use super::{Bounds, RestWinding, Seen};
 use crate::plant::{Motor, MotorKey};
 use crate::sample::ParameterEstimate;
 
 /// Growth of voltage over current, against rest, that only a turning shaft can make.
 const BACK_EMF_SHOWS: f64 = 1.3;
+/// Times what counts as motion that a speed, expected from the rated values, has to be before its absence is a finding.
+const VISIBLE: f64 = 10.0;
 /// Share of the commanded voltage below which the drive does not put it out.
 const NOT_PUT_OUT: f64 = 0.3;
 
@@ -180,7 +182,8 @@ pub(super) fn wrong_sign(seen: &Seen) -> Option<Ending> {
             current_a,
         });
     }
-    if seen.moves() && against(seen.peak_speed_rad_s, seen.voltage_of_motion_v) {
+    if seen.moves() && against(seen.peak_speed_rad_s, seen.voltage_of_motion_v)
+        && against(seen.mean_speed_rad_s, seen.voltage_of_motion_v) {
         return Some(Ending::SpeedSign {
             voltage_v: seen.voltage_of_motion_v,
             speed_rad_s: seen.peak_speed_rad_s,
@@ -206,36 +209,51 @@ pub(super) fn no_current(seen: &Seen, share_a: f64) -> Ending {
     }
 }
 
-/// The current rose and the shaft did not turn.
+/// What a shaft that does not turn means.
+pub(super) enum NoMotion {
+    Named(Ending),
+    /// The current tells of a back-EMF that belongs to a speed which the sensor could have missed.
+    TooSlowToSee,
+}
+
+/// The current rose and no motion was seen.
 pub(super) fn no_motion(
     seen: &Seen,
     before: Option<RestWinding>,
     reached_a: f64,
-    rated_current_a: f64,
-) -> Ending {
+    bounds: &Bounds,
+) -> NoMotion {
+    let rated_current_a = bounds.rated_current_a;
     let current_a = seen.current_at_peak_a;
     let ohm_now = (seen.peak_v / current_a).abs();
     if let Some(rest) = before
         && ohm_now > BACK_EMF_SHOWS * rest.resistance_ohm
     {
-        return Ending::SpeedSignalDead {
-            ohm_at_rest: rest.resistance_ohm,
-            ohm_now,
-            below_rad_s: seen.motion_rad_s,
+        let back_emf_v = seen.peak_v.abs() - rest.resistance_ohm * current_a.abs();
+        let expected = back_emf_v * bounds.speed_limit_rad_s / bounds.rated_voltage_v;
+        return if expected < VISIBLE * seen.motion_rad_s {
+            NoMotion::TooSlowToSee
+        } else {
+            NoMotion::Named(Ending::SpeedSignalDead {
+                ohm_at_rest: rest.resistance_ohm,
+                ohm_now,
+                below_rad_s: seen.motion_rad_s,
+            })
         };
     }
-    if current_a.abs() < reached_a {
-        return Ending::VoltageLimit {
+    NoMotion::Named(if current_a.abs() < reached_a {
+        Ending::VoltageLimit {
             current_a,
             voltage_v: seen.peak_v,
             rated_current_a,
-        };
-    }
-    Ending::LockedRotor {
-        current_a,
-        voltage_v: seen.peak_v,
-        seconds: seen.peak_time_s,
-        below_rad_s: seen.motion_rad_s,
-        rated_current_a,
-    }
+        }
+    } else {
+        Ending::LockedRotor {
+            current_a,
+            voltage_v: seen.peak_v,
+            seconds: seen.peak_time_s,
+            below_rad_s: seen.motion_rad_s,
+            rated_current_a,
+        }
+    })
 }

@@ -1,7 +1,7 @@
 //! The turning motor: five parameters by the output-error fit, and what follows from them for the next stage.
 
 use super::{RestWinding, relative};
-use crate::identification::nameplate::significant;
+use crate::identification::nameplate::{share, significant};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::identification::start;
@@ -102,8 +102,8 @@ impl Turned {
             let found = self.parameters.iter().find(|p| p.key == key.key());
             match found.and_then(|p| Some((p.value?, p.std?))) {
                 Some((value, std)) => {
-                    let percent = 100.0 * std / value.abs();
-                    format!("{} {} +- {percent:.1} %", significant(value), key.unit())
+                    let spread = share(std / value);
+                    format!("{} {} +- {spread}", significant(value), key.unit())
                 }
                 None => "not told".to_owned(),
             }

@@ -35,6 +35,7 @@ use serde::Serialize;
 
 use crate::plant::{MotorKey, Scenario, ScenarioError};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
+use ending::NoMotion;
 use fit::Turned;
 
 /// Current of the first look, in rated currents.
@@ -243,7 +244,12 @@ impl Escalation {
             self.last_v
         );
         (
-            Next::Run(stage::feel(bounds, wanted_v.min(safe_v), reason)),
+            Next::Run(stage::feel(
+                bounds,
+                // No further look for the last few per cent.
+                if wanted_v > 0.9 * safe_v { safe_v } else { wanted_v },
+                reason,
+            )),
             line,
         )
     }
@@ -254,13 +260,27 @@ impl Escalation {
         if seen.moves() {
             return (self.turn(), format!("it breaks away, {}", seen.text()));
         }
-        let ending = ending::no_motion(
-            seen,
-            before,
-            REACHED * self.bounds.rated_current_a,
-            self.bounds.rated_current_a,
-        );
-        (self.over(ending.clone()), ending.sentence())
+        let bounds = &self.bounds;
+        let reached_a = REACHED * bounds.rated_current_a;
+        match ending::no_motion(seen, before, reached_a, bounds) {
+            NoMotion::Named(ending) => (self.over(ending.clone()), ending.sentence()),
+            NoMotion::TooSlowToSee => {
+                let line = format!("it may turn too slowly to be seen, {}", seen.text());
+                let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
+                let wanted_v = (GROWTH * self.last_v).min(safe_v);
+                if wanted_v < 1.2 * self.last_v {
+                    let ending = Ending::NotIdentified {
+                        reason: format!("no speed that can be seen at {:.1} V", self.last_v),
+                    };
+                    return (self.over(ending), line);
+                }
+                let reason = "a back-EMF shows, a speed not yet".to_owned();
+                let mut stage = stage::feel(bounds, wanted_v, reason);
+                stage.kind = StageKind::BreakAway;
+                stage.stop_current_a = 1.15 * BREAK_AWAY * bounds.rated_current_a;
+                (Next::Run(stage), line)
+            }
+        }
     }
 
     fn turned(&mut self, kind: StageKind, scenario: &Scenario, seen: &Seen) -> (Next, String) {

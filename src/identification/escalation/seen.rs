@@ -7,9 +7,11 @@ use crate::sample::{Channel, Run};
 
 /// Noise that is assumed at least, in rated currents and speed limits: a simulated or coarse sensor shows none.
 const LEAST_NOISE: f64 = 1e-4;
-/// Deviations from rest that count as motion: in standard deviations of the noise and in speed limits.
-const MOTION_NOISE: f64 = 8.0;
-const MOTION_SHARE: f64 = 0.003;
+/// A mean speed counts as motion from so many of its standard deviations on, and from this share of the speed limit.
+const MOTION_NOISE: f64 = 6.0;
+const MOTION_SHARE: f64 = 5e-4;
+/// Samples of which the mean is taken.
+const MEAN_OF: usize = 12;
 
 /// The plain sight of one stage.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +25,8 @@ pub struct Seen {
     /// Farthest current and speed from their values at rest (medians of three samples), with their signs.
     pub(super) peak_current_a: f64,
     pub(super) peak_speed_rad_s: f64,
+    /// Farthest mean of the speed over a dozen samples, rad/s: what decides whether the shaft turns.
+    pub(super) mean_speed_rad_s: f64,
     /// Time for which at least nine tenths of the peak voltage were asked for, s.
     pub(super) peak_time_s: f64,
     /// Mean current while they were, A.
@@ -59,8 +63,10 @@ impl Seen {
         let noise_a = noise(&current, LEAST_NOISE * bounds.rated_current_a);
         let noise_rad_s = noise(&speed, LEAST_NOISE * bounds.speed_limit_rad_s);
         let (offset_a, offset_rad_s) = (offset(&current), offset(&speed));
+        // The mean at rest is known from finitely many samples as well.
+        let spread = (1.0 / MEAN_OF as f64 + 1.0 / speed.len().max(1) as f64).sqrt();
         let motion_rad_s =
-            (MOTION_NOISE * noise_rad_s).max(MOTION_SHARE * bounds.speed_limit_rad_s);
+            (MOTION_NOISE * noise_rad_s * spread).max(MOTION_SHARE * bounds.speed_limit_rad_s);
         let amps = medians(&scenario.current_a, offset_a);
         let speeds = medians(&scenario.speed_rad_s, offset_rad_s);
         let farthest = |values: &[f64]| {
@@ -97,11 +103,13 @@ impl Seen {
                 .collect();
             (!found.is_empty()).then(|| mean(&found))
         };
-        // Half of what counts as motion: what comes before is rest for sure.
-        let at_rest = speeds
+        let slow = means(&speeds);
+        // What comes before half of what counts as motion, with the samples of that mean, is rest for sure.
+        let at_rest = slow
             .iter()
-            .position(|speed| speed.abs() > 0.5 * motion_rad_s)
-            .unwrap_or(speeds.len());
+            .position(|speed| speed.abs() > 0.6 * motion_rad_s)
+            .map_or(speeds.len(), |at| at.saturating_sub(MEAN_OF));
+        let mean_speed_rad_s = farthest(&slow).1;
         let break_away_current_a = amps[..at_rest]
             .iter()
             .fold(0.0_f64, |most, value| most.max(value.abs()));
@@ -113,6 +121,7 @@ impl Seen {
             peak_v,
             peak_current_a: farthest(&amps).1,
             peak_speed_rad_s,
+            mean_speed_rad_s,
             peak_time_s: on_top.len() as f64 * step_s,
             current_at_peak_a: top_mean(&amps).unwrap_or(0.0),
             measured_at_peak_v: top_mean(&measured),
@@ -142,13 +151,13 @@ impl Seen {
     }
 
     pub(super) fn moves(&self) -> bool {
-        self.peak_speed_rad_s.abs() > self.motion_rad_s
+        self.mean_speed_rad_s.abs() > self.motion_rad_s
     }
 
     pub(super) fn text(&self) -> String {
         format!(
             "{:.3} V, {:.3} A, {:.2} rad/s",
-            self.peak_v, self.peak_current_a, self.peak_speed_rad_s
+            self.peak_v, self.peak_current_a, self.mean_speed_rad_s
         )
     }
 }
@@ -172,6 +181,20 @@ fn medians(values: &[f64], offset: f64) -> Vec<f64> {
                 .collect();
             three.sort_by(f64::total_cmp);
             three.get(three.len() / 2).map_or(0.0, |value| value - offset)
+        })
+        .collect()
+}
+
+/// Means over the last dozen samples; the first ones over what there is.
+fn means(values: &[f64]) -> Vec<f64> {
+    let mut sum = 0.0;
+    (0..values.len())
+        .map(|at| {
+            sum += values[at];
+            if at >= MEAN_OF {
+                sum -= values[at - MEAN_OF];
+            }
+            sum / MEAN_OF as f64
         })
         .collect()
 }
