@@ -109,7 +109,9 @@ pub fn scale(
         }))
     };
     let whole = tried(1.0, given_slew)?;
-    let mut refusal = whole.as_ref().and_then(|s| s.plan.refusals.first().cloned());
+    let mut refusal = whole
+        .as_ref()
+        .and_then(|s| s.plan.refusals.first().cloned());
     if let Some(whole) = whole.filter(|_| refusal.is_none()) {
         return Ok(Ok(whole));
     }

@@ -293,7 +293,14 @@ mod tests {
             time_s: 5.0,
             ..bench.limits()
         };
-        let plan = plan(&program, &bench.nameplate().unwrap(), &tight, 100.0, Some(3.0)).unwrap();
+        let plan = plan(
+            &program,
+            &bench.nameplate().unwrap(),
+            &tight,
+            100.0,
+            Some(3.0),
+        )
+        .unwrap();
         for quantity in ["travel", "time with the output on", "peak current"] {
             assert!(
                 plan.refusals.iter().any(|r| r.quantity == quantity),

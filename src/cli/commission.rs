@@ -8,7 +8,8 @@ use crate::identification::nameplate::Comparison;
 use crate::plant::{FittedValue, Model, ModelFile, Scenario};
 use crate::recording::{RunFile, RunFolder};
 use crate::workflow::{
-    Commission, CommissionResult, EscalationResult, Progress, ProgressCell, Role, RunRecord, StepState, Task,
+    Commission, CommissionResult, EscalationResult, Progress, ProgressCell, Role, RunRecord,
+    StepState, Task,
 };
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report

@@ -59,7 +59,10 @@ pub(super) fn escalate(
             .scaled
             .as_ref()
             .ok_or_else(|| Failure::new(INTERNAL, "a motor was found and nothing planned"))?;
-        let fits = result.nameplate.as_ref().is_none_or(|comparison| comparison.fits);
+        let fits = result
+            .nameplate
+            .as_ref()
+            .is_none_or(|comparison| comparison.fits);
         if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
             // The plate is believed by whoever wrote the sequence: run as written it would be too much.
             if let Some(comparison) = &result.nameplate {

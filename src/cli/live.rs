@@ -18,8 +18,8 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
-    LiveOnline, MonotonicClock, Nameplate, Outcome, Plan, Port, Protocol, RunOptions, RunSummary, Session,
-    SnapshotCell, Target, check, layout, manifest, plan, run, stage_session,
+    LiveOnline, MonotonicClock, Nameplate, Outcome, Plan, Port, Protocol, RunOptions, RunSummary,
+    Session, SnapshotCell, Target, check, layout, manifest, plan, run, stage_session,
 };
 use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
 use crate::emulator::{
@@ -326,11 +326,7 @@ impl Rig {
         strings: &Strings,
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
-        let guard = Guard::new(
-            self.bench.limits(),
-            &motor,
-            self.drive_current_limit_a(),
-        );
+        let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
         let session = Session::new(Box::new(self.program(seed)?), guard);
         self.record_session(name, seed, session, Some(motor), false, strings)
     }

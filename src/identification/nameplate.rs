@@ -162,9 +162,7 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     let name = key.key();
     let sentence = match (nameplate, value) {
         (Some(plate), Some(value)) => {
-            let spread = std.map_or_else(String::new, |std| {
-                format!(" +- {}", share(std / value))
-            });
+            let spread = std.map_or_else(String::new, |std| format!(" +- {}", share(std / value)));
             let times = ratio.map_or_else(String::new, |ratio| match ratio {
                 ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),
                 ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
@@ -174,7 +172,11 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
                 "{name}: found {}{spread} {unit}, nameplate {} {unit}{times}{}",
                 significant(value),
                 significant(plate),
-                if fits == Fits::No { ", does not fit" } else { "" }
+                if fits == Fits::No {
+                    ", does not fit"
+                } else {
+                    ""
+                }
             )
         }
         (Some(plate), None) => {
@@ -240,13 +242,31 @@ fn speed_cause(factor: f64) -> Option<String> {
     let per_minute = 60.0 / (2.0 * PI);
     let known = [
         (per_minute, "speed in r/min taken for rad/s (factor 9.55)"),
-        (1.0 / per_minute, "speed in rad/s taken for r/min (factor 1/9.55)"),
-        (2.0 * PI, "speed in turns taken for radians the wrong way (factor 6.28)"),
-        (1.0 / (2.0 * PI), "speed in turns per second taken for rad/s (factor 1/6.28)"),
-        (2.0, "encoder pulses per turn given as half of what they are, or edges counted twice"),
-        (4.0, "encoder pulses per turn: lines given, quadrature edges counted (factor 4)"),
+        (
+            1.0 / per_minute,
+            "speed in rad/s taken for r/min (factor 1/9.55)",
+        ),
+        (
+            2.0 * PI,
+            "speed in turns taken for radians the wrong way (factor 6.28)",
+        ),
+        (
+            1.0 / (2.0 * PI),
+            "speed in turns per second taken for rad/s (factor 1/6.28)",
+        ),
+        (
+            2.0,
+            "encoder pulses per turn given as half of what they are, or edges counted twice",
+        ),
+        (
+            4.0,
+            "encoder pulses per turn: lines given, quadrature edges counted (factor 4)",
+        ),
         (0.5, "encoder pulses per turn given as twice what they are"),
-        (0.25, "encoder pulses per turn: edges given, lines counted (factor 1/4)"),
+        (
+            0.25,
+            "encoder pulses per turn: edges given, lines counted (factor 1/4)",
+        ),
         (10.0, "speed scaling ten times too large"),
         (0.1, "speed scaling ten times too small"),
     ];
@@ -258,11 +278,15 @@ fn speed_cause(factor: f64) -> Option<String> {
 }
 
 fn current_cause(factor: f64) -> Option<String> {
-    Some(format!("current sensor reads {factor:.2} times the true current (gain, unit, shunt)"))
+    Some(format!(
+        "current sensor reads {factor:.2} times the true current (gain, unit, shunt)"
+    ))
 }
 
 fn voltage_cause(factor: f64) -> Option<String> {
-    Some(format!("voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)"))
+    Some(format!(
+        "voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)"
+    ))
 }
 
 fn causes(rows: &[Row]) -> Vec<String> {
@@ -291,11 +315,15 @@ fn causes(rows: &[Row]) -> Vec<String> {
             "another winding, or a resistance on the plate that includes more than the armature".to_owned()
         });
     } else if count == 1 && differs(MotorKey::Inertia) {
-        causes.push("a load on the shaft (or none), or a plate that gives the rotor alone".to_owned());
+        causes.push(
+            "a load on the shaft (or none), or a plate that gives the rotor alone".to_owned(),
+        );
     } else if count == 1 && differs(MotorKey::LoadTorque) {
         causes.push("friction of load, bearings or brake is not what was expected".to_owned());
     } else if count == 1 && differs(MotorKey::Inductance) {
-        causes.push("saturation, another way of measuring the inductance, or another winding".to_owned());
+        causes.push(
+            "saturation, another way of measuring the inductance, or another winding".to_owned(),
+        );
     } else if !differs(MotorKey::Resistance)
         && !differs(MotorKey::BackEmf)
         && !differs(MotorKey::Inductance)
@@ -322,7 +350,11 @@ fn explained(pattern: &Pattern, ratio: &impl Fn(MotorKey) -> Option<f64>) -> Opt
             continue;
         };
         // Friction and load are the least certain entries of any plate.
-        let allowed = if key == MotorKey::LoadTorque { 2.0 } else { 1.0 } * tolerance;
+        let allowed = if key == MotorKey::LoadTorque {
+            2.0
+        } else {
+            1.0
+        } * tolerance;
         if (found.ln() - f64::from(power) * factor.ln()).abs() > allowed {
             return None;
         }
@@ -369,7 +401,10 @@ mod tests {
         assert!(!found.fits);
         assert_eq!(found.differences().count(), 1);
         let sentence = found.differences().next().unwrap();
-        assert!(sentence.contains("1.474") && sentence.contains("1.100"), "{sentence}");
+        assert!(
+            sentence.contains("1.474") && sentence.contains("1.100"),
+            "{sentence}"
+        );
         assert!(found.causes[0].contains("87 K"), "{:?}", found.causes);
     }
 
@@ -388,7 +423,10 @@ mod tests {
         ] {
             let found = scaled(factors);
             assert!(
-                found.causes.first().is_some_and(|cause| cause.contains(word)),
+                found
+                    .causes
+                    .first()
+                    .is_some_and(|cause| cause.contains(word)),
                 "{word}: {:?}",
                 found.causes
             );

@@ -322,7 +322,11 @@ impl Commission {
 
     /// `index` counts the steps of a known motor.
     fn step_done(&mut self, index: usize, line: String, next: Task) {
-        let index = if index == CHECK { index } else { index + self.extra };
+        let index = if index == CHECK {
+            index
+        } else {
+            index + self.extra
+        };
         self.steps[index].state = StepState::Done;
         self.steps[index].line = line;
         if let Some(following) = self.steps.get_mut(index + 1) {

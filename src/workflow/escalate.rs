@@ -65,7 +65,10 @@ impl Escalate {
 
     /// Takes the record of the stage and returns what came of it.
     pub fn ran(&mut self, run: &Run, folder: Option<String>) -> Result<StageRecord, ScenarioError> {
-        let reason = self.stage().map(|stage| stage.reason.clone()).unwrap_or_default();
+        let reason = self
+            .stage()
+            .map(|stage| stage.reason.clone())
+            .unwrap_or_default();
         self.escalation.learn(run)?;
         let record = StageRecord {
             stage: self
@@ -160,7 +163,11 @@ impl EscalationResult {
         if let Some(comparison) = &self.nameplate {
             text.push_str(&comparison.text());
         }
-        if let Some(scaled) = self.scaled.as_ref().filter(|scaled| scaled.refusal.is_some()) {
+        if let Some(scaled) = self
+            .scaled
+            .as_ref()
+            .filter(|scaled| scaled.refusal.is_some())
+        {
             let _ = writeln!(text, "{}", scaled_sentence(scaled));
         }
         text

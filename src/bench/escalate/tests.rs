@@ -76,7 +76,11 @@ mod watched {
 fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
     let mut clock = VirtualClock::new();
     let mut watched = Watched {
-        link: MemoryLink::new(SoftDrive::new(config, seed), clock.clone(), Latency::default()),
+        link: MemoryLink::new(
+            SoftDrive::new(config, seed),
+            clock.clone(),
+            Latency::default(),
+        ),
         clock: clock.clone(),
         peak_a: 0.0,
         peak_rad_s: 0.0,
@@ -87,7 +91,9 @@ fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
     let mut seq = 0;
     while let Some(stage) = escalation.stage() {
         let session = stage_session(bench, stage)
-            .unwrap_or_else(|error| panic!("seed {seed}: {error}: {stage:?} {:?}", escalation.history()))
+            .unwrap_or_else(|error| {
+                panic!("seed {seed}: {error}: {stage:?} {:?}", escalation.history())
+            })
             .after_seq(seq);
         let mut recorder = MemoryRecorder::new(layout(&SIGNALS));
         let summary = run(
@@ -152,38 +158,78 @@ fn report(done: &Done) -> String {
     use std::fmt::Write as _;
     let mut text = String::new();
     for (stage, outcome) in done.escalation.history().iter().zip(&done.outcomes) {
-        let _ = writeln!(text, "{:>10} {:>8.3} V: {} [{}]", stage.kind.name(), stage.peak_v, stage.line, outcome.name());
+        let _ = writeln!(
+            text,
+            "{:>10} {:>8.3} V: {} [{}]",
+            stage.kind.name(),
+            stage.peak_v,
+            stage.line,
+            outcome.name()
+        );
     }
     let _ = writeln!(text, "outcomes {:?}", done.outcomes.last());
-    let _ = writeln!(text, "peaks {:.3} A {:.2} rad/s; {:?}", done.peak_a, done.peak_rad_s, done.escalation.outcome());
+    let _ = writeln!(
+        text,
+        "peaks {:.3} A {:.2} rad/s; {:?}",
+        done.peak_a,
+        done.peak_rad_s,
+        done.escalation.outcome()
+    );
     text
 }
 
 #[test]
 fn a_locked_rotor_and_an_open_phase_are_named_with_their_numbers() {
     let done = named("zk-22fc-locked");
-    let Some(Outcome::Named(ending @ Ending::LockedRotor { current_a, .. })) = done.escalation.outcome()
-    else {
-        panic!("{}", report(&done));
-    };
-    assert!((0.85 * 5.7..1.3 * 5.7).contains(current_a), "{}", report(&done));
-    assert!(ending.sentence().starts_with("locked rotor"), "{}", ending.sentence());
-    assert!(done.peak_a < 1.3 * 5.7, "{}", report(&done));
-
-    let done = named("zk-22fc-open");
-    let Some(Outcome::Named(ending @ Ending::OpenPhase { voltage_v, below_a, .. })) =
+    let Some(Outcome::Named(ending @ Ending::LockedRotor { current_a, .. })) =
         done.escalation.outcome()
     else {
         panic!("{}", report(&done));
     };
-    assert!((*voltage_v - 27.5).abs() < 0.1 && *below_a < 0.2, "{}", ending.sentence());
-    assert!(done.outcomes.iter().all(|outcome| *outcome == RunOutcome::Done));
+    assert!(
+        (0.85 * 5.7..1.3 * 5.7).contains(current_a),
+        "{}",
+        report(&done)
+    );
+    assert!(
+        ending.sentence().starts_with("locked rotor"),
+        "{}",
+        ending.sentence()
+    );
+    assert!(done.peak_a < 1.3 * 5.7, "{}", report(&done));
+
+    let done = named("zk-22fc-open");
+    let Some(Outcome::Named(
+        ending @ Ending::OpenPhase {
+            voltage_v, below_a, ..
+        },
+    )) = done.escalation.outcome()
+    else {
+        panic!("{}", report(&done));
+    };
+    assert!(
+        (*voltage_v - 27.5).abs() < 0.1 && *below_a < 0.2,
+        "{}",
+        ending.sentence()
+    );
+    assert!(
+        done.outcomes
+            .iter()
+            .all(|outcome| *outcome == RunOutcome::Done)
+    );
 }
 
 #[test]
 fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
-    let emulators = ["zk-22fc-plain", "small-servo-behind-zk-22fc", "large-motor-behind-zk-22fc"];
-    for (name, seed) in emulators.into_iter().flat_map(|name| [1, 2, 3].map(|seed| (name, seed))) {
+    let emulators = [
+        "zk-22fc-plain",
+        "small-servo-behind-zk-22fc",
+        "large-motor-behind-zk-22fc",
+    ];
+    for (name, seed) in emulators
+        .into_iter()
+        .flat_map(|name| [1, 2, 3].map(|seed| (name, seed)))
+    {
         let config = EmulatorConfig::embedded(name).unwrap();
         let done = escalated(&unknown_bench(), &config, seed);
         let truth = config.motor.specimen(config.tolerance, seed);
@@ -196,10 +242,19 @@ fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
             (MotorKey::Inertia, truth.inertia_kg_m2),
         ] {
             let ratio = found.motor.get(key).unwrap() / value;
-            assert!((ratio - 1.0).abs() < 0.05, "{name} {} {ratio}\n{}", key.key(), report(&done));
+            assert!(
+                (ratio - 1.0).abs() < 0.05,
+                "{name} {} {ratio}\n{}",
+                key.key(),
+                report(&done)
+            );
         }
         // The limits of the bench: 13 A and 340 rad/s.
-        assert!(done.peak_a < 13.0 && done.peak_rad_s < 340.0, "{}", report(&done));
+        assert!(
+            done.peak_a < 13.0 && done.peak_rad_s < 340.0,
+            "{}",
+            report(&done)
+        );
     }
 }
 
@@ -222,21 +277,34 @@ fn behind(emulator: &str) -> Nameplate {
 #[test]
 fn the_sequence_is_left_alone_or_made_smaller_until_every_limit_holds() {
     let bench = BenchFile::embedded_default();
-    let same = scale(&bench, &behind("zk-22fc-plain"), Some(11.4)).unwrap().unwrap();
+    let same = scale(&bench, &behind("zk-22fc-plain"), Some(11.4))
+        .unwrap()
+        .unwrap();
     assert!((same.factor - 1.0).abs() < 1e-12 && same.refusal.is_none());
     assert_eq!(same.bench.sequence, bench.sequence);
 
-    let servo = scale(&bench, &behind("small-servo-behind-zk-22fc"), Some(11.4)).unwrap().unwrap();
+    let servo = scale(&bench, &behind("small-servo-behind-zk-22fc"), Some(11.4))
+        .unwrap()
+        .unwrap();
     let refusal = servo.refusal.as_ref().unwrap();
     assert_eq!(refusal.quantity, "peak speed");
     // 340 rad/s are 17 V of 97.
     assert!((0.12..0.18).contains(&servo.factor), "{}", servo.factor);
     assert!(!servo.plan.is_refused() && servo.plan.peak_speed_rad_s > 250.0);
 
-    let large = scale(&bench, &behind("large-motor-behind-zk-22fc"), Some(11.4)).unwrap().unwrap();
+    let large = scale(&bench, &behind("large-motor-behind-zk-22fc"), Some(11.4))
+        .unwrap()
+        .unwrap();
     assert_eq!(large.refusal.as_ref().unwrap().quantity, "peak current");
-    assert!(!large.plan.is_refused() && large.plan.peak_current_a > 3.0, "{:?}", large.plan.peak_current_a);
-    let (voltage, smaller) = (bench.program(1).unwrap().peak_v(), large.bench.program(1).unwrap().peak_v());
+    assert!(
+        !large.plan.is_refused() && large.plan.peak_current_a > 3.0,
+        "{:?}",
+        large.plan.peak_current_a
+    );
+    let (voltage, smaller) = (
+        bench.program(1).unwrap().peak_v(),
+        large.bench.program(1).unwrap().peak_v(),
+    );
     assert!(smaller < voltage, "{smaller} of {voltage}");
 }
 
@@ -264,8 +332,11 @@ fn random_motor(seed: u64) -> (BenchFile, EmulatorConfig) {
     config.motor.back_emf_v_s_per_rad = back_emf;
     config.motor.inertia_kg_m2 = mechanical_s * back_emf * back_emf / resistance;
     config.motor.load_torque_n_m = friction * rated_a * back_emf;
-    (config.motor.rated_voltage_v, config.motor.rated_current_a, config.motor.rated_speed_rad_s) =
-        (rated_v, rated_a, rated_rad_s);
+    (
+        config.motor.rated_voltage_v,
+        config.motor.rated_current_a,
+        config.motor.rated_speed_rad_s,
+    ) = (rated_v, rated_a, rated_rad_s);
     // As far away as the registers allow: the drive does not help.
     config.limits.current_limit_a = 650.0;
     config.limits.bus_v = 2.0 * rated_v;
@@ -307,7 +378,11 @@ fn fault_of(seed: u64) -> Option<String> {
             report(&done)
         ))
     };
-    if done.outcomes.iter().any(|outcome| *outcome != RunOutcome::Done) {
+    if done
+        .outcomes
+        .iter()
+        .any(|outcome| *outcome != RunOutcome::Done)
+    {
         return about("a trip".to_owned());
     }
     if done.peak_a > limits.current_a || done.peak_rad_s > limits.speed_rad_s {
@@ -345,8 +420,14 @@ fn random_motors_are_found_without_a_trip_and_below_every_limit() {
 #[ignore = "minutes; cargo test --release -- --ignored random_motors_by"]
 fn random_motors_by_the_hundred() {
     use rayon::prelude::*;
-    let count: u64 = std::env::var("COUNT").ok().and_then(|n| n.parse().ok()).unwrap_or(300);
-    let faults: Vec<String> = (100..100 + count).into_par_iter().filter_map(fault_of).collect();
+    let count: u64 = std::env::var("COUNT")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(300);
+    let faults: Vec<String> = (100..100 + count)
+        .into_par_iter()
+        .filter_map(fault_of)
+        .collect();
     for fault in &faults {
         println!("{fault}");
     }

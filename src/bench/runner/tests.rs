@@ -362,7 +362,10 @@ fn in_real_time_every_deadline_is_either_kept_or_counted() {
     };
     let (_keep, intents) = channel();
     let summary = run(
-        Session::new(Box::new(program), Guard::new(limits, &bench.nameplate().unwrap(), None)),
+        Session::new(
+            Box::new(program),
+            Guard::new(limits, &bench.nameplate().unwrap(), None),
+        ),
         Bench {
             link: &mut drive,
             clock: &mut clock,

@@ -136,16 +136,16 @@ impl Ending {
             Self::CurrentSign {
                 voltage_v,
                 current_a,
-            } => format!(
-                "the current has the wrong sign: {current_a:.3} A at {voltage_v:.3} V"
-            ),
+            } => format!("the current has the wrong sign: {current_a:.3} A at {voltage_v:.3} V"),
             Self::SpeedSign {
                 voltage_v,
                 speed_rad_s,
-            } => format!(
-                "the speed has the wrong sign: {speed_rad_s:.2} rad/s at {voltage_v:.3} V"
-            ),
-            Self::NotIdentified { reason } => format!("the motor could not be identified: {reason}"),
+            } => {
+                format!("the speed has the wrong sign: {speed_rad_s:.2} rad/s at {voltage_v:.3} V")
+            }
+            Self::NotIdentified { reason } => {
+                format!("the motor could not be identified: {reason}")
+            }
         }
     }
 
@@ -162,11 +162,15 @@ impl Ending {
             Self::VoltageLimit { .. } => {
                 "turn the shaft by hand with the power off; raise limits.voltage_v if it is below the rated voltage"
             }
-            Self::CurrentSign { .. } => "turn the current sensor round, or swap the motor's leads at the drive",
+            Self::CurrentSign { .. } => {
+                "turn the current sensor round, or swap the motor's leads at the drive"
+            }
             Self::SpeedSign { .. } => {
                 "swap the motor's two leads, or the encoder's channels A and B: a closed loop would run away"
             }
-            Self::NotIdentified { .. } => "give the values of the nameplate in [motor], or raise the limits",
+            Self::NotIdentified { .. } => {
+                "give the values of the nameplate in [motor], or raise the limits"
+            }
         }
     }
 }
@@ -182,11 +186,13 @@ pub(super) fn wrong_sign(seen: &Seen) -> Option<Ending> {
             current_a,
         });
     }
-    if seen.moves() && against(seen.peak_speed_rad_s, seen.voltage_of_motion_v)
-        && against(seen.mean_speed_rad_s, seen.voltage_of_motion_v) {
+    // Twice what counts as motion, and while the voltage was there: a shaft that runs on is none.
+    let is_driven = seen.voltage_of_motion_v.abs() > 0.2 * seen.peak_v.abs();
+    let is_clear = seen.mean_speed_rad_s.abs() > 2.0 * seen.motion_rad_s;
+    if is_clear && is_driven && against(seen.mean_speed_rad_s, seen.voltage_of_motion_v) {
         return Some(Ending::SpeedSign {
             voltage_v: seen.voltage_of_motion_v,
-            speed_rad_s: seen.peak_speed_rad_s,
+            speed_rad_s: seen.mean_speed_rad_s,
         });
     }
     None

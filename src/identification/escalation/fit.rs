@@ -130,7 +130,13 @@ impl Turned {
             .find(|p| p.verdict != Verdict::Settled);
         worst.map_or_else(
             || "the estimates did not settle".to_owned(),
-            |p| format!("{}: {}", p.key, p.reason.as_deref().unwrap_or("not settled")),
+            |p| {
+                format!(
+                    "{}: {}",
+                    p.key,
+                    p.reason.as_deref().unwrap_or("not settled")
+                )
+            },
         )
     }
 }

@@ -138,7 +138,11 @@ enum Next {
 impl Escalation {
     pub fn new(bounds: Bounds) -> Self {
         let first_v = (FIRST_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
-        let next = Next::Run(stage::feel(&bounds, first_v, "nothing is known yet".to_owned()));
+        let next = Next::Run(stage::feel(
+            &bounds,
+            first_v,
+            "nothing is known yet".to_owned(),
+        ));
         Self {
             bounds,
             next,
@@ -231,13 +235,13 @@ impl Escalation {
             return (self.over(ending.clone()), ending.sentence());
         }
         // A resistance that is known spares looks in between; one that is not allows no more than the usual growth.
-        let wanted_v = self
-            .rest
-            .filter(|rest| rest.relative() < KNOWN)
-            .map_or(GROWTH * self.last_v, |rest| {
-                (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm())
-                    .clamp(1.2 * self.last_v, GROWTH * self.last_v)
-            });
+        let wanted_v =
+            self.rest
+                .filter(|rest| rest.relative() < KNOWN)
+                .map_or(GROWTH * self.last_v, |rest| {
+                    (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm())
+                        .clamp(1.2 * self.last_v, GROWTH * self.last_v)
+                });
         let reason = format!(
             "{:.3} A at {:.3} V leave room",
             seen.peak_current_a.abs(),
@@ -247,7 +251,11 @@ impl Escalation {
             Next::Run(stage::feel(
                 bounds,
                 // No further look for the last few per cent.
-                if wanted_v > 0.9 * safe_v { safe_v } else { wanted_v },
+                if wanted_v > 0.9 * safe_v {
+                    safe_v
+                } else {
+                    wanted_v
+                },
                 reason,
             )),
             line,
@@ -294,7 +302,11 @@ impl Escalation {
         if let Ok(found) = found {
             self.turned = Some(found);
         }
-        let within = |most| self.turned.as_ref().is_some_and(|turned| turned.is_within(most));
+        let within = |most| {
+            self.turned
+                .as_ref()
+                .is_some_and(|turned| turned.is_within(most))
+        };
         // Only a sweep has shown more than a corner of what the motor will be used for.
         if (within(GOOD) && kind == StageKind::Sweep) || (within(USABLE) && self.rounds >= ROUNDS) {
             return (self.found(), line);
@@ -353,7 +365,9 @@ impl Escalation {
             .or(self.break_away_a)
             .unwrap_or(0.0);
         let share = [1.0, 1.5, 2.0][self.rounds.min(2)];
-        let wanted_a = (share * rated_a).max(friction_a + 0.5 * rated_a).min(most_a);
+        let wanted_a = (share * rated_a)
+            .max(friction_a + 0.5 * rated_a)
+            .min(most_a);
         let mut volts = wanted_a * lowest_ohm;
         let mut reason = format!("{wanted_a:.2} A through at least {lowest_ohm:.3} ohm");
         if self.rounds > 0 && !self.knows_resistance() && self.last_a < 0.3 * rated_a {
@@ -372,6 +386,8 @@ impl Escalation {
                 Some((value - 3.0 * std).max(0.25 * value) * speed_rad_s)
             })
             .unwrap_or(0.1 * bounds.rated_voltage_v)
+            // What has been borne is no reason to stop.
+            .max(0.5 * self.last_v)
             .min(bounds.voltage_limit_v);
         if volts > fastest_v {
             volts = fastest_v;
@@ -448,7 +464,10 @@ impl Escalation {
 
     fn knows_resistance(&self) -> bool {
         self.rest.is_some_and(|rest| rest.relative() < KNOWN)
-            || self.turned.as_ref().is_some_and(|turned| turned.resistance().is_some())
+            || self
+                .turned
+                .as_ref()
+                .is_some_and(|turned| turned.resistance().is_some())
     }
 
     fn found(&self) -> Next {

@@ -8,7 +8,7 @@ use crate::sample::{Channel, Run};
 /// Noise that is assumed at least, in rated currents and speed limits: a simulated or coarse sensor shows none.
 const LEAST_NOISE: f64 = 1e-4;
 /// A mean speed counts as motion from so many of its standard deviations on, and from this share of the speed limit.
-const MOTION_NOISE: f64 = 6.0;
+const MOTION_NOISE: f64 = 8.0;
 const MOTION_SHARE: f64 = 5e-4;
 /// Samples of which the mean is taken.
 const MEAN_OF: usize = 12;
@@ -36,7 +36,7 @@ pub struct Seen {
     /// Samples before the shaft left its rest.
     pub(super) at_rest: usize,
     pub(super) break_away_current_a: f64,
-    /// Voltage and current where the speed was farthest from rest.
+    /// Means of voltage and current over the samples of that mean speed.
     pub(super) voltage_of_motion_v: f64,
     current_of_motion_a: f64,
 }
@@ -82,11 +82,14 @@ impl Seen {
                     }
                 })
         };
-        let (at_speed, peak_speed_rad_s) = farthest(&speeds);
-        let peak_v = scenario
-            .events
-            .iter()
-            .fold(0.0_f64, |most, event| if event.1.abs() > most.abs() { event.1 } else { most });
+        let peak_speed_rad_s = farthest(&speeds).1;
+        let peak_v = scenario.events.iter().fold(0.0_f64, |most, event| {
+            if event.1.abs() > most.abs() {
+                event.1
+            } else {
+                most
+            }
+        });
         let volts: Vec<f64> = scenario
             .sample_time_s
             .iter()
@@ -109,7 +112,7 @@ impl Seen {
             .iter()
             .position(|speed| speed.abs() > 0.6 * motion_rad_s)
             .map_or(speeds.len(), |at| at.saturating_sub(MEAN_OF));
-        let mean_speed_rad_s = farthest(&slow).1;
+        let (at_mean, mean_speed_rad_s) = farthest(&slow);
         let break_away_current_a = amps[..at_rest]
             .iter()
             .fold(0.0_f64, |most, value| most.max(value.abs()));
@@ -127,26 +130,27 @@ impl Seen {
             measured_at_peak_v: top_mean(&measured),
             at_rest,
             break_away_current_a,
-            voltage_of_motion_v: volts.get(at_speed).copied().unwrap_or(0.0),
-            current_of_motion_a: amps.get(at_speed).copied().unwrap_or(0.0),
+            voltage_of_motion_v: means(&volts).get(at_mean).copied().unwrap_or(0.0),
+            current_of_motion_a: means(&amps).get(at_mean).copied().unwrap_or(0.0),
         }
     }
 
-    /// `Ke = (u - R i)/w` where the speed was greatest, and its standard deviation, V.s/rad. Without a resistance the
+    /// `Ke = (u - R i)/w` where the mean speed was greatest, and its standard deviation, V.s/rad. Without a resistance the
     /// drop across it is left out, and counts as uncertainty.
     pub(super) fn back_emf(&self, rest: Option<RestWinding>) -> (f64, f64) {
         let (u, i, w) = (
             self.voltage_of_motion_v.abs(),
             self.current_of_motion_a.abs(),
-            self.peak_speed_rad_s.abs().max(f64::MIN_POSITIVE),
+            self.mean_speed_rad_s.abs().max(f64::MIN_POSITIVE),
         );
+        let speed_share = self.motion_rad_s / MOTION_NOISE / w;
         match rest {
             Some(rest) => {
-                let drop_v = rest.resistance_ohm * i;
+                let value = ((u - rest.resistance_ohm * i) / w).max(0.1 * u / w);
                 let std_v = (rest.resistance_ohm * self.noise_a).hypot(rest.std_ohm * i);
-                (((u - drop_v) / w).max(0.1 * u / w), std_v / w)
+                (value, (std_v / w).hypot(speed_share * value))
             }
-            None => (u / w, 0.2 * u / w),
+            None => (u / w, speed_share.max(0.2) * u / w),
         }
     }
 
@@ -180,7 +184,9 @@ fn medians(values: &[f64], offset: f64) -> Vec<f64> {
                 .filter(|value| value.is_finite())
                 .collect();
             three.sort_by(f64::total_cmp);
-            three.get(three.len() / 2).map_or(0.0, |value| value - offset)
+            three
+                .get(three.len() / 2)
+                .map_or(0.0, |value| value - offset)
         })
         .collect()
 }

@@ -141,7 +141,9 @@ pub(super) fn turn(
     reason: String,
 ) -> Stage {
     let hold_s = mechanical_s
-        .map_or(STEP_S.0, |constant_s| (3.0 * constant_s).clamp(STEP_S.0, STEP_S.1))
+        .map_or(STEP_S.0, |constant_s| {
+            (3.0 * constant_s).clamp(STEP_S.0, STEP_S.1)
+        })
         .max(30.0 * bounds.period_s);
     Stage {
         kind: StageKind::Turn,

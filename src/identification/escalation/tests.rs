@@ -48,7 +48,12 @@ fn answer(stage: &Stage, motor: &Motor, distort: impl Fn(&mut Run)) -> Run {
 
 fn scaled(channel: Channel, factor: f64) -> impl Fn(&mut Run) {
     move |run: &mut Run| {
-        let cells = run.column(channel).unwrap().iter().map(|v| v * factor).collect();
+        let cells = run
+            .column(channel)
+            .unwrap()
+            .iter()
+            .map(|v| v * factor)
+            .collect();
         run.set_column(channel, cells, Origin::Measured).unwrap();
     }
 }
@@ -91,7 +96,10 @@ fn a_dead_speed_signal_is_told_from_a_locked_rotor_by_the_current() {
     else {
         panic!("{found:?}");
     };
-    assert!((ohm_at_rest - 1.1).abs() < 0.1 && ohm_now > 1.43, "{ohm_at_rest} {ohm_now}");
+    assert!(
+        (ohm_at_rest - 1.1).abs() < 0.1 && ohm_now > 1.43,
+        "{ohm_at_rest} {ohm_now}"
+    );
     assert!(found.sentence().contains("dead"));
 }
 
@@ -106,7 +114,8 @@ fn a_drive_that_puts_out_nothing_is_told_from_an_open_phase() {
         scaled(Channel::Current, 0.0)(run);
         scaled(Channel::Speed, 0.0)(run);
         let nothing = vec![0.01; run.rows()];
-        run.set_column(Channel::Voltage, nothing, Origin::Measured).unwrap();
+        run.set_column(Channel::Voltage, nothing, Origin::Measured)
+            .unwrap();
     });
     assert!(
         matches!(found, Ending::NoOutput { commanded_v, .. } if (commanded_v - 27.5).abs() < 0.1),
@@ -124,7 +133,11 @@ fn no_stage_asks_for_more_current_than_the_lowest_resistance_allows() {
         escalation.learn(&run).unwrap();
         stages.push(stage);
     }
-    assert!(matches!(escalation.outcome(), Some(Outcome::Found(_))), "{:?}", escalation.history());
+    assert!(
+        matches!(escalation.outcome(), Some(Outcome::Found(_))),
+        "{:?}",
+        escalation.history()
+    );
     for stage in stages.iter().filter(|stage| stage.kind == StageKind::Turn) {
         assert!(stage.peak_v / 1.1 < 0.8 * 22.8, "{stage:?}");
         assert!(stage.winding_v.unwrap() < 1.05 * 22.8 * 1.1, "{stage:?}");

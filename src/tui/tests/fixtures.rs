@@ -5,7 +5,9 @@ use std::sync::Arc;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use crate::bench::{Excitation, Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind};
+use crate::bench::{
+    Excitation, Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind,
+};
 use crate::drive::LinkStatistics;
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::model::Model;

@@ -76,7 +76,11 @@ pub(crate) fn table(
     let mut lines = Vec::new();
     for estimate in estimates {
         let share = excitation.get(estimate.key.as_str()).copied();
-        lines.push(with_bar(value_line(estimate, area.width), share, area.width));
+        lines.push(with_bar(
+            value_line(estimate, area.width),
+            share,
+            area.width,
+        ));
         let mut second = verdict_line(estimate, area.width);
         if let Some(reason) = &estimate.reason {
             second = Line::from(vec![
@@ -136,7 +140,9 @@ fn excitation_line(share: Option<f64>, width: u16) -> Line<'static> {
     // In one column with the bar of the uncertainty.
     const HEAD: &str = "   excited   ";
     const PERCENT: usize = 7;
-    let length = usize::from(width).saturating_sub(HEAD.len() + PERCENT).min(20);
+    let length = usize::from(width)
+        .saturating_sub(HEAD.len() + PERCENT)
+        .min(20);
     let mut line = Line::raw(HEAD);
     if let Some(share) = share {
         line.extend(bar(share, length));
