@@ -94,6 +94,22 @@ fn several_runs_give_the_spread_between_them() {
 }
 
 #[test]
+fn a_drive_that_limits_the_voltage_settles_nothing() {
+    // The embedded program on half as much inertia again: the emulated drive reaches its current limit.
+    let heavy = run_with(0.0065, 7);
+    let found = drivebench(line("identify {} --json", &[&heavy]))
+        .expect(0)
+        .json();
+    for (key, parameter) in found["parameters"].as_object().unwrap() {
+        assert_ne!(parameter["verdict"], "settled", "{key} {parameter}");
+    }
+    assert!(
+        found["notes"].to_string().contains("limited it"),
+        "{found:#}"
+    );
+}
+
+#[test]
 fn wrong_options_are_named_with_what_is_allowed() {
     for (options, phrase) in [
         ("--gear-ratio 0", "above 0"),

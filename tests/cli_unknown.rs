@@ -2,7 +2,7 @@
 
 mod program;
 
-use program::{drivebench, line};
+use program::{drivebench, line, only_folder};
 use serde_json::Value;
 
 const BENCH: &str = include_str!("../bench-configs/benches/zk-22fc-emulated.toml");
@@ -36,11 +36,7 @@ fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
         let text = format!("run --escalate --port sim: --json --emulator {emulator} --out {{}}");
         let done = drivebench(line(&text, &[out.path()])).expect(3);
         assert_eq!(done.json()["outcome"], name);
-        assert!(
-            done.stderr.contains(&format!("error: {sentence}")),
-            "{}",
-            done.stderr
-        );
+        assert!(done.error().contains(sentence), "{}", done.stderr);
         // Every stage is on the disk with what came of it.
         let folder = done.json()["stages"][0]["folder"]
             .as_str()
@@ -147,4 +143,16 @@ fn the_whole_loop_goes_on_from_the_motor_that_was_found() {
     assert_eq!(result["nameplate"]["fits"], true);
     assert_eq!(result["truth"]["named_correctly"], true);
     assert!(done.stderr.contains("find the motor"), "{}", done.stderr);
+}
+
+#[test]
+fn an_ordinary_run_is_compared_with_its_plate_too() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let text = "run --port sim: --json --emulator zk-22fc-plain --out {}";
+    let done = drivebench(line(text, &[out.path()])).expect(0);
+    assert_eq!(done.json()["nameplate"]["fits"], true);
+    let kept = std::fs::read_to_string(only_folder(out.path()).join("result.json"));
+    let kept: Value = serde_json::from_str(&kept.expect("a result")).expect("JSON");
+    assert_eq!(kept["nameplate"], done.json()["nameplate"]);
+    assert!(kept["excitation"]["inertia_kg_m2"].as_f64() > Some(0.9));
 }

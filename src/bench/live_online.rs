@@ -1,16 +1,166 @@
 //! On-line identification on exactly the rows that are recorded, so that a replay of the file is the live run again.
+//!
+//! ```text
+//! live:    commands, samples -> RowOrder -> Row -\
+//!                                                 +-> RowEstimator -> OnlineResult
+//! replay:  samples.csv       -> RunRows  -> Row -/
+//! ```
+//!
+//! Beside the rows the estimators are given their configuration and nothing else; it is kept in the manifest.
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 use super::runner::{Excitation, LiveEstimator};
 use crate::identification::online::{Online, OnlineConfig};
+use crate::identification::recursive::{Memory, StartValues};
 use crate::plant::MotorKey;
 use crate::recording::{CommandRow, Layout, Row, RowOrder};
-use crate::sample::{Channel, ParameterEstimate, Run, Sample};
+use crate::sample::{Channel, ParameterEstimate, Sample};
+
+/// The on-line estimators, fed with rows of the record: the one wiring of live run and replay.
+pub struct RowEstimator {
+    online: Online,
+    rows: u64,
+}
+
+impl RowEstimator {
+    pub fn new(config: OnlineConfig) -> Self {
+        Self {
+            online: Online::new(config),
+            rows: 0,
+        }
+    }
+
+    pub fn push(&mut self, row: &Row) {
+        let mut sample = Sample::at(row.time_s);
+        for channel in Channel::ALL {
+            if let Some(value) = row.get(channel) {
+                sample.set(channel, value);
+            }
+        }
+        self.online.push(&sample);
+        self.rows += 1;
+    }
+
+    pub const fn online(&self) -> &Online {
+        &self.online
+    }
+
+    pub fn result(&self) -> OnlineResult {
+        OnlineResult {
+            rows: self.rows,
+            parameters: keyed(&self.online.estimates()),
+            scheme_2: keyed(&self.online.scheme_2()),
+            innovation: self.online.innovation(),
+            excitation: self.online.excitation(),
+        }
+    }
+}
+
+/// What the estimators say after the last row.
+#[derive(Clone, Debug, Serialize)]
+pub struct OnlineResult {
+    /// Rows of the record that they were given.
+    pub rows: u64,
+    /// Scheme 3, by key.
+    pub parameters: Map<String, Value>,
+    /// Scheme 2, by key.
+    pub scheme_2: Map<String, Value>,
+    /// Of the last block: current, A, and speed, rad/s.
+    pub innovation: Option<(f64, f64)>,
+    /// How far the data carry R, L, Ke, Kt/J, Mc/J.
+    pub excitation: [f64; 5],
+}
+
+fn keyed(estimates: &[ParameterEstimate]) -> Map<String, Value> {
+    estimates
+        .iter()
+        .map(|estimate| {
+            let value = serde_json::to_value(estimate).unwrap_or_default();
+            (estimate.key.clone(), value)
+        })
+        .collect()
+}
+
+/// The estimators' configuration as the manifest keeps it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnlineSettings {
+    pub electrical_forgetting: f64,
+    pub mechanical_forgetting: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_n_m_per_a: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<StartSettings>,
+}
+
+/// First guess of the winding.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StartSettings {
+    pub resistance_ohm: f64,
+    pub inductance_h: f64,
+    pub back_emf_v_s_per_rad: f64,
+}
+
+impl OnlineSettings {
+    /// Where the manifest's `configs` keep it.
+    pub const NAME: &str = "online";
+
+    /// TOML; every number reads back to the same bits.
+    #[expect(
+        clippy::missing_panics_doc,
+        reason = "numbers in named fields always have a TOML form"
+    )]
+    pub fn text(&self) -> String {
+        toml::to_string(self).expect("numbers in named fields always have a TOML form")
+    }
+}
+
+impl From<OnlineConfig> for OnlineSettings {
+    fn from(config: OnlineConfig) -> Self {
+        // Taken apart in full: what is added to the configuration has to be kept as well.
+        let OnlineConfig {
+            memory,
+            torque_n_m_per_a,
+            start,
+        } = config;
+        Self {
+            electrical_forgetting: memory.electrical,
+            mechanical_forgetting: memory.mechanical,
+            torque_n_m_per_a,
+            start: start.map(|start| StartSettings {
+                resistance_ohm: start.resistance_ohm,
+                inductance_h: start.inductance_h,
+                back_emf_v_s_per_rad: start.back_emf_v_s_per_rad,
+            }),
+        }
+    }
+}
+
+impl From<OnlineSettings> for OnlineConfig {
+    fn from(settings: OnlineSettings) -> Self {
+        Self {
+            memory: Memory {
+                electrical: settings.electrical_forgetting,
+                mechanical: settings.mechanical_forgetting,
+            },
+            torque_n_m_per_a: settings.torque_n_m_per_a,
+            start: settings.start.map(|start| StartValues {
+                resistance_ohm: start.resistance_ohm,
+                inductance_h: start.inductance_h,
+                back_emf_v_s_per_rad: start.back_emf_v_s_per_rad,
+            }),
+        }
+    }
+}
 
 /// The on-line estimators behind the row order of the record.
 pub struct LiveOnline {
     order: RowOrder,
     rows: Vec<Row>,
-    online: Online,
+    estimator: RowEstimator,
 }
 
 impl LiveOnline {
@@ -19,12 +169,22 @@ impl LiveOnline {
         Self {
             order: RowOrder::new(layout),
             rows: Vec::new(),
-            online: Online::new(config),
+            estimator: RowEstimator::new(config),
         }
     }
 
     pub const fn online(&self) -> &Online {
-        &self.online
+        self.estimator.online()
+    }
+
+    pub fn result(&self) -> OnlineResult {
+        self.estimator.result()
+    }
+
+    fn take_rows(&mut self) {
+        for row in self.rows.drain(..) {
+            self.estimator.push(&row);
+        }
     }
 }
 
@@ -35,14 +195,16 @@ impl LiveEstimator for LiveOnline {
 
     fn push(&mut self, sample: &Sample) {
         self.order.sample(sample, &mut self.rows);
-        for row in self.rows.drain(..) {
-            self.online
-                .push(&as_sample(row.time_s, |channel| row.get(channel)));
-        }
+        self.take_rows();
+    }
+
+    fn finish(&mut self) {
+        self.order.finish(&mut self.rows);
+        self.take_rows();
     }
 
     fn estimates(&self) -> Vec<ParameterEstimate> {
-        self.online.estimates()
+        self.online().estimates()
     }
 
     fn excitation(&self) -> Excitation {
@@ -54,29 +216,47 @@ impl LiveEstimator for LiveOnline {
             MotorKey::Inertia,
             MotorKey::LoadTorque,
         ];
-        let shares = self.online.excitation();
+        let shares = self.online().excitation();
         KEYS.map(MotorKey::key).into_iter().zip(shares).collect()
     }
 }
 
-/// The on-line estimators over a recorded run: the same arithmetic in the same order as in the live run.
-pub fn replay(run: &Run, config: OnlineConfig) -> Online {
-    let mut online = Online::new(config);
-    for (row, &time_s) in run.time_s().iter().enumerate() {
-        let cell = |channel| run.column(channel).map(|cells: &[f64]| cells[row]);
-        online.push(&as_sample(time_s, |channel| {
-            cell(channel).filter(|value| value.is_finite())
-        }));
+/// The on-line estimators over recorded rows, one at a time: the same arithmetic in the same order as in the live run,
+/// in memory that does not grow.
+pub fn replay<E>(
+    mut next_row: impl FnMut() -> Result<Option<Row>, E>,
+    config: OnlineConfig,
+) -> Result<RowEstimator, E> {
+    let mut estimator = RowEstimator::new(config);
+    while let Some(row) = next_row()? {
+        estimator.push(&row);
     }
-    online
+    Ok(estimator)
 }
 
-fn as_sample(time_s: f64, cell: impl Fn(Channel) -> Option<f64>) -> Sample {
-    let mut sample = Sample::at(time_s);
-    for channel in Channel::ALL {
-        if let Some(value) = cell(channel) {
-            sample.set(channel, value);
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_settings_come_back_from_their_text_to_the_bit() {
+        let full = OnlineConfig {
+            memory: Memory {
+                electrical: 0.1 + 0.2,
+                mechanical: 1.0 - 1.0 / 3.0,
+            },
+            torque_n_m_per_a: Some(1.0 / 7.0),
+            start: Some(StartValues {
+                resistance_ohm: 1e-7 / 3.0,
+                inductance_h: 0.0099_f64.next_up(),
+                back_emf_v_s_per_rad: 2.0_f64.sqrt(),
+            }),
+        };
+        for config in [OnlineConfig::default(), full] {
+            let settings = OnlineSettings::from(config);
+            let back: OnlineSettings = toml::from_str(&settings.text()).unwrap();
+            assert_eq!(back, settings);
+            assert_eq!(OnlineSettings::from(OnlineConfig::from(back)), settings);
         }
     }
-    sample
 }

@@ -12,6 +12,7 @@ mod bench_file;
 mod check;
 mod clock;
 mod describe;
+mod difference;
 mod escalate;
 mod guard;
 mod limits;
@@ -33,10 +34,13 @@ pub use bench_file::{
 pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check};
 pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, manifest};
+pub use difference::{Difference, first_difference};
 pub use escalate::{Scaled, bounds, scale, stage_session};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use limits::{Limits, MotorSection, Nameplate};
-pub use live_online::{LiveOnline, replay};
+pub use live_online::{
+    LiveOnline, OnlineResult, OnlineSettings, RowEstimator, StartSettings, replay,
+};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
 pub use runner::{Bench, Excitation, LiveEstimator, RunOptions, RunSummary, run};

@@ -33,6 +33,9 @@ pub trait LiveEstimator {
 
     fn push(&mut self, sample: &Sample);
 
+    /// Nothing comes any more: what still waits is taken as the recorder takes it.
+    fn finish(&mut self);
+
     fn estimates(&self) -> Vec<ParameterEstimate>;
 
     /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
@@ -205,6 +208,9 @@ impl Runner<'_> {
         }
         // Whatever the session knows: the last word to the drive is zero output.
         let stop_error = self.link.0.stop().err().map(|error| error.to_string());
+        if let Some(estimator) = self.estimator.as_mut() {
+            estimator.finish();
+        }
         let now_s = clock.now_s();
         let outcome = match (self.outcome.take(), self.not_started.take()) {
             (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },

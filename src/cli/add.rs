@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use super::data::{EvidenceArguments, prepare};
 use super::diagnose::parameter_text;
 use super::failure::{Failure, REFUSED, USAGE};
+use super::sanity_report::Judging;
 use super::{compare, output};
 use crate::config_text::help_for_unknown;
 use crate::diagnosis::{AddResult, add, remove};
@@ -63,6 +64,7 @@ pub(super) fn execute(arguments: &Arguments, adding: bool) -> Result<(), Failure
         &arguments.run,
         arguments.model.as_ref(),
         &arguments.evidence,
+        Judging::Refits,
     )?;
     let model = &prepared.model.file.model;
     let result = if adding {
@@ -94,6 +96,7 @@ pub(super) fn execute(arguments: &Arguments, adding: bool) -> Result<(), Failure
         value[side] = value[side]["signals"].take();
     }
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
+    value["notes"] = prepared.run.run.notes.clone().into();
     value["model"] = file.to_toml().into();
     let print_model = arguments.output.is_none() && result.accepted;
     output::result(&value, arguments.json, |_| {

@@ -2,11 +2,11 @@
 
 use super::escalate::{escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
-use super::live::{LiveArguments, Rig, Strings};
+use super::live::{LiveArguments, Recorded, Rig, Strings};
 use super::{data, output, pages, screen};
 use crate::identification::nameplate::Comparison;
 use crate::plant::{FittedValue, Model, ModelFile, Scenario};
-use crate::recording::{RunFile, RunFolder};
+use crate::recording::RunFile;
 use crate::workflow::{
     Commission, CommissionResult, EscalationResult, Progress, ProgressCell, Role, RunRecord,
     StepState, Task,
@@ -61,7 +61,7 @@ fn commission(
                 .collect(),
         );
     }
-    let mut folders = Vec::new();
+    let mut records = Vec::new();
     publish(&workflow.progress());
     while workflow.task() != Task::Finished {
         if strings.is_stopped() {
@@ -70,7 +70,7 @@ fn commission(
                 "interrupted; nothing is energised, what was recorded is kept",
             ));
         }
-        if let Err(failure) = step(&mut workflow, &mut rig, &mut folders, strings, &mut publish) {
+        if let Err(failure) = step(&mut workflow, &mut rig, &mut records, strings, &mut publish) {
             workflow.failed(failure.headline());
             publish(&workflow.progress());
             return Err(failure);
@@ -101,7 +101,7 @@ fn commission(
 fn step(
     workflow: &mut Commission,
     rig: &mut Rig,
-    folders: &mut Vec<RunFolder>,
+    records: &mut Vec<Recorded>,
     strings: &Strings,
     publish: &mut impl FnMut(&Progress),
 ) -> Result<(), Failure> {
@@ -151,11 +151,11 @@ fn step(
                 record,
                 recorded.summary.estimates.clone(),
             );
-            folders.push(recorded.folder);
+            records.push(recorded);
         }
         Task::Analyse => workflow.analyse(|progress| publish(&progress))?,
         Task::Save => {
-            let line = save(workflow, rig, folders)?;
+            let line = save(workflow, rig, records)?;
             workflow.saved(line);
         }
         Task::Finished => {}
@@ -164,7 +164,7 @@ fn step(
 }
 
 /// Model, result and report into every run folder of the loop.
-fn save(workflow: &Commission, rig: &Rig, folders: &[RunFolder]) -> Result<String, Failure> {
+fn save(workflow: &Commission, rig: &Rig, records: &[Recorded]) -> Result<String, Failure> {
     let result = workflow
         .result()
         .ok_or_else(|| Failure::new(INTERNAL, "nothing to save"))?;
@@ -173,10 +173,10 @@ fn save(workflow: &Commission, rig: &Rig, folders: &[RunFolder]) -> Result<Strin
         model: fit.model.clone(),
         ..ModelFile::default()
     };
-    file.history.fitted_on = folders
+    file.history.fitted_on = records
         .iter()
         .take(1)
-        .map(|folder| folder.path().display().to_string())
+        .map(|record| record.folder.path().display().to_string())
         .collect();
     file.history.fitted = fit
         .parameters
@@ -198,13 +198,12 @@ fn save(workflow: &Commission, rig: &Rig, folders: &[RunFolder]) -> Result<Strin
             )
         })
         .collect();
-    let json = serde_json::to_string_pretty(result)
-        .map_err(|error| Failure::new(INTERNAL, format!("the result has no JSON form: {error}")))?;
     let page = pages::commission(workflow.scenarios(), result, rig)?.html;
     let mut reports = Vec::new();
-    for folder in folders {
+    for record in records {
+        let folder = &record.folder;
         folder.write(RunFile::Model, &file.to_toml())?;
-        folder.write(RunFile::Result, &json)?;
+        record.write_result(result)?;
         reports.push(folder.write(RunFile::Report, &page)?);
     }
     Ok(reports

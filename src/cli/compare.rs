@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use super::data::{EvidenceArguments, prepare};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::output;
+use super::sanity_report::Judging;
 use crate::diagnosis::{Comparison, ErrorOf, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -34,6 +35,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         &arguments.run,
         arguments.model.as_ref(),
         &arguments.evidence,
+        Judging::AsGiven,
     )?;
     let mut model = prepared.model.file.model;
     let mut evidence = prepared.evidence;
@@ -45,6 +47,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
     let mut value = serde_json::to_value(&comparison).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
+    value["notes"] = prepared.run.run.notes.clone().into();
     value["model"] = prepared.model.from.into();
     output::result(&value, arguments.json, |_| text(&comparison))?;
     check_fit(&comparison, arguments.min_fit)

@@ -6,6 +6,8 @@ use clap::Args;
 
 use super::failure::{Failure, USAGE};
 use super::output;
+use super::provenance::Provenance;
+use super::sanity_report::{self, Judging};
 use crate::diagnosis::Evidence;
 use crate::identification::{speed_from_angle, start};
 use crate::plant::{Model, ModelFile, Motor, Scenario};
@@ -25,19 +27,38 @@ pub(super) struct MapArguments {
     /// Another map for the hold-out and the confirming run
     #[arg(long, value_name = "MAP")]
     pub(super) map_holdout: Option<String>,
+    /// Where signals come from, as voltage_v=commanded,current_a=supply: measured, estimated, commanded; terminal, supply
+    #[arg(long, value_name = "KEY=WORD,...")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
+    pub(super) origin: Option<Provenance>,
 }
 
 impl MapArguments {
     fn parse(text: Option<&String>) -> Result<Option<ColumnMap>, Failure> {
-        Ok(text.map(|text| text.parse::<ColumnMap>()).transpose()?)
+        let map = text.map(|text| text.parse::<ColumnMap>()).transpose()?;
+        sanity_report::headers(map.as_ref())?;
+        Ok(map)
     }
 
-    pub(super) fn of_run(&self) -> Result<Option<ColumnMap>, Failure> {
-        Self::parse(self.map.as_ref())
+    /// Opens the run with its map; what the command line says of origins goes before what a manifest says.
+    pub(super) fn load(&self, path: &Path) -> Result<LoadedRun, Failure> {
+        self.load_with(path, self.map.as_ref())
     }
 
-    pub(super) fn of_holdout(&self) -> Result<Option<ColumnMap>, Failure> {
-        Self::parse(self.map_holdout.as_ref().or(self.map.as_ref()))
+    /// The same for a hold-out or a confirming run.
+    fn load_other(&self, path: &Path) -> Result<LoadedRun, Failure> {
+        self.load_with(path, self.map_holdout.as_ref().or(self.map.as_ref()))
+    }
+
+    fn load_with(&self, path: &Path, map: Option<&String>) -> Result<LoadedRun, Failure> {
+        let mut loaded = load(path, Self::parse(map)?.as_ref())?;
+        if let Some(provenance) = &self.origin {
+            provenance.apply(&mut loaded.run);
+        }
+        Ok(loaded)
     }
 }
 
@@ -120,20 +141,25 @@ pub(super) struct Prepared {
     pub(super) evidence: Evidence,
 }
 
+/// Opens what the command names; data that it cannot judge end it.
 pub(super) fn prepare(
     run: &Path,
     model_path: Option<&PathBuf>,
     args: &EvidenceArguments,
+    judging: Judging,
 ) -> Result<Prepared, Failure> {
-    let run = load(run, args.map.of_run()?.as_ref())?;
+    let mut run = args.map.load(run)?;
     let mut model = model(model_path, &run)?;
     let fit_run = Scenario::from_run(&run.run)?;
-    let other_map = args.map.of_holdout()?;
+    let judging = if model.from == "baseline" {
+        Judging::FitsFirst
+    } else {
+        judging
+    };
+    sanity_report::before_judging(&mut run.run, &fit_run, &model.file.model, judging)?;
     let other = |path: Option<&PathBuf>| -> Result<Option<Scenario>, Failure> {
         let Some(path) = path else { return Ok(None) };
-        Ok(Some(Scenario::from_run(
-            &load(path, other_map.as_ref())?.run,
-        )?))
+        Ok(Some(Scenario::from_run(&args.map.load_other(path)?.run)?))
     };
     if fit_run.input_channel == Channel::VoltageCmd {
         output::message("voltage_cmd_v serves as the voltage");

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use super::data::{EvidenceArguments, prepare};
 use super::failure::Failure;
 use super::output;
+use super::sanity_report::Judging;
 use crate::diagnosis::{Candidate, Diagnosis, Status, diagnose};
 use crate::sample::ParameterEstimate;
 
@@ -35,6 +36,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         &arguments.run,
         arguments.model.as_ref(),
         &arguments.evidence,
+        Judging::Refits,
     )?;
     let diagnosis = diagnose(
         &prepared.model.file.model,
@@ -43,6 +45,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     )?;
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
+    value["notes"] = prepared.run.run.notes.clone().into();
     output::result(&value, arguments.json, |_| text(&diagnosis))
 }
 

@@ -3,7 +3,6 @@
 use super::data;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, USAGE};
 use super::live::{Rig, Strings};
-use crate::recording::RunFile;
 use crate::workflow::{Escalate, EscalationResult, scaled_sentence};
 
 /// Runs the stages until the motor is found or the reason why not is named. With a motor the rig goes on with its values
@@ -38,10 +37,7 @@ pub(super) fn escalate(
         // Read back from the disk: what decides on the next amplitude is what anyone can replay.
         let loaded = data::load(folder, None)?;
         let record = workflow.ran(&loaded.run, Some(folder.display().to_string()))?;
-        let json = serde_json::to_string_pretty(&record).map_err(|error| {
-            Failure::new(INTERNAL, format!("a stage has no JSON form: {error}"))
-        })?;
-        recorded.folder.write(RunFile::Result, &json)?;
+        recorded.write_result(&record)?;
         tell(&record.stage.line);
     }
     let mut result = workflow.result();

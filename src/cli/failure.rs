@@ -81,9 +81,10 @@ impl From<RecordingError> for Failure {
     }
 }
 
+/// A file without the columns, the rows or the time axis of a run: it, or how it is read, is to be changed.
 impl From<ScenarioError> for Failure {
     fn from(error: ScenarioError) -> Self {
-        Self::with_help(NOT_IDENTIFIABLE, error.to_string(), error.help())
+        Self::with_help(USAGE, error.to_string(), error.help())
     }
 }
 

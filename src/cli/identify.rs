@@ -7,12 +7,14 @@ use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use super::data::{MapArguments, load, model};
+use super::data::{MapArguments, model};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output;
+use super::sanity_report;
 use crate::identification::added_inertia::{self, Seen};
 use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Data, Identified};
+use crate::identification::{claims, temperature, voltage_departure};
 use crate::plant::{Model, MotorKey, Scenario};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate};
@@ -43,6 +45,9 @@ pub(super) struct Arguments {
     /// Motor turns per turn of the load: inertia and load torque are then also given on the load's shaft
     #[arg(long, value_name = "N")]
     gear_ratio: Option<f64>,
+    /// Instead of parameters: the load torque over time, with the parameters of --model, into this file
+    #[arg(long, value_name = "FILE.csv", requires = "model")]
+    load_torque: Option<PathBuf>,
     /// Write the identified model here
     #[arg(long, value_name = "MODEL2.toml")]
     output: Option<PathBuf>,
@@ -121,6 +126,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             Some(file) => file,
             none => none.insert(model(arguments.model.as_ref(), &loaded)?.file),
         };
+        if let Some(trace) = &arguments.load_torque {
+            if arguments.runs.len() > 1 {
+                return Err(Failure::with_help(
+                    USAGE,
+                    format!(
+                        "--load-torque with {} runs is not allowed (expected one)",
+                        arguments.runs.len()
+                    ),
+                    "a trace over time belongs to one run",
+                ));
+            }
+            return super::load_torque::execute(trace, &loaded.run, &file.model, arguments.json);
+        }
         runs.push(identify(loaded, &file.model, arguments)?);
     }
     let commanded = |run: &OneRun| run.scenario.input_channel == Channel::VoltageCmd;
@@ -149,20 +167,37 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn open(path: &Path, arguments: &Arguments) -> Result<LoadedRun, Failure> {
-    load(path, arguments.map.of_run()?.as_ref())
+    arguments.map.load(path)
 }
 
-fn identify(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<OneRun, Failure> {
+fn identify(
+    mut loaded: LoadedRun,
+    model: &Model,
+    arguments: &Arguments,
+) -> Result<OneRun, Failure> {
     let scenario = Scenario::from_run(&loaded.run)?;
+    let findings =
+        sanity_report::before_identify(&mut loaded.run, &scenario, model, arguments.json)?;
     let scheme = match &arguments.scheme {
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),
     };
-    let found = scheme.identify(&Data {
+    let mut found = scheme.identify(&Data {
         run: &loaded.run,
         scenario: &scenario,
         model,
     })?;
+    if scenario.input_channel == Channel::VoltageCmd
+        && let Some(departure) = voltage_departure::find(&loaded.run)
+    {
+        departure.limit(&mut found.parameters);
+        found.notes.push(departure.sentence());
+    }
+    claims::doubt(&mut found.parameters, &findings);
+    found
+        .notes
+        .extend(claims::limit(&mut found.parameters, &loaded.run, &scenario));
+    let found = temperature::complete(found, &loaded.run, &scenario);
     Ok(OneRun {
         loaded,
         scenario,

@@ -12,14 +12,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use clap::Args;
+use serde::Serialize;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
-    LiveOnline, MonotonicClock, Nameplate, Outcome, Plan, Port, Protocol, RunOptions, RunSummary,
-    Session, SnapshotCell, Target, check, layout, manifest, plan, run, stage_session,
+    LiveOnline, MonotonicClock, Nameplate, OnlineResult, OnlineSettings, Outcome, Plan, Port,
+    Protocol, RunOptions, RunSummary, Session, SnapshotCell, Target, check, layout, manifest, plan,
+    run, stage_session,
 };
 use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
 use crate::emulator::{
@@ -29,7 +31,7 @@ use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
 use crate::plant::Motor;
-use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
+use crate::recording::{Manifest, Recorder, RunFile, RunFolder, utc_stamp};
 use crate::sample::{Channel, Command, Demand};
 
 /// Options of every command that may energise a motor.
@@ -365,10 +367,15 @@ impl Rig {
         if !self.clock.is_real() {
             layout = layout.without_host_time();
         }
+        let config = OnlineConfig::default();
+        manifest.configs.insert(
+            OnlineSettings::NAME.to_owned(),
+            OnlineSettings::from(config).text(),
+        );
         let folder = RunFolder::create(&self.out, &manifest.stamp, name)?;
         let sync_every = whole(self.bench.link.rate_hz.ceil());
         let mut recorder = Recorder::create(folder.clone(), layout.clone(), &manifest, sync_every)?;
-        let mut online = LiveOnline::new(layout, OnlineConfig::default());
+        let mut online = LiveOnline::new(layout, config);
         let sent_before = self.link.statistics().sent;
         let mut summary = run(
             session,
@@ -394,7 +401,14 @@ impl Rig {
         summary.describe(&mut manifest);
         // The writer thread may still have been busy when the run ended: only now is every row counted.
         summary.rows = recorder.finish(&manifest)?.rows as u64;
-        Ok(Recorded { folder, summary })
+        let recorded = Recorded {
+            folder,
+            summary,
+            online: online.result(),
+        };
+        // Kept at once: whoever goes on with this run may be interrupted.
+        recorded.write_result(&serde_json::json!({}))?;
+        Ok(recorded)
     }
 
     fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {
@@ -416,6 +430,9 @@ impl Rig {
             if let Some(origin) = self.profile.signals.get(channel) {
                 manifest.set_origin(channel, origin);
             }
+            if let Some(side) = self.profile.sides.get(channel) {
+                manifest.set_side(channel, side);
+            }
         }
         manifest
     }
@@ -425,9 +442,32 @@ impl Rig {
 pub(super) struct Recorded {
     pub(super) folder: RunFolder,
     pub(super) summary: RunSummary,
+    /// What the on-line estimators said at the end; `replay` compares itself with it.
+    pub(super) online: OnlineResult,
+}
+
+/// `result.json`: what a command has to say, and what the live estimators said.
+#[derive(Serialize)]
+struct KeptResult<'a, T> {
+    #[serde(flatten)]
+    result: &'a T,
+    online: &'a OnlineResult,
 }
 
 impl Recorded {
+    /// Writes `result.json`.
+    pub(super) fn write_result<T: Serialize>(&self, result: &T) -> Result<(), Failure> {
+        let kept = KeptResult {
+            result,
+            online: &self.online,
+        };
+        let text = serde_json::to_string_pretty(&kept).map_err(|error| {
+            Failure::new(INTERNAL, format!("the result has no JSON form: {error}"))
+        })?;
+        self.folder.write(RunFile::Result, &text)?;
+        Ok(())
+    }
+
     /// The failure that ended the run early, if any.
     pub(super) fn failure(&self) -> Option<Failure> {
         let kept = format!("the record is kept in {}", self.folder.path().display());

@@ -15,10 +15,14 @@ mod escalate;
 mod failure;
 mod identify;
 mod live;
+mod load_torque;
 mod output;
 mod pages;
 mod plan;
+mod provenance;
+mod replay;
 mod run;
+mod sanity_report;
 mod screen;
 mod simulate;
 
@@ -54,6 +58,7 @@ enum Command {
     Plan(plan::Arguments),
     Run(run::Arguments),
     Identify(identify::Arguments),
+    Replay(replay::Arguments),
     Simulate(simulate::Arguments),
     Compare(compare::Arguments),
     Diagnose(diagnose::Arguments),
@@ -88,6 +93,7 @@ pub fn main() -> ExitCode {
         Command::Plan(arguments) => plan::execute(&arguments),
         Command::Run(arguments) => run::execute(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
+        Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),

@@ -117,10 +117,11 @@ fn write_results(whole: &Whole, nameplate: &Motor) -> Result<(), Failure> {
         RunFile::Model,
         &online_model(&recorded.summary, nameplate, folder.path()).to_toml(),
     )?;
-    let result = serde_json::to_string_pretty(&result(whole)).unwrap_or_default();
-    folder.write(RunFile::Result, &result)?;
-    let page = pages::run(recorded, &whole.plan, nameplate)?;
-    folder.write(RunFile::Report, &page)?;
+    recorded.write_result(&result(whole))?;
+    folder.write(
+        RunFile::Report,
+        &pages::run(recorded, &whole.plan, nameplate)?,
+    )?;
     Ok(())
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::data::{MapArguments, load, read_model};
+use super::data::{MapArguments, read_model};
 use super::failure::{Failure, INTERNAL, USAGE};
 use super::output;
 use crate::identification::noise::NoiseFloor;
@@ -36,7 +36,7 @@ pub(super) struct Arguments {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let model = read_model(&arguments.model)?.model;
     model.require_complete()?;
-    let loaded = load(&arguments.run, arguments.map.of_run()?.as_ref())?;
+    let loaded = arguments.map.load(&arguments.run)?;
     let scenario = Scenario::from_run(&loaded.run)?;
     let noise = NoiseFloor::from_standstill(&scenario)
         .unwrap_or_else(|| NoiseFloor::from_spread(&scenario));

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::config_text::{self, ConfigError, help_for_unknown};
-use crate::sample::{Channel, Origin};
+use crate::sample::{Channel, Origin, Side};
 
 /// The profiles that are built in: name and text.
 const EMBEDDED: [(&str, &str); 1] = [("own", include_str!("../../bench-configs/drives/own.toml"))];
@@ -20,6 +20,8 @@ pub struct DriveProfile {
     pub link: LinkSettings,
     pub capabilities: Capabilities,
     pub signals: SignalOrigins,
+    #[serde(default)]
+    pub sides: SignalSides,
     pub watchdog: Watchdog,
     #[serde(default)]
     pub limits: DriveLimits,
@@ -130,6 +132,24 @@ impl SignalOrigins {
             Channel::Torque => self.torque_n_m,
             Channel::Bus => self.bus_v,
             Channel::Temperature => self.temperature_c,
+        }
+    }
+}
+
+/// On which side of the power stage voltage and current are taken; `None`: the profile does not say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SignalSides {
+    pub voltage_v: Option<Side>,
+    pub current_a: Option<Side>,
+}
+
+impl SignalSides {
+    pub const fn get(self, channel: Channel) -> Option<Side> {
+        match channel {
+            Channel::Voltage => self.voltage_v,
+            Channel::Current => self.current_a,
+            _ => None,
         }
     }
 }
@@ -267,6 +287,8 @@ mod tests {
         assert!(own.capabilities.voltage_command);
         assert_eq!(own.signals.get(Channel::Current), Some(Origin::Measured));
         assert_eq!(own.signals.get(Channel::Torque), None);
+        assert_eq!(own.sides.get(Channel::Current), Some(Side::Terminal));
+        assert_eq!(own.sides.get(Channel::Speed), None);
         assert_eq!(own.watchdog.kicked_by, KickedBy::Command);
         assert_eq!(own.link.framing.bits_per_char(), 10);
     }

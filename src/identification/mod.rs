@@ -4,23 +4,37 @@
 //! samples, one by one --> online (recursive: schemes 2 and 3) ------------------+
 //! Run (angle -> speed_from_angle) -> Scenario -+-> start -> output_error -------+-> ParameterEstimate
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
+//!                                              +-> inverse_dynamics (both) -----+
+//!                                              +-> step_response (one step) ----+
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
 //! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! repeat, added_inertia: what several runs say together
+//! sanity: what is wrong with the data, asked first; claims: what their origin allows to be said, applied last
 //! ```
 
 pub mod added_inertia;
+pub mod claims;
 pub mod escalation;
+pub mod inverse_dynamics;
+pub mod kalman;
+pub mod missing_cells;
 pub mod nameplate;
 pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
 pub mod repeat;
+pub mod sanity;
 pub mod scheme;
+pub mod scheme_1;
 pub mod speed_from_angle;
 pub mod start;
+pub mod step_response;
+pub mod temperature;
+mod torque_ratio;
 mod verdict;
+pub mod voltage_departure;
 pub mod weak_form;
+mod wrapped_angle;

@@ -4,6 +4,7 @@
 //! stamps). The span is chosen from the data: the shortest whose error from the angle's resolution stays below a share
 //! of the largest speed, so that a fine encoder is hardly smoothed and a coarse one is not differentiated count by count.
 
+use super::wrapped_angle;
 use crate::sample::{Channel, Origin, Run, RunError};
 
 /// Share of the largest speed that the resolution of the angle may cost.
@@ -11,11 +12,11 @@ const ALLOWED_SHARE: f64 = 0.002;
 /// Most neighbours on either side: beyond, the motion itself would be smoothed away.
 const LONGEST_SIDE: usize = 12;
 
-/// The run with a speed column derived from its angle and a note that says how. A run that has a measured speed, or no
-/// angle, comes back as it is.
+/// The run with a speed column derived from its angle and a note that says how. An angle that starts again after a turn
+/// is made continuous first. A run that has a measured speed keeps it; one without an angle comes back as it is.
 pub fn complete(run: &Run) -> Result<Run, RunError> {
-    let mut completed = run.clone();
-    let points: Vec<(f64, f64)> = run.points(Channel::Angle).collect();
+    let mut completed = wrapped_angle::complete(run)?;
+    let points: Vec<(f64, f64)> = completed.points(Channel::Angle).collect();
     if run.points(Channel::Speed).next().is_some() || points.len() < 5 {
         return Ok(completed);
     }

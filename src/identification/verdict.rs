@@ -47,10 +47,7 @@ pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
     if positive && relative > NOT_OBSERVABLE {
         let reason = match slot {
             Slot::Motor(MotorKey::Inductance) => inductance_reason(period_s, relative),
-            _ => format!(
-                "relative uncertainty {:.0} %: the run does not excite it",
-                100.0 * relative
-            ),
+            _ => format!("{}: the run does not excite it", uncertainty(relative)),
         };
         return ParameterEstimate::not_observable(&key, unit, reason);
     }
@@ -59,7 +56,7 @@ pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
     let reason = if !positive && relative > TOLD_FROM_ZERO {
         "not told from zero".to_owned()
     } else {
-        format!("relative uncertainty {:.1} %", 100.0 * relative)
+        uncertainty(relative)
     };
     ParameterEstimate {
         key,
@@ -75,10 +72,51 @@ pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) ->
     }
 }
 
+/// A relative standard deviation in words that can be read whatever its size.
+fn uncertainty(relative: f64) -> String {
+    if relative > 10.0 {
+        "the uncertainty is more than ten times the value".to_owned()
+    } else if relative > 2.0 {
+        format!("the uncertainty is {relative:.1} times the value")
+    } else if relative > NOT_OBSERVABLE {
+        format!("relative uncertainty {:.0} %", 100.0 * relative)
+    } else {
+        format!("relative uncertainty {:.1} %", 100.0 * relative)
+    }
+}
+
 fn inductance_reason(period_s: f64, relative: f64) -> String {
     let period_ms = 1e3 * period_s;
     format!(
-        "relative uncertainty {:.0} % at a period of {period_ms:.1} ms: sample faster, or use burst capture",
-        100.0 * relative
+        "{} at a period of {period_ms:.1} ms: sample faster, or use burst capture",
+        uncertainty(relative)
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_uncertainty_reads_sensibly_at_any_size() {
+        for (relative, text) in [
+            (0.031, "relative uncertainty 3.1 %"),
+            (0.87, "relative uncertainty 87 %"),
+            (3.14, "the uncertainty is 3.1 times the value"),
+            (
+                12345.678,
+                "the uncertainty is more than ten times the value",
+            ),
+        ] {
+            assert_eq!(uncertainty(relative), text);
+        }
+        let slot = Slot::Motor(MotorKey::Inertia);
+        let judged = judge(&slot, 1e-9, Some(1.0), 0.01);
+        assert_eq!(judged.verdict, Verdict::NotObservable);
+        let reason = judged.reason.unwrap();
+        assert!(
+            !reason.contains(|letter: char| letter.is_ascii_digit()),
+            "{reason}"
+        );
+    }
 }

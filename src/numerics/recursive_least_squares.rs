@@ -28,14 +28,22 @@ impl RowNoise {
 }
 
 /// Least squares with exponential memory in `N` parameters; allocates nothing.
+///
+/// Divisions are few and the products of a row are formed once: an update is a few tens of nanoseconds.
 #[derive(Clone, Debug)]
 pub struct RecursiveLeastSquares<const N: usize> {
     forgetting: f64,
+    /// `1 / forgetting`, and the news below which forgetting pauses.
+    growth: f64,
+    least_news: f64,
     /// Size of each parameter: the algebra runs on `parameter / scale`.
     scale: [f64; N],
     scaled: [f64; N],
+    /// Column by column: `upper[j][i]` is `U_ij`, of which only `i < j` counts.
     upper: [[f64; N]; N],
     diagonal: [f64; N],
+    /// Diagonal of `P`.
+    variance: [f64; N],
     prior: f64,
     /// Covariance of the scaled parameters for errors of unit variance, propagated with the gains that were really used.
     spread: [[f64; N]; N],
@@ -55,14 +63,15 @@ impl<const N: usize> RecursiveLeastSquares<N> {
     /// `scale` gives the size of each parameter (positive), `prior` the variance of `parameter / scale` before any data
     /// in units of the noise variance; `forgetting` is limited to 0.5..1.
     pub fn new(start: [f64; N], scale: [f64; N], prior: f64, forgetting: f64) -> Self {
-        Self {
-            forgetting: forgetting.clamp(0.5, 1.0),
+        let mut made = Self {
+            forgetting: 1.0,
+            growth: 1.0,
+            least_news: 0.0,
             scale,
             scaled: std::array::from_fn(|j| start[j] / scale[j]),
-            upper: std::array::from_fn(|row| {
-                std::array::from_fn(|column| f64::from(u8::from(row == column)))
-            }),
+            upper: [[0.0; N]; N],
             diagonal: [prior; N],
+            variance: [prior; N],
             prior,
             spread: std::array::from_fn(|row| {
                 std::array::from_fn(|column| if row == column { prior } else { 0.0 })
@@ -72,7 +81,9 @@ impl<const N: usize> RecursiveLeastSquares<N> {
             noise_weight: 0.0,
             rows: 0,
             recent_news: 1.0,
-        }
+        };
+        made.set_forgetting(forgetting);
+        made
     }
 
     /// Takes one row of independent noise and returns the innovation; `None`, and no change, where it is not finite.
@@ -83,30 +94,27 @@ impl<const N: usize> RecursiveLeastSquares<N> {
     /// As [`Self::update`], for a row whose noise is the difference of two samples' errors.
     pub fn update_row(&mut self, regressor: &[f64; N], value: f64, noise: RowNoise) -> Option<f64> {
         let psi: [f64; N] = std::array::from_fn(|j| regressor[j] * self.scale[j]);
+        // A regressor that is not finite leaves an innovation that is not.
         let innovation = value - dot(&psi, &self.scaled);
-        if !innovation.is_finite() || psi.iter().any(|x| !x.is_finite()) {
+        let f = self.projected(&psi);
+        let news: f64 = (0..N).map(|j| f[j] * f[j] * self.diagonal[j]).sum();
+        if !(innovation.is_finite() && news.is_finite()) {
             return None;
         }
-        let news = self.news(&psi);
-        if !news.is_finite() {
-            return None;
-        }
-        self.recent_news += (news.min(1.0) - self.recent_news) / NEWS_ROWS;
-        if self.recent_news >= Self::LEAST_NEWS * (1.0 - self.forgetting)
-            && (0..N).all(|j| self.ignorance(j) < 1.0)
-        {
-            for variance in &mut self.diagonal {
-                *variance /= self.forgetting;
-            }
-        }
-        let (gain, news) = self.measure(&psi);
+        self.recent_news += (news.min(1.0) - self.recent_news) * (1.0 / NEWS_ROWS);
+        let forgets = self.recent_news >= self.least_news
+            && self.variance.iter().all(|variance| *variance < self.prior);
+        // Whatever does not need the gain comes first: a processor works on it while it waits for the divisions.
+        let foreseen = self.foresee_spread(&psi, noise);
+        let growth = if forgets { self.growth } else { 1.0 };
+        let (gain, news) = self.measure(&f, growth);
         for (parameter, gain) in self.scaled.iter_mut().zip(&gain) {
             *parameter += gain * innovation;
         }
-        self.propagate_spread(&psi, &gain, noise);
+        self.propagate_spread(foreseen, &gain);
         if news < FREE_ROW {
             let square =
-                innovation * innovation / (1.0 + news) / noise.carry.mul_add(noise.carry, 1.0);
+                innovation * innovation / ((1.0 + news) * (1.0 + noise.carry * noise.carry));
             self.noise_sum = self.forgetting * self.noise_sum + square;
             self.noise_weight = self.forgetting * self.noise_weight + 1.0;
         }
@@ -114,62 +122,66 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         Some(innovation)
     }
 
-    /// `psi' P psi`: variance of the prediction in units of the noise variance.
-    fn news(&self, psi: &[f64; N]) -> f64 {
-        (0..N)
-            .map(|j| {
-                let f: f64 = psi[j] + (0..j).map(|i| self.upper[i][j] * psi[i]).sum::<f64>();
-                f * f * self.diagonal[j]
-            })
-            .sum()
+    /// `f = U' psi`.
+    fn projected(&self, psi: &[f64; N]) -> [f64; N] {
+        std::array::from_fn(|j| psi[j] + (0..j).map(|i| self.upper[j][i] * psi[i]).sum::<f64>())
     }
 
-    /// Bierman's measurement update for unit noise: the gain, and `psi' P psi` before it.
-    #[expect(
-        clippy::needless_range_loop,
-        reason = "triangular indices as the literature prints them"
-    )]
-    fn measure(&mut self, psi: &[f64; N]) -> ([f64; N], f64) {
-        let f: [f64; N] = std::array::from_fn(|j| {
-            psi[j] + (0..j).map(|i| self.upper[i][j] * psi[i]).sum::<f64>()
-        });
-        let mut gain = [0.0; N];
-        let mut alpha = 1.0;
+    /// Bierman's measurement update for unit noise, after `D` has grown by the forgetting: the gain, and `psi' P psi`
+    /// before it.
+    fn measure(&mut self, f: &[f64; N], growth: f64) -> ([f64; N], f64) {
+        let grown: [f64; N] = std::array::from_fn(|j| self.diagonal[j] * growth);
+        let v: [f64; N] = std::array::from_fn(|j| grown[j] * f[j]);
+        // alpha[j]: variance of the innovation by the first j directions; its inverses are independent divisions.
+        let mut alpha = [1.0; N];
+        let mut sum = 1.0;
         for j in 0..N {
-            let v = self.diagonal[j] * f[j];
-            let before = alpha;
-            alpha += f[j] * v;
-            self.diagonal[j] *= before / alpha;
-            gain[j] = v;
-            let p = -f[j] / before;
-            for i in 0..j {
-                let u = self.upper[i][j];
-                self.upper[i][j] += gain[i] * p;
-                gain[i] += u * v;
-            }
+            sum += f[j] * v[j];
+            alpha[j] = sum;
         }
-        (gain.map(|g| g / alpha), alpha - 1.0)
+        let inverse: [f64; N] = alpha.map(|alpha| 1.0 / alpha);
+        let mut gain = [0.0; N];
+        let mut variance = [0.0; N];
+        let (mut before, mut inverse_before) = (1.0, 1.0);
+        for j in 0..N {
+            let diagonal = grown[j] * (before * inverse[j]);
+            let p = -f[j] * inverse_before;
+            let column = &mut self.upper[j];
+            for i in 0..j {
+                let u = column[i];
+                let updated = u + gain[i] * p;
+                gain[i] += u * v[j];
+                column[i] = updated;
+                variance[i] += updated * updated * diagonal;
+            }
+            gain[j] = v[j];
+            variance[j] += diagonal;
+            self.diagonal[j] = diagonal;
+            (before, inverse_before) = (alpha[j], inverse[j]);
+        }
+        self.variance = variance;
+        (gain.map(|g| g * inverse_before), sum - 1.0)
     }
 
-    /// `Q <- A Q A' + (1 + carry^2) K K' - carry (A s K' + K s' A')`, `A = I - K psi'`, `s` the covariance with `e_begin`.
-    fn propagate_spread(&mut self, psi: &[f64; N], gain: &[f64; N], noise: RowNoise) {
+    /// The parts of [`Self::propagate_spread`] that the gain does not enter: `Q psi + carry s`, and what the gain is
+    /// multiplied with.
+    fn foresee_spread(&self, psi: &[f64; N], noise: RowNoise) -> ([f64; N], f64) {
+        let carry = noise.carry;
+        let linked = if noise.continues { carry } else { 0.0 };
         let q_psi: [f64; N] = std::array::from_fn(|i| dot(&self.spread[i], psi));
-        let variance = dot(psi, &q_psi) + 1.0 + noise.carry * noise.carry;
-        let shared = if noise.continues {
-            self.shared
-        } else {
-            [0.0; N]
-        };
-        let along = dot(psi, &shared);
-        for i in 0..N {
-            for j in 0..=i {
-                let own = self.spread[i][j] - gain[i] * q_psi[j] - q_psi[i] * gain[j]
-                    + gain[i] * gain[j] * variance;
-                let cross = (shared[i] - gain[i] * along) * gain[j]
-                    + gain[i] * (shared[j] - gain[j] * along);
-                let value = own - noise.carry * cross;
-                self.spread[i][j] = value;
-                self.spread[j][i] = value;
+        let half = 0.5 * (dot(psi, &q_psi) + (1.0 + carry * carry));
+        let along = linked * dot(psi, &self.shared);
+        let sum = std::array::from_fn(|i| q_psi[i] + linked * self.shared[i]);
+        (sum, half + along)
+    }
+
+    /// `Q <- A Q A' + (1 + carry^2) K K' - carry (A s K' + K s' A')`, `A = I - K psi'`, `s` the covariance with `e_begin`,
+    /// as `Q - K a' - a K'` with `a = Q psi + carry s - ((psi' Q psi + 1 + carry^2)/2 + carry psi' s) K`.
+    fn propagate_spread(&mut self, (sum, share): ([f64; N], f64), gain: &[f64; N]) {
+        let a: [f64; N] = std::array::from_fn(|i| sum[i] - share * gain[i]);
+        for (i, row) in self.spread.iter_mut().enumerate() {
+            for (j, cell) in row.iter_mut().enumerate() {
+                *cell -= gain[i] * a[j] + a[i] * gain[j];
             }
         }
         self.shared = *gain;
@@ -182,6 +194,8 @@ impl<const N: usize> RecursiveLeastSquares<N> {
     /// Changes the memory from the next row on; limited to 0.5..1.
     pub fn set_forgetting(&mut self, forgetting: f64) {
         self.forgetting = forgetting.clamp(0.5, 1.0);
+        self.growth = 1.0 / self.forgetting;
+        self.least_news = Self::LEAST_NEWS * (1.0 - self.forgetting);
     }
 
     /// Moves the parameters, as a limit of physics may demand; covariance and noise stay.
@@ -211,10 +225,7 @@ impl<const N: usize> RecursiveLeastSquares<N> {
 
     /// Share of the prior variance that the data have left, 1 (nothing learnt) to 0; forgetting can lift it above 1.
     pub fn ignorance(&self, parameter: usize) -> f64 {
-        let variance: f64 = (parameter..N)
-            .map(|j| self.upper[parameter][j].powi(2) * self.diagonal[j])
-            .sum();
-        variance / self.prior
+        self.variance[parameter] / self.prior
     }
 
     /// Rows taken so far.

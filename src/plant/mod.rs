@@ -20,7 +20,7 @@ mod simulate;
 pub(crate) mod testing;
 mod typical_size;
 
-pub use effect::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+pub use effect::{Balance, Card, Effect, Instant, ParameterSpec, Sums, Terms};
 pub use model::{ActiveEffect, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};

@@ -6,65 +6,147 @@ pub(super) type M2 = [[f64; 2]; 2];
 /// `Phi = exp(A t)` and `Gamma = integral of exp(A s) ds from 0 to t`, in closed form from the eigenvalues of `A`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Propagator {
-    pub(super) interval_s: f64,
     phi: M2,
     gamma: M2,
 }
 
-impl Propagator {
-    pub(super) fn new(a: &M2, t: f64) -> Self {
-        // m: mean of the eigenvalues; d: square of their half distance.
-        let m = 0.5 * (a[0][0] + a[1][1]);
+/// `A` with what its exponential over any interval needs: most of the work is done once.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LinearPart {
+    a: M2,
+    /// Mean of the eigenvalues, and the square of their half distance.
+    mean: f64,
+    square: f64,
+    determinant: f64,
+    /// Largest eigenvalue by size, roughly.
+    size: f64,
+    real: Option<RealEigenvalues>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct RealEigenvalues {
+    each: [f64; 2],
+    inverse: [f64; 2],
+    over_distance: f64,
+}
+
+/// Size times interval below which the power series is used.
+const SHORT: f64 = 1e-3;
+
+impl LinearPart {
+    pub(super) fn new(a: &M2) -> Self {
+        let mean = 0.5 * (a[0][0] + a[1][1]);
         let half = 0.5 * (a[0][0] - a[1][1]);
-        let d = half * half + a[0][1] * a[1][0];
+        let square = half * half + a[0][1] * a[1][0];
         let determinant = a[0][0] * a[1][1] - a[0][1] * a[1][0];
-        let size = (m.abs() + d.abs().sqrt()) * t;
-        let (phi, gamma) = if size < 1e-3 {
-            taylor(a, t)
-        } else if d > 1e-6 * m * m {
-            let q = d.sqrt();
+        let real = (square > 1e-6 * mean * mean && square > 0.0).then(|| {
+            let q = square.sqrt();
             // The smaller eigenvalue from the product of both: no cancellation when they are far apart.
-            let (l1, l2) = if m < 0.0 {
-                let far = m - q;
-                (determinant / far, far)
+            let each = if mean < 0.0 {
+                let far = mean - q;
+                [determinant / far, far]
             } else {
-                (m + q, m - q)
+                [mean + q, mean - q]
             };
-            let (e1, e2) = ((l1 * t).exp(), (l2 * t).exp());
-            let (f1, f2) = (integral_of_exp(l1, t), integral_of_exp(l2, t));
-            (
-                combine(a, m, 0.5 * (e1 + e2), (e1 - e2) / (2.0 * q)),
-                combine(a, m, 0.5 * (f1 + f2), (f1 - f2) / (2.0 * q)),
-            )
-        } else {
-            let decay = (m * t).exp();
-            let (c, s) = if d < 0.0 && (-d).sqrt() * t > 1e-4 {
-                let w = (-d).sqrt();
-                ((w * t).cos(), (w * t).sin() / w)
-            } else {
-                // cosh and sinh of a small argument, to fourth order.
-                let z = d * t * t;
-                (
-                    1.0 + z / 2.0 + z * z / 24.0,
-                    t * (1.0 + z / 6.0 + z * z / 120.0),
-                )
-            };
-            let phi = combine(a, m, decay * c, decay * s);
-            // Gamma = A^-1 (Phi - I); the determinant is m^2 - d > 0 here.
-            let p = [[phi[0][0] - 1.0, phi[0][1]], [phi[1][0], phi[1][1] - 1.0]];
-            let inverse = [
-                [a[1][1] / determinant, -a[0][1] / determinant],
-                [-a[1][0] / determinant, a[0][0] / determinant],
-            ];
-            (phi, multiply(&inverse, &p))
-        };
+            RealEigenvalues {
+                each,
+                inverse: each.map(|rate| 1.0 / rate),
+                over_distance: 0.5 / q,
+            }
+        });
         Self {
-            interval_s: t,
-            phi,
-            gamma,
+            a: *a,
+            mean,
+            square,
+            determinant,
+            size: mean.abs() + square.abs().sqrt(),
+            real,
         }
     }
 
+    /// The propagator over `t`.
+    pub(super) fn over(&self, t: f64) -> Propagator {
+        if self.size * t < SHORT {
+            return taylor(&self.a, t);
+        }
+        match &self.real {
+            Some(real) => self.assemble(real, real.each.map(|rate| (rate * t).exp_m1()), t),
+            None => self.oscillating(t),
+        }
+    }
+
+    /// The propagators over `t` and over half of it.
+    pub(super) fn over_both(&self, t: f64) -> (Propagator, Propagator) {
+        match &self.real {
+            Some(real) if 0.5 * self.size * t >= SHORT => {
+                // exp(x) - 1 = h (h + 2) with h = exp(x/2) - 1: one exponential serves both.
+                let half = real.each.map(|rate| (0.5 * rate * t).exp_m1());
+                let whole = half.map(|h| h * (h + 2.0));
+                (
+                    self.assemble(real, whole, t),
+                    self.assemble(real, half, 0.5 * t),
+                )
+            }
+            _ => (self.over(t), self.over(0.5 * t)),
+        }
+    }
+
+    /// From `exp(rate t) - 1` of both eigenvalues.
+    fn assemble(&self, real: &RealEigenvalues, grown: [f64; 2], t: f64) -> Propagator {
+        let integral = |k: usize| {
+            if real.each[k] == 0.0 {
+                t
+            } else {
+                grown[k] * real.inverse[k]
+            }
+        };
+        let (f1, f2) = (integral(0), integral(1));
+        Propagator {
+            phi: combine(
+                &self.a,
+                self.mean,
+                1.0 + 0.5 * (grown[0] + grown[1]),
+                (grown[0] - grown[1]) * real.over_distance,
+            ),
+            gamma: combine(
+                &self.a,
+                self.mean,
+                0.5 * (f1 + f2),
+                (f1 - f2) * real.over_distance,
+            ),
+        }
+    }
+
+    /// Complex or nearly equal eigenvalues.
+    fn oscillating(&self, t: f64) -> Propagator {
+        let (a, d, determinant) = (&self.a, self.square, self.determinant);
+        let decay = (self.mean * t).exp();
+        let (c, s) = if d < 0.0 && (-d).sqrt() * t > 1e-4 {
+            let w = (-d).sqrt();
+            ((w * t).cos(), (w * t).sin() / w)
+        } else {
+            // cosh and sinh of a small argument, to fourth order.
+            let z = d * t * t;
+            (
+                1.0 + z / 2.0 + z * z / 24.0,
+                t * (1.0 + z / 6.0 + z * z / 120.0),
+            )
+        };
+        let phi = combine(a, self.mean, decay * c, decay * s);
+        // Gamma = A^-1 (Phi - I); the determinant is m^2 - d > 0 here.
+        let p = [[phi[0][0] - 1.0, phi[0][1]], [phi[1][0], phi[1][1] - 1.0]];
+        let inverse = [
+            [a[1][1] / determinant, -a[0][1] / determinant],
+            [-a[1][0] / determinant, a[0][0] / determinant],
+        ];
+        Propagator {
+            phi,
+            gamma: multiply(&inverse, &p),
+        }
+    }
+}
+
+impl Propagator {
     /// State after the interval under a constant forcing `g`.
     #[inline]
     pub(super) fn apply(&self, x: [f64; 2], g: [f64; 2]) -> [f64; 2] {
@@ -84,14 +166,6 @@ fn combine(a: &M2, m: f64, c: f64, s: f64) -> M2 {
     ]
 }
 
-fn integral_of_exp(rate: f64, t: f64) -> f64 {
-    if rate == 0.0 {
-        t
-    } else {
-        (rate * t).exp_m1() / rate
-    }
-}
-
 fn multiply(a: &M2, b: &M2) -> M2 {
     let mut out = [[0.0; 2]; 2];
     for (row, line) in out.iter_mut().enumerate() {
@@ -103,7 +177,7 @@ fn multiply(a: &M2, b: &M2) -> M2 {
 }
 
 /// Power series for a short interval, where differences of exponentials would cancel; the remainder is below 1e-17.
-fn taylor(a: &M2, t: f64) -> (M2, M2) {
+fn taylor(a: &M2, t: f64) -> Propagator {
     let identity = [[1.0, 0.0], [0.0, 1.0]];
     let (mut phi, mut gamma) = (identity, [[t, 0.0], [0.0, t]]);
     let mut term = identity;
@@ -117,7 +191,7 @@ fn taylor(a: &M2, t: f64) -> (M2, M2) {
             }
         }
     }
-    (phi, gamma)
+    Propagator { phi, gamma }
 }
 
 #[cfg(test)]
@@ -156,14 +230,21 @@ mod tests {
         ];
         for a in &cases {
             for t in [1e-6, 1e-4, 1e-3, 0.02, 0.3] {
-                let exact = Propagator::new(a, t).apply([1.5, -0.7], [300.0, -4.0]);
                 let small_steps = reference(a, t, [1.5, -0.7], [300.0, -4.0]);
-                for n in 0..2 {
-                    let scale = small_steps[n].abs().max(1e-3);
-                    assert!(
-                        (exact[n] - small_steps[n]).abs() < 1e-8 * scale,
-                        "{a:?} {t} {exact:?} {small_steps:?}"
-                    );
+                let linear = LinearPart::new(a);
+                for propagator in [
+                    linear.over(t),
+                    linear.over_both(t).0,
+                    linear.over_both(2.0 * t).1,
+                ] {
+                    let exact = propagator.apply([1.5, -0.7], [300.0, -4.0]);
+                    for n in 0..2 {
+                        let scale = small_steps[n].abs().max(1e-3);
+                        assert!(
+                            (exact[n] - small_steps[n]).abs() < 1e-8 * scale,
+                            "{a:?} {t} {exact:?} {small_steps:?}"
+                        );
+                    }
                 }
             }
         }
@@ -171,7 +252,8 @@ mod tests {
 
     #[test]
     fn a_very_stiff_circuit_stays_finite_and_settles() {
-        let x = Propagator::new(&[[-1e7, -1e5], [80.0, 0.0]], 0.01).apply([0.0, 0.0], [1e7, 0.0]);
+        let stiff = LinearPart::new(&[[-1e7, -1e5], [80.0, 0.0]]);
+        let x = stiff.over(0.01).apply([0.0, 0.0], [1e7, 0.0]);
         assert!(x[0].is_finite() && (x[0] - 1.0).abs() < 0.02, "{x:?}");
     }
 }

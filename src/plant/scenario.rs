@@ -22,6 +22,8 @@ pub enum Input {
 pub enum ScenarioError {
     #[error("run {run:?} has no voltage, and neither current nor torque in its place")]
     NoInput { run: String },
+    #[error("run {run:?} has neither current nor speed beside its {input}")]
+    NoOutput { run: String, input: &'static str },
     #[error(
         "run {run:?}: {gap_s} s pass between two samples near {time_s} s (the median is {median_s} s, at most {allowed_s} s are allowed)"
     )]
@@ -45,6 +47,9 @@ impl ScenarioError {
         match self {
             Self::NoInput { .. } => {
                 "map a column with --map voltage_v=HEADER (or torque_n_m=HEADER)"
+            }
+            Self::NoOutput { .. } => {
+                "map a column with --map speed_rad_s=HEADER or current_a=HEADER (or angle_rad=HEADER)"
             }
             Self::Gap { .. } => {
                 "is the time column in seconds? --map time_s=HEADER*0.001 converts milliseconds; cut a pause out of the file"
@@ -109,6 +114,13 @@ impl Scenario {
             }
         }
         let rows = scenario.sample_time_s.len();
+        let present = |channel| run.points(channel).next().is_some();
+        if !present(Channel::Current) && !present(Channel::Speed) {
+            return Err(ScenarioError::NoOutput {
+                run: run.name.clone(),
+                input: channel.name(),
+            });
+        }
         if rows < FEWEST_ROWS {
             return Err(ScenarioError::TooShort {
                 run: run.name.clone(),

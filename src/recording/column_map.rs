@@ -15,6 +15,8 @@ pub struct Mapping {
     pub header: String,
     pub factor: f64,
     pub offset: f64,
+    /// A factor or an offset was written, if only `*1`: somebody thought of the unit.
+    pub scaled: bool,
 }
 
 /// A parsed `--map`: every target at most once, the time axis among them.
@@ -91,14 +93,17 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
         )
     };
     let source = source.trim();
-    let (header, factor, offset) = match source.strip_prefix('"') {
-        Some(quoted) => {
-            let close = closing_quote(quoted.as_bytes(), 0)
-                .ok_or_else(|| wrong(item, "the quote around the header is not closed"))?;
-            let (factor, offset) = parse_scale(item, quoted[close + 1..].trim())?;
-            (quoted[..close].replace("\"\"", "\""), factor, offset)
-        }
-        None => parse_plain(item, source)?,
+    let (header, factor, offset, scaled) = if let Some(quoted) = source.strip_prefix('"') {
+        let close = closing_quote(quoted.as_bytes(), 0)
+            .ok_or_else(|| wrong(item, "the quote around the header is not closed"))?;
+        let scale = quoted[close + 1..].trim();
+        let (factor, offset) = parse_scale(item, scale)?;
+        let header = quoted[..close].replace("\"\"", "\"");
+        (header, factor, offset, !scale.is_empty())
+    } else {
+        let (header, factor, offset) = parse_plain(item, source)?;
+        let scaled = header.trim() != source;
+        (header, factor, offset, scaled)
     };
     let header = header.trim().to_owned();
     if header.is_empty() {
@@ -109,6 +114,7 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
         header,
         factor,
         offset,
+        scaled,
     })
 }
 
@@ -278,6 +284,13 @@ mod tests {
             .unwrap();
         assert_eq!(map.items().len(), 4);
         assert_eq!(map.items()[3].factor.to_bits(), 0.104_719_755_f64.to_bits());
+        let scaled: Vec<bool> = map.items().iter().map(|item| item.scaled).collect();
+        assert_eq!(scaled, [false, false, false, true]);
+        let map: ColumnMap = "time_s=t*1,current_a=\"i\"*1,voltage_v=\"u\""
+            .parse()
+            .unwrap();
+        let scaled: Vec<bool> = map.items().iter().map(|item| item.scaled).collect();
+        assert_eq!(scaled, [true, true, false]);
     }
 
     proptest! {

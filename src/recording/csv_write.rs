@@ -18,9 +18,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Zero has no sign here, in the cells neither: the file has none either, and a row has to be the same again when
+    /// it is read.
     pub fn at(time_s: f64) -> Self {
         Self {
-            time_s,
+            time_s: time_s + 0.0,
             ..Self::default()
         }
     }
@@ -30,7 +32,9 @@ impl Row {
     }
 
     pub fn set(&mut self, channel: Channel, value: Option<f64>) {
-        self.cells[channel.index()] = value.filter(|value| value.is_finite());
+        self.cells[channel.index()] = value
+            .filter(|value| value.is_finite())
+            .map(|value| value + 0.0);
     }
 
     /// Adds one word about a channel.

@@ -111,7 +111,11 @@ impl RecordingError {
             Self::Empty { .. } | Self::NoRows { .. } => {
                 "nothing was recorded; give another run".into()
             }
-            Self::Run { .. } => "see DESIGN.md 5.2 for the form of a run".into(),
+            Self::Run {
+                source: RunError::Absurd { .. },
+                ..
+            } => "check the cell and the unit of its column; leave a damaged cell empty".into(),
+            Self::Run { .. } => "time must grow from row to row, and every row needs a cell for every column".into(),
             Self::WriterGone { .. } => "the run is unfinished; its rows so far are on disk".into(),
         }
     }

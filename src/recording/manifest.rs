@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::sample::{Channel, Origin};
+use crate::sample::{Channel, Origin, Side};
 
 /// Everything that is needed to judge or repeat a run. Keys that a newer program may have added are read past.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -34,6 +34,8 @@ pub struct Manifest {
     pub lateness_p99_s: Option<f64>,
     /// Column key to origin: `"voltage_v": "measured"`.
     pub signals: BTreeMap<String, Origin>,
+    /// Column key to the side of the power stage on which it is taken: `"current_a": "terminal"`.
+    pub sides: BTreeMap<String, Side>,
     /// `passed`, `interrupted`, `safety trip: ...`.
     pub outcome: Option<String>,
     /// Rows of `samples.csv`; set by the recorder.
@@ -52,6 +54,15 @@ impl Manifest {
 
     pub fn origin(&self, channel: Channel) -> Option<Origin> {
         self.signals.get(channel.key()).copied()
+    }
+
+    /// Says on which side of the power stage a voltage or current is taken.
+    pub fn set_side(&mut self, channel: Channel, side: Side) {
+        self.sides.insert(channel.key().to_owned(), side);
+    }
+
+    pub fn side(&self, channel: Channel) -> Option<Side> {
+        self.sides.get(channel.key()).copied()
     }
 
     /// The text of `manifest.json`.
@@ -76,11 +87,13 @@ mod tests {
             ..Manifest::default()
         };
         manifest.set_origin(Channel::Voltage, Origin::Measured);
+        manifest.set_side(Channel::Current, Side::Supply);
         manifest
             .configs
             .insert("bench".into(), "[drive]\nport = \"sim:\"\n".into());
         let text = manifest.text();
         assert!(text.contains("\"voltage_v\": \"measured\""));
+        assert!(text.contains("\"current_a\": \"supply\""));
         assert!(text.contains("\"finished\": false"));
         assert_eq!(serde_json::from_str::<Manifest>(&text).unwrap(), manifest);
         let newer = text.replacen('{', "{\"of_tomorrow\": [1],", 1);

@@ -5,7 +5,7 @@
 //!     |- Recorder (writer thread, run folder)  -\
 //!     '- MemoryRecorder (virtual time)          -+-> Journal: RowOrder -> Layout -> whole lines
 //!
-//! run folder | samples.csv | any CSV + ColumnMap -> open_run -> LoadedRun { Run, Manifest, warnings }
+//! run folder | samples.csv | any CSV + ColumnMap -> RunRows (row by row) -> open_run -> LoadedRun { Run, Manifest, warnings }
 //! ```
 //!
 //! * `samples.csv` has one strictly increasing time axis; a command stands at the drive time at which it was applied.
@@ -15,6 +15,7 @@
 mod column_map;
 mod csv_line;
 mod csv_read;
+mod csv_rows;
 mod csv_write;
 mod error;
 mod journal;
@@ -27,12 +28,13 @@ mod run_folder;
 
 pub use column_map::{ColumnMap, Mapping};
 pub use csv_read::{ReadOptions, read_csv};
+pub use csv_rows::CsvRows;
 pub use csv_write::{Layout, Row, number_text, write_run};
 pub use error::RecordingError;
 pub use journal::{Event, Record, RecorderStatus};
 pub use manifest::Manifest;
 pub use memory::MemoryRecorder;
-pub use open_run::{LoadedRun, open_run};
+pub use open_run::{LoadedRun, RunRows, open_run};
 pub use recorder::Recorder;
 pub use row_order::{CommandRow, RowOrder};
 pub use run_folder::{RunFile, RunFolder, utc_stamp};

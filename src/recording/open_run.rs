@@ -5,7 +5,9 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::run_folder::SAMPLES;
-use super::{ColumnMap, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, read_csv};
+use super::{
+    ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, Row, RunFile, RunFolder, csv_read,
+};
 use crate::sample::{Channel, Origin, Run};
 
 /// A run with what is known about it.
@@ -20,53 +22,103 @@ pub struct LoadedRun {
     pub warnings: Vec<String>,
 }
 
-/// Opens a run. Without `map` the headers must be those of our own `samples.csv`.
+/// A run that is read row by row: nothing of it is kept but the last line.
+pub struct RunRows {
+    rows: CsvRows<BufReader<File>>,
+    name: String,
+    /// `None` for foreign files, and where the manifest is lost or cannot be read.
+    pub manifest: Option<Manifest>,
+    /// The run folder, where the samples stand in one.
+    pub folder: Option<PathBuf>,
+    warnings: Vec<String>,
+}
+
+impl RunRows {
+    /// Opens a run and reads its header. Without `map` the headers must be those of our own `samples.csv`.
+    pub fn open(path: &Path, map: Option<&ColumnMap>) -> Result<Self, RecordingError> {
+        let is_folder = path.is_dir();
+        let samples = if is_folder {
+            path.join(SAMPLES)
+        } else {
+            path.to_owned()
+        };
+        let mut warnings = Vec::new();
+        let (folder, manifest) = folder_of(&samples, is_folder, &mut warnings);
+
+        let file =
+            File::open(&samples).map_err(|error| RecordingError::io(&samples, "open", &error))?;
+        let name = path.display().to_string();
+        let options = ReadOptions {
+            map,
+            whole_lines_only: folder.is_some(),
+        };
+        let rows = CsvRows::new(BufReader::with_capacity(1 << 20, file), &name, options)?;
+        Ok(Self {
+            rows,
+            name,
+            manifest,
+            folder,
+            warnings,
+        })
+    }
+
+    /// The next row, with the quantities only; `None` at the end.
+    pub fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
+        self.rows.next_row()
+    }
+
+    /// The channels that the file has a column for.
+    pub fn channels(&self) -> impl Iterator<Item = Channel> + '_ {
+        self.rows.channels()
+    }
+
+    /// Rows given out so far.
+    pub fn rows(&self) -> usize {
+        self.rows.rows()
+    }
+
+    /// Torn rows that were left out.
+    pub fn rows_dropped(&self) -> usize {
+        self.rows.rows_dropped()
+    }
+
+    /// What the reader should know, once the last row has been read.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = self.warnings.clone();
+        warnings.extend_from_slice(self.rows.warnings());
+        let (name, rows) = (&self.name, self.rows.rows());
+        if let Some(manifest) = &self.manifest {
+            if !manifest.finished {
+                warnings.push(format!(
+                    "{name}: the run was not finished; it was read to its last whole row ({rows} rows)"
+                ));
+            } else if let Some(said) = manifest.rows
+                && said != rows
+            {
+                warnings.push(format!("{name}: {rows} rows, the manifest says {said}"));
+            }
+        }
+        warnings
+    }
+}
+
+/// Opens a run and reads all of it. Without `map` the headers must be those of our own `samples.csv`.
 ///
 /// A run that was not finished is read to its last whole row, with a warning. Origins of signals come from the
 /// manifest; without one they are unknown, but for the commands of our own files.
 pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, RecordingError> {
-    let is_folder = path.is_dir();
-    let samples = if is_folder {
-        path.join(SAMPLES)
-    } else {
-        path.to_owned()
-    };
-    let mut warnings = Vec::new();
-    let (folder, manifest) = folder_of(&samples, is_folder, &mut warnings);
-
-    let file =
-        File::open(&samples).map_err(|error| RecordingError::io(&samples, "open", &error))?;
-    let name = path.display().to_string();
-    let options = ReadOptions {
-        map,
-        whole_lines_only: folder.is_some(),
-    };
-    let (mut run, more) = read_csv(BufReader::with_capacity(1 << 20, file), &name, options)?;
-    warnings.extend(more);
-
-    if let Some(manifest) = &manifest {
-        if !manifest.finished {
-            warnings.push(format!(
-                "{name}: the run was not finished; it was read to its last whole row ({} rows)",
-                run.rows()
-            ));
-        } else if let Some(rows) = manifest.rows
-            && rows != run.rows()
-        {
-            warnings.push(format!(
-                "{name}: {} rows, the manifest says {rows}",
-                run.rows()
-            ));
-        }
-        if map.is_none() {
-            set_origins(&mut run, manifest)?;
-        }
+    let mut source = RunRows::open(path, map)?;
+    let mut run = csv_read::collect(&mut source.rows, &source.name, map.is_none())?;
+    if map.is_none()
+        && let Some(manifest) = &source.manifest
+    {
+        set_origins(&mut run, manifest);
     }
     Ok(LoadedRun {
         run,
-        manifest,
-        folder,
-        warnings,
+        warnings: source.warnings(),
+        manifest: source.manifest,
+        folder: source.folder,
     })
 }
 
@@ -107,7 +159,7 @@ fn folder_of(
     }
 }
 
-fn set_origins(run: &mut Run, manifest: &Manifest) -> Result<(), RecordingError> {
+fn set_origins(run: &mut Run, manifest: &Manifest) {
     for channel in Channel::ALL {
         let origin = manifest.origin(channel).unwrap_or_else(|| {
             if channel.is_commanded() {
@@ -116,18 +168,17 @@ fn set_origins(run: &mut Run, manifest: &Manifest) -> Result<(), RecordingError>
                 Origin::Unknown
             }
         });
-        if let Some(values) = run.column(channel).map(<[f64]>::to_vec) {
-            let file = run.name.clone();
-            run.set_column(channel, values, origin)
-                .map_err(|source| RecordingError::Run { file, source })?;
+        run.set_origin(channel, origin);
+        if let Some(side) = manifest.side(channel) {
+            run.set_side(channel, side);
         }
     }
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sample::Side;
     use std::fs;
 
     fn folder(root: &Path, manifest: &Manifest, samples: &str) -> RunFolder {
@@ -146,6 +197,7 @@ mod tests {
             ..Manifest::default()
         };
         manifest.set_origin(Channel::Voltage, Origin::Measured);
+        manifest.set_side(Channel::Voltage, Side::Terminal);
         let folder = folder(
             root.path(),
             &manifest,
@@ -156,6 +208,8 @@ mod tests {
             assert_eq!(loaded.run.rows(), 2);
             assert_eq!(loaded.run.origin(Channel::Voltage), Origin::Measured);
             assert_eq!(loaded.run.origin(Channel::VoltageCmd), Origin::Commanded);
+            assert_eq!(loaded.run.side(Channel::Voltage), Some(Side::Terminal));
+            assert_eq!(loaded.run.side(Channel::Current), None);
             assert_eq!(loaded.manifest.as_ref(), Some(&manifest));
             assert_eq!(loaded.folder.as_deref(), Some(folder.path()));
             assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);

@@ -20,4 +20,4 @@ pub use channel::Channel;
 pub use command::{Command, Demand};
 pub use estimate::{ParameterEstimate, Verdict};
 pub use instant::{Applied, DriveState, Quality, Sample};
-pub use run::{Origin, Run, RunError};
+pub use run::{Origin, Run, RunError, Side};

@@ -20,8 +20,62 @@ pub enum Origin {
     Unknown,
 }
 
+impl Origin {
+    pub const ALL: [Self; 5] = [
+        Self::Measured,
+        Self::Estimated,
+        Self::Commanded,
+        Self::Derived,
+        Self::Unknown,
+    ];
+
+    /// As in files and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::Estimated => "estimated",
+            Self::Commanded => "commanded",
+            Self::Derived => "derived",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// On which side of the drive's power stage a voltage or current is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    /// At the motor's terminals.
+    Terminal,
+    /// Between supply and drive: the duty cycle stands between it and the motor.
+    Supply,
+}
+
+impl Side {
+    pub const ALL: [Self; 2] = [Self::Terminal, Self::Supply];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Terminal => "terminal",
+            Self::Supply => "supply",
+        }
+    }
+}
+
+/// Largest size of a time or a value that a bench can give: above, a file is damaged or a unit is far off.
+const LARGEST: f64 = 1e12;
+
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RunError {
+    #[error(
+        "run {run:?}: row {row}: {column} {value:e} is not allowed (expected a size up to {LARGEST:e})"
+    )]
+    Absurd {
+        run: String,
+        column: &'static str,
+        row: usize,
+        value: f64,
+    },
     #[error(
         "run {run:?}: row {row}: time {time_s} s is not after {before_s} s (time must be strictly increasing)"
     )]
@@ -58,6 +112,7 @@ pub struct Run {
     time_s: Vec<f64>,
     columns: [Option<Vec<f64>>; Channel::COUNT],
     origins: [Origin; Channel::COUNT],
+    sides: [Option<Side>; Channel::COUNT],
     /// Rows that were torn or unreadable and left out.
     pub rows_dropped: usize,
     /// Where fit and hold-out come from, what was derived and how: sentences for the reader.
@@ -68,6 +123,7 @@ impl Run {
     /// A run with a time axis and no columns yet.
     pub fn new(name: impl Into<String>, time_s: Vec<f64>) -> Result<Self, RunError> {
         let name = name.into();
+        refuse_absurd(&name, "time_s", &time_s)?;
         for (row, pair) in time_s.windows(2).enumerate() {
             // A comparison that is false for NaN as well.
             if !matches!(
@@ -103,9 +159,20 @@ impl Run {
                 expected: self.time_s.len(),
             });
         }
+        refuse_absurd(&self.name, channel.key(), &values)?;
         self.columns[channel.index()] = Some(values);
         self.origins[channel.index()] = origin;
         Ok(())
+    }
+
+    /// Says where a signal comes from, which the column itself does not know.
+    pub fn set_origin(&mut self, channel: Channel, origin: Origin) {
+        self.origins[channel.index()] = origin;
+    }
+
+    /// Says on which side of the power stage a voltage or current is taken.
+    pub fn set_side(&mut self, channel: Channel, side: Side) {
+        self.sides[channel.index()] = Some(side);
     }
 
     pub fn time_s(&self) -> &[f64] {
@@ -123,6 +190,11 @@ impl Run {
 
     pub fn origin(&self, channel: Channel) -> Origin {
         self.origins[channel.index()]
+    }
+
+    /// `None`: nobody said.
+    pub fn side(&self, channel: Channel) -> Option<Side> {
+        self.sides[channel.index()]
     }
 
     /// `(time, value)` of the cells that are there.
@@ -156,6 +228,7 @@ impl Run {
             name: name.into(),
             time_s: self.time_s[from..to].to_vec(),
             origins: self.origins,
+            sides: self.sides,
             notes: self.notes.clone(),
             ..Self::default()
         };
@@ -183,6 +256,19 @@ impl Run {
         }
         gaps.sort_by(f64::total_cmp);
         Some(gaps[gaps.len() / 2])
+    }
+}
+
+/// NaN is a missing cell; infinity and sizes that nothing has are damage.
+fn refuse_absurd(run: &str, column: &'static str, values: &[f64]) -> Result<(), RunError> {
+    match values.iter().position(|value| value.abs() > LARGEST) {
+        Some(row) => Err(RunError::Absurd {
+            run: run.to_owned(),
+            column,
+            row,
+            value: values[row],
+        }),
+        None => Ok(()),
     }
 }
 
@@ -215,6 +301,43 @@ mod tests {
         ));
         assert!(Run::new("r", vec![0.0, f64::NAN]).is_err());
         assert!(Run::new("r", vec![]).is_ok());
+    }
+
+    #[test]
+    fn infinite_and_absurd_values_are_refused_with_their_row() {
+        for times in [
+            vec![0.0, 1.0, f64::INFINITY],
+            vec![f64::NEG_INFINITY, 0.0],
+            vec![0.0, 1e15],
+        ] {
+            assert!(matches!(
+                Run::new("r", times),
+                Err(RunError::Absurd {
+                    column: "time_s",
+                    ..
+                })
+            ));
+        }
+        let mut run = run();
+        let wild = vec![0.0, f64::NAN, 1e300, 0.0];
+        let error = run
+            .set_column(Channel::Speed, wild, Origin::Unknown)
+            .unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "run \"r\": row 2: speed_rad_s 1e300 is not allowed (expected a size up to 1e12)"
+        );
+    }
+
+    #[test]
+    fn origin_and_side_travel_with_a_slice() {
+        let mut run = run();
+        run.set_side(Channel::Current, Side::Supply);
+        run.set_origin(Channel::Current, Origin::Estimated);
+        let part = run.slice(1, 3, "part");
+        assert_eq!(part.side(Channel::Current), Some(Side::Supply));
+        assert_eq!(part.origin(Channel::Current), Origin::Estimated);
+        assert_eq!(part.side(Channel::Voltage), None);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::bench::session::Phase;
 use crate::bench::testing::{Fault, ScriptedDrive, Wave};
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use crate::identification::online::OnlineConfig;
-use crate::recording::{Layout, MemoryRecorder};
+use crate::recording::{CsvRows, Layout, MemoryRecorder, ReadOptions};
 use crate::sample::Channel;
 
 fn layout() -> Layout {
@@ -117,7 +117,10 @@ fn the_live_estimates_are_near_the_truth_and_a_replay_gives_them_to_the_bit() {
     let plain = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
     for seed in 1..=3 {
         let (summary, recorder, _) = emulated_with(&plain, seed, 1);
-        let again = replay(&recorder.run("r").unwrap(), OnlineConfig::default()).estimates();
+        let csv = recorder.samples_csv();
+        let mut rows = CsvRows::new(csv.as_bytes(), "r", ReadOptions::default()).unwrap();
+        let again = replay(|| rows.next_row(), OnlineConfig::default()).unwrap();
+        let again = again.online().estimates();
         assert_eq!(summary.estimates.len(), 5);
         for (live, replayed) in summary.estimates.iter().zip(&again) {
             assert_eq!(
@@ -318,6 +321,8 @@ impl LiveEstimator for Bomb {
         self.0 -= 1;
         assert!(self.0 > 0, "boom");
     }
+
+    fn finish(&mut self) {}
 
     fn estimates(&self) -> Vec<ParameterEstimate> {
         Vec::new()

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use super::super::provenance;
 use super::{Answer, OneRun};
 use crate::report::{conventions, number};
 use crate::sample::{Channel, ParameterEstimate};
@@ -41,6 +42,7 @@ impl Answer {
             "rows_dropped": of_runs(|run| run.loaded.run.rows_dropped),
             "period_s": first.and_then(period_s),
             "input": first.map(|run| run.scenario.input_channel.key()),
+            "signals": first.map(|run| provenance::signals(&run.loaded.run)),
             "shaft": "motor",
             "conventions": keyed(converted.iter().map(|c| (c.key, c))),
             "notes": notes,

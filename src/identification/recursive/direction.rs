@@ -7,27 +7,35 @@ const LEAST_RAD_S: f64 = 0.5;
 const NOISE_MULTIPLE: f64 = 4.0;
 
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Direction {
+pub(in crate::identification) struct Direction {
     largest_rad_s: f64,
     /// Standard deviation of the speed at standstill, where known.
-    pub(super) noise_rad_s: f64,
+    pub(in crate::identification) noise_rad_s: f64,
 }
 
 impl Direction {
+    /// With the standard deviation of the speed at standstill known.
+    pub(in crate::identification) fn with_noise(noise_rad_s: f64) -> Self {
+        Self {
+            noise_rad_s,
+            ..Self::default()
+        }
+    }
+
     /// -1, 0 (inside the dead zone) or 1.
-    pub(super) fn of(&mut self, speed_rad_s: f64) -> i8 {
+    pub(in crate::identification) fn of(&mut self, speed_rad_s: f64) -> i8 {
         self.largest_rad_s = self.largest_rad_s.max(speed_rad_s.abs());
         let zone = self.dead_zone_rad_s();
         i8::from(speed_rad_s > zone) - i8::from(speed_rad_s < -zone)
     }
 
-    pub(super) fn dead_zone_rad_s(&self) -> f64 {
+    pub(in crate::identification) fn dead_zone_rad_s(&self) -> f64 {
         (SHARE_OF_LARGEST * self.largest_rad_s)
             .max(NOISE_MULTIPLE * self.noise_rad_s)
             .max(LEAST_RAD_S)
     }
 
-    pub(super) fn largest_rad_s(&self) -> f64 {
+    pub(in crate::identification) fn largest_rad_s(&self) -> f64 {
         self.largest_rad_s
     }
 }

@@ -12,5 +12,6 @@ mod scheme_2;
 mod scheme_3;
 mod winding;
 
+pub(in crate::identification) use direction::Direction;
 pub use scheme_2::{CurrentIntegral, Scheme2};
 pub use scheme_3::{Memory, Scheme3, StartValues};

@@ -7,9 +7,15 @@
 //! A new method is one file here and one line in [`CATALOGUE`]; its arithmetic lives in a room of its own.
 
 mod contract_tests;
+mod ekf;
 mod error;
+mod inverse_dynamics;
 mod online;
 mod output_error;
+mod scheme_1;
+mod scheme_1_tests;
+mod scheme_2_rectangle;
+mod step_response;
 mod weak_form;
 
 pub use error::IdentifyError;
@@ -88,8 +94,15 @@ pub trait Scheme: Sync {
 pub static CATALOGUE: &[&dyn Scheme] = &[
     &output_error::OutputError,
     &weak_form::WeakForm,
+    &scheme_1::Printed,
+    &scheme_1::Exact,
+    &scheme_1::WithInstruments,
+    &inverse_dynamics::InverseDynamics,
     &online::Scheme2,
+    &scheme_2_rectangle::Rectangle,
     &online::Scheme3,
+    &step_response::StepResponse,
+    &ekf::Ekf,
 ];
 
 /// The scheme of that name.

@@ -83,12 +83,12 @@ mod tests {
     use crate::plant::{Motor, Scenario};
     use crate::sample::Run;
 
-    fn identified(start: Model, scenario: &Scenario) -> Model {
+    fn identified(start: &Model, scenario: &Scenario) -> Model {
         let run = Run::new("r", scenario.sample_time_s.clone()).unwrap();
         let data = Data {
             run: &run,
             scenario,
-            model: &start,
+            model: start,
         };
         OutputError.identify(&data).unwrap().model
     }
@@ -98,7 +98,9 @@ mod tests {
         let truth = Model::baseline(Motor::zk_22fc());
         let levels = [40.0, 80.0, 20.0, -40.0, -80.0, 0.0];
         let mut events = vec![(0.0, 0.0)];
-        events.extend((0..18).map(|k| (0.4 + 0.2 * f64::from(k), levels[k as usize % 6])));
+        for (k, volts) in levels.iter().cycle().take(18).enumerate() {
+            events.push((0.4 + 0.2 * k as f64, *volts));
+        }
         let scenario = record(&truth, events, 0.002, 4.0, 3);
         for factors in [
             [10.0, 0.1, 3.0, 0.1, 5.0],
@@ -117,7 +119,7 @@ mod tests {
                 let value = truth.motor.get(key).unwrap();
                 start.motor.set(key, factor * value);
             }
-            let found = identified(start, &scenario);
+            let found = identified(&start, &scenario);
             for key in keys {
                 let ratio = found.motor.get(key).unwrap() / truth.motor.get(key).unwrap();
                 assert!((ratio - 1.0).abs() < 0.03, "{factors:?} {key:?} {ratio}");

@@ -1,8 +1,9 @@
 //! Weak form of both balances.
 
 use super::{Data, Identified, IdentifyError, Scheme};
-use crate::identification::weak_form;
-use crate::sample::ParameterEstimate;
+use crate::identification::{missing_cells, torque_ratio, weak_form};
+use crate::plant::{Model, Scenario};
+use crate::sample::{ParameterEstimate, Verdict};
 
 pub(super) struct WeakForm;
 
@@ -16,12 +17,103 @@ impl Scheme for WeakForm {
     }
 
     fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
-        let parameters: Vec<ParameterEstimate> = weak_form::fit(data.model, data.scenario)?
-            .into_iter()
-            .flat_map(|balance| balance.parameters)
-            .collect();
+        let parameters = parameters(data.model, data.scenario)?;
         Ok(Identified::new(self.id(), data.model, parameters).with_note(
             "weak form: windows without standstill; friction values depend on the method by some per cent",
         ))
+    }
+}
+
+/// Values of both balances: over whole rows, and as ratios in the reasons where the torque constant is unknown.
+pub(super) fn parameters(
+    model: &Model,
+    scenario: &Scenario,
+) -> Result<Vec<ParameterEstimate>, IdentifyError> {
+    let bridged = missing_cells::bridged(scenario);
+    let scenario = bridged.as_ref().unwrap_or(scenario);
+    let relative = torque_ratio::lacks_torque_constant(model, scenario);
+    let unit = relative.then(|| torque_ratio::with_unit_torque_constant(model));
+    let balances = weak_form::fit(unit.as_ref().unwrap_or(model), scenario)?;
+    let told = |found: ParameterEstimate| match found.verdict {
+        Verdict::Fixed => found,
+        _ if relative => torque_ratio::told(found),
+        _ => found,
+    };
+    Ok(balances
+        .into_iter()
+        .flat_map(|balance| balance.parameters)
+        .map(told)
+        .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::testing::record;
+    use crate::plant::{Input, Motor};
+
+    /// A record of current and speed alone, as a drive in torque mode leaves it.
+    fn mechanical() -> Scenario {
+        let steps = [
+            (0.3, 40.0),
+            (0.8, -50.0),
+            (1.4, 15.0),
+            (2.0, -20.0),
+            (2.7, 60.0),
+            (3.3, 5.0),
+        ];
+        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+        let truth = Model::baseline(Motor::zk_22fc());
+        let mut scenario = record(&truth, events, 0.002, 4.0, 7);
+        scenario.input = Input::Current;
+        scenario
+    }
+
+    fn near(parameters: &[ParameterEstimate], key: &str, truth: f64, within: f64) {
+        let found = parameters.iter().find(|p| p.key == key).unwrap();
+        let (value, std) = (found.value.unwrap(), found.std.unwrap());
+        let near = (value / truth - 1.0).abs() < within && (value - truth).abs() < 4.0 * std;
+        assert!(near, "{within} {found:?} {truth}");
+    }
+
+    #[test]
+    fn rows_of_their_own_and_missing_cells_cost_little() {
+        let whole = mechanical();
+        let (mut apart, mut holed) = (whole.clone(), whole.clone());
+        for k in 0..whole.samples() {
+            let cells = if k % 2 == 0 {
+                &mut apart.current_a
+            } else {
+                &mut apart.speed_rad_s
+            };
+            cells[k] = f64::NAN;
+            if k % 13 == 5 {
+                holed.current_a[k] = f64::NAN;
+            }
+        }
+        let model = Model::baseline(Motor::zk_22fc());
+        for (scenario, within) in [(&whole, 0.01), (&holed, 0.02), (&apart, 0.03)] {
+            let found = parameters(&model, scenario).unwrap();
+            near(&found, "inertia_kg_m2", 0.0045, within);
+            near(&found, "load_torque_n_m", 0.455, within);
+        }
+    }
+
+    #[test]
+    fn without_a_torque_constant_the_ratio_stands_in_the_reason() {
+        let found = parameters(&Model::baseline(Motor::new("?")), &mechanical()).unwrap();
+        let inertia = found.iter().find(|p| p.key == "inertia_kg_m2").unwrap();
+        assert_eq!(
+            (inertia.value, inertia.verdict),
+            (None, Verdict::NotObservable)
+        );
+        let reason = inertia.reason.as_deref().unwrap();
+        let ratio = reason
+            .split_whitespace()
+            .find_map(|word| word.parse::<f64>().ok());
+        assert!(
+            (ratio.unwrap() * 0.3538 / 0.0045 - 1.0).abs() < 0.02,
+            "{reason}"
+        );
     }
 }

@@ -132,6 +132,14 @@ pub trait Effect: Sync {
     fn terms(&self, values: &[f64]) -> Box<dyn Terms>;
 }
 
+/// What effects add to the balances at one instant, as [`Terms`] defines the signs.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sums {
+    pub voltage_v: f64,
+    pub torque_n_m: f64,
+    pub friction_n_m: f64,
+}
+
 /// What an effect adds to the baseline's equations. `own` are the effect's states.
 pub trait Terms: Send + Sync {
     /// Voltage drop, V: subtracted in the voltage balance. `resistance_ohm` is that of the cold winding.
@@ -147,6 +155,15 @@ pub trait Terms: Send + Sync {
     /// Addition to the Coulomb level, N.m: always against the motion, and it holds at rest.
     fn friction_n_m(&self, _at: &Instant) -> f64 {
         0.0
+    }
+
+    /// The three above at once: one call through the table of methods where a simulation would need three.
+    fn sums(&self, at: &Instant, own: &[f64], resistance_ohm: f64) -> Sums {
+        Sums {
+            voltage_v: self.voltage_v(at, own, resistance_ohm),
+            torque_n_m: self.torque_n_m(at, own),
+            friction_n_m: self.friction_n_m(at),
+        }
     }
 
     /// Number of states, all starting at zero.

@@ -5,7 +5,8 @@ pub(super) struct StribeckFriction;
 
 struct Hump {
     level_n_m: f64,
-    speed_rad_s: f64,
+    /// One over the Stribeck speed, s/rad.
+    per_speed: f64,
 }
 
 impl Effect for StribeckFriction {
@@ -38,14 +39,19 @@ impl Effect for StribeckFriction {
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
         Box::new(Hump {
             level_n_m: values[0],
-            speed_rad_s: values[1],
+            per_speed: 1.0 / values[1],
         })
     }
 }
 
 impl Terms for Hump {
     fn friction_n_m(&self, at: &Instant) -> f64 {
-        let ratio = at.speed_rad_s / self.speed_rad_s;
-        self.level_n_m * (-ratio * ratio).exp()
+        let ratio = at.speed_rad_s * self.per_speed;
+        let square = ratio * ratio;
+        // Beyond, what is left is below the rounding of the friction that it is added to.
+        if square > 40.0 {
+            return 0.0;
+        }
+        self.level_n_m * (-square).exp()
     }
 }

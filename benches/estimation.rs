@@ -1,0 +1,125 @@
+//! What one sample costs on line, and one fit off line.
+
+mod common;
+
+use std::hint::black_box;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use drivebench::bench::replay;
+use drivebench::identification::noise::NoiseFloor;
+use drivebench::identification::online::{Online, OnlineConfig};
+use drivebench::identification::output_error;
+use drivebench::numerics::recursive_least_squares::RecursiveLeastSquares;
+use drivebench::numerics::reference_recursive_least_squares::ReferenceRecursiveLeastSquares;
+use drivebench::plant::{Model, Motor};
+use drivebench::recording::{CsvRows, ReadOptions, write_run};
+use drivebench::sample::{Channel, Origin, Run, Sample};
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+const ROWS: usize = 4096;
+
+fn rows<const N: usize>() -> Vec<([f64; N], f64)> {
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    (0..ROWS)
+        .map(|_| {
+            let psi: [f64; N] = std::array::from_fn(|_| random.random_range(-1.0..1.0));
+            let value = psi.iter().sum::<f64>() + random.random_range(-0.1..0.1);
+            (psi, value)
+        })
+        .collect()
+}
+
+fn guarded<const N: usize>(criterion: &mut Criterion) {
+    let rows = rows::<N>();
+    let mut group = criterion.benchmark_group("rls");
+    group.throughput(Throughput::Elements(ROWS as u64));
+    let mut estimator = RecursiveLeastSquares::new([0.0; N], [1.0; N], 1e6, 0.98);
+    group.bench_function(format!("guarded_{N}"), |bencher| {
+        bencher.iter(|| {
+            for (psi, value) in &rows {
+                black_box(estimator.update(black_box(psi), *value));
+            }
+        });
+    });
+    let mut estimator = ReferenceRecursiveLeastSquares::new([0.0; N], [1e6; N], 0.98);
+    group.bench_function(format!("plain_{N}"), |bencher| {
+        bencher.iter(|| {
+            for (psi, value) in &rows {
+                black_box(estimator.update(black_box(psi), *value));
+            }
+        });
+    });
+    group.finish();
+}
+
+fn online(criterion: &mut Criterion) {
+    let run = common::run_of_12_s();
+    let samples: Vec<Sample> = (0..run.sample_time_s.len())
+        .map(|k| {
+            Sample::at(run.sample_time_s[k])
+                .with(Channel::VoltageCmd, run.events[k].1)
+                .with(Channel::Current, run.current_a[k])
+                .with(Channel::Speed, run.speed_rad_s[k])
+        })
+        .collect();
+    let mut group = criterion.benchmark_group("online");
+    group.throughput(Throughput::Elements(samples.len() as u64));
+    group.sample_size(40);
+    group.bench_function("push", |bencher| {
+        bencher.iter(|| {
+            let mut online = Online::new(OnlineConfig::default());
+            for sample in &samples {
+                online.push(black_box(sample));
+            }
+            online
+        });
+    });
+    group.finish();
+}
+
+fn replayed(criterion: &mut Criterion) {
+    let scenario = common::run_of_12_s();
+    let column = |values: Vec<f64>, run: &mut Run, channel| {
+        run.set_column(channel, values, Origin::Measured)
+            .expect("a value for each row");
+    };
+    let mut run = Run::new("run", scenario.sample_time_s.clone()).expect("times increase");
+    let volts = scenario.events.iter().map(|event| event.1).collect();
+    column(volts, &mut run, Channel::VoltageCmd);
+    column(scenario.current_a, &mut run, Channel::Current);
+    column(scenario.speed_rad_s, &mut run, Channel::Speed);
+    let csv = write_run(&run);
+    let mut group = criterion.benchmark_group("replay");
+    group.throughput(Throughput::Elements(run.rows() as u64));
+    group.sample_size(40);
+    group.bench_function("rows", |bencher| {
+        bencher.iter(|| {
+            let mut rows = CsvRows::new(csv.as_bytes(), "run", ReadOptions::default())
+                .expect("our own header");
+            replay(|| rows.next_row(), OnlineConfig::default()).map(|done| done.result())
+        });
+    });
+    group.finish();
+}
+
+fn fit(criterion: &mut Criterion) {
+    let run = common::run_of_12_s();
+    let noise = NoiseFloor::from_standstill(&run).expect("the run begins with a standstill");
+    let start =
+        drivebench::identification::start::complete(&Model::baseline(Motor::new("unknown")), &run)
+            .expect("a rich run gives a start");
+    let mut group = criterion.benchmark_group("fit");
+    group.sample_size(20);
+    group.bench_function("output_error", |bencher| {
+        bencher.iter(|| output_error::fit(black_box(std::slice::from_ref(&start)), &run, &noise));
+    });
+    group.finish();
+}
+
+criterion_group! {
+    name = benches;
+    config = common::settings();
+    targets = guarded::<2>, guarded::<4>, online, replayed, fit
+}
+criterion_main!(benches);

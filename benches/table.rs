@@ -1,0 +1,193 @@
+//! `docs/benchmarks.md` from what the other benchmarks measured: `cargo bench` runs them all, this one last.
+//!
+//! ```text
+//! target/criterion/GROUP/NAME/new/sample.json (iterations, times) -> least, median, spread -> one line of the table
+//! ```
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use drivebench::plant::effect::CATALOGUE;
+use serde_json::Value;
+
+/// One line of the table.
+struct Figure {
+    id: String,
+    what: String,
+    asked_ns: Option<f64>,
+}
+
+const MS: f64 = 1e6;
+
+/// Effects with a second mass take four states.
+const TWO_MASS: [&str; 2] = ["elastic_coupling", "backlash"];
+
+fn figures() -> Vec<Figure> {
+    let figure = |id: &str, what: &str, asked_ns: Option<f64>| Figure {
+        id: id.to_owned(),
+        what: what.to_owned(),
+        asked_ns,
+    };
+    let mut all = vec![
+        figure(
+            "rls/guarded_4",
+            "recursive least squares, guarded form, 4 parameters, one update",
+            Some(40.0),
+        ),
+        figure("rls/guarded_2", "the same, 2 parameters", Some(20.0)),
+        figure(
+            "rls/plain_4",
+            "plain reference form, 4 parameters, one update",
+            None,
+        ),
+        figure("rls/plain_2", "the same, 2 parameters", None),
+        figure(
+            "online/push",
+            "on-line identification (schemes 2 and 3), one sample",
+            None,
+        ),
+        figure("replay/rows", "replay of a `samples.csv`, one row", None),
+        figure(
+            "fit/output_error",
+            "output-error fit of five parameters, 12 s at 1 kHz",
+            None,
+        ),
+        figure(
+            "free_run/baseline",
+            "free run of the baseline, 12 s at 1 kHz",
+            Some(0.5 * MS),
+        ),
+        figure(
+            "free_run/baseline_stamped_commands",
+            "the same, every command applied at an instant of its own",
+            None,
+        ),
+    ];
+    all.extend(CATALOGUE.iter().map(|effect| {
+        let id = effect.card().id;
+        let asked_ms = if TWO_MASS.contains(&id) { 4.0 } else { 2.0 };
+        figure(
+            &format!("free_run/{id}"),
+            &format!("free run with `{id}`"),
+            Some(asked_ms * MS),
+        )
+    }));
+    all
+}
+
+/// Nanoseconds for one element.
+struct Measured {
+    least: f64,
+    median: f64,
+    upper: f64,
+}
+
+/// Times of the latest measurement; `None` where it was not run.
+fn measured(folder: &Path) -> Option<Measured> {
+    let read = |name: &str| -> Option<Value> {
+        serde_json::from_str(&fs::read_to_string(folder.join(name)).ok()?).ok()
+    };
+    let sample = read("sample.json")?;
+    let numbers = |key: &str| -> Option<Vec<f64>> {
+        sample[key].as_array()?.iter().map(Value::as_f64).collect()
+    };
+    let elements = read("benchmark.json")?["throughput"]["Elements"]
+        .as_f64()
+        .unwrap_or(1.0);
+    let (iterations, times) = (numbers("iters")?, numbers("times")?);
+    let mut each: Vec<f64> = times
+        .iter()
+        .zip(&iterations)
+        .map(|(time, count)| time / count / elements)
+        .collect();
+    each.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let last = each.len().checked_sub(1)?;
+        let at = drivebench::numerics::count::whole((share * last as f64).round());
+        each.get(at).copied()
+    };
+    Some(Measured {
+        least: quantile(0.0)?,
+        median: quantile(0.5)?,
+        upper: quantile(0.95)?,
+    })
+}
+
+fn text(ns: f64) -> String {
+    match ns {
+        ns if ns < 1e3 => format!("{ns:.1} ns"),
+        ns if ns < 1e6 => format!("{:.1} us", ns * 1e-3),
+        ns => format!("{:.2} ms", ns * 1e-6),
+    }
+}
+
+fn machine() -> String {
+    let model = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
+        let line = text.lines().find(|line| line.starts_with("model name"))?;
+        Some(line.split(':').nth(1)?.trim().to_owned())
+    });
+    let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
+    format!(
+        "{}, {cores} cores, {}-{}",
+        model.unwrap_or_else(|| "unknown processor".to_owned()),
+        std::env::consts::ARCH,
+        std::env::consts::OS
+    )
+}
+
+fn table(measurements: &Path) -> String {
+    let mut out = format!(
+        "# Benchmarks\n\n\
+         `cargo bench` measures all of it and writes this page; `cargo bench --bench table` writes it again from the\n\
+         latest measurements. Single figures: `cargo bench --bench estimation -- rls`.\n\n\
+         Machine: {}. It is shared: the least time is the nearest to what the code costs, the median\n\
+         and the 95 % quantile of the samples say how much else was going on. For scale, one update with 4 and with 2\n\
+         parameters: a hand-written C loop 19 and 9.5 ns, padasip in Python 6,900 ns, the computer of paper A 8 and 3 ms.\n\n\
+         | what | asked | least | median | 95 % below | |\n|---|---|---|---|---|---|\n",
+        machine()
+    );
+    for figure in figures() {
+        let asked = figure
+            .asked_ns
+            .map_or_else(|| "-".to_owned(), |ns| format!("<= {}", text(ns)));
+        let line = match measured(&measurements.join(&figure.id).join("new")) {
+            None => format!("| {} | {asked} | not measured | | | |", figure.what),
+            Some(found) => {
+                let verdict = match figure.asked_ns {
+                    None => "",
+                    Some(ns) if found.median <= ns => "reached",
+                    Some(ns) if found.least <= ns => "reached by the least",
+                    Some(_) => "missed",
+                };
+                format!(
+                    "| {} | {asked} | {} | {} | {} | {verdict} |",
+                    figure.what,
+                    text(found.least),
+                    text(found.median),
+                    text(found.upper)
+                )
+            }
+        };
+        let _ = writeln!(out, "{line}");
+    }
+    out
+}
+
+fn main() {
+    // `cargo test --benches` starts every benchmark as well: a test must not change a page of the documentation.
+    if !std::env::args().any(|argument| argument == "--bench") {
+        return;
+    }
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let target =
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
+    let page = root.join("docs/benchmarks.md");
+    match fs::write(&page, table(&target.join("criterion"))) {
+        Ok(()) => eprintln!("written: {}", page.display()),
+        Err(error) => {
+            eprintln!("{}: cannot write: {error}", page.display());
+            std::process::exit(1);
+        }
+    }
+}

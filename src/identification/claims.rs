@@ -1,0 +1,434 @@
+//! What may be claimed from a run, given where its signals come from.
+//!
+//! PHYSICS.md section 5: a commanded voltage is not the armature's, a supply current is not the armature's, and what a
+//! drive computes from its own settings only repeats them. A value keeps its figure; its verdict and reason say how far
+//! it may be believed.
+
+use super::sanity::Finding;
+use crate::plant::{Input, MotorKey, Scenario};
+use crate::sample::{Channel, Origin, ParameterEstimate, Run, Side, Verdict};
+
+/// Share of the bus voltage at the terminals from which the duty cycle counts as one, of the rows that must have it,
+/// and of the largest voltage from which a row counts.
+const FULL_DUTY: f64 = 0.97;
+const NEARLY_ALWAYS: f64 = 0.99;
+const ENERGISED: f64 = 0.02;
+/// Difference of measured and commanded voltage, as a share of the largest command, that counts as agreement.
+const AGREES: f64 = 0.01;
+/// Rows below which nothing is said about agreement.
+const FEWEST_ROWS: usize = 20;
+
+/// Limits the verdicts to what the origins of the signals allow; returns what the reader has to know.
+pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenario) -> Vec<String> {
+    let claims = claims(run, scenario);
+    for claim in &claims {
+        for parameter in parameters.iter_mut() {
+            if claim.keys.contains(&parameter.key.as_str()) {
+                claim.apply(parameter);
+            }
+        }
+    }
+    // A claim that touches nothing that was found need not be read.
+    claims
+        .into_iter()
+        .filter(|claim| {
+            parameters
+                .iter()
+                .any(|p| claim.keys.contains(&p.key.as_str()) && p.value.is_some())
+        })
+        .map(|claim| claim.reason)
+        .collect()
+}
+
+/// A parameter that a caution touches is not settled while the caution stands.
+pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
+    for parameter in parameters {
+        let finding = findings
+            .iter()
+            .find(|finding| finding.doubts.iter().any(|key| key.key() == parameter.key));
+        if let Some(finding) = finding {
+            lower(parameter, Verdict::Searching, &finding.sentence);
+        }
+    }
+}
+
+/// How far a claim goes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Weight {
+    /// The value stands, with a remark.
+    Remark,
+    /// It cannot be called settled.
+    Dependent,
+    /// It is no value of the motor.
+    Wrong,
+}
+
+struct Claim {
+    keys: Vec<&'static str>,
+    weight: Weight,
+    reason: String,
+}
+
+impl Claim {
+    fn new(keys: &[MotorKey], weight: Weight, reason: impl Into<String>) -> Self {
+        Self {
+            keys: keys.iter().map(|key| key.key()).collect(),
+            weight,
+            reason: reason.into(),
+        }
+    }
+
+    fn and(mut self, key: &'static str) -> Self {
+        self.keys.push(key);
+        self
+    }
+
+    fn apply(&self, parameter: &mut ParameterEstimate) {
+        match self.weight {
+            Weight::Remark => {
+                if parameter.value.is_some() && parameter.verdict != Verdict::Fixed {
+                    parameter.reason.get_or_insert_with(|| self.reason.clone());
+                }
+            }
+            Weight::Dependent => lower(parameter, Verdict::Searching, &self.reason),
+            Weight::Wrong => lower(parameter, Verdict::Invalid, &self.reason),
+        }
+    }
+}
+
+/// Only ever downward: settled, searching, invalid. What has no value, or is given, stays as it is.
+fn lower(parameter: &mut ParameterEstimate, to: Verdict, reason: &str) {
+    let lowers = match parameter.verdict {
+        Verdict::Settled => true,
+        Verdict::Searching => to == Verdict::Invalid,
+        Verdict::NotObservable | Verdict::Invalid | Verdict::Fixed => false,
+    };
+    if lowers {
+        parameter.verdict = to;
+        parameter.reason = Some(reason.to_owned());
+    }
+}
+
+fn claims(run: &Run, scenario: &Scenario) -> Vec<Claim> {
+    let mut claims = Vec::new();
+    let has_current = run.column(Channel::Current).is_some();
+    match scenario.input {
+        Input::Voltage => {
+            claims.extend(of_voltage(run, scenario.input_channel));
+            if has_current {
+                claims.extend(of_current(run, &ELECTRICAL_AND_MECHANICAL));
+            }
+        }
+        Input::Current => claims.extend(of_current(run, &MECHANICAL)),
+        Input::Torque => claims.extend(of_torque(run)),
+    }
+    claims.extend(of_speed(run, scenario.input));
+    claims
+}
+
+const ELECTRICAL_AND_MECHANICAL: [MotorKey; 6] = MotorKey::ALL;
+const MECHANICAL: [MotorKey; 2] = [MotorKey::Inertia, MotorKey::LoadTorque];
+/// With Kt taken equal to Ke, what is wrong in Ke is wrong in every torque.
+const OF_BACK_EMF: [MotorKey; 4] = [
+    MotorKey::BackEmf,
+    MotorKey::TorqueConstant,
+    MotorKey::Inertia,
+    MotorKey::LoadTorque,
+];
+
+fn of_voltage(run: &Run, channel: Channel) -> Option<Claim> {
+    if run.side(channel) == Some(Side::Supply) && !full_duty(run) {
+        return Some(Claim::new(
+            &MotorKey::ALL,
+            Weight::Wrong,
+            format!(
+                "{} is the voltage of the supply, not of the motor: the duty cycle stands between them",
+                channel.key()
+            ),
+        ));
+    }
+    let origin = run.origin(channel);
+    if origin == Origin::Estimated {
+        return Some(
+            Claim::new(
+                &[MotorKey::Resistance],
+                Weight::Remark,
+                format!(
+                    "the resistance includes what the drive's own estimate of {} leaves out of its switches",
+                    channel.key()
+                ),
+            )
+            .and("voltage_drop.drop_v"),
+        );
+    }
+    if origin == Origin::Commanded && !measured_agrees(run, channel) {
+        return Some(
+            Claim::new(
+                &[MotorKey::Resistance],
+                Weight::Remark,
+                "the resistance includes the drive's own drops (switches, dead time, cable): the voltage is commanded, \
+                 not measured at the terminals",
+            )
+            .and("voltage_drop.drop_v"),
+        );
+    }
+    None
+}
+
+fn of_current(run: &Run, keys: &[MotorKey]) -> Option<Claim> {
+    if run.side(Channel::Current) == Some(Side::Supply) && !full_duty(run) {
+        return Some(Claim::new(
+            keys,
+            Weight::Wrong,
+            "current_a is the current of the supply, not of the armature: below full duty the motor carries more",
+        ));
+    }
+    match run.origin(Channel::Current) {
+        Origin::Commanded => Some(Claim::new(
+            keys,
+            Weight::Dependent,
+            "current_a is commanded, not measured: the drive's current loop and its limits stand between",
+        )),
+        Origin::Estimated => Some(Claim::new(
+            keys,
+            Weight::Dependent,
+            "current_a is the drive's own estimate, so the value rests on the drive's model of the motor",
+        )),
+        Origin::Measured | Origin::Derived | Origin::Unknown => None,
+    }
+}
+
+fn of_torque(run: &Run) -> Option<Claim> {
+    let how = match run.origin(Channel::Torque) {
+        Origin::Estimated => {
+            "the drive's own estimate, current times the torque constant it is set to"
+        }
+        Origin::Commanded => "commanded, in the torque constant that the drive is set to",
+        Origin::Measured | Origin::Derived | Origin::Unknown => return None,
+    };
+    Some(Claim::new(
+        &MECHANICAL,
+        Weight::Dependent,
+        format!(
+            "torque_n_m is {how}: inertia and load torque share that scale (their ratio does not)"
+        ),
+    ))
+}
+
+fn of_speed(run: &Run, input: Input) -> Option<Claim> {
+    match run.origin(Channel::Speed) {
+        Origin::Estimated if input == Input::Voltage => Some(Claim::new(
+            &OF_BACK_EMF,
+            Weight::Dependent,
+            "speed_rad_s is the drive's own estimate, computed with the back-EMF constant that the drive is set to: the \
+             value is not independent of that setting",
+        )),
+        Origin::Estimated => Some(Claim::new(
+            &MECHANICAL,
+            Weight::Dependent,
+            "speed_rad_s is the drive's own estimate: its filter and its settings are in the value",
+        )),
+        Origin::Commanded => Some(Claim::new(
+            &OF_BACK_EMF,
+            Weight::Wrong,
+            "speed_rad_s is commanded, not measured: what the shaft did is not known",
+        )),
+        Origin::Measured | Origin::Derived | Origin::Unknown => None,
+    }
+}
+
+/// Whether the bus stands at the terminals whenever the motor is energised.
+fn full_duty(run: &Run) -> bool {
+    let (Some(bus), Some(voltage)) = (run.column(Channel::Bus), run.column(Channel::Voltage))
+    else {
+        return false;
+    };
+    if run.side(Channel::Voltage) == Some(Side::Supply) {
+        return false;
+    }
+    let largest = voltage
+        .iter()
+        .filter(|u| u.is_finite())
+        .fold(0.0, |most, u| f64::max(most, u.abs()));
+    let energised: Vec<bool> = bus
+        .iter()
+        .zip(voltage)
+        .filter(|(bus, u)| bus.is_finite() && u.abs() > ENERGISED * largest)
+        .map(|(bus, u)| u.abs() > FULL_DUTY * bus)
+        .collect();
+    let full = energised.iter().filter(|full| **full).count();
+    energised.len() >= FEWEST_ROWS && full as f64 >= NEARLY_ALWAYS * energised.len() as f64
+}
+
+/// Whether a voltage measured at the terminals shows the command, so that nothing of it is lost in the drive.
+fn measured_agrees(run: &Run, command: Channel) -> bool {
+    let terminal = run.side(Channel::Voltage) != Some(Side::Supply);
+    if command == Channel::Voltage || run.origin(Channel::Voltage) != Origin::Measured || !terminal
+    {
+        return false;
+    }
+    let commands: Vec<(f64, f64)> = run.points(command).collect();
+    let largest = commands.iter().fold(0.0_f64, |most, c| most.max(c.1.abs()));
+    let differences: Vec<f64> = run
+        .points(Channel::Voltage)
+        .filter_map(|(time_s, measured)| {
+            let next = commands.partition_point(|command| command.0 <= time_s);
+            let held = commands[..next].last()?.1;
+            // In the direction of the voltage: a drop lessens its size.
+            (held.abs() > ENERGISED * largest).then(|| (held - measured) * held.signum())
+        })
+        .collect();
+    let lost = crate::numerics::statistics::median(&differences);
+    differences.len() >= FEWEST_ROWS && lost.abs() < AGREES * largest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ROWS: usize = 100;
+
+    /// Voltage (and its measurement), current and speed; what they hold does not matter to a claim.
+    fn run(origin: Origin) -> Run {
+        let mut run = Run::new("r", (0..ROWS).map(|k| 0.01 * k as f64).collect()).unwrap();
+        let square = |size: f64| -> Vec<f64> {
+            (0..ROWS)
+                .map(|k| if k / 25 % 2 == 0 { size } else { -size })
+                .collect()
+        };
+        run.set_column(Channel::Voltage, square(24.0), origin)
+            .unwrap();
+        run.set_column(Channel::Current, square(2.0), Origin::Measured)
+            .unwrap();
+        run.set_column(Channel::Speed, square(50.0), Origin::Measured)
+            .unwrap();
+        run
+    }
+
+    fn settled() -> Vec<ParameterEstimate> {
+        let settled = |key: MotorKey| ParameterEstimate {
+            key: key.key().to_owned(),
+            value: Some(1.0),
+            std: Some(0.001),
+            unit: key.unit(),
+            verdict: Verdict::Settled,
+            reason: None,
+        };
+        MotorKey::ALL
+            .into_iter()
+            .filter(|key| *key != MotorKey::TorqueConstant)
+            .map(settled)
+            .collect()
+    }
+
+    /// Verdicts of R, L, Ke, J, Mc, and the notes.
+    fn limited(run: &Run) -> (Vec<ParameterEstimate>, Vec<String>) {
+        let mut parameters = settled();
+        let notes = limit(&mut parameters, run, &Scenario::from_run(run).unwrap());
+        (parameters, notes)
+    }
+
+    fn verdicts(parameters: &[ParameterEstimate]) -> Vec<Verdict> {
+        parameters.iter().map(|p| p.verdict).collect()
+    }
+
+    #[test]
+    fn measured_at_the_terminals_everything_may_be_claimed() {
+        for origin in [Origin::Measured, Origin::Unknown] {
+            let (parameters, notes) = limited(&run(origin));
+            assert_eq!(parameters, settled());
+            assert!(notes.is_empty(), "{notes:?}");
+        }
+    }
+
+    #[test]
+    fn a_commanded_voltage_puts_the_drives_drops_into_the_resistance() {
+        let (parameters, notes) = limited(&run(Origin::Commanded));
+        assert_eq!(verdicts(&parameters), [Verdict::Settled; 5]);
+        let reason = parameters[0].reason.as_deref().unwrap();
+        assert!(reason.contains("drive's own drops"), "{reason}");
+        assert!(parameters[1..].iter().all(|p| p.reason.is_none()));
+        assert_eq!(notes.len(), 1);
+    }
+
+    #[test]
+    fn a_measurement_that_agrees_clears_the_command_and_one_with_a_drop_does_not() {
+        for (drop_v, clear) in [(0.0, true), (1.5, false)] {
+            let mut run = run(Origin::Measured);
+            let measured: Vec<f64> = run.column(Channel::Voltage).unwrap().to_vec();
+            let command = measured.iter().map(|u| u + drop_v * u.signum()).collect();
+            run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
+                .unwrap();
+            let (_, notes) = limited(&run);
+            assert_eq!(notes.is_empty(), clear, "{drop_v}: {notes:?}");
+        }
+    }
+
+    #[test]
+    fn a_supply_current_gives_no_parameter_but_at_full_duty() {
+        let mut supply = run(Origin::Measured);
+        supply.set_side(Channel::Current, Side::Supply);
+        let (parameters, notes) = limited(&supply);
+        assert_eq!(verdicts(&parameters), [Verdict::Invalid; 5]);
+        assert!(parameters.iter().all(|p| p.value == Some(1.0)));
+        assert!(notes[0].contains("supply"), "{notes:?}");
+        supply
+            .set_column(Channel::Bus, vec![24.2; ROWS], Origin::Measured)
+            .unwrap();
+        assert_eq!(verdicts(&limited(&supply).0), [Verdict::Settled; 5]);
+        supply
+            .set_column(Channel::Bus, vec![48.0; ROWS], Origin::Measured)
+            .unwrap();
+        assert_eq!(verdicts(&limited(&supply).0), [Verdict::Invalid; 5]);
+    }
+
+    #[test]
+    fn a_supply_voltage_is_not_the_motors() {
+        let mut supply = run(Origin::Measured);
+        supply.set_side(Channel::Voltage, Side::Supply);
+        assert_eq!(verdicts(&limited(&supply).0), [Verdict::Invalid; 5]);
+    }
+
+    #[test]
+    fn what_the_drive_computes_is_not_independent() {
+        use Verdict::{Searching, Settled};
+        let mut observed = run(Origin::Measured);
+        observed.set_origin(Channel::Speed, Origin::Estimated);
+        let (parameters, notes) = limited(&observed);
+        assert_eq!(
+            verdicts(&parameters),
+            [Settled, Settled, Searching, Searching, Searching]
+        );
+        assert!(notes[0].contains("not independent"), "{notes:?}");
+
+        let mut torque = Run::new("t", (0..ROWS).map(|k| 0.01 * k as f64).collect()).unwrap();
+        for (channel, origin) in [
+            (Channel::Torque, Origin::Estimated),
+            (Channel::Speed, Origin::Measured),
+        ] {
+            torque.set_column(channel, vec![1.0; ROWS], origin).unwrap();
+        }
+        let (parameters, _) = limited(&torque);
+        assert_eq!(
+            verdicts(&parameters),
+            [Settled, Settled, Settled, Searching, Searching]
+        );
+    }
+
+    #[test]
+    fn verdicts_only_go_down_and_given_values_stay() {
+        let mut supply = run(Origin::Measured);
+        supply.set_side(Channel::Current, Side::Supply);
+        let mut parameters = settled();
+        parameters[0].verdict = Verdict::Fixed;
+        parameters[1] = ParameterEstimate::not_observable("inductance_h", "H", "too slow");
+        let before = parameters.clone();
+        limit(
+            &mut parameters,
+            &supply,
+            &Scenario::from_run(&supply).unwrap(),
+        );
+        assert_eq!(parameters[..2], before[..2]);
+        assert_eq!(parameters[2].verdict, Verdict::Invalid);
+    }
+}

@@ -1,0 +1,233 @@
+//! How the signals were prepared, and why so.
+
+use super::grid::{Gridded, Motion, Part};
+use crate::numerics::filter::Butterworth;
+use crate::numerics::statistics;
+
+/// Order of the low pass. With both passes the gain falls by 48 dB per octave.
+pub(super) const ORDER: usize = 4;
+/// Cut-off as a share of the sampling rate where noise does not ask for less: the choice of the reference processing
+/// (100 Hz at 1 kHz), low enough for central differences and high enough for the motion.
+const SHARE_OF_RATE: f64 = 0.1;
+/// Share of the acceleration's power that may be noise before the cut-off is lowered.
+const ALLOWED_NOISE: f64 = 1e-3;
+/// Lowest cut-off as a share of the first choice, and the step on the way.
+const LOWEST: f64 = 0.05;
+const STEP: f64 = 0.8;
+/// Rows within this many standard deviations of zero speed, or this share of the largest, may be at rest.
+const DEAD_ZONE_DEVIATIONS: f64 = 4.0;
+const DEAD_ZONE_SHARE: f64 = 1e-3;
+
+/// The processing of both sides of a balance.
+#[derive(Clone, Debug)]
+pub struct Processing {
+    pub motion: Motion,
+    pub order: usize,
+    pub rate_hz: f64,
+    pub cut_off_hz: f64,
+    /// One row in this many enters each fit.
+    pub decimation: usize,
+    /// Parts of the run without gaps.
+    pub parts: usize,
+    pub interpolated: bool,
+    /// Whether noise asked for a lower cut-off than a tenth of the rate.
+    pub lowered: bool,
+    /// Below this the shaft may be at rest, rad/s.
+    pub dead_zone_rad_s: f64,
+    /// Standard deviation of noise in the filtered acceleration, rad/s2.
+    pub acceleration_noise: f64,
+}
+
+impl Processing {
+    pub(super) fn choose(gridded: &Gridded) -> Self {
+        let parts = &gridded.parts;
+        let samples: usize = parts.iter().map(Part::samples).sum();
+        let rate_hz = samples as f64
+            / parts
+                .iter()
+                .map(|part| part.period_s * part.samples() as f64)
+                .sum::<f64>();
+        let noise = noise(parts);
+        let first_hz = SHARE_OF_RATE * rate_hz;
+        let mut best = (f64::INFINITY, first_hz);
+        let mut cut_off_hz = first_hz;
+        while cut_off_hz >= LOWEST * first_hz {
+            let error = acceleration_noise(gridded.motion, noise, cut_off_hz, rate_hz).powi(2);
+            let power = acceleration_power(gridded, cut_off_hz, rate_hz);
+            let share = error / (power - error).max(f64::MIN_POSITIVE);
+            if share < best.0 {
+                best = (share, cut_off_hz);
+            }
+            if share <= ALLOWED_NOISE {
+                break;
+            }
+            cut_off_hz *= STEP;
+        }
+        let cut_off_hz = best.1;
+        let fastest = parts
+            .iter()
+            .flat_map(|part| filtered_speed(gridded.motion, part, cut_off_hz, rate_hz))
+            .map(f64::abs)
+            .fold(0.0, f64::max);
+        let deviation = speed_noise(gridded.motion, noise, cut_off_hz, rate_hz);
+        Self {
+            motion: gridded.motion,
+            order: ORDER,
+            rate_hz,
+            cut_off_hz,
+            decimation: crate::numerics::count::whole(rate_hz / (2.0 * cut_off_hz) + 1e-6).max(1),
+            parts: parts.len(),
+            interpolated: gridded.interpolated,
+            lowered: cut_off_hz < 0.999 * first_hz,
+            dead_zone_rad_s: (DEAD_ZONE_DEVIATIONS * deviation).max(DEAD_ZONE_SHARE * fastest),
+            acceleration_noise: acceleration_noise(gridded.motion, noise, cut_off_hz, rate_hz),
+        }
+    }
+
+    /// The same with half the cut-off.
+    pub(super) fn at_half_cut_off(&self) -> Self {
+        Self {
+            cut_off_hz: 0.5 * self.cut_off_hz,
+            decimation: 2 * self.decimation,
+            ..self.clone()
+        }
+    }
+
+    /// Samples over which the filter reaches.
+    pub(super) fn reach(&self, period_s: f64) -> usize {
+        crate::numerics::count::whole((1.0 / (self.cut_off_hz * period_s)).ceil())
+    }
+
+    /// What was done, for the reader.
+    pub fn sentence(&self) -> String {
+        let speed = match self.motion {
+            Motion::Speed => "measured speed",
+            Motion::Angle => "speed and acceleration as central differences of the filtered angle",
+        };
+        let why = if self.lowered {
+            "lowered until noise is 0.1 % of the acceleration's power, or least"
+        } else {
+            "a tenth of the sampling rate"
+        };
+        let carried = if self.interpolated {
+            "; values carried to an even grid by a spline"
+        } else {
+            ""
+        };
+        let parts = if self.parts > 1 {
+            format!("; {} parts between gaps", self.parts)
+        } else {
+            String::new()
+        };
+        format!(
+            "inverse dynamics: {speed}; both sides of the balance through a zero-phase Butterworth low pass of order {} \
+             at {:.3} Hz ({why}; rate {:.1} Hz); one row in {} (the new Nyquist frequency is the cut-off), mean over \
+             all {} offsets{carried}{parts}",
+            self.order, self.cut_off_hz, self.rate_hz, self.decimation, self.decimation
+        )
+    }
+}
+
+/// The filter for a part; `None` where the cut-off reaches half of its rate.
+pub(super) fn filter(cut_off_hz: f64, period_s: f64) -> Option<Butterworth> {
+    Butterworth::low_pass(ORDER, cut_off_hz * period_s)
+}
+
+/// Central difference; one-sided at the ends.
+pub(super) fn rate(values: &[f64], period_s: f64) -> Vec<f64> {
+    let last = values.len() - 1;
+    (0..=last)
+        .map(|k| {
+            let (before, after) = (k.saturating_sub(1), (k + 1).min(last));
+            (values[after] - values[before]) / ((after - before).max(1) as f64 * period_s)
+        })
+        .collect()
+}
+
+/// Mean over the two periods that a central difference spans, by Simpson's rule: what stands beside a central
+/// difference in a balance has to be averaged like it, or the difference reads low (by 6 % at a tenth of the rate).
+pub(super) fn spanned(values: &[f64]) -> Vec<f64> {
+    let last = values.len() - 1;
+    (0..=last)
+        .map(|k| {
+            let (before, after) = (values[k.saturating_sub(1)], values[(k + 1).min(last)]);
+            (before + 4.0 * values[k] + after) / 6.0
+        })
+        .collect()
+}
+
+fn filtered_speed(motion: Motion, part: &Part, cut_off_hz: f64, rate_hz: f64) -> Vec<f64> {
+    let Some(filter) = filter(cut_off_hz, 1.0 / rate_hz) else {
+        return Vec::new();
+    };
+    let filtered = filter.zero_phase(&part.motion);
+    match motion {
+        Motion::Speed => filtered,
+        Motion::Angle => rate(&filtered, part.period_s),
+    }
+}
+
+/// Mean square of the filtered acceleration, the ends left out.
+fn acceleration_power(gridded: &Gridded, cut_off_hz: f64, rate_hz: f64) -> f64 {
+    let (mut sum, mut count) = (0.0, 0_usize);
+    for part in &gridded.parts {
+        let speed = filtered_speed(gridded.motion, part, cut_off_hz, rate_hz);
+        if speed.is_empty() {
+            continue;
+        }
+        let skipped = crate::numerics::count::whole(rate_hz / cut_off_hz).min(speed.len() / 4);
+        let inside = &rate(&speed, part.period_s)[skipped..speed.len() - skipped];
+        sum += inside.iter().map(|a| a * a).sum::<f64>();
+        count += inside.len();
+    }
+    sum / count.max(1) as f64
+}
+
+/// Standard deviation of the noise in the angle or speed: from fourth differences, steps and outliers left aside, and
+/// never below the resolution over sqrt(12).
+fn noise(parts: &[Part]) -> f64 {
+    let mut differences = Vec::new();
+    let (mut finest, mut largest) = (f64::INFINITY, 0.0);
+    for part in parts {
+        let values = part.motion.windows(5);
+        differences.extend(values.map(|v| v[0] - 4.0 * v[1] + 6.0 * v[2] - 4.0 * v[3] + v[4]));
+        largest = part.motion.iter().map(|v| v.abs()).fold(largest, f64::max);
+        let steps = part.motion.windows(2).map(|v| (v[1] - v[0]).abs());
+        finest = steps
+            .filter(|step| *step > 1e-12 * largest)
+            .fold(finest, f64::min);
+    }
+    let rough = statistics::robust_deviation(&differences) / 70f64.sqrt();
+    let quantum = if finest.is_finite() {
+        finest / 12f64.sqrt()
+    } else {
+        0.0
+    };
+    rough.max(quantum)
+}
+
+/// White noise of deviation `sigma` through the low pass and one (two) differentiations: integral of its spectrum up to
+/// the cut-off.
+fn speed_noise(motion: Motion, sigma: f64, cut_off_hz: f64, rate_hz: f64) -> f64 {
+    spectrum(
+        sigma,
+        u16::from(motion == Motion::Angle),
+        cut_off_hz,
+        rate_hz,
+    )
+}
+
+fn acceleration_noise(motion: Motion, sigma: f64, cut_off_hz: f64, rate_hz: f64) -> f64 {
+    spectrum(
+        sigma,
+        1 + u16::from(motion == Motion::Angle),
+        cut_off_hz,
+        rate_hz,
+    )
+}
+
+fn spectrum(sigma: f64, derivatives: u16, cut_off_hz: f64, rate_hz: f64) -> f64 {
+    let power = f64::from(2 * derivatives);
+    let omega = std::f64::consts::TAU * cut_off_hz;
+    sigma * (2.0 * cut_off_hz / rate_hz * omega.powf(power) / (power + 1.0)).sqrt()
+}

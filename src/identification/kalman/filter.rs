@@ -1,0 +1,563 @@
+//! The extended Kalman filter over current, speed, ln R, ln L, ln Ke, ln J, Coulomb torque and load torque.
+//!
+//! ```text
+//!            +--- |w| clear of zero, same sign --> Turning(s): predict, test, update
+//! Unknown ---+
+//!  (state =  +--- a run of samples at zero ------> AtRest: only the winding is predicted; says nothing of friction
+//!  the sample)
+//!      ^--------- reversal, start, stop, gap, late voltage: the interval is not used, parameters keep what they know
+//! ```
+//!
+//! Between such breaks the model is linear in its state and exact (`transition`); its derivatives to the parameters are
+//! central differences of the exact solution. Friction enters only with a sign that is certain, so there is no chatter
+//! at zero speed, and a motor that does not move teaches nothing about its friction.
+
+use super::covariance::{Belief, I, J, KE, L, MC, N, R, TL, W};
+use super::friction::{KnownEffects, Offsets};
+use super::held_voltage::HeldVoltage;
+use super::sensor::Sensor;
+use super::transition::{Physics, Step};
+use crate::plant::Instant;
+
+/// Standard deviations of the speed noise, and share of the largest speed, below which its sign is not certain.
+const CERTAIN: f64 = 4.0;
+const SHARE: f64 = 0.005;
+/// Multiple of that speed at which a motion begins to be used; it ends at the speed itself.
+const STARTS: f64 = 2.0;
+/// Samples at zero speed in a row that make a rest, and the deviation that ends it.
+const REST_ROWS: u32 = 8;
+const REST_ENDS: f64 = 3.0;
+/// Share of the Coulomb torque above which a rest may end at any time.
+const NEAR_BREAKAWAY: f64 = 0.8;
+/// A longer gap between samples ends the prediction, s.
+const LONGEST_GAP_S: f64 = 0.25;
+/// Innovation, in standard deviations, that is an outlier; so many in a row say that the parameters have changed.
+const OUTLIER: f64 = 5.0;
+const OUTLIERS: u32 = 3;
+/// Variance by which the parameters are opened then.
+const REOPEN: f64 = 16.0;
+/// Loss of information of the first rows, which were linearised about a poor start, and how long it lasts.
+const EARLY_LOSS: f64 = 0.05;
+const EARLY_ROWS: f64 = 60.0;
+/// Relative step of the differences that give the derivatives.
+const STEP: f64 = 1e-5;
+/// Largest change of a logarithm in one update.
+const LARGEST_STEP: f64 = 0.4;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Mode {
+    Unknown,
+    Turning(f64),
+    AtRest,
+}
+
+/// What is added to the model's uncertainty per time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Disturbance {
+    /// Random walk of the load torque, N.m/sqrt(s).
+    pub(super) load: f64,
+    /// Random walk of the logarithms of the parameters, 1/sqrt(s).
+    pub(super) drift: f64,
+    /// Standard deviation of the voltage, as a share of it: keeps the current near its measurement.
+    pub(super) voltage_share: f64,
+}
+
+/// Where the current comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    /// Predicted from the voltage.
+    Voltage,
+    /// Measured; linear between samples.
+    Current,
+}
+
+/// Counts of what was and was not used.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Tally {
+    pub(super) used: u64,
+    pub(super) breaks: u64,
+    pub(super) outliers: u64,
+    pub(super) reopened: u32,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Filter {
+    pub(super) belief: Belief,
+    pub(super) prior: [f64; N],
+    pub(super) torque_n_m_per_a: Option<f64>,
+    pub(super) effects: KnownEffects,
+    pub(super) disturbance: Disturbance,
+    pub(super) source: Source,
+    pub(super) sensors: [Sensor; 2],
+    pub(super) voltage: HeldVoltage,
+    pub(super) mode: Mode,
+    pub(super) now_s: f64,
+    pub(super) period_s: f64,
+    /// Sensors and voltage are followed, nothing is predicted: the parameters are not known yet.
+    pub(super) asleep: bool,
+    pub(super) tally: Tally,
+    /// Normalised innovations squared of the rows used, their number, and the logarithm of their likelihood.
+    pub(super) log_likelihood: f64,
+    pub(super) innovation: [Option<f64>; 2],
+    early: f64,
+    early_loss: f64,
+    /// Only the load is tracked: the noise is that of the rest, where there was one.
+    pub(super) fixed_noise: bool,
+    /// Sign of the last measured speed where it was certain.
+    heading: f64,
+    zeros: u32,
+    zero_sum: f64,
+    streak: [u32; 2],
+}
+
+impl Filter {
+    /// `x` and the variances of its parameters; current and speed come from the samples.
+    pub(super) fn new(x: [f64; N], variance: [f64; N], torque_n_m_per_a: Option<f64>) -> Self {
+        let mut filter = Self {
+            belief: Belief::new(x),
+            prior: variance,
+            torque_n_m_per_a,
+            effects: KnownEffects::default(),
+            disturbance: Disturbance::default(),
+            source: Source::Voltage,
+            sensors: [Sensor::default(); 2],
+            voltage: HeldVoltage::default(),
+            mode: Mode::Unknown,
+            now_s: f64::NAN,
+            period_s: f64::NAN,
+            asleep: false,
+            tally: Tally::default(),
+            log_likelihood: 0.0,
+            innovation: [None; 2],
+            early: EARLY_LOSS,
+            early_loss: EARLY_LOSS,
+            fixed_noise: false,
+            heading: 0.0,
+            zeros: 0,
+            zero_sum: 0.0,
+            streak: [0; 2],
+        };
+        filter.restart(x, variance);
+        filter
+    }
+
+    /// Takes other parameters; sensors and voltage stay.
+    pub(super) fn restart(&mut self, x: [f64; N], variance: [f64; N]) {
+        let (current, speed) = (self.belief.x[I], self.belief.x[W]);
+        self.belief = Belief::new(x);
+        (self.belief.x[I], self.belief.x[W]) = (current, speed);
+        for state in R..N {
+            self.belief.p[state][state] = variance[state];
+        }
+        self.prior = variance;
+        self.early = self.early_loss;
+        self.stop();
+    }
+
+    /// No loss of early information: the start is a good one.
+    pub(super) fn trust_start(&mut self) {
+        self.early = 0.0;
+    }
+
+    /// The parameters are known and nothing depends on the sign of the speed.
+    fn is_signless(&self) -> bool {
+        self.belief.x[MC] == 0.0 && self.prior[MC] <= 0.0 && self.effects.is_empty()
+    }
+
+    /// Parameters that never change: only the load torque is followed.
+    pub(super) fn freeze(&mut self) {
+        (self.early, self.early_loss) = (0.0, 0.0);
+        self.fixed_noise = true;
+    }
+
+    pub(super) fn physics(&self) -> Physics {
+        self.physics_at(&self.belief.x)
+    }
+
+    fn physics_at(&self, x: &[f64; N]) -> Physics {
+        let ke = x[KE].exp();
+        Physics {
+            r: x[R].exp(),
+            l: x[L].exp(),
+            ke,
+            kt: self.torque_n_m_per_a.unwrap_or(ke),
+            j: x[J].exp(),
+            b: 0.0,
+        }
+    }
+
+    /// Speed below which its sign is not certain, rad/s.
+    pub(super) fn zone_rad_s(&self) -> f64 {
+        let sensor = &self.sensors[1];
+        (CERTAIN * sensor.variance().sqrt()).max(SHARE * sensor.largest)
+    }
+
+    /// One sample later than the last; what is missing or not finite is `None`. False: it could not be used.
+    pub(super) fn push(&mut self, time_s: f64, measured: [Option<f64>; 2]) -> bool {
+        let length_s = time_s - self.now_s;
+        let first = self.now_s.is_nan();
+        if !time_s.is_finite() || (!first && length_s <= 0.0) {
+            return false;
+        }
+        for (sensor, value) in self.sensors.iter_mut().zip(measured) {
+            if let Some(value) = value {
+                sensor.see(value, !self.voltage.energised);
+            }
+        }
+        self.innovation = [None; 2];
+        if !first {
+            self.period_s = length_s;
+            self.widen(length_s);
+        }
+        let powered = self.source == Source::Current || self.voltage.at(self.now_s).is_some();
+        let follows =
+            powered && !self.asleep && !first && !self.voltage.torn && length_s <= LONGEST_GAP_S;
+        let used = match self.mode {
+            Mode::Turning(s) if follows => self.turn(length_s, s, measured),
+            Mode::AtRest if follows => self.rest(length_s, measured),
+            _ => {
+                if !first {
+                    self.walk(length_s);
+                }
+                false
+            }
+        };
+        if used {
+            self.tally.used += 1;
+            self.heading = 0.0;
+        } else {
+            self.anchor(measured);
+        }
+        self.now_s = time_s;
+        self.voltage.advance(time_s);
+        if !self.belief.is_sound() {
+            let (x, prior) = (
+                self.belief.x.map(|x| if x.is_finite() { x } else { 0.0 }),
+                self.prior,
+            );
+            self.restart(x, prior);
+        }
+        used
+    }
+
+    /// Load and parameters drift whether or not they are seen.
+    fn widen(&mut self, length_s: f64) {
+        let drift = self.disturbance.drift.powi(2) * length_s;
+        if drift > 0.0 {
+            for state in R..=J {
+                if self.prior[state] > 0.0 {
+                    let p = &mut self.belief.p[state][state];
+                    *p = (*p + drift).min(self.prior[state]);
+                }
+            }
+        }
+    }
+
+    fn turn(&mut self, length_s: f64, s: f64, measured: [Option<f64>; 2]) -> bool {
+        let before = self.belief;
+        match self.source {
+            Source::Voltage => self.predict(length_s, s),
+            Source::Current => {
+                let Some(current) = measured[0] else {
+                    return false;
+                };
+                self.predict_from_current(length_s, s, current);
+            }
+        }
+        let zone = self.zone_rad_s();
+        let certain =
+            s * self.belief.x[W] > zone && measured[1].is_none_or(|speed| s * speed > 0.25 * zone);
+        if !certain {
+            self.belief = before;
+            self.walk(length_s);
+            return false;
+        }
+        self.update(measured)
+    }
+
+    fn rest(&mut self, length_s: f64, measured: [Option<f64>; 2]) -> bool {
+        let noise = self.sensors[1].variance().sqrt();
+        let before = self.belief;
+        let moves = measured[1].is_some_and(|speed| speed.abs() > REST_ENDS * noise);
+        if !moves && self.source == Source::Voltage {
+            self.predict(length_s, 0.0);
+        }
+        if moves || self.may_break_away(before.x[I]) || self.may_break_away(self.belief.x[I]) {
+            self.belief = before;
+            self.walk(length_s);
+            return false;
+        }
+        self.walk(length_s);
+        self.update([measured[0], None])
+    }
+
+    /// Whether the torque comes so near to what is known of the friction that the motor may already move although the
+    /// speed does not show it yet.
+    fn may_break_away(&self, current_a: f64) -> bool {
+        let level = self.belief.x[MC] - self.belief.p[MC][MC].sqrt();
+        let torque = self.physics().kt * current_a - self.belief.x[TL];
+        let noise = self.physics().kt * self.sensors[0].variance().sqrt();
+        torque.abs() > (NEAR_BREAKAWAY * level).max(REST_ENDS * noise)
+    }
+
+    /// The load torque walks on, unseen.
+    fn walk(&mut self, length_s: f64) {
+        self.belief.p[TL][TL] += self.disturbance.load.powi(2) * length_s;
+    }
+
+    fn predict(&mut self, length_s: f64, s: f64) {
+        let mut physics = self.physics();
+        let at = Instant {
+            time_s: self.now_s,
+            voltage_v: self.voltage.at(self.now_s).unwrap_or(0.0),
+            current_a: self.belief.x[I],
+            speed_rad_s: self.belief.x[W],
+            angle_rad: 0.0,
+        };
+        let offsets = self.effects.linearise(&mut physics, &at, s);
+        let x = self.belief.x;
+        let (mean, step) = self.solve(&physics, &x, length_s, s, offsets);
+        let mut rows = [[0.0; N]; 2];
+        for k in 0..2 {
+            rows[k][I] = step.phi[k][0];
+            rows[k][W] = step.phi[k][1];
+            if s != 0.0 {
+                rows[k][TL] = -step.gain[k][1] / physics.j;
+                rows[k][MC] = s * rows[k][TL];
+            }
+        }
+        for state in R..=J {
+            if self.belief.p[state][state] <= 0.0 {
+                continue;
+            }
+            let shifted = |by: f64| {
+                let mut x = x;
+                x[state] += by;
+                let mut shifted = self.physics_at(&x);
+                shifted.b = physics.b;
+                self.solve(&shifted, &x, length_s, s, offsets).0
+            };
+            let (up, down) = (shifted(STEP), shifted(-STEP));
+            for k in 0..2 {
+                rows[k][state] = (up[k] - down[k]) / (2.0 * STEP);
+            }
+        }
+        self.belief.propagate(mean, &rows);
+        let share = self.disturbance.voltage_share;
+        if share > 0.0 {
+            let sigma = share * at.voltage_v / physics.l;
+            let g = [step.gain[0][0] * sigma, step.gain[1][0] * sigma, 0.0];
+            self.belief.disturb(g, 1.0);
+        }
+        if self.disturbance.load > 0.0 && s != 0.0 {
+            // Integral over the interval by Gauss's two points, exact for the double integrator that dominates.
+            for node in [0.211_324_865_405_187_1, 0.788_675_134_594_812_9] {
+                let late = physics.turning(node * length_s);
+                let g = [
+                    -late.gain[0][1] / physics.j,
+                    -late.gain[1][1] / physics.j,
+                    1.0,
+                ];
+                self.belief
+                    .disturb(g, 0.5 * length_s * self.disturbance.load.powi(2));
+            }
+        }
+    }
+
+    /// Current and speed at the end of the interval, with transition and gain of the whole.
+    fn solve(
+        &self,
+        physics: &Physics,
+        x: &[f64; N],
+        length_s: f64,
+        s: f64,
+        offsets: Offsets,
+    ) -> ([f64; 2], Step) {
+        let torque = s * x[MC] + x[TL] + offsets.torque_n_m;
+        let mut state = [x[I], x[W]];
+        let mut whole: Option<Step> = None;
+        for (h, volts) in self.voltage.between(self.now_s, self.now_s + length_s) {
+            let step = if s == 0.0 {
+                physics.at_rest(h)
+            } else {
+                physics.turning(h)
+            };
+            state = step.apply(state, physics.forcing(volts - offsets.voltage_v, torque));
+            whole = Some(whole.map_or(step, |before| before.then(&step)));
+        }
+        (state, whole.unwrap_or_else(|| physics.at_rest(0.0)))
+    }
+
+    /// Without a voltage: the measured current, linear over the interval, drives the shaft.
+    fn predict_from_current(&mut self, length_s: f64, s: f64, current_a: f64) {
+        let mut physics = self.physics();
+        let x = self.belief.x;
+        let at = Instant {
+            time_s: self.now_s,
+            voltage_v: 0.0,
+            current_a: x[I],
+            speed_rad_s: x[W],
+            angle_rad: 0.0,
+        };
+        let offsets = self.effects.linearise(&mut physics, &at, s);
+        let rate = physics.b / physics.j;
+        let kept = (-rate * length_s).exp();
+        let share = if rate.abs() * length_s < 1e-9 {
+            length_s
+        } else {
+            -(-rate * length_s).exp_m1() / rate
+        };
+        let gain = share / physics.j;
+        let torque = 0.5 * physics.kt * (x[I] + current_a) - s * x[MC] - x[TL] - offsets.torque_n_m;
+        let speed = kept * x[W] + gain * torque;
+        let mut row = [0.0; N];
+        row[I] = 0.5 * physics.kt * gain;
+        row[W] = kept;
+        row[TL] = -gain;
+        row[MC] = -s * gain;
+        row[J] = -gain * torque;
+        let noise = self.sensors[0].variance();
+        let half = 0.5 * physics.kt * gain;
+        self.belief.propagate([current_a, speed], &[[0.0; N], row]);
+        // The noise of the current that ends the interval enters the speed and is what its own state is off by.
+        self.belief.disturb([1.0, half, 0.0], noise);
+        let q = self.disturbance.load.powi(2);
+        for node in [0.211_324_865_405_187_1, 0.788_675_134_594_812_9] {
+            self.belief
+                .disturb([0.0, -node * gain, 1.0], 0.5 * length_s * q);
+        }
+    }
+
+    /// False: an outlier too many, the interval is broken off.
+    fn update(&mut self, measured: [Option<f64>; 2]) -> bool {
+        self.fade();
+        let mut limit = [f64::INFINITY; N];
+        limit[R..=J].fill(LARGEST_STEP);
+        for (channel, value) in measured.into_iter().enumerate() {
+            let Some(value) = value else { continue };
+            if channel == I && self.source == Source::Current {
+                continue;
+            }
+            let innovation = value - self.belief.x[channel];
+            let own = self.belief.p[channel][channel];
+            let noise = self.sensors[channel].variance();
+            let square = innovation * innovation / (own + noise);
+            self.sensors[channel].take(innovation, own, self.fixed_noise);
+            self.innovation[channel] = Some(innovation);
+            self.log_likelihood -= 0.5 * (square.min(OUTLIER * OUTLIER) + (own + noise).ln());
+            if square > OUTLIER * OUTLIER {
+                self.tally.outliers += 1;
+                self.streak[channel] += 1;
+                if self.streak[channel] >= OUTLIERS {
+                    self.reopen();
+                    return false;
+                }
+                continue;
+            }
+            self.streak[channel] = 0;
+            self.belief.measure(channel, innovation, noise, &limit);
+        }
+        true
+    }
+
+    /// Several outliers in a row: something has changed, the parameters are sought again.
+    fn reopen(&mut self) {
+        self.tally.reopened += 1;
+        self.streak = [0; 2];
+        self.scale(REOPEN);
+        self.early = self.early_loss;
+    }
+
+    fn fade(&mut self) {
+        if self.early > 1e-5 {
+            self.scale(1.0 / (1.0 - self.early));
+            self.early *= 1.0 - 1.0 / EARLY_ROWS;
+        }
+    }
+
+    /// Multiplies the covariance, no parameter beyond its prior.
+    fn scale(&mut self, factor: f64) {
+        let p = &mut self.belief.p;
+        let root: [f64; N] = std::array::from_fn(|k| {
+            let most = if k < R {
+                factor
+            } else {
+                self.prior[k] / p[k][k].max(f64::MIN_POSITIVE)
+            };
+            most.clamp(1.0, factor).sqrt()
+        });
+        for k in 0..N {
+            for m in 0..N {
+                p[k][m] *= root[k] * root[m];
+            }
+        }
+    }
+
+    /// The state is what the sample says; the parameters keep what they know.
+    fn anchor(&mut self, measured: [Option<f64>; 2]) {
+        if self.mode != Mode::Unknown {
+            self.tally.breaks += 1;
+        }
+        self.stop();
+        let [current, speed] = measured;
+        let [electrical, mechanical] = self.sensors.map(|sensor| sensor.variance());
+        let Some(speed) = speed else { return };
+        self.belief.x[I] = current.unwrap_or(0.0);
+        let unknown = self.sensors[0]
+            .largest
+            .max(1e-3 * self.sensors[1].largest)
+            .powi(2);
+        self.belief.forget(
+            I,
+            if current.is_some() {
+                electrical
+            } else {
+                unknown
+            },
+        );
+        self.belief.x[W] = speed;
+        self.belief.forget(W, mechanical);
+        if self.is_signless() {
+            self.mode = Mode::Turning(1.0);
+            return;
+        }
+        let zone = self.zone_rad_s();
+        let heading = if speed.abs() > STARTS * zone {
+            speed.signum()
+        } else {
+            0.0
+        };
+        let before = std::mem::replace(&mut self.heading, heading);
+        // The sample that first clears the zone was chosen by its noise: the state begins with the one after it, and so
+        // far outside that noise does not decide whether the next interval is used. Else the friction comes out high.
+        if before != 0.0 && before * speed > zone {
+            (self.zeros, self.zero_sum) = (0, 0.0);
+            self.mode = Mode::Turning(before);
+            return;
+        }
+        if speed.abs() > zone {
+            (self.zeros, self.zero_sum) = (0, 0.0);
+            return;
+        }
+        self.zeros = self.zeros.saturating_add(1);
+        self.zero_sum += speed;
+        let rows = f64::from(self.zeros);
+        if self.zeros >= REST_ROWS {
+            let mean = self.zero_sum / rows;
+            let still = mean.abs() < REST_ENDS * (mechanical / rows).sqrt() + 1e-9;
+            (self.zeros, self.zero_sum) = (0, 0.0);
+            if still && !self.may_break_away(self.belief.x[I]) {
+                self.belief.x[W] = 0.0;
+                self.belief.forget(W, 0.0);
+                self.mode = Mode::AtRest;
+            }
+        }
+    }
+
+    fn stop(&mut self) {
+        self.mode = Mode::Unknown;
+        for sensor in &mut self.sensors {
+            sensor.interrupt();
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! What the effects of a model add to both balances, linearised about the present state.
+
+use std::sync::Arc;
+
+use super::transition::Physics;
+use crate::plant::{Instant, Model, Terms};
+
+/// Effects whose values are known; they are subtracted, not estimated.
+#[derive(Clone, Default)]
+pub(super) struct KnownEffects {
+    terms: Arc<Vec<Box<dyn Terms>>>,
+}
+
+impl std::fmt::Debug for KnownEffects {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "KnownEffects({})", self.terms.len())
+    }
+}
+
+/// Constant parts of the balances over one interval.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Offsets {
+    pub(super) voltage_v: f64,
+    pub(super) torque_n_m: f64,
+}
+
+impl KnownEffects {
+    /// The effects of `model` that can be subtracted, and the identifiers of those that cannot: a value is missing, or
+    /// they have a state of their own.
+    pub(super) fn of(model: &Model) -> (Self, Vec<&'static str>) {
+        let (mut known, mut left) = (Vec::new(), Vec::new());
+        for active in &model.effects {
+            let values: Option<Vec<f64>> = active.values.iter().copied().collect();
+            let terms = values.map(|values| active.effect.terms(&values));
+            match terms.filter(|terms| terms.states() == 0) {
+                Some(terms) => known.push(terms),
+                None => left.push(active.id()),
+            }
+        }
+        let terms = Arc::new(known);
+        (Self { terms }, left)
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.terms.is_empty()
+    }
+
+    /// Sets the slope of the friction in `physics` and gives what is left; `direction` is the sign of the motion.
+    pub(super) fn linearise(&self, physics: &mut Physics, at: &Instant, direction: f64) -> Offsets {
+        if self.terms.is_empty() {
+            return Offsets::default();
+        }
+        let torque = |speed_rad_s: f64| -> f64 {
+            let at = Instant { speed_rad_s, ..*at };
+            let one = |terms: &Box<dyn Terms>| {
+                terms.torque_n_m(&at, &[]) + direction * terms.friction_n_m(&at)
+            };
+            self.terms.iter().map(one).sum()
+        };
+        let step = 1e-3 * (1.0 + at.speed_rad_s.abs());
+        let here = torque(at.speed_rad_s);
+        let slope = (torque(at.speed_rad_s + step) - torque(at.speed_rad_s - step)) / (2.0 * step);
+        // Friction that falls with speed stays below what would make the motor itself unstable.
+        physics.b = slope.max(-0.5 * physics.ke * physics.kt / physics.r);
+        Offsets {
+            voltage_v: self
+                .terms
+                .iter()
+                .map(|terms| terms.voltage_v(at, &[], physics.r))
+                .sum(),
+            torque_n_m: here - physics.b * at.speed_rad_s,
+        }
+    }
+}

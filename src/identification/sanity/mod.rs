@@ -1,0 +1,125 @@
+//! What is wrong with the data themselves, asked before anything is identified from them.
+//!
+//! ```text
+//! Run, Scenario, Model -> Table -+-> still     nothing changes, or the shaft does not turn
+//!                                +-> channel   one signal is frozen, clipped or has lost its sign
+//!                                +-> columns   two columns swapped, a sign reversed  <- balance (both equations, quickly)
+//!                                +-> scale     r/min for rad/s, mA for A, ms for s: by name and factor
+//! Vec<Finding>: `refuses` -> nothing may be identified; else a caution that stands beside the result
+//! ```
+//!
+//! A record is refused only on evidence in numbers. Both balances are homogeneous in each unit, so a wrong unit shows
+//! only against something else: the angle, a torque, a nameplate, or a size that no motor has.
+
+mod balance;
+mod channel;
+mod columns;
+mod header;
+mod scale;
+mod still;
+mod table;
+#[cfg(test)]
+mod tests;
+
+pub use header::of_header;
+
+use serde::Serialize;
+
+use self::table::Table;
+use crate::plant::{Model, MotorKey, Scenario};
+use crate::sample::Run;
+
+/// What sort of trouble a finding is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// Nothing changes: one operating point.
+    Steady,
+    /// The shaft does not turn.
+    Standstill,
+    /// The terminals are open while a voltage is stated.
+    OpenCircuit,
+    /// A signal does not move although it must.
+    Frozen,
+    /// A signal is cut off at a limit.
+    Clipped,
+    /// A signal shows its size without its direction.
+    Unsigned,
+    Swapped,
+    Reversed,
+    Unit,
+    /// A size that hardly any motor has.
+    Magnitude,
+}
+
+/// One thing that is wrong, or may be.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    pub kind: Kind,
+    /// Nothing may be identified from these data; else a caution.
+    pub refuses: bool,
+    /// What is seen, with its numbers.
+    pub sentence: String,
+    /// What to do about it.
+    pub help: String,
+    /// Parameters that cannot be called settled while this stands.
+    #[serde(serialize_with = "keys")]
+    pub doubts: Vec<MotorKey>,
+}
+
+fn keys<S: serde::Serializer>(doubts: &[MotorKey], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(doubts.iter().map(|key| key.key()))
+}
+
+impl Finding {
+    fn refusal(kind: Kind, sentence: impl Into<String>, help: impl Into<String>) -> Self {
+        Self {
+            kind,
+            refuses: true,
+            sentence: sentence.into(),
+            help: help.into(),
+            doubts: MotorKey::ALL.to_vec(),
+        }
+    }
+
+    fn caution(
+        kind: Kind,
+        doubts: &[MotorKey],
+        sentence: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        Self {
+            kind,
+            refuses: false,
+            sentence: sentence.into(),
+            help: help.into(),
+            doubts: doubts.to_vec(),
+        }
+    }
+}
+
+/// Everything that is wrong with the data, what forbids identification first.
+///
+/// `model`: a nameplate or an earlier model, as far as there is one; its values are what units are judged by.
+pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
+    let table = Table::new(scenario);
+    let mut findings = still::check(&table);
+    // A record in which nothing moves has no balance to check.
+    if findings.iter().any(|finding| finding.refuses) {
+        return findings;
+    }
+    let columns = columns::check(&table);
+    // A column in another's place looks cut off or frozen for what it is taken for: that comes first.
+    if let Some(exchanged) = columns.as_ref().and_then(|found| found.exchanged.clone()) {
+        findings.push(exchanged);
+    } else {
+        findings.extend(channel::check(&table));
+        findings.extend(scale::against_angle(run));
+        if !findings.iter().any(|finding| finding.refuses) {
+            findings.extend(columns.and_then(|found| found.impossible));
+            findings.extend(scale::against_model(run, &table, model));
+        }
+    }
+    findings.sort_by_key(|finding| !finding.refuses);
+    findings
+}

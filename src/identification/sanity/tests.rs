@@ -1,0 +1,385 @@
+//! Good records pass without a word; each kind of bad one is named.
+
+use super::*;
+use crate::plant::Motor;
+use crate::plant::testing::record;
+use crate::sample::{Channel, Origin};
+
+const LEVELS: [(f64, f64); 9] = [
+    (0.0, 0.0),
+    (0.5, 20.0),
+    (1.0, -25.0),
+    (1.5, 60.0),
+    (2.0, -10.0),
+    (2.5, 35.0),
+    (3.0, -50.0),
+    (3.5, 15.0),
+    (4.0, 30.0),
+];
+
+/// Columns of a bench record: voltage, current, speed, angle.
+struct Columns {
+    time_s: Vec<f64>,
+    voltage: Vec<f64>,
+    current: Vec<f64>,
+    speed: Vec<f64>,
+    angle: Vec<f64>,
+}
+
+fn columns(period_s: f64, seed: u64) -> Columns {
+    let model = Model::baseline(Motor::zk_22fc());
+    let scenario = record(&model, LEVELS.to_vec(), period_s, 4.5, seed);
+    let voltage = Table::new(&scenario).voltage_v;
+    let mut turned = 0.0;
+    let speed = &scenario.speed_rad_s;
+    let angle = speed
+        .iter()
+        .enumerate()
+        .map(|(row, w)| {
+            if row > 0 {
+                turned += 0.5 * period_s * (w + speed[row - 1]);
+            }
+            turned
+        })
+        .collect();
+    Columns {
+        time_s: scenario.sample_time_s,
+        voltage,
+        current: scenario.current_a,
+        speed: scenario.speed_rad_s,
+        angle,
+    }
+}
+
+impl Columns {
+    fn run(&self) -> Run {
+        let mut run = Run::new("r", self.time_s.clone()).unwrap();
+        for (channel, values) in [
+            (Channel::Voltage, &self.voltage),
+            (Channel::Current, &self.current),
+            (Channel::Speed, &self.speed),
+        ] {
+            run.set_column(channel, values.clone(), Origin::Unknown)
+                .unwrap();
+        }
+        run
+    }
+
+    fn with_angle(&self) -> Run {
+        let mut run = self.run();
+        run.set_column(Channel::Angle, self.angle.clone(), Origin::Unknown)
+            .unwrap();
+        run
+    }
+}
+
+fn scaled(values: &[f64], factor: f64) -> Vec<f64> {
+    values.iter().map(|value| value * factor).collect()
+}
+
+fn examined(run: &Run, motor: Motor) -> Vec<Finding> {
+    let scenario = Scenario::from_run(run).unwrap();
+    examine(run, &scenario, &Model::baseline(motor))
+}
+
+#[track_caller]
+fn refused(run: &Run, motor: Motor, kind: Kind, parts: &[&str]) {
+    let findings = examined(run, motor);
+    let first = findings.first().expect("a finding");
+    assert!(first.refuses && first.kind == kind, "{findings:#?}");
+    let text = format!("{} {}", first.sentence, first.help);
+    for part in parts {
+        assert!(text.contains(part), "{part:?} not in {text}");
+    }
+}
+
+fn unknown() -> Motor {
+    Motor::new("?")
+}
+
+#[test]
+fn a_good_record_passes_without_a_word() {
+    for period_s in [0.001, 0.005, 0.01] {
+        for seed in 0..4 {
+            let columns = columns(period_s, seed);
+            for run in [columns.run(), columns.with_angle()] {
+                for motor in [unknown(), Motor::zk_22fc()] {
+                    let findings = examined(&run, motor);
+                    assert!(findings.is_empty(), "{period_s} {seed}: {findings:#?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn signals_in_each_others_columns_are_named_whatever_the_pair() {
+    for (a, b, names) in [
+        (0, 1, "voltage and current are swapped"),
+        (1, 2, "current and speed are swapped"),
+        (0, 2, "voltage and speed are swapped"),
+    ] {
+        for period_s in [0.002, 0.01] {
+            let good = columns(period_s, 3);
+            let mut bad = [good.voltage, good.current, good.speed];
+            bad.swap(a, b);
+            let [voltage, current, speed] = bad;
+            let bad = Columns {
+                voltage,
+                current,
+                speed,
+                time_s: good.time_s,
+                angle: good.angle,
+            };
+            refused(&bad.run(), unknown(), Kind::Swapped, &[names, "--map"]);
+        }
+    }
+}
+
+#[test]
+fn a_reversed_sign_is_named_for_each_signal() {
+    for (signal, name) in ["voltage", "current", "speed"].into_iter().enumerate() {
+        let mut bad = columns(0.005, 5);
+        let column = match signal {
+            0 => &mut bad.voltage,
+            1 => &mut bad.current,
+            _ => &mut bad.speed,
+        };
+        *column = scaled(column, -1.0);
+        let says = format!("the sign of the {name} is reversed");
+        refused(&bad.run(), unknown(), Kind::Reversed, &[&says, "*-1"]);
+    }
+}
+
+#[test]
+fn revolutions_per_minute_show_against_the_angle_and_the_nameplate() {
+    let mut bad = columns(0.005, 1);
+    bad.speed = scaled(&bad.speed, 9.549_296_585);
+    let parts = ["r/min", "9.5493", "speed_rad_s=COLUMN*0.1047197"];
+    refused(&bad.with_angle(), unknown(), Kind::Unit, &parts);
+    refused(&bad.run(), Motor::zk_22fc(), Kind::Unit, &parts);
+    // With nothing to compare with, the size is all there is, and it says so.
+    let mut fast = columns(0.005, 1);
+    fast.speed = scaled(&fast.speed, 9.549_296_585);
+    let findings = examined(&fast.run(), unknown());
+    assert_eq!(findings.len(), 1, "{findings:#?}");
+    assert!(!findings[0].refuses && findings[0].sentence.contains("9.5493"));
+    assert!(findings[0].doubts.contains(&MotorKey::BackEmf));
+}
+
+#[test]
+fn other_units_are_named_with_their_factor() {
+    let good = || columns(0.005, 2);
+    let mut bad = good();
+    bad.current = scaled(&bad.current, 1e3);
+    refused(
+        &bad.run(),
+        Motor::zk_22fc(),
+        Kind::Unit,
+        &["mA", "1000", "*0.001"],
+    );
+    refused(&bad.run(), unknown(), Kind::Unit, &["mA", "*0.001"]);
+    let mut bad = good();
+    bad.time_s = scaled(&bad.time_s, 1e3);
+    refused(
+        &bad.run(),
+        unknown(),
+        Kind::Unit,
+        &["ms", "time_s=COLUMN*0.001"],
+    );
+    let mut bad = good();
+    bad.speed = scaled(&bad.speed, 180.0 / std::f64::consts::PI);
+    refused(
+        &bad.with_angle(),
+        unknown(),
+        Kind::Unit,
+        &["deg/s", "57.29"],
+    );
+    let mut odd = good();
+    odd.angle = scaled(&odd.angle, 180.0 / std::f64::consts::PI);
+    let findings = examined(&odd.with_angle(), unknown());
+    assert!(findings.len() == 1 && !findings[0].refuses, "{findings:#?}");
+    assert!(findings[0].sentence.contains("degrees"));
+}
+
+#[test]
+fn torque_over_current_shows_the_unit_of_the_speed() {
+    let mut bad = columns(0.005, 2);
+    bad.speed = scaled(&bad.speed, 9.549_296_585);
+    let mut run = bad.run();
+    let torque = scaled(&bad.current, 0.3538);
+    run.set_column(Channel::Torque, torque, Origin::Estimated)
+        .unwrap();
+    refused(&run, unknown(), Kind::Unit, &["r/min", "N.m/A"]);
+}
+
+#[test]
+fn what_does_not_move_is_told_apart() {
+    let good = columns(0.005, 7);
+    let rows = good.time_s.len();
+    let noise = |from: &[f64], level: f64| -> Vec<f64> {
+        // The noise of the leading standstill, over and over.
+        (0..rows).map(|row| level + from[row % 90]).collect()
+    };
+    let still = Columns {
+        time_s: good.time_s.clone(),
+        voltage: vec![0.0; rows],
+        current: noise(&good.current, 0.0),
+        speed: noise(&good.speed, 0.0),
+        angle: vec![0.0; rows],
+    };
+    refused(&still.run(), unknown(), Kind::Standstill, &["stands still"]);
+    let steady = Columns {
+        voltage: vec![24.0; rows],
+        current: noise(&good.current, 1.29),
+        speed: noise(&good.speed, 63.8),
+        ..still
+    };
+    refused(
+        &steady.run(),
+        unknown(),
+        Kind::Steady,
+        &["24", "operating point"],
+    );
+    let dead = Columns {
+        current: vec![1.5; rows],
+        voltage: good.voltage.clone(),
+        speed: good.speed.clone(),
+        ..steady
+    };
+    refused(
+        &dead.run(),
+        unknown(),
+        Kind::Frozen,
+        &["1.5 A in all 900 rows"],
+    );
+    let blind = Columns {
+        current: good.current.clone(),
+        speed: vec![0.0; rows],
+        ..dead
+    };
+    refused(
+        &blind.run(),
+        unknown(),
+        Kind::Frozen,
+        &["speed is not measured"],
+    );
+    let stuck = Columns {
+        speed: vec![30.0; rows],
+        ..blind
+    };
+    refused(&stuck.run(), unknown(), Kind::Frozen, &["30 rad/s"]);
+}
+
+#[test]
+fn a_locked_rotor_keeps_resistance_and_inductance() {
+    let motor = Motor::zk_22fc().with(MotorKey::LoadTorque, 1e4);
+    let scenario = record(&Model::baseline(motor), LEVELS.to_vec(), 0.002, 4.5, 4);
+    let locked = Columns {
+        voltage: Table::new(&scenario).voltage_v,
+        time_s: scenario.sample_time_s,
+        current: scenario.current_a,
+        speed: scenario.speed_rad_s,
+        angle: Vec::new(),
+    };
+    let findings = examined(&locked.run(), unknown());
+    assert_eq!(findings.len(), 1, "{findings:#?}");
+    assert!(!findings[0].refuses && findings[0].kind == Kind::Standstill);
+    assert!(!findings[0].doubts.contains(&MotorKey::Resistance));
+}
+
+#[test]
+fn a_signal_that_contradicts_itself_is_named() {
+    let good = || columns(0.002, 9);
+    let mut bad = good();
+    for value in &mut bad.current {
+        *value = value.clamp(-8.0, 8.0);
+    }
+    refused(
+        &bad.run(),
+        unknown(),
+        Kind::Clipped,
+        &["8.000000", "cut off"],
+    );
+    let mut bad = good();
+    let held = bad.speed[700];
+    bad.speed[700..1300].fill(held);
+    refused(
+        &bad.run(),
+        unknown(),
+        Kind::Frozen,
+        &["for 600 rows", "1.400"],
+    );
+    for signal in 0..3 {
+        let mut bad = good();
+        let column = match signal {
+            0 => &mut bad.voltage,
+            1 => &mut bad.current,
+            _ => &mut bad.speed,
+        };
+        for value in column {
+            *value = value.abs();
+        }
+        refused(&bad.run(), unknown(), Kind::Unsigned, &["lost its sign"]);
+    }
+}
+
+#[test]
+fn a_coast_down_with_open_terminals_is_no_shorted_one() {
+    let rows = 600_u32;
+    let times: Vec<f64> = (0..rows).map(|row| f64::from(row) * 0.005).collect();
+    let open = Columns {
+        voltage: vec![0.0; 600],
+        current: vec![0.0; 600],
+        speed: times.iter().map(|t| 100.0 - 30.0 * t).collect(),
+        angle: Vec::new(),
+        time_s: times,
+    };
+    refused(
+        &open.run(),
+        unknown(),
+        Kind::OpenCircuit,
+        &["terminals are open"],
+    );
+}
+
+#[test]
+fn a_stretch_with_open_terminals_is_seen_within_a_record() {
+    let mut bad = columns(0.002, 6);
+    // From 2.6 s on the drive lets go: the shaft coasts, nothing flows, and 0 V was written down.
+    let from = 1300;
+    let begin = bad.speed[from];
+    for row in from..bad.time_s.len() {
+        let time_s = bad.time_s[row] - bad.time_s[from];
+        bad.voltage[row] = 0.0;
+        bad.current[row] = bad.current[row % 200];
+        bad.speed[row] = begin * (1.0 - 0.4 * time_s);
+    }
+    refused(
+        &bad.run(),
+        unknown(),
+        Kind::OpenCircuit,
+        &["terminals are open", "2.600 s"],
+    );
+    // A shorted one brakes, and that is a record like any other: the levels hold zero volt at speed.
+    let mut levels = LEVELS.to_vec();
+    levels.push((4.2, 0.0));
+    let scenario = record(&Model::baseline(Motor::zk_22fc()), levels, 0.002, 4.6, 6);
+    let shorted = Columns {
+        voltage: Table::new(&scenario).voltage_v,
+        time_s: scenario.sample_time_s,
+        current: scenario.current_a,
+        speed: scenario.speed_rad_s,
+        angle: Vec::new(),
+    };
+    assert!(examined(&shorted.run(), unknown()).is_empty());
+}
+
+#[test]
+fn a_held_signal_is_no_measurement() {
+    let mut bad = columns(0.005, 8);
+    bad.speed = scaled(&bad.voltage, 2.5);
+    let findings = examined(&bad.run(), unknown());
+    assert!(findings[0].refuses, "{findings:#?}");
+    assert!(findings[0].sentence.contains("speed"), "{findings:#?}");
+}

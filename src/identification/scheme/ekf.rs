@@ -1,0 +1,35 @@
+//! The extended Kalman filter over a recorded run.
+
+use super::{Data, Identified, IdentifyError, Scheme};
+use crate::identification::kalman::{self, KalmanConfig};
+use crate::plant::Input;
+
+pub(super) struct Ekf;
+
+impl Scheme for Ekf {
+    fn id(&self) -> &'static str {
+        "ekf"
+    }
+
+    fn summary(&self) -> &'static str {
+        "extended Kalman filter over state and parameters, twice through the run"
+    }
+
+    fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
+        if data.scenario.input != Input::Voltage {
+            return Err(IdentifyError::Unusable {
+                scheme: self.id(),
+                run: data.run.name.clone(),
+                reason: "it has no voltage to predict the current from".to_owned(),
+                help: "use --scheme weak-form, or map a voltage with --map voltage_v=HEADER",
+            });
+        }
+        let config = KalmanConfig {
+            model: data.model.clone(),
+            ..KalmanConfig::default()
+        };
+        let found = kalman::identify(&config, data.run);
+        let identified = Identified::new(self.id(), data.model, found.estimates());
+        Ok(identified.with_note(found.summary()))
+    }
+}

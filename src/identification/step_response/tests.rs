@@ -1,0 +1,139 @@
+use super::*;
+use crate::identification::noise::NoiseFloor;
+use crate::identification::output_error;
+use crate::plant::Motor;
+use crate::plant::testing::record;
+
+fn step(volts: f64, period_s: f64, held_s: f64, seed: u64) -> Scenario {
+    let events = vec![(0.0, 0.0), (0.3, volts), (0.3 + held_s, 0.0)];
+    let truth = Model::baseline(Motor::zk_22fc());
+    record(&truth, events, period_s, 0.6 + held_s, seed)
+}
+
+fn of<'a>(parameters: &'a [ParameterEstimate], key: &str) -> &'a ParameterEstimate {
+    parameters.iter().find(|p| p.key == key).unwrap()
+}
+
+const TRUTH: [(&str, f64, f64); 7] = [
+    ("resistance_ohm", 1.1, 0.08),
+    ("inductance_h", 0.0099, 0.08),
+    ("back_emf_v_s_per_rad", 0.3538, 0.02),
+    ("inertia_kg_m2", 0.0045, 0.12),
+    ("load_torque_n_m", 0.455, 0.03),
+    ("electrical_time_constant_s", 0.009, 0.2),
+    ("mechanical_time_constant_s", 0.039_54, 0.06),
+];
+
+#[test]
+fn one_step_of_the_paper_motor_gives_crude_values_with_intervals_that_hold() {
+    let (mut inside, mut all) = (0, 0);
+    for seed in 0..20 {
+        let volts = [60.0, -40.0, 25.0, -90.0][usize::try_from(seed % 4).unwrap()];
+        let run = step(volts, 0.001, 0.5, seed);
+        let (parameters, notes) = estimates(&Model::baseline(Motor::new("?")), &run);
+        for (key, truth, within) in TRUTH {
+            let parameter = of(&parameters, key);
+            assert_eq!(parameter.verdict, Verdict::Searching, "{parameter:?}");
+            let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
+            assert!(
+                (value / truth - 1.0).abs() < within,
+                "{volts} V {parameter:?} {truth}"
+            );
+            inside += u32::from((value - truth).abs() <= 2.0 * std);
+            all += 1;
+        }
+        assert!(notes[0].contains("friction") && notes[0].contains("63 %"));
+    }
+    assert!(
+        f64::from(inside) / f64::from(all) > 0.85,
+        "{inside} of {all}"
+    );
+}
+
+#[test]
+fn the_free_run_fit_beats_the_reading_on_the_same_record() {
+    let (mut read, mut fitted) = (0.0, 0.0);
+    for seed in 0..6 {
+        let run = step(40.0, 0.001, 0.5, seed);
+        let (parameters, _) = estimates(&Model::baseline(Motor::new("?")), &run);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let start = Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, 0.006));
+        let fit = output_error::fit(&[start], &run, &noise).unwrap();
+        let error = |parameters: &[ParameterEstimate]| {
+            let inertia = of(parameters, "inertia_kg_m2").value.unwrap();
+            (inertia / 0.0045 - 1.0).abs()
+        };
+        read += error(&parameters);
+        fitted += error(&fit.parameters);
+    }
+    assert!(fitted < 0.5 * read, "{fitted} {read}");
+}
+
+#[test]
+fn without_a_current_only_the_time_constants_are_told() {
+    let mut run = step(60.0, 0.001, 0.5, 3);
+    run.current_a.fill(f64::NAN);
+    let mut model = Model::baseline(Motor::zk_22fc());
+    model.fixed.push("resistance_ohm".into());
+    let (parameters, _) = estimates(&model, &run);
+    assert!(
+        of(&parameters, "mechanical_time_constant_s")
+            .value
+            .is_some()
+    );
+    assert_eq!(of(&parameters, "resistance_ohm").verdict, Verdict::Fixed);
+    let back_emf = of(&parameters, "back_emf_v_s_per_rad");
+    assert!(
+        back_emf.value.is_none() && back_emf.reason.as_deref().unwrap().contains("at most 0.36")
+    );
+    for key in ["inertia_kg_m2", "load_torque_n_m"] {
+        assert_eq!(of(&parameters, key).verdict, Verdict::NotObservable);
+    }
+}
+
+#[test]
+fn coarse_samples_lose_the_electrical_half_and_say_so() {
+    let run = step(60.0, 0.01, 0.8, 4);
+    let (parameters, _) = estimates(&Model::baseline(Motor::new("?")), &run);
+    let tm = of(&parameters, "mechanical_time_constant_s");
+    assert!((tm.value.unwrap() / 0.039_54 - 1.0).abs() < 0.15, "{tm:?}");
+    let resistance = of(&parameters, "resistance_ohm");
+    assert!(resistance.reason.is_some() && resistance.verdict != Verdict::Settled);
+}
+
+#[test]
+fn no_step_no_rest_and_no_steady_state_are_told_apart() {
+    let model = Model::baseline(Motor::new("?"));
+    let truth = Model::baseline(Motor::zk_22fc());
+    let moving = record(&truth, vec![(0.0, 40.0), (0.5, 60.0)], 0.001, 1.0, 1);
+    let cases = [
+        (moving, "out of rest"),
+        (step(60.0, 0.001, 0.06, 2), "no steady state"),
+        (step(1.0, 0.001, 0.5, 3), "does not turn"),
+    ];
+    for (run, expected) in cases {
+        let (parameters, notes) = estimates(&model, &run);
+        assert!(notes.is_empty());
+        for parameter in parameters {
+            let reason = parameter.reason.unwrap();
+            assert!(
+                parameter.value.is_none() && reason.contains(expected),
+                "{reason}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_random_voltage_holds_no_step() {
+    let mut events = vec![(0.0, 0.0)];
+    for k in 0..600_i32 {
+        let t = 0.2 + 0.005 * f64::from(k);
+        events.push((t, 30.0 * (5.0 * t).sin() + 10.0 * (17.0 * t).cos()));
+    }
+    let truth = Model::baseline(Motor::zk_22fc());
+    let run = record(&truth, events, 0.001, 3.2, 5);
+    let (parameters, notes) = estimates(&Model::baseline(Motor::new("?")), &run);
+    assert!(notes.is_empty(), "{notes:?}");
+    assert!(parameters.iter().all(|p| p.value.is_none()));
+}

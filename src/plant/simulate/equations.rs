@@ -1,0 +1,181 @@
+//! The right-hand sides: what drives the linear part, and what holds the shaft.
+
+use super::state::{MOST_STATES, Mode, State};
+use crate::plant::effect::{Instant, Sums, Terms};
+use crate::plant::model::{Model, ModelError};
+use crate::plant::motor::MotorKey;
+use crate::plant::propagator::M2;
+use crate::plant::scenario::Input;
+
+/// A model as numbers.
+pub(super) struct Equations {
+    resistance_ohm: f64,
+    torque_constant: f64,
+    inverse_inertia: f64,
+    coulomb: f64,
+    pub(super) input: Input,
+    /// Linear part: `d/dt [i, w] = A [i, w] + forcing`.
+    pub(super) a: M2,
+    /// Forcing per volt.
+    per_volt: f64,
+    /// Each effect with its number of states.
+    terms: Vec<(Box<dyn Terms>, usize)>,
+    states: usize,
+}
+
+impl Equations {
+    pub(super) fn new(model: &Model, input: Input) -> Result<Self, ModelError> {
+        let value = |key: MotorKey| {
+            model.motor.get(key).ok_or_else(|| ModelError::Unset {
+                key: key.key().to_owned(),
+            })
+        };
+        let inertia = value(MotorKey::Inertia)?;
+        let (resistance_ohm, torque_constant, a, per_volt) = match input {
+            Input::Voltage => {
+                let (r, l, ke) = (
+                    value(MotorKey::Resistance)?,
+                    value(MotorKey::Inductance)?,
+                    value(MotorKey::BackEmf)?,
+                );
+                let kt = model.motor.torque_constant().unwrap_or(ke);
+                (r, kt, [[-r / l, -ke / l], [kt / inertia, 0.0]], 1.0 / l)
+            }
+            Input::Current => {
+                let kt = model
+                    .motor
+                    .torque_constant()
+                    .ok_or_else(|| ModelError::Unset {
+                        key: MotorKey::TorqueConstant.key().to_owned(),
+                    })?;
+                (0.0, kt, [[0.0, 0.0], [kt / inertia, 0.0]], 0.0)
+            }
+            Input::Torque => (0.0, 1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
+        };
+        let terms: Vec<(Box<dyn Terms>, usize)> = model
+            .effects
+            .iter()
+            .map(|active| active.effect.terms(&active.values_or_guess()))
+            .map(|terms| {
+                let states = terms.states();
+                (terms, states)
+            })
+            .collect();
+        Ok(Self {
+            resistance_ohm,
+            torque_constant,
+            inverse_inertia: 1.0 / inertia,
+            coulomb: value(MotorKey::LoadTorque)?,
+            input,
+            a,
+            per_volt,
+            states: terms.iter().map(|(_, states)| states).sum(),
+            terms,
+        })
+    }
+
+    /// Whether the equations are linear between mode changes.
+    pub(super) fn is_linear(&self) -> bool {
+        self.terms.is_empty()
+    }
+
+    /// Number of states of all effects together.
+    pub(super) const fn states(&self) -> usize {
+        self.states
+    }
+
+    /// What all effects add.
+    fn sums(&self, state: &State, at: &Instant) -> Sums {
+        let mut sums = Sums::default();
+        if self.terms.is_empty() {
+            return sums;
+        }
+        let here = state.instant(at);
+        // One effect, the usual case, is not added up: a sum of pairs would wait for the stores of its parts.
+        if let [(only, _)] = &self.terms[..] {
+            return only.sums(&here, &state.own, self.resistance_ohm);
+        }
+        let mut own = &state.own[..];
+        for (terms, states) in &self.terms {
+            let added = terms.sums(&here, own, self.resistance_ohm);
+            sums.voltage_v += added.voltage_v;
+            sums.torque_n_m += added.torque_n_m;
+            sums.friction_n_m += added.friction_n_m;
+            own = &own[*states..];
+        }
+        sums
+    }
+
+    /// Forcing of the linear part: input and effects, in A/s and rad/s2.
+    #[inline]
+    pub(super) fn forcing(&self, state: &State, at: &Instant) -> [f64; 2] {
+        let sums = self.sums(state, at);
+        let acceleration = match state.mode {
+            Mode::Stuck | Mode::Undecided => 0.0,
+            moving => {
+                let level = (self.coulomb + sums.friction_n_m).max(0.0);
+                -(sums.torque_n_m + moving.sign() * level) * self.inverse_inertia
+            }
+        };
+        [
+            (at.voltage_v - sums.voltage_v) * self.per_volt,
+            acceleration,
+        ]
+    }
+
+    /// Torque that would move the shaft, friction left out.
+    pub(super) fn driving_torque(&self, state: &State, at: &Instant) -> f64 {
+        self.torque_constant * state.current_a - self.sums(state, at).torque_n_m
+    }
+
+    /// How far friction exceeds the driving torque: negative where a shaft at rest breaks away.
+    pub(super) fn hold(&self, state: &State, at: &Instant) -> f64 {
+        let sums = self.sums(state, at);
+        let driving = self.torque_constant * state.current_a - sums.torque_n_m;
+        (self.coulomb + sums.friction_n_m).max(0.0) - driving.abs()
+    }
+
+    pub(super) fn mode_at(&self, state: &State, at: &Instant) -> Mode {
+        let direction = if state.speed_rad_s == 0.0 {
+            if self.hold(state, at) >= 0.0 {
+                return Mode::Stuck;
+            }
+            self.driving_torque(state, at)
+        } else {
+            state.speed_rad_s
+        };
+        if direction > 0.0 {
+            Mode::Forward
+        } else {
+            Mode::Backward
+        }
+    }
+
+    /// One explicit step of the effects' own states.
+    #[inline]
+    pub(super) fn advance_own(
+        &self,
+        from: &State,
+        at: &Instant,
+        h: f64,
+        to: &mut [f64; MOST_STATES],
+    ) {
+        if self.states == 0 {
+            return;
+        }
+        let here = from.instant(at);
+        let mut first = 0;
+        for (terms, states) in &self.terms {
+            if *states == 0 {
+                continue;
+            }
+            let mine = first..first + states;
+            let mut rates = [0.0; MOST_STATES];
+            terms.derivative(&here, &from.own[mine.clone()], &mut rates[..*states]);
+            for (value, rate) in to[mine].iter_mut().zip(&rates) {
+                *value += h * rate;
+            }
+            first += states;
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! Propagators of the step lengths that a run repeats.
+
+use crate::plant::propagator::{LinearPart, M2, Propagator};
+
+/// Lengths that differ by less, relative, are one: stamps carry rounding.
+const SAME_LENGTH: f64 = 1e-9;
+
+/// Propagators over one step and half of it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Step {
+    length_s: f64,
+    pub(super) whole: Propagator,
+    /// Only where effects are there to be evaluated in the middle.
+    pub(super) half: Propagator,
+}
+
+/// The two latest lengths of one linear part: a command between two samples makes two.
+#[derive(Clone, Debug)]
+pub(super) struct Steps {
+    linear: LinearPart,
+    with_half: bool,
+    latest: [Step; 2],
+    /// Which of them was used last.
+    last: usize,
+}
+
+impl Steps {
+    pub(super) fn new(a: &M2, with_half: bool) -> Self {
+        Self {
+            linear: LinearPart::new(a),
+            with_half,
+            latest: [Step::default(); 2],
+            last: 0,
+        }
+    }
+
+    /// Forgets all lengths, so that a run does not depend on the one before.
+    pub(super) fn clear(&mut self) {
+        self.latest = [Step::default(); 2];
+        self.last = 0;
+    }
+
+    /// The step of this length, which must be positive.
+    #[inline]
+    pub(super) fn over(&mut self, length_s: f64) -> &Step {
+        let is = |step: &Step| (step.length_s - length_s).abs() <= SAME_LENGTH * length_s;
+        if !is(&self.latest[self.last]) {
+            self.last = 1 - self.last;
+            if !is(&self.latest[self.last]) {
+                self.make(length_s);
+            }
+        }
+        &self.latest[self.last]
+    }
+
+    #[inline(never)]
+    fn make(&mut self, length_s: f64) {
+        let (whole, half) = if self.with_half {
+            self.linear.over_both(length_s)
+        } else {
+            (self.linear.over(length_s), Propagator::default())
+        };
+        self.latest[self.last] = Step {
+            length_s,
+            whole,
+            half,
+        };
+    }
+}
