@@ -35,7 +35,11 @@ fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
     [1, 2, 3, 1]
         .iter()
         .map(|run_seed| {
-            let guard = Guard::new(file.limits(), &file.motor, report.identity.current_limit_a);
+            let guard = Guard::new(
+                file.limits(),
+                &file.nameplate().unwrap(),
+                report.identity.current_limit_a,
+            );
             let program = Box::new(file.program(*run_seed).unwrap());
             let session = Session::new(program, guard).after_seq(last_seq);
             let mut recorder = MemoryRecorder::new(bench::layout(&report.signals));
@@ -55,7 +59,7 @@ fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
                     name: "run".to_owned(),
                     target: Target::Sim,
                     rate_hz: file.link.rate_hz,
-                    motor: file.motor.clone(),
+                    motor: file.nameplate(),
                     auto_start: true,
                 },
             );

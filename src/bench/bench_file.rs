@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::limits::{Limits, Nameplate};
+use super::limits::{Limits, MotorSection, Nameplate};
 use crate::config_text::{self, ConfigError};
 use crate::excitation::{self, ExcitationError, Segment};
 
@@ -57,7 +57,7 @@ pub struct BenchFile {
     pub link: LinkSection,
     #[serde(default)]
     pub emulator: EmulatorSection,
-    pub motor: Nameplate,
+    pub motor: MotorSection,
     #[serde(default)]
     pub limits: LimitsSection,
     #[serde(default)]
@@ -285,7 +285,11 @@ impl BenchFile {
 
     /// Limits with every default filled in.
     pub fn limits(&self) -> Limits {
-        let defaults = Limits::for_motor(&self.motor, self.link.rate_hz);
+        let rate_hz = self.link.rate_hz;
+        let defaults = self.motor.nameplate().map_or_else(
+            || Limits::for_rated(&self.motor, rate_hz),
+            |plate| Limits::for_motor(&plate, rate_hz),
+        );
         let given = &self.limits;
         Limits {
             current_a: given.current_a.unwrap_or(defaults.current_a),
@@ -298,6 +302,11 @@ impl BenchFile {
             time_s: given.time_s.unwrap_or(defaults.time_s),
             link_silence_s: given.link_silence_s.unwrap_or(defaults.link_silence_s),
         }
+    }
+
+    /// The nameplate; `None` where `[motor]` leaves a value out.
+    pub fn nameplate(&self) -> Option<Nameplate> {
+        self.motor.nameplate()
     }
 
     /// The sequence of one run, its random parts seeded with `run_seed` besides their own seed.

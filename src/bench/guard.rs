@@ -91,8 +91,25 @@ impl Guard {
         // A drive that lets through more than the bench may draw does not protect the bench's limit.
         let drive_limits = drive_current_limit_a.is_some_and(|amps| amps <= limits.current_a);
         let winding_v = (!drive_limits).then_some(limits.current_a * motor.resistance_ohm);
+        let shaper = shape::Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v);
+        Self::with_shaper(limits, shaper)
+    }
+
+    /// A guard for a motor that is not known: `winding_v` bounds the voltage across the winding, as far as the resistance
+    /// is known at all, around a back-EMF of which the constant may be 0; without it the program itself has to feel its
+    /// way.
+    pub fn for_unknown_motor(
+        limits: Limits,
+        winding_v: Option<f64>,
+        back_emf_v_s_per_rad: f64,
+    ) -> Self {
+        let shaper = shape::Shaper::new(&limits, back_emf_v_s_per_rad, winding_v);
+        Self::with_shaper(limits, shaper)
+    }
+
+    fn with_shaper(limits: Limits, shaper: shape::Shaper) -> Self {
         Self {
-            shaper: shape::Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v),
+            shaper,
             limits,
             trip: None,
             seen: [false; WATCHED.len()],

@@ -10,10 +10,9 @@ const CURRENT_LIMIT_IN_RATED: f64 = 4.0;
 /// Over-speed limit without a given one: rated speed and a quarter, below the usual mechanical test speed.
 const SPEED_LIMIT_IN_RATED: f64 = 1.25;
 
-/// `[motor]` of a bench file: the nameplate, on the motor's own shaft; a direct-current machine, so no phase or line
-/// basis and no peak or effective value has to be told apart.
-#[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
-#[serde(deny_unknown_fields)]
+/// A whole nameplate, on the motor's own shaft; a direct-current machine, so no phase or line basis and no peak or
+/// effective value has to be told apart.
+#[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Nameplate {
     pub name: String,
     pub rated_voltage_v: f64,
@@ -27,21 +26,138 @@ pub struct Nameplate {
     pub load_torque_n_m: f64,
 }
 
-impl Nameplate {
-    /// Every number with its key, for validation and messages.
-    pub fn values(&self) -> [(&'static str, f64); 8] {
-        [
+/// Time to rated voltage of a motor that is not known yet, s.
+const UNKNOWN_SLEW_S: f64 = 1.0;
+
+/// `[motor]` as it stands in a bench file: the rated values, from which the limits follow, are required; what makes a
+/// model of the motor may be left out.
+#[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct MotorSection {
+    pub name: String,
+    /// Nothing but the rated values is believed: the motor is found from small steps first.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unknown: bool,
+    pub rated_voltage_v: f64,
+    pub rated_current_a: f64,
+    pub rated_speed_rad_s: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resistance_ohm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inductance_h: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub back_emf_v_s_per_rad: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inertia_kg_m2: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub load_torque_n_m: Option<f64>,
+}
+
+impl MotorSection {
+    /// Every number that is given, with its key.
+    pub fn values(&self) -> Vec<(&'static str, f64)> {
+        let mut values = vec![
             ("rated_voltage_v", self.rated_voltage_v),
             ("rated_current_a", self.rated_current_a),
             ("rated_speed_rad_s", self.rated_speed_rad_s),
-            ("resistance_ohm", self.resistance_ohm),
-            ("inductance_h", self.inductance_h),
-            ("back_emf_v_s_per_rad", self.back_emf_v_s_per_rad),
-            ("inertia_kg_m2", self.inertia_kg_m2),
-            ("load_torque_n_m", self.load_torque_n_m),
-        ]
+        ];
+        let others = MODEL_KEYS.map(|key| Some((key.key(), self.get(key)?)));
+        values.extend(others.into_iter().flatten());
+        values
     }
 
+    pub fn get(&self, key: MotorKey) -> Option<f64> {
+        match key {
+            MotorKey::Resistance => self.resistance_ohm,
+            MotorKey::Inductance => self.inductance_h,
+            MotorKey::BackEmf => self.back_emf_v_s_per_rad,
+            MotorKey::Inertia => self.inertia_kg_m2,
+            MotorKey::LoadTorque => self.load_torque_n_m,
+            MotorKey::TorqueConstant => None,
+        }
+    }
+
+    /// What the plate says, complete or not.
+    pub fn motor(&self) -> Motor {
+        let mut motor = Motor::new(self.name.clone());
+        for key in MODEL_KEYS {
+            if let Some(value) = self.get(key) {
+                motor.set(key, value);
+            }
+        }
+        motor
+    }
+
+    /// Whether the motor has to be found before anything can be planned.
+    pub fn is_unknown(&self) -> bool {
+        self.unknown || self.nameplate().is_none()
+    }
+
+    /// The whole plate; `None` where a value is left out.
+    pub fn nameplate(&self) -> Option<Nameplate> {
+        Some(Nameplate {
+            name: self.name.clone(),
+            rated_voltage_v: self.rated_voltage_v,
+            rated_current_a: self.rated_current_a,
+            rated_speed_rad_s: self.rated_speed_rad_s,
+            resistance_ohm: self.resistance_ohm?,
+            inductance_h: self.inductance_h?,
+            back_emf_v_s_per_rad: self.back_emf_v_s_per_rad?,
+            inertia_kg_m2: self.inertia_kg_m2?,
+            load_torque_n_m: self.load_torque_n_m?,
+        })
+    }
+
+    /// The first key that is left out.
+    pub fn missing(&self) -> Option<&'static str> {
+        let missing = MODEL_KEYS.into_iter().find(|key| self.get(*key).is_none());
+        missing.map(MotorKey::key)
+    }
+
+    /// The rated values with the values of a motor that was found; `None` where the motor is not complete.
+    pub fn with_found(&self, motor: &Motor) -> Option<Nameplate> {
+        let value = |key| motor.get(key);
+        Some(Nameplate {
+            name: self.name.clone(),
+            rated_voltage_v: self.rated_voltage_v,
+            rated_current_a: self.rated_current_a,
+            rated_speed_rad_s: self.rated_speed_rad_s,
+            resistance_ohm: value(MotorKey::Resistance)?,
+            inductance_h: value(MotorKey::Inductance)?,
+            back_emf_v_s_per_rad: value(MotorKey::BackEmf)?,
+            inertia_kg_m2: value(MotorKey::Inertia)?,
+            load_torque_n_m: value(MotorKey::LoadTorque)?,
+        })
+    }
+}
+
+impl From<&Nameplate> for MotorSection {
+    fn from(plate: &Nameplate) -> Self {
+        Self {
+            name: plate.name.clone(),
+            unknown: false,
+            rated_voltage_v: plate.rated_voltage_v,
+            rated_current_a: plate.rated_current_a,
+            rated_speed_rad_s: plate.rated_speed_rad_s,
+            resistance_ohm: Some(plate.resistance_ohm),
+            inductance_h: Some(plate.inductance_h),
+            back_emf_v_s_per_rad: Some(plate.back_emf_v_s_per_rad),
+            inertia_kg_m2: Some(plate.inertia_kg_m2),
+            load_torque_n_m: Some(plate.load_torque_n_m),
+        }
+    }
+}
+
+/// What makes the model of a motor.
+const MODEL_KEYS: [MotorKey; 5] = [
+    MotorKey::Resistance,
+    MotorKey::Inductance,
+    MotorKey::BackEmf,
+    MotorKey::Inertia,
+    MotorKey::LoadTorque,
+];
+
+impl Nameplate {
     /// The baseline motor with the values of the nameplate.
     pub fn motor(&self) -> Motor {
         Motor::new(self.name.clone())
@@ -78,10 +194,18 @@ impl Limits {
     /// The defaults for a motor: what applies where a bench file leaves a limit out.
     pub fn for_motor(motor: &Nameplate, rate_hz: f64) -> Self {
         Self {
+            slew_v_per_s: default_slew_v_per_s(motor),
+            ..Self::for_rated(&motor.into(), rate_hz)
+        }
+    }
+
+    /// The defaults where only the rated values are known: the slew is a placeholder until the motor is found.
+    pub fn for_rated(motor: &MotorSection, rate_hz: f64) -> Self {
+        Self {
             current_a: CURRENT_LIMIT_IN_RATED * motor.rated_current_a,
             speed_rad_s: SPEED_LIMIT_IN_RATED * motor.rated_speed_rad_s,
             voltage_v: motor.rated_voltage_v,
-            slew_v_per_s: default_slew_v_per_s(motor),
+            slew_v_per_s: motor.rated_voltage_v / UNKNOWN_SLEW_S,
             travel_rad: None,
             bus_min_v: None,
             bus_max_v: None,

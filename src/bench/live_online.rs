@@ -11,9 +11,10 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::runner::LiveEstimator;
+use super::runner::{Excitation, LiveEstimator};
 use crate::identification::online::{Online, OnlineConfig};
 use crate::identification::recursive::{Memory, StartValues};
+use crate::plant::MotorKey;
 use crate::recording::{CommandRow, Layout, Row, RowOrder};
 use crate::sample::{Channel, ParameterEstimate, Sample};
 
@@ -204,6 +205,19 @@ impl LiveEstimator for LiveOnline {
 
     fn estimates(&self) -> Vec<ParameterEstimate> {
         self.online().estimates()
+    }
+
+    fn excitation(&self) -> Excitation {
+        // The mechanical line is linear in Kt/J and Mc/J: what carries them carries J and Mc.
+        const KEYS: [MotorKey; 5] = [
+            MotorKey::Resistance,
+            MotorKey::Inductance,
+            MotorKey::BackEmf,
+            MotorKey::Inertia,
+            MotorKey::LoadTorque,
+        ];
+        let shares = self.online().excitation();
+        KEYS.map(MotorKey::key).into_iter().zip(shares).collect()
     }
 }
 

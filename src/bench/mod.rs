@@ -13,6 +13,7 @@ mod check;
 mod clock;
 mod describe;
 mod difference;
+mod escalate;
 mod guard;
 mod limits;
 mod live_online;
@@ -34,14 +35,15 @@ pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, ch
 pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, manifest};
 pub use difference::{Difference, first_difference};
+pub use escalate::{Scaled, bounds, scale, stage_session};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
-pub use limits::{Limits, Nameplate};
+pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{
     LiveOnline, OnlineResult, OnlineSettings, RowEstimator, StartSettings, replay,
 };
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
-pub use runner::{Bench, LiveEstimator, RunOptions, RunSummary, run};
+pub use runner::{Bench, Excitation, LiveEstimator, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 pub use snapshot::{Snapshot, SnapshotCell, Target, TracePoint};
 pub use timing::Timing;

@@ -272,7 +272,7 @@ mod tests {
             for (inertia, resistance, back_emf) in
                 [(1.0, 1.0, 1.0), (1.1, 0.9, 0.9), (0.9, 0.9, 0.9)]
             {
-                let mut motor = bench.motor.clone();
+                let mut motor = bench.nameplate().unwrap();
                 motor.inertia_kg_m2 *= inertia;
                 motor.resistance_ohm *= resistance;
                 motor.back_emf_v_s_per_rad *= back_emf;
@@ -293,7 +293,14 @@ mod tests {
             time_s: 5.0,
             ..bench.limits()
         };
-        let plan = plan(&program, &bench.motor, &tight, 100.0, Some(3.0)).unwrap();
+        let plan = plan(
+            &program,
+            &bench.nameplate().unwrap(),
+            &tight,
+            100.0,
+            Some(3.0),
+        )
+        .unwrap();
         for quantity in ["travel", "time with the output on", "peak current"] {
             assert!(
                 plan.refusals.iter().any(|r| r.quantity == quantity),

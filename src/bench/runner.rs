@@ -7,7 +7,7 @@
 //! The same code runs in real time and, with the virtual clock and the drive in memory, faster than that and the same to
 //! the byte for each seed.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 
@@ -15,6 +15,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::clock::Clock;
+use super::guard::RearmError;
 use super::limits::Nameplate;
 use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
@@ -36,7 +37,15 @@ pub trait LiveEstimator {
     fn finish(&mut self);
 
     fn estimates(&self) -> Vec<ParameterEstimate>;
+
+    /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
+    fn excitation(&self) -> Excitation {
+        Excitation::new()
+    }
 }
+
+/// Share of each parameter that the data have taught, by key: 0 nothing, 1 all of it.
+pub type Excitation = BTreeMap<&'static str, f64>;
 
 /// What a run is made with; all of it belongs to the calling thread.
 pub struct Bench<'a> {
@@ -56,7 +65,8 @@ pub struct RunOptions {
     pub name: String,
     pub target: Target,
     pub rate_hz: f64,
-    pub motor: Nameplate,
+    /// The motor of which the model runs beside the measurement; `None`: none is known yet.
+    pub motor: Option<Nameplate>,
     /// Starts the program as soon as the session is safe, as a headless run does; else `Intent::Start` does.
     pub auto_start: bool,
 }
@@ -70,6 +80,8 @@ pub struct RunSummary {
     pub timing: Timing,
     pub link: LinkStatistics,
     pub estimates: Vec<ParameterEstimate>,
+    /// How far the data carried each of them at the end.
+    pub excitation: Excitation,
     pub notices: Vec<Notice>,
     /// Why zero output could not be confirmed at the very end, if it could not.
     pub stop_error: Option<String>,
@@ -107,7 +119,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         ..Snapshot::default()
     };
     let mut runner = Runner {
-        publisher: Publisher::new(bench.snapshots.clone(), first, &options.motor),
+        publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
         session,
         link: StopOnDrop(bench.link),
         recorder: bench.recorder,
@@ -213,6 +225,7 @@ impl Runner<'_> {
             timing: self.punctuality.timing(options.rate_hz),
             link: self.link.0.statistics(),
             estimates: self.estimates(),
+            excitation: self.excitation(),
             notices: std::mem::take(&mut self.notices),
             stop_error,
             recorder_error: recorder.error,
@@ -223,6 +236,9 @@ impl Runner<'_> {
     /// nobody is there to try again. Returns whether the matter is settled.
     fn try_start(&mut self, clock: &dyn Clock, waited_s: f64) -> bool {
         if self.session.phase() == Phase::Safe {
+            if waited_s <= CONNECT_TIME_S && self.still_moves() {
+                return false;
+            }
             self.feed(clock, Input::Intent(Intent::Start));
             if self.session.phase() != Phase::Safe {
                 return true;
@@ -239,6 +255,16 @@ impl Runner<'_> {
         }
         self.feed(clock, Input::Intent(Intent::Stop));
         true
+    }
+
+    /// Whether the shaft, or the current that brakes it, has not come to rest after what was before this run.
+    fn still_moves(&self) -> bool {
+        self.session.last_sample().is_some_and(|sample| {
+            matches!(
+                self.session.guard().check_rest(sample),
+                Err(RearmError::Moving { .. })
+            )
+        })
     }
 
     /// One input and everything that follows from it.
@@ -328,6 +354,13 @@ impl Runner<'_> {
             .unwrap_or_default()
     }
 
+    fn excitation(&self) -> Excitation {
+        self.estimator
+            .as_ref()
+            .map(|estimator| estimator.excitation())
+            .unwrap_or_default()
+    }
+
     fn publish(&mut self, now_s: f64, rate_hz: f64, outcome: Option<&'static str>) {
         let estimates = self.estimates();
         let state = RunState {
@@ -336,6 +369,7 @@ impl Runner<'_> {
             timing: self.punctuality.timing(rate_hz),
             recorder: self.recorder.status(),
             estimates,
+            excitation: self.excitation(),
             outcome,
         };
         self.publisher.publish(now_s, state);

@@ -105,6 +105,8 @@ pub struct Session {
     segment: Option<usize>,
     shaping: Causes,
     shaped_cycles: u64,
+    /// Magnitudes at which the program has reached what it was for.
+    goals: Vec<(Channel, f64)>,
 }
 
 impl Session {
@@ -126,7 +128,16 @@ impl Session {
             segment: None,
             shaping: Causes::default(),
             shaped_cycles: 0,
+            goals: Vec::new(),
         }
+    }
+
+    /// Ends the program, as done and by the usual ramp down, with the first sample in which one of these quantities
+    /// reaches its magnitude: an exploration needs no more than that.
+    #[must_use]
+    pub fn until(mut self, goals: Vec<(Channel, f64)>) -> Self {
+        self.goals = goals;
+        self
     }
 
     /// Continues the sequence numbers of what was exchanged before, so that no late reply can be taken for a new one.
@@ -256,12 +267,23 @@ impl Session {
             actions.push(Action::Row(Box::new(sample.clone())));
         }
         let state = sample.state;
+        let reached = self.goals.iter().copied().find_map(|(channel, level)| {
+            let value = sample.get(channel).filter(|value| value.abs() >= level)?;
+            Some((channel, value, level))
+        });
         self.drive = Some(sample);
         if let Some(trip) = trip {
             self.trip(now_s, &trip, actions);
             // At once, not in the next cycle.
             self.send(now_s, Demand::Stop, actions);
             return;
+        }
+        if let Some((channel, value, level)) = reached
+            && self.phase == Phase::Running
+        {
+            let detail = json!({ "channel": channel.name(), "value": value, "level": level });
+            self.event(now_s, "reached", detail, actions);
+            self.end(Outcome::Done, now_s, actions);
         }
         match (self.phase, state) {
             (Phase::Connecting, Some(DriveState::Running | DriveState::Fault))

@@ -8,6 +8,7 @@ pub(super) use publisher::{Publisher, RunState};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::guard::Trip;
+use super::runner::Excitation;
 use super::session::{Notice, Phase};
 use super::timing::Timing;
 use crate::drive::{Identity, LinkStatistics};
@@ -66,6 +67,8 @@ pub struct Snapshot {
     /// The last seconds, oldest first.
     pub trace: Arc<Vec<TracePoint>>,
     pub estimates: Arc<Vec<ParameterEstimate>>,
+    /// How far the data carry each parameter so far.
+    pub excitation: Arc<Excitation>,
     /// Whether the model of the trace is the nameplate's or the identified one.
     pub model_is_identified: bool,
     pub link_statistics: LinkStatistics,

@@ -1,12 +1,15 @@
 //! `commission`: the whole loop, guided; the screen and the headless run drive the same state machine.
 
+use super::escalate::{escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Recorded, Rig, Strings};
 use super::{data, output, pages, screen};
+use crate::identification::nameplate::Comparison;
 use crate::plant::{FittedValue, Model, ModelFile, Scenario};
 use crate::recording::RunFile;
 use crate::workflow::{
-    Commission, CommissionResult, Progress, ProgressCell, Role, RunRecord, StepState, Task,
+    Commission, CommissionResult, EscalationResult, Progress, ProgressCell, Role, RunRecord,
+    StepState, Task,
 };
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
@@ -48,7 +51,7 @@ fn commission(
     mut publish: impl FnMut(&Progress),
 ) -> Result<(CommissionResult, String), Failure> {
     let mut rig = Rig::open(arguments)?;
-    let mut workflow = Commission::new(Model::baseline(rig.bench.motor.motor()));
+    let mut workflow = Commission::new(Model::baseline(rig.plate.clone()), rig.escalates);
     if let Some(emulator) = &rig.emulator {
         workflow.set_truth(
             emulator
@@ -78,7 +81,17 @@ fn commission(
         .result()
         .cloned()
         .ok_or_else(|| Failure::new(INTERNAL, "the loop ended without a result"))?;
-    let text = pages::commission(workflow.scenarios(), &result, &rig)?.text;
+    let mut text = pages::commission(workflow.scenarios(), &result, &rig)?.text;
+    for part in [
+        result.escalation.as_ref().map(EscalationResult::text),
+        result.nameplate.as_ref().map(Comparison::text),
+    ]
+    .into_iter()
+    .flatten()
+    {
+        text.push('\n');
+        text.push_str(&part);
+    }
     let mut progress = workflow.progress();
     progress.report = text.lines().map(str::to_owned).collect();
     publish(&progress);
@@ -95,6 +108,16 @@ fn step(
     let runs = rig.bench.runs;
     match workflow.task() {
         Task::Check => workflow.checked(&rig.check()?),
+        Task::Escalate => {
+            let result = escalate(rig, strings, |line| {
+                workflow.escalating(line);
+                publish(&workflow.progress());
+            })?;
+            if let Some(failure) = failure(&result) {
+                return Err(failure);
+            }
+            workflow.escalated(rig.nameplate()?.motor(), result);
+        }
         Task::Plan => {
             for seed in [runs.select, runs.confirm, runs.repeat] {
                 rig.plan(seed)?;

@@ -19,16 +19,18 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
-    LiveOnline, MonotonicClock, OnlineResult, OnlineSettings, Outcome, Plan, Port, Protocol,
-    RunOptions, RunSummary, Session, SnapshotCell, Target, check, layout, manifest, plan, run,
+    LiveOnline, MonotonicClock, Nameplate, OnlineResult, OnlineSettings, Outcome, Plan, Port,
+    Protocol, RunOptions, RunSummary, Session, SnapshotCell, Target, check, layout, manifest, plan,
+    run, stage_session,
 };
 use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
 use crate::emulator::{
     EmulatorConfig, Endpoint, Latency, LinkKind, MemoryLink, ServerHandle, SoftDrive, VirtualClock,
 };
+use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
-use crate::plant::Model;
+use crate::plant::{Model, Motor};
 use crate::recording::{Manifest, Recorder, RunFile, RunFolder, utc_stamp};
 use crate::sample::{Channel, Command, Demand};
 
@@ -59,6 +61,9 @@ pub(super) struct LiveArguments {
     /// The drive is real and its shaft may turn (needed without a screen)
     #[arg(long)]
     hardware: bool,
+    /// Find the motor from small steps first, whatever its nameplate says (as motor.unknown = true does)
+    #[arg(long)]
+    pub(super) escalate: bool,
     /// Go on although the drive's watchdog cannot be proven; the waiver is recorded
     #[arg(long)]
     waive_watchdog: bool,
@@ -166,6 +171,10 @@ pub(super) struct Rig {
     check: Option<CheckReport>,
     consent: Consent,
     headless: bool,
+    /// The motor is to be found from small steps before anything is planned.
+    pub(super) escalates: bool,
+    /// What the bench file says about the motor, whatever is found later.
+    pub(super) plate: Motor,
     out: PathBuf,
     pub(super) emulator: Option<EmulatorConfig>,
     /// Dropping it ends the emulator, so it outlives the link.
@@ -230,6 +239,8 @@ impl Rig {
                 reset_fault: arguments.reset_fault,
             },
             headless: arguments.is_headless(),
+            escalates: arguments.escalate || bench.motor.is_unknown(),
+            plate: bench.motor.motor(),
             out: arguments.out.clone(),
             emulator,
             _server: server,
@@ -275,12 +286,10 @@ impl Rig {
         let program = self.program(seed)?;
         let plan = plan(
             &program,
-            &self.bench.motor,
+            &self.nameplate()?,
             &self.bench.limits(),
             self.bench.link.rate_hz,
-            self.check
-                .as_ref()
-                .and_then(|check| check.identity.current_limit_a),
+            self.drive_current_limit_a(),
         )?;
         match plan.refusals.first() {
             Some(refusal) => Err(Failure::with_help(
@@ -290,6 +299,18 @@ impl Rig {
             )),
             None => Ok(plan),
         }
+    }
+
+    /// The motor that is planned with: of the bench file, or as it was found.
+    pub(super) fn nameplate(&self) -> Result<Nameplate, Failure> {
+        nameplate(&self.bench)
+    }
+
+    /// The drive's own limit, as read back by the check.
+    pub(super) fn drive_current_limit_a(&self) -> Option<f64> {
+        self.check
+            .as_ref()
+            .and_then(|check| check.identity.current_limit_a)
     }
 
     fn program(&self, seed: u64) -> Result<crate::excitation::Program, Failure> {
@@ -306,17 +327,41 @@ impl Rig {
         seed: u64,
         strings: &Strings,
     ) -> Result<Recorded, Failure> {
+        let motor = self.nameplate()?;
+        let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
+        let session = Session::new(Box::new(self.program(seed)?), guard);
+        self.record_session(name, seed, session, Some(motor), false, strings)
+    }
+
+    /// Records one stage of an escalation. The first one beside a real motor is started by hand; the others `follow` it.
+    pub(super) fn record_stage(
+        &mut self,
+        name: &str,
+        stage: &Stage,
+        follows: bool,
+        strings: &Strings,
+    ) -> Result<Recorded, Failure> {
+        let file = self.bench.name.clone();
+        let session = stage_session(&self.bench, stage)
+            .map_err(|error| Failure::from(BenchFileError::Sequence { file, error }))?;
+        self.record_session(name, self.bench.runs.fit, session, None, follows, strings)
+    }
+
+    fn record_session(
+        &mut self,
+        name: &str,
+        seed: u64,
+        session: Session,
+        motor: Option<Nameplate>,
+        follows: bool,
+        strings: &Strings,
+    ) -> Result<Recorded, Failure> {
         let report = self
             .check
             .clone()
             .ok_or_else(|| Failure::new(INTERNAL, "a run without a check before it"))?;
         let target = Target::of(&report.identity);
-        let guard = Guard::new(
-            self.bench.limits(),
-            &self.bench.motor,
-            report.identity.current_limit_a,
-        );
-        let session = Session::new(Box::new(self.program(seed)?), guard).after_seq(self.last_seq);
+        let session = session.after_seq(self.last_seq);
         let mut manifest = self.manifest(name, seed, &report);
         let mut layout = layout(&report.signals);
         if !self.clock.is_real() {
@@ -347,9 +392,9 @@ impl Rig {
                 name: name.to_owned(),
                 target,
                 rate_hz: self.bench.link.rate_hz,
-                motor: self.bench.motor.clone(),
+                motor,
                 // Beside a screen a real motor is started by hand, after a question.
-                auto_start: target == Target::Sim || self.headless,
+                auto_start: target == Target::Sim || self.headless || follows,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
@@ -458,6 +503,18 @@ impl Recorded {
 )]
 fn now() -> jiff::Timestamp {
     jiff::Timestamp::now()
+}
+
+/// The whole nameplate of a bench file.
+pub(super) fn nameplate(bench: &BenchFile) -> Result<Nameplate, Failure> {
+    bench.nameplate().ok_or_else(|| {
+        let key = bench.motor.missing().unwrap_or("a value");
+        Failure::with_help(
+            USAGE,
+            format!("motor.{key} is left out: the motor is not known, so nothing can be planned"),
+            "`drivebench run` and `commission` find it from small steps first; or complete [motor]",
+        )
+    })
 }
 
 /// An embedded emulator by name, else a file.

@@ -11,6 +11,7 @@ mod data;
 mod diagnose;
 mod effects;
 mod emulate;
+mod escalate;
 mod failure;
 mod identify;
 mod live;

@@ -80,7 +80,7 @@ pub(super) fn commission(
     context.plan = plan_facts(&rig.plan(rig.bench.runs.fit)?);
     let diagnosis = &result.diagnosis;
     let (noise, added) = (diagnosis.model.noise, !diagnosis.effects.is_empty());
-    let nameplate = Model::baseline(rig.bench.motor.motor());
+    let nameplate = Model::baseline(rig.plate.clone());
     let confirm = scenarios.get(2);
     let simulated = |model: &Model| match confirm {
         Some(run) => output_error::predict(model, run, &noise).map(|done| Some(done.trajectory)),

@@ -32,7 +32,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         })?;
     let plan = plan(
         &program,
-        &bench.motor,
+        &super::live::nameplate(&bench)?,
         &bench.limits(),
         bench.link.rate_hz,
         None,

@@ -4,19 +4,23 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
+use super::escalate::{escalate, failure};
 use super::failure::Failure;
 use super::live::{LiveArguments, Recorded, Rig, Strings};
 use super::{output, pages, screen};
 use crate::bench::{Plan, RunSummary};
+use crate::identification::nameplate::Comparison;
 use crate::plant::{FittedValue, Model, ModelFile, Motor, MotorKey};
 use crate::recording::RunFile;
 use crate::sample::Verdict;
+use crate::workflow::{EscalationResult, compared};
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench run                            the emulated motor, on the live screen
-  drivebench run bench.toml --port /dev/ttyUSB0 --hardware --headless")]
+  drivebench run bench.toml --port /dev/ttyUSB0 --hardware --headless
+  drivebench run --escalate --port sim: --emulator small-servo-behind-zk-22fc   find the motor first")]
 pub(super) struct Arguments {
     #[command(flatten)]
     live: LiveArguments,
@@ -32,8 +36,29 @@ struct RunResult<'a> {
     plan: &'a Plan,
     #[serde(flatten)]
     summary: &'a RunSummary,
+    /// How an unknown motor was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    escalation: Option<&'a EscalationResult>,
+    /// What was found against the plate, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    nameplate: Option<Comparison>,
     /// The estimates with their keys.
     parameters: serde_json::Map<String, serde_json::Value>,
+}
+
+/// How far it came.
+enum Done {
+    /// The motor could not be found.
+    Named(EscalationResult),
+    Run(Box<Whole>),
+}
+
+struct Whole {
+    plan: Plan,
+    recorded: Recorded,
+    escalation: Option<EscalationResult>,
+    /// What the bench file says about the motor.
+    plate: Motor,
 }
 
 pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
@@ -48,31 +73,55 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     finish(json, &done)
 }
 
-fn record(arguments: &Arguments, strings: &Strings) -> Result<(Plan, Recorded), Failure> {
+fn record(arguments: &Arguments, strings: &Strings) -> Result<Done, Failure> {
     let mut rig = Rig::open(&arguments.live)?;
+    let headless = arguments.live.is_headless();
     let report = rig.check()?;
-    if arguments.live.is_headless() {
+    if headless {
         for item in &report.items {
             output::message(&format!("{:<18} {}", item.name, item.text));
         }
+    }
+    let mut escalation = None;
+    if rig.escalates {
+        let result = escalate(&mut rig, strings, |line| {
+            if headless {
+                output::message(line);
+            }
+        })?;
+        if result.ending.is_some() {
+            return Ok(Done::Named(result));
+        }
+        escalation = Some(result);
     }
     let seed = arguments.run_seed.unwrap_or(rig.bench.runs.fit);
     let plan = rig.plan(seed)?;
     let name = rig.bench.name.clone();
     let recorded = rig.record(&name, seed, strings)?;
-    write_results(&recorded, &plan, &rig.bench.motor.motor())?;
-    Ok((plan, recorded))
+    let nameplate = rig.nameplate()?.motor();
+    let whole = Whole {
+        plan,
+        recorded,
+        escalation,
+        plate: rig.plate.clone(),
+    };
+    write_results(&whole, &nameplate)?;
+    Ok(Done::Run(Box::new(whole)))
 }
 
 /// Model and result beside the samples: whatever was measured is kept, also after a trip.
-fn write_results(recorded: &Recorded, plan: &Plan, nameplate: &Motor) -> Result<(), Failure> {
+fn write_results(whole: &Whole, nameplate: &Motor) -> Result<(), Failure> {
+    let recorded = &whole.recorded;
     let folder = &recorded.folder;
     folder.write(
         RunFile::Model,
         &online_model(&recorded.summary, nameplate, folder.path()).to_toml(),
     )?;
-    recorded.write_result(&result(plan, recorded))?;
-    folder.write(RunFile::Report, &pages::run(recorded, plan, nameplate)?)?;
+    recorded.write_result(&result(whole))?;
+    folder.write(
+        RunFile::Report,
+        &pages::run(recorded, &whole.plan, nameplate)?,
+    )?;
     Ok(())
 }
 
@@ -101,21 +150,40 @@ fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &std::path::Pat
     file
 }
 
-fn result<'a>(plan: &'a Plan, recorded: &'a Recorded) -> RunResult<'a> {
+fn result(whole: &Whole) -> RunResult<'_> {
+    let recorded = &whole.recorded;
     let estimates = recorded.summary.estimates.iter();
     RunResult {
         folder: recorded.folder.path().display().to_string(),
-        plan,
+        plan: &whole.plan,
         summary: &recorded.summary,
+        escalation: whole.escalation.as_ref(),
+        nameplate: compared(&whole.plate, &recorded.summary.estimates),
         parameters: estimates
             .map(|e| (e.key.clone(), serde_json::to_value(e).unwrap_or_default()))
             .collect(),
     }
 }
 
-fn finish(json: bool, (plan, recorded): &(Plan, Recorded)) -> Result<(), Failure> {
-    output::result(&result(plan, recorded), json, |_| text(recorded))?;
-    recorded.failure().map_or(Ok(()), Err)
+fn finish(json: bool, done: &Done) -> Result<(), Failure> {
+    match done {
+        Done::Named(escalation) => {
+            output::result(escalation, json, EscalationResult::text)?;
+            failure(escalation).map_or(Ok(()), Err)
+        }
+        Done::Run(whole) => {
+            output::result(&result(whole), json, |result| {
+                let mut text = text(&whole.recorded);
+                if let Some(escalation) = &whole.escalation {
+                    text.push_str(&escalation.text());
+                } else if let Some(comparison) = &result.nameplate {
+                    text.push_str(&comparison.text());
+                }
+                text
+            })?;
+            whole.recorded.failure().map_or(Ok(()), Err)
+        }
+    }
 }
 
 fn text(recorded: &Recorded) -> String {

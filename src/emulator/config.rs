@@ -8,7 +8,7 @@ use super::truth::{MotorTruth, NoiseConfig, QuantisationConfig};
 use crate::config_text::{self, ConfigError};
 
 /// Embedded configurations: name and text.
-const EMBEDDED: [(&str, &str); 6] = [
+const EMBEDDED: [(&str, &str); 10] = [
     (
         "zk-22fc-hidden",
         include_str!("../../bench-configs/emulators/zk-22fc-hidden.toml"),
@@ -32,6 +32,22 @@ const EMBEDDED: [(&str, &str); 6] = [
     (
         "zk-22fc-warming",
         include_str!("../../bench-configs/emulators/zk-22fc-warming.toml"),
+    ),
+    (
+        "zk-22fc-locked",
+        include_str!("../../bench-configs/emulators/zk-22fc-locked.toml"),
+    ),
+    (
+        "zk-22fc-open",
+        include_str!("../../bench-configs/emulators/zk-22fc-open.toml"),
+    ),
+    (
+        "small-servo-behind-zk-22fc",
+        include_str!("../../bench-configs/emulators/small-servo-behind-zk-22fc.toml"),
+    ),
+    (
+        "large-motor-behind-zk-22fc",
+        include_str!("../../bench-configs/emulators/large-motor-behind-zk-22fc.toml"),
     ),
 ];
 
@@ -86,9 +102,22 @@ pub struct EmulatorConfig {
     pub quantisation: QuantisationConfig,
     #[serde(default)]
     pub line: LineConfig,
+    /// What is broken on the bench.
+    #[serde(default)]
+    pub faults: FaultsConfig,
     /// What the host's model does not know.
     #[serde(default)]
     pub hidden: Vec<HiddenEffect>,
+}
+
+/// Faults of the machine and its cabling, which are there from the start and stay.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FaultsConfig {
+    /// The shaft does not turn whatever the torque.
+    pub locked_rotor: bool,
+    /// No current flows whatever the voltage.
+    pub open_phase: bool,
 }
 
 const fn default_watchdog_ms() -> u16 {
@@ -275,6 +304,10 @@ mod tests {
                 ("zk-22fc-fan", vec!["quadratic_load"]),
                 ("zk-22fc-brushes", vec!["voltage_drop"]),
                 ("zk-22fc-warming", vec!["winding_heating"]),
+                ("zk-22fc-locked", vec![]),
+                ("zk-22fc-open", vec![]),
+                ("small-servo-behind-zk-22fc", vec![]),
+                ("large-motor-behind-zk-22fc", vec![]),
             ]
         );
         assert_eq!(EmulatorConfig::embedded_default().hidden.len(), 1);

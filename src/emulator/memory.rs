@@ -81,6 +81,12 @@ impl MemoryLink {
         &self.drive
     }
 
+    /// Lets drive time pass without an exchange, so that a test can look at the truth in between.
+    #[cfg(test)]
+    pub(crate) fn advance_to(&mut self, time_s: f64) {
+        self.drive.advance_to(time_s);
+    }
+
     /// One exchange with the register bank, counted.
     fn ask<const N: usize>(
         &mut self,

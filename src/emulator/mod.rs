@@ -20,7 +20,9 @@ mod session;
 mod tcp;
 pub mod truth;
 
-pub use config::{EmulatorConfig, EmulatorConfigError, LimitsConfig, LineConfig, OutputOff};
+pub use config::{
+    EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig, OutputOff,
+};
 pub use dialogue::{LinkKind, UNIT};
 pub use drive::SoftDrive;
 pub use memory::{Latency, MemoryLink, VirtualClock};

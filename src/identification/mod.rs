@@ -8,6 +8,7 @@
 //!                                              +-> step_response (one step) ----+
 //!                                              +-> noise: the floor below which nothing can be seen
 //!
+//! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! repeat, added_inertia: what several runs say together
 //! sanity: what is wrong with the data, asked first; claims: what their origin allows to be said, applied last
@@ -15,9 +16,11 @@
 
 pub mod added_inertia;
 pub mod claims;
+pub mod escalation;
 pub mod inverse_dynamics;
 pub mod kalman;
 pub mod missing_cells;
+pub mod nameplate;
 pub mod noise;
 pub mod online;
 pub mod output_error;

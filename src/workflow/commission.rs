@@ -1,12 +1,13 @@
 //! The commissioning loop: which task comes next, and the analysis between the tasks.
 
+use super::escalate::{EscalationResult, compared};
 use super::progress::{Progress, StepState, StepView};
 use super::result::{CommissionResult, NamedEstimate, RunRecord, Truth};
 use crate::bench::{CheckReport, Plan};
 use crate::diagnosis::{Diagnosis, ErrorOf, Evidence, Rung, Score, compare, diagnose};
 use crate::identification::output_error::FitError;
 use crate::identification::start;
-use crate::plant::{Model, Scenario};
+use crate::plant::{Model, Motor, Scenario};
 use crate::sample::ParameterEstimate;
 
 /// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
@@ -37,6 +38,8 @@ impl Role {
 pub enum Task {
     /// Open the link, ask who is there, prove the watchdog.
     Check,
+    /// Find the motor from small steps.
+    Escalate,
     /// Predict the sequence and refuse it where it would be too much.
     Plan,
     /// Record one run.
@@ -67,12 +70,18 @@ pub struct Commission {
     online: Vec<ParameterEstimate>,
     result: Option<CommissionResult>,
     truth: Option<Vec<String>>,
+    /// What the plate says, whatever the fits start from.
+    plate: Motor,
+    escalation: Option<EscalationResult>,
+    /// Steps before the plan that only an unknown motor needs.
+    extra: usize,
 }
 
 impl Commission {
-    /// `nameplate` is where the fits start; what it leaves out is found from the data.
-    pub fn new(nameplate: Model) -> Self {
-        let titles = [
+    /// `nameplate` is where the fits start; what it leaves out is found from the data. An `unknown` motor is found from
+    /// small steps before the plan.
+    pub fn new(nameplate: Model, unknown: bool) -> Self {
+        let mut titles = vec![
             "connect and check",
             "plan",
             "record: fit",
@@ -85,6 +94,9 @@ impl Commission {
             "add the effect",
             "report",
         ];
+        if unknown {
+            titles.insert(PLAN, "find the motor");
+        }
         let steps = titles
             .iter()
             .map(|title| StepView {
@@ -94,6 +106,9 @@ impl Commission {
             })
             .collect();
         let mut commission = Self {
+            plate: nameplate.motor.clone(),
+            escalation: None,
+            extra: usize::from(unknown),
             nameplate,
             steps,
             task: Task::Check,
@@ -146,7 +161,27 @@ impl Commission {
             1e3 * report.round_trip_p50_s,
             report.reachable_rate_hz,
         );
-        self.step_done(CHECK, line, Task::Plan);
+        let next = if self.extra > 0 {
+            Task::Escalate
+        } else {
+            Task::Plan
+        };
+        self.step_done(CHECK, line, next);
+    }
+
+    /// What the escalation is doing.
+    pub fn escalating(&mut self, line: &str) {
+        line.clone_into(&mut self.steps[PLAN].line);
+    }
+
+    /// The motor was found: the rest starts from it.
+    pub fn escalated(&mut self, found: Motor, result: EscalationResult) {
+        self.nameplate = Model::baseline(found);
+        let line = result.sentence.clone();
+        self.escalation = Some(result);
+        self.extra = 0;
+        self.step_done(PLAN, line, Task::Plan);
+        self.extra = 1;
     }
 
     /// The plan was accepted.
@@ -254,6 +289,8 @@ impl Commission {
             parameters_before: NamedEstimate::list(&diagnosis.baseline.parameters),
             parameters: NamedEstimate::list(&diagnosis.model.parameters),
             online: NamedEstimate::list(&self.online),
+            nameplate: compared(&self.plate, &diagnosis.model.parameters),
+            escalation: self.escalation.clone(),
             ladder: diagnosis.ladder.clone(),
             truth: self.truth.clone().map(|effects| score(effects, &diagnosis)),
             runs: self.runs.clone(),
@@ -283,7 +320,13 @@ impl Commission {
         self.task = Task::Finished;
     }
 
+    /// `index` counts the steps of a known motor.
     fn step_done(&mut self, index: usize, line: String, next: Task) {
+        let index = if index == CHECK {
+            index
+        } else {
+            index + self.extra
+        };
         self.steps[index].state = StepState::Done;
         self.steps[index].line = line;
         if let Some(following) = self.steps.get_mut(index + 1) {

@@ -1,7 +1,7 @@
 //! The order of the loop, as a pure state machine that screens and headless runs drive alike.
 //!
 //! ```text
-//! connect -> check -> plan -> record fit, select, confirm, repeat -> identify -> compare -> diagnose -> add -> report
+//! connect -> check -> [escalate: an unknown motor from small steps] -> plan -> record fit, select, confirm, repeat -> identify -> compare -> diagnose -> add -> report
 //!    \________ Task out: what is to be done next _____________/
 //!     '------- Done in: what came of it; a failed task ends the loop with its reason
 //! ```
@@ -9,10 +9,12 @@
 //! The driver (`cli`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
 mod commission;
+mod escalate;
 mod progress;
 pub mod reproduce;
 mod result;
 
 pub use commission::{Commission, Role, Task};
+pub use escalate::{Escalate, EscalationResult, StageRecord, compared, scaled_sentence};
 pub use progress::{Progress, ProgressCell, StepState, StepView};
 pub use result::{CommissionResult, NamedEstimate, RunRecord, Truth};

@@ -2,7 +2,9 @@
 
 use serde::Serialize;
 
+use super::escalate::EscalationResult;
 use crate::diagnosis::{Comparison, Diagnosis, Rung};
+use crate::identification::nameplate;
 use crate::sample::ParameterEstimate;
 
 /// One recorded run of the loop.
@@ -35,6 +37,12 @@ pub struct CommissionResult {
     pub parameters: Vec<NamedEstimate>,
     /// What the on-line estimators had found by the end of the fit run.
     pub online: Vec<NamedEstimate>,
+    /// What was found against the plate, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nameplate: Option<nameplate::Comparison>,
+    /// How an unknown motor was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub escalation: Option<EscalationResult>,
     /// Errors on the selecting run, one rung for each model.
     pub ladder: Vec<Rung>,
     /// Errors on the confirming run: the headline.

@@ -18,6 +18,7 @@ fn the_embedded_bench_is_valid_and_reads_back_as_it_is_written() {
 fn the_embedded_bench_documents_every_key() {
     let mut full = BenchFile::embedded_default();
     full.link.deadline_ms = Some(1.0);
+    full.motor.unknown = true;
     full.limits = LimitsSection {
         travel_rad: Some(1.0),
         ..full.limits
@@ -120,4 +121,17 @@ fn ports_have_one_text_form_each() {
         Port::parse("/dev/ttyUSB0"),
         Some(Port::Serial("/dev/ttyUSB0".to_owned()))
     );
+}
+
+#[test]
+fn a_motor_may_be_left_out_but_for_its_rated_values() {
+    let bench = changed("inertia_kg_m2 = 0.0045 ", "# ").unwrap();
+    assert!(bench.motor.is_unknown() && bench.nameplate().is_none());
+    assert_eq!(bench.motor.missing(), Some("inertia_kg_m2"));
+    assert_eq!(BenchFile::parse("again", &bench.to_toml()), Ok(bench));
+    let told = changed("name = \"ZK-22FC\"", "name = \"ZK-22FC\"\nunknown = true").unwrap();
+    assert!(told.motor.is_unknown() && told.nameplate().is_some());
+    assert!(!BenchFile::embedded_default().motor.is_unknown());
+    let error = changed("rated_current_a = 5.7 ", "# ").unwrap_err();
+    assert!(error.to_string().contains("rated_current_a"), "{error}");
 }

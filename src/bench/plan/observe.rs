@@ -123,12 +123,18 @@ mod tests {
     fn prospects(rate_hz: f64) -> Vec<Prospect> {
         let bench = BenchFile::embedded_default();
         let program = bench.program(1).unwrap();
-        plan(&program, &bench.motor, &bench.limits(), rate_hz, None)
-            .unwrap()
-            .parameters
-            .iter()
-            .map(|parameter| parameter.prospect)
-            .collect()
+        plan(
+            &program,
+            &bench.nameplate().unwrap(),
+            &bench.limits(),
+            rate_hz,
+            None,
+        )
+        .unwrap()
+        .parameters
+        .iter()
+        .map(|parameter| parameter.prospect)
+        .collect()
     }
 
     #[test]
@@ -146,7 +152,14 @@ mod tests {
             duration_s: 1.0,
             demand: |_| Demand::Voltage(1.0),
         };
-        let plan = plan(&program, &bench.motor, &bench.limits(), 100.0, None).unwrap();
+        let plan = plan(
+            &program,
+            &bench.nameplate().unwrap(),
+            &bench.limits(),
+            100.0,
+            None,
+        )
+        .unwrap();
         for parameter in &plan.parameters[2..] {
             assert_eq!(parameter.prospect, Prospect::NotObservable, "{parameter:?}");
         }

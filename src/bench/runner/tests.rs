@@ -27,7 +27,7 @@ fn options() -> RunOptions {
         name: "test".to_owned(),
         target: Target::Sim,
         rate_hz: 100.0,
-        motor: BenchFile::embedded_default().motor,
+        motor: BenchFile::embedded_default().nameplate(),
         auto_start: true,
     }
 }
@@ -45,7 +45,7 @@ fn emulated_with(
     let mut clock = VirtualClock::new();
     let drive = SoftDrive::new(config, emulator_seed);
     let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
-    let guard = Guard::new(bench.limits(), &bench.motor, Some(11.4));
+    let guard = Guard::new(bench.limits(), &bench.nameplate().unwrap(), Some(11.4));
     let session = Session::new(Box::new(bench.program(run_seed).unwrap()), guard);
     let mut recorder = MemoryRecorder::new(layout());
     let snapshots = SnapshotCell::default();
@@ -202,7 +202,7 @@ impl Scripted {
         script: impl FnOnce(&Sender<Intent>),
     ) -> RunSummary {
         let bench = BenchFile::embedded_default();
-        let guard = Guard::new(bench.limits(), &bench.motor, None);
+        let guard = Guard::new(bench.limits(), &bench.nameplate().unwrap(), None);
         let program = Wave {
             duration_s: 2.0,
             demand: |_| Demand::Voltage(10.0),
@@ -367,7 +367,10 @@ fn in_real_time_every_deadline_is_either_kept_or_counted() {
     };
     let (_keep, intents) = channel();
     let summary = run(
-        Session::new(Box::new(program), Guard::new(limits, &bench.motor, None)),
+        Session::new(
+            Box::new(program),
+            Guard::new(limits, &bench.nameplate().unwrap(), None),
+        ),
         Bench {
             link: &mut drive,
             clock: &mut clock,

@@ -20,8 +20,9 @@ pub(super) struct ModelTrace {
 }
 
 impl ModelTrace {
-    pub(super) fn new(nameplate: &Nameplate) -> Self {
-        let motor = nameplate.motor();
+    /// Without a nameplate there is no model until one is identified.
+    pub(super) fn new(nameplate: Option<&Nameplate>) -> Self {
+        let motor = nameplate.map(Nameplate::motor).unwrap_or_default();
         Self {
             plant: Plant::new(&Model::baseline(motor.clone()), Input::Voltage).ok(),
             motor,

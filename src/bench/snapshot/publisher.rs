@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::model_trace::ModelTrace;
 use super::{Snapshot, SnapshotCell, TracePoint};
 use crate::bench::limits::Nameplate;
+use crate::bench::runner::Excitation;
 use crate::bench::session::{Notice, Session};
 use crate::bench::timing::Timing;
 use crate::drive::LinkStatistics;
@@ -26,6 +27,7 @@ pub(in crate::bench) struct RunState<'a> {
     pub(in crate::bench) timing: Timing,
     pub(in crate::bench) recorder: RecorderStatus,
     pub(in crate::bench) estimates: Vec<ParameterEstimate>,
+    pub(in crate::bench) excitation: Excitation,
     /// Only at the end.
     pub(in crate::bench) outcome: Option<&'static str>,
 }
@@ -40,7 +42,11 @@ pub(in crate::bench) struct Publisher {
 }
 
 impl Publisher {
-    pub(in crate::bench) fn new(cell: SnapshotCell, first: Snapshot, motor: &Nameplate) -> Self {
+    pub(in crate::bench) fn new(
+        cell: SnapshotCell,
+        first: Snapshot,
+        motor: Option<&Nameplate>,
+    ) -> Self {
         Self {
             cell,
             snapshot: first,
@@ -84,6 +90,7 @@ impl Publisher {
             timing,
             recorder,
             estimates,
+            excitation,
             outcome,
         } = state;
         self.next_s = now_s + 1.0 / SNAPSHOT_RATE_HZ;
@@ -98,6 +105,7 @@ impl Publisher {
         snapshot.segment = session.segment_name().map(str::to_owned);
         snapshot.trace = Arc::new(self.points.iter().copied().collect());
         snapshot.estimates = Arc::new(estimates);
+        snapshot.excitation = Arc::new(excitation);
         snapshot.model_is_identified = self.model.is_identified();
         snapshot.link_statistics = link;
         snapshot.timing = timing;

@@ -81,7 +81,8 @@ impl SoftDrive {
             identity: identity(config, seed),
             winding_limit_c: config.limits.winding_limit_c,
             hidden,
-            plant: Plant::new(specimen.clone(), &config.hidden),
+            plant: Plant::new(specimen.clone(), &config.hidden)
+                .broken(config.faults.locked_rotor, config.faults.open_phase),
             specimen,
             sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), seed),
             output_stage: OutputStage::new(&config.limits, &config.motor),

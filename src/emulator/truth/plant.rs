@@ -60,6 +60,8 @@ pub struct Plant {
     state: State,
     motion: Motion,
     terminal_v: f64,
+    is_locked: bool,
+    is_open: bool,
 }
 
 impl Plant {
@@ -72,7 +74,16 @@ impl Plant {
             state: State::default(),
             motion: Motion::Stuck,
             terminal_v: 0.0,
+            is_locked: false,
+            is_open: false,
         }
+    }
+
+    /// The same machine with a shaft that cannot turn, or a circuit that is interrupted, or both.
+    #[must_use]
+    pub const fn broken(mut self, is_locked: bool, is_open: bool) -> Self {
+        (self.is_locked, self.is_open) = (is_locked, is_open);
+        self
     }
 
     pub const fn current_a(&self) -> f64 {
@@ -162,6 +173,7 @@ impl Plant {
     /// Voltage in the armature circuit; `None` where the circuit is open and carries nothing.
     fn circuit(&self, terminals: Terminals) -> Option<f64> {
         match terminals {
+            _ if self.is_open => None,
             Terminals::Voltage(volts) => Some(volts),
             Terminals::Open { .. } if self.state.i == 0.0 => None,
             Terminals::Open { bus_v } => Some(-bus_v.copysign(self.state.i)),
@@ -180,7 +192,7 @@ impl Plant {
         let excess = |state: State| (kt * state.i).abs() - level;
         let start = self.state;
         let end = self.rk4(start, circuit, 0.0, step_s);
-        if give_up || (excess(start) <= 0.0 && excess(end) <= 0.0) {
+        if give_up || self.is_locked || (excess(start) <= 0.0 && excess(end) <= 0.0) {
             self.state = end;
             return step_s;
         }

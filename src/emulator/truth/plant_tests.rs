@@ -172,6 +172,26 @@ fn the_voltage_for_a_current_brings_that_current() {
     }
 }
 
+#[test]
+fn a_locked_shaft_takes_the_stall_current_and_an_open_circuit_none() {
+    let mut locked = Plant::new(zk_22fc(), &[]).broken(true, false);
+    run(&mut locked, Terminals::Voltage(22.0), 0.5, H);
+    assert!(
+        (locked.current_a() - 20.0).abs() < 1e-6,
+        "{}",
+        locked.current_a()
+    );
+    assert!(locked.speed_rad_s() == 0.0 && locked.angle_rad() == 0.0);
+
+    let mut open = Plant::new(zk_22fc(), &[]).broken(false, true);
+    run(&mut open, Terminals::Voltage(110.0), 0.5, H);
+    assert!(open.current_a() == 0.0 && open.speed_rad_s() == 0.0);
+    assert!(
+        (open.terminal_v() - 110.0).abs() < 1e-12,
+        "the drive still puts it out"
+    );
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 

@@ -36,16 +36,19 @@ pub(crate) fn live(model: &Model, area: Rect, buffer: &mut Buffer) {
     let [left, right] =
         Layout::horizontal([Constraint::Fill(1), Constraint::Length(side)]).areas(body);
     scope(snapshot, model.window_s(), frozen, left, buffer);
-    let wanted = (snapshot.estimates.len() as u16)
-        .saturating_mul(2)
-        .clamp(5, 1000)
-        + 2;
+    let count = (snapshot.estimates.len() as u16).min(300);
+    let rows_of = |each: u16| count.saturating_mul(each).max(5) + 2;
+    let wanted = [3, 2]
+        .map(rows_of)
+        .into_iter()
+        .find(|rows| rows + link_panel::HEIGHT <= body.height)
+        .unwrap_or_else(|| rows_of(2));
     let below = body
         .height
         .saturating_sub(wanted)
         .clamp(4, link_panel::HEIGHT);
     let [top, link] =
         Layout::vertical([Constraint::Fill(1), Constraint::Length(below)]).areas(right);
-    parameters(&snapshot.estimates, top, buffer);
+    parameters(&snapshot.estimates, &snapshot.excitation, top, buffer);
     link_panel(&model.snapshot, link, buffer);
 }

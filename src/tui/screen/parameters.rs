@@ -17,7 +17,7 @@ pub(crate) fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
         Constraint::Length(if roomy { 2 } else { 0 }),
     ])
     .areas(area);
-    table(&snapshot.estimates, top, buffer);
+    table(&snapshot.estimates, &snapshot.excitation, top, buffer);
     if roomy {
         link_panel(&model.snapshot, link, buffer);
     }

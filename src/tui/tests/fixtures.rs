@@ -5,7 +5,9 @@ use std::sync::Arc;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use crate::bench::{Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind};
+use crate::bench::{
+    Excitation, Level, Notice, Phase, Snapshot, Target, Timing, TracePoint, Trip, TripKind,
+};
 use crate::drive::LinkStatistics;
 use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::model::Model;
@@ -88,6 +90,13 @@ pub(super) fn running() -> Snapshot {
         segment: Some("prbs".to_owned()),
         trace: Arc::new(trace(8.4)),
         estimates: Arc::new(estimates),
+        excitation: Arc::new(Excitation::from([
+            ("resistance_ohm", 0.98),
+            ("inductance_h", 0.81),
+            ("back_emf_v_s_per_rad", 1.0),
+            ("inertia_kg_m2", 0.42),
+            ("load_torque_n_m", 0.05),
+        ])),
         model_is_identified: false,
         link_statistics: LinkStatistics {
             sent: 845,
@@ -129,6 +138,7 @@ pub(super) fn hardware() -> Snapshot {
         drive_state: Some(DriveState::Ready),
         trace: Arc::default(),
         estimates: Arc::default(),
+        excitation: Arc::default(),
         elapsed_s: 0.0,
         segment: None,
         link: "/dev/ttyUSB0".to_owned(),

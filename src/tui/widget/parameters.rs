@@ -1,10 +1,13 @@
-//! One parameter in two rows: value with deviation, then verdict and how wide the uncertainty still is.
+//! One parameter in two or three rows: value with deviation; verdict and how wide the uncertainty still is; how far the
+//! data carry it at all. Where there is no room for the third row, the excitation is one block at the edge.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
+use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph, Widget, Wrap};
 
+use crate::bench::Excitation;
 use crate::sample::{ParameterEstimate, Verdict};
 use crate::tui::text::{number, parameter, percent, with_std};
 use crate::tui::theme;
@@ -15,12 +18,27 @@ const WIDE: u16 = 44;
 const WIDEST: f64 = 1.0;
 const NARROWEST: f64 = 1e-3;
 
-/// Panel with a frame; two rows for each parameter, one where there is no room for two.
-pub(crate) fn parameters(estimates: &[ParameterEstimate], area: Rect, buffer: &mut Buffer) {
-    let block = Block::bordered().title(if area.width >= WIDE {
-        " parameters  (bar: uncertainty, 100 % to 0.1 %) "
-    } else {
-        " parameters "
+/// Blocks of one cell, from nothing to all.
+const BLOCKS: [&str; 8] = ["▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"];
+/// Excitation from which on the estimators believe a value.
+const CARRIED: f64 = 0.7;
+
+/// Panel with a frame; three rows for each parameter, two or one where there is no room.
+pub(crate) fn parameters(
+    estimates: &[ParameterEstimate],
+    excitation: &Excitation,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let inner_height = usize::from(area.height.saturating_sub(2));
+    let three_rows = estimates.len() * 3 <= inner_height && !excitation.is_empty();
+    let two_rows = estimates.len() * 2 <= inner_height;
+    let block = Block::bordered().title(match (area.width >= WIDE, three_rows) {
+        (true, true) => " parameters  (bars: uncertainty, excitation) ",
+        (true, false) => " parameters  (bar: uncertainty, 100 % to 0.1 %) ",
+        (false, _) if excitation.is_empty() => " parameters ",
+        (false, true) => " parameters ",
+        (false, false) => " parameters (▁ to █: excited) ",
     });
     let inner = block.inner(area);
     block.render(area, buffer);
@@ -28,28 +46,41 @@ pub(crate) fn parameters(estimates: &[ParameterEstimate], area: Rect, buffer: &m
         Line::styled("no estimates yet", theme::DIM).render(inner, buffer);
         return;
     }
-    let two_rows = estimates.len() * 2 <= usize::from(inner.height);
-    let lines: Vec<Line<'static>> = estimates
-        .iter()
-        .flat_map(|estimate| {
-            if two_rows {
-                vec![
-                    value_line(estimate, inner.width),
-                    verdict_line(estimate, inner.width),
-                ]
-            } else {
-                vec![short_line(estimate)]
-            }
-        })
-        .collect();
+    let mut lines: Vec<Line<'static>> = Vec::new();
+    for estimate in estimates {
+        let share = excitation.get(estimate.key.as_str()).copied();
+        if !two_rows {
+            lines.push(with_block(short_line(estimate), share, inner.width));
+            continue;
+        }
+        let value = value_line(estimate, inner.width);
+        if three_rows {
+            lines.push(value);
+            lines.push(verdict_line(estimate, inner.width));
+            lines.push(excitation_line(share, inner.width));
+        } else {
+            lines.push(with_block(value, share, inner.width));
+            lines.push(verdict_line(estimate, inner.width));
+        }
+    }
     Paragraph::new(lines).render(inner, buffer);
 }
 
 /// Every parameter with its name, its key and the whole reason.
-pub(crate) fn table(estimates: &[ParameterEstimate], area: Rect, buffer: &mut Buffer) {
+pub(crate) fn table(
+    estimates: &[ParameterEstimate],
+    excitation: &Excitation,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
     let mut lines = Vec::new();
     for estimate in estimates {
-        lines.push(value_line(estimate, area.width));
+        let share = excitation.get(estimate.key.as_str()).copied();
+        lines.push(with_bar(
+            value_line(estimate, area.width),
+            share,
+            area.width,
+        ));
         let mut second = verdict_line(estimate, area.width);
         if let Some(reason) = &estimate.reason {
             second = Line::from(vec![
@@ -66,6 +97,67 @@ pub(crate) fn table(estimates: &[ParameterEstimate], area: Rect, buffer: &mut Bu
     Paragraph::new(lines)
         .wrap(Wrap { trim: false })
         .render(area, buffer);
+}
+
+fn excitation_style(share: f64) -> Style {
+    if share >= CARRIED {
+        theme::GOOD
+    } else {
+        theme::CAREFUL
+    }
+}
+
+/// One block at the right edge; left out where the text needs the room.
+fn with_block(mut line: Line<'static>, share: Option<f64>, width: u16) -> Line<'static> {
+    let gap = usize::from(width).saturating_sub(line.width() + 1);
+    if let Some(share) = share.filter(|_| gap > 0) {
+        let at = (share.clamp(0.0, 1.0) * (BLOCKS.len() - 1) as f64).round() as usize;
+        line.push_span(" ".repeat(gap));
+        line.push_span(Span::styled(BLOCKS[at], excitation_style(share)));
+    }
+    line
+}
+
+/// A bar with its percentage at the right edge, or one block.
+fn with_bar(mut line: Line<'static>, share: Option<f64>, width: u16) -> Line<'static> {
+    const LENGTH: usize = 10;
+    // `excited `, the bar, ` 100 %`.
+    const ROOM: usize = 8 + LENGTH + 6;
+    let gap = usize::from(width).saturating_sub(line.width() + ROOM);
+    match share {
+        Some(share) if gap > 0 => {
+            line.push_span(" ".repeat(gap));
+            line.push_span("excited ");
+            line.extend(bar(share, LENGTH));
+            line
+        }
+        _ => with_block(line, share, width),
+    }
+}
+
+/// The third row: how far the data carry the parameter.
+fn excitation_line(share: Option<f64>, width: u16) -> Line<'static> {
+    // In one column with the bar of the uncertainty.
+    const HEAD: &str = "   excited   ";
+    const PERCENT: usize = 7;
+    let length = usize::from(width)
+        .saturating_sub(HEAD.len() + PERCENT)
+        .min(20);
+    let mut line = Line::raw(HEAD);
+    if let Some(share) = share {
+        line.extend(bar(share, length));
+    }
+    line
+}
+
+fn bar(share: f64, length: usize) -> [Span<'static>; 3] {
+    let share = share.clamp(0.0, 1.0);
+    let full = (share * length as f64).round() as usize;
+    [
+        Span::styled("█".repeat(full), excitation_style(share)),
+        Span::styled("░".repeat(length - full), theme::DIM),
+        Span::raw(format!(" {:3.0} %", 100.0 * share)),
+    ]
 }
 
 fn value_text(estimate: &ParameterEstimate) -> String {

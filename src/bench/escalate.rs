@@ -1,0 +1,181 @@
+//! An unknown motor on the bench: a stage of the escalation as a guarded session, and the bench's own sequence fitted to
+//! the motor that was found.
+//!
+//! ```text
+//! BenchFile -> Bounds -> identification::escalation -> Stage -> Session with its own slew, goals and winding limit
+//! found motor + sequence -> scale -> the same sequence, as much smaller and slower as the limits ask for
+//! ```
+
+use serde::Serialize;
+
+use super::bench_file::BenchFile;
+use super::guard::Guard;
+use super::limits::{Limits, Nameplate};
+use super::plan::{Plan, Refusal, plan};
+use super::session::Session;
+use crate::excitation::{self, ExcitationError, Segment};
+use crate::identification::escalation::{Bounds, Stage};
+use crate::plant::ModelError;
+use crate::sample::Channel;
+
+/// Factors that are tried for the voltages of the sequence, each so much smaller than the one before, down to the least.
+const SHRINK: f64 = 0.9;
+const LEAST: f64 = 0.03;
+/// Margins in which the plan has to hold as well: the motor that was found is not known to the last per cent.
+const MARGINS: [(f64, f64, f64); 3] = [(1.0, 1.0, 1.0), (1.05, 0.95, 0.95), (0.95, 0.95, 0.95)];
+
+/// What a bench file takes as certain.
+pub fn bounds(bench: &BenchFile) -> Bounds {
+    let limits = bench.limits();
+    Bounds {
+        rated_voltage_v: bench.motor.rated_voltage_v,
+        rated_current_a: bench.motor.rated_current_a,
+        current_limit_a: limits.current_a,
+        speed_limit_rad_s: limits.speed_rad_s,
+        voltage_limit_v: limits.voltage_v,
+        period_s: bench.period_s(),
+    }
+}
+
+/// A session over one stage: every limit of the bench in force, and the goals that end the stage early.
+pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, ExcitationError> {
+    let limits = Limits {
+        slew_v_per_s: stage.slew_v_per_s,
+        ..bench.limits()
+    };
+    let program = excitation::Program::new(&stage.segments, stage.slew_v_per_s)?;
+    let guard = Guard::for_unknown_motor(limits, stage.winding_v, stage.back_emf_v_s_per_rad);
+    Ok(Session::new(Box::new(program), guard).until(vec![
+        (Channel::Current, stage.stop_current_a),
+        (Channel::Speed, stage.stop_speed_rad_s),
+    ]))
+}
+
+/// The bench with a motor that was found, and what had to be changed for it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Scaled {
+    #[serde(skip)]
+    pub bench: BenchFile,
+    /// Factor of every voltage of the sequence; 1: as it stands in the bench file.
+    pub factor: f64,
+    pub slew_v_per_s: f64,
+    pub plan: Plan,
+    /// What the sequence would have done unchanged, where that was too much.
+    pub refusal: Option<Refusal>,
+}
+
+/// Fits the bench's sequence to the motor that was found. `Ok(Err(refusal))`: even the smallest is too much.
+pub fn scale(
+    bench: &BenchFile,
+    found: &Nameplate,
+    drive_current_limit_a: Option<f64>,
+) -> Result<Result<Scaled, Refusal>, ModelError> {
+    let mut bench = bench.clone();
+    bench.motor = found.into();
+    let own_slew = Limits::for_motor(found, bench.link.rate_hz).slew_v_per_s;
+    let given_slew = bench.limits.slew_v_per_s.unwrap_or(own_slew);
+    let tried = |factor: f64, slew_v_per_s: f64| -> Result<Option<Scaled>, ModelError> {
+        let mut scaled = bench.clone();
+        scaled.limits.slew_v_per_s = Some(slew_v_per_s);
+        for segment in &mut scaled.sequence {
+            *segment = resized(segment, factor);
+        }
+        let Ok(program) = scaled.program(scaled.runs.fit) else {
+            return Ok(None);
+        };
+        let limits = scaled.limits();
+        let rate_hz = scaled.link.rate_hz;
+        let mut first = None;
+        for (inertia, resistance, back_emf) in MARGINS {
+            let mut motor = found.clone();
+            motor.inertia_kg_m2 *= inertia;
+            motor.resistance_ohm *= resistance;
+            motor.back_emf_v_s_per_rad *= back_emf;
+            let plan = plan(&program, &motor, &limits, rate_hz, drive_current_limit_a)?;
+            let refused = plan.is_refused();
+            let kept = first.get_or_insert_with(|| plan.clone());
+            if refused {
+                // The plan that is shown is the refused one.
+                *kept = plan;
+                break;
+            }
+        }
+        Ok(first.map(|plan| Scaled {
+            bench: scaled,
+            factor,
+            slew_v_per_s,
+            plan,
+            refusal: None,
+        }))
+    };
+    let whole = tried(1.0, given_slew)?;
+    let mut refusal = whole
+        .as_ref()
+        .and_then(|s| s.plan.refusals.first().cloned());
+    if let Some(whole) = whole.filter(|_| refusal.is_none()) {
+        return Ok(Ok(whole));
+    }
+    let first_refusal = refusal.clone();
+    let mut factor = 1.0;
+    while factor >= LEAST {
+        // The plate's slew belongs to another motor; the one of the motor that was found draws two rated currents, and
+        // smaller voltages are reached in the same time.
+        if let Some(mut scaled) = tried(factor, given_slew.min(own_slew) * factor.max(0.3))? {
+            match scaled.plan.refusals.first() {
+                None => {
+                    scaled.refusal = first_refusal;
+                    return Ok(Ok(scaled));
+                }
+                Some(still) => refusal = Some(still.clone()),
+            }
+        }
+        factor *= SHRINK;
+    }
+    Ok(Err(refusal.unwrap_or(Refusal {
+        segment: "sequence".to_owned(),
+        quantity: "slew",
+        predicted: given_slew,
+        limit: own_slew,
+        unit: "V/s",
+    })))
+}
+
+/// The same part with every voltage multiplied.
+fn resized(segment: &Segment, factor: f64) -> Segment {
+    let mut segment = segment.clone();
+    let dither = match &mut segment {
+        Segment::Steps(steps) => {
+            for level in &mut steps.levels_v {
+                *level *= factor;
+            }
+            steps.dither.as_mut()
+        }
+        Segment::Staircase(stairs) => {
+            stairs.from_v *= factor;
+            stairs.to_v *= factor;
+            stairs.dither.as_mut()
+        }
+        Segment::Ramp(ramp) => {
+            ramp.from_v *= factor;
+            ramp.to_v *= factor;
+            ramp.dither.as_mut()
+        }
+        Segment::Prbs(prbs) => {
+            prbs.amplitude_v *= factor;
+            prbs.offset_v *= factor;
+            None
+        }
+        Segment::Sine(sine) => {
+            sine.amplitude_v *= factor;
+            None
+        }
+        Segment::Standstill(_) | Segment::CoastDown(_) => None,
+    };
+    if let Some(dither) = dither {
+        dither.amplitude_v *= factor;
+    }
+    segment
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,510 @@
+//! An unknown motor, from small steps: what each stage has shown decides how large the next one may be.
+//!
+//! ```text
+//! Bounds --> Feel: slow ramps, three times larger each      --- nothing flows ----> open phase
+//!            | current shows                \ it turns
+//!            v                               \
+//!            BreakAway: 50 %, 100 % rated     \           --- current, no motion -> locked rotor
+//!            | it turns                        v
+//!            +---------------------------> Turn: steps both ways, from R (lower bound) and what was seen before
+//!                                            | R, Ke, J known roughly              --- rounds used up -> not identified
+//!                                            v
+//!                                          Sweep: to a share of the speed limit, slow enough for the current
+//!                                            | R, Ke, J known well
+//!                                            v
+//!                                          Found: the motor; nameplate::compare says whether the plate fits
+//! ```
+//!
+//! Pure arithmetic: a stage goes out, the recorded run comes in. Only the rated values and the limits are taken as
+//! certain. Two things keep every stage below the limit of the current without knowing the motor: a ramp that is slow
+//! against the sampling is ended as soon as the current or the speed shows (each period adds a few per cent), and a step
+//! is no larger than what the lowest resistance that the data still allow turns into the wanted current.
+
+mod ending;
+mod fit;
+mod rest;
+mod seen;
+mod stage;
+
+pub use ending::{Ending, Found, Outcome};
+pub use rest::RestWinding;
+pub use seen::Seen;
+pub use stage::{Stage, StageKind};
+
+use serde::Serialize;
+
+use crate::plant::{MotorKey, Scenario, ScenarioError};
+use crate::sample::{Channel, Origin, ParameterEstimate, Run};
+use ending::NoMotion;
+use fit::Turned;
+
+/// Current of the first look, in rated currents.
+const FEEL_CURRENT: f64 = 0.3;
+/// Largest voltage of the first look, in rated voltages: a motor of which the stall current at rated voltage is not
+/// even the rated current would still show a quarter of it.
+const SAFE_VOLTAGE: f64 = 0.25;
+/// First voltage of the first look, and growth from look to look.
+const FIRST_VOLTAGE: f64 = 0.003;
+const GROWTH: f64 = 3.0;
+/// Current below this share of the rated one counts as none, if it is also within the noise.
+const NO_CURRENT: f64 = 0.01;
+/// Least resistance that a motor can have, in rated voltages over rated currents: half a per cent of the rated power
+/// in the winding. Used only until the data say more.
+const LEAST_RESISTANCE: f64 = 0.005;
+/// Speed, in limits, at which a look ends: the shaft turns.
+const MOVES: f64 = 0.03;
+/// Share of the current limit that no step is meant to exceed, and the share of the speed limit.
+const CURRENT_SHARE: f64 = 0.8;
+const SPEED_SHARE: f64 = 0.5;
+/// A sweep goes to this share of the speed limit, to no more than so many times the voltage of before, and takes no
+/// longer than this for one slope, s.
+const SWEEP_SHARE: f64 = 0.35;
+const SWEEP_GROWTH: f64 = 10.0;
+const SLOPE_S: f64 = 1.5;
+/// Current at which break-away is given up, in rated currents, and the least of it that counts as having been reached.
+const BREAK_AWAY: f64 = 1.1;
+const REACHED: f64 = 0.85;
+/// Rounds of turning, and the relative standard deviation at which R, Ke and J count as found.
+const ROUNDS: usize = 8;
+const GOOD: f64 = 0.015;
+/// Relative standard deviation with which the motor can still be used when the rounds are over.
+const USABLE: f64 = 0.15;
+/// Relative standard deviation below which a resistance may bound a step.
+const KNOWN: f64 = 0.3;
+/// Stages of any kind: a guard against going round in circles.
+const MOST_STAGES: usize = 24;
+
+/// What is certain before anything is known of the motor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Bounds {
+    pub rated_voltage_v: f64,
+    pub rated_current_a: f64,
+    pub current_limit_a: f64,
+    pub speed_limit_rad_s: f64,
+    pub voltage_limit_v: f64,
+    /// Period of the samples, s.
+    pub period_s: f64,
+}
+
+/// One stage that was run, for the record.
+#[derive(Clone, Debug, Serialize)]
+pub struct StageResult {
+    pub kind: StageKind,
+    /// Farthest commanded voltage that was reached, V.
+    pub peak_v: f64,
+    pub peak_current_a: f64,
+    pub peak_speed_rad_s: f64,
+    /// What came of it, in a sentence.
+    pub line: String,
+}
+
+impl StageResult {
+    /// Before any stage was run.
+    pub fn nothing() -> Self {
+        Self {
+            kind: StageKind::Feel,
+            peak_v: 0.0,
+            peak_current_a: 0.0,
+            peak_speed_rad_s: 0.0,
+            line: String::new(),
+        }
+    }
+}
+
+/// The state of an escalation: a stage to run, or how it ended.
+#[derive(Clone, Debug)]
+pub struct Escalation {
+    bounds: Bounds,
+    next: Next,
+    history: Vec<StageResult>,
+    rest: Option<RestWinding>,
+    /// Current at which the shaft was last seen to leave rest, A.
+    break_away_a: Option<f64>,
+    turned: Option<Turned>,
+    rounds: usize,
+    /// Back-EMF constant from the first motion and its standard deviation, V.s/rad: rough, but enough to bound a speed.
+    first_back_emf: Option<(f64, f64)>,
+    /// Voltage that the last stage reached, V, and the current that was seen with it, A.
+    last_v: f64,
+    last_a: f64,
+}
+
+#[derive(Clone, Debug)]
+enum Next {
+    Run(Stage),
+    Over(Box<Outcome>),
+}
+
+impl Escalation {
+    pub fn new(bounds: Bounds) -> Self {
+        let first_v = (FIRST_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
+        let next = Next::Run(stage::feel(
+            &bounds,
+            first_v,
+            "nothing is known yet".to_owned(),
+        ));
+        Self {
+            bounds,
+            next,
+            history: Vec::new(),
+            rest: None,
+            break_away_a: None,
+            turned: None,
+            rounds: 0,
+            first_back_emf: None,
+            last_v: first_v,
+            last_a: 0.0,
+        }
+    }
+
+    /// The stage to run next; `None` once it is over.
+    pub const fn stage(&self) -> Option<&Stage> {
+        match &self.next {
+            Next::Run(stage) => Some(stage),
+            Next::Over(_) => None,
+        }
+    }
+
+    /// How it ended.
+    pub fn outcome(&self) -> Option<&Outcome> {
+        match &self.next {
+            Next::Run(_) => None,
+            Next::Over(outcome) => Some(outcome),
+        }
+    }
+
+    /// What was run so far.
+    pub fn history(&self) -> &[StageResult] {
+        &self.history
+    }
+
+    /// Takes the record of the stage that was asked for.
+    pub fn learn(&mut self, run: &Run) -> Result<(), ScenarioError> {
+        let Next::Run(stage) = &self.next else {
+            return Ok(());
+        };
+        let stage = stage.clone();
+        let scenario = scenario_of(run)?;
+        let seen = Seen::of(&scenario, run, &self.bounds);
+        (self.last_v, self.last_a) = (seen.peak_v.abs(), seen.peak_current_a.abs());
+        let (next, line) = self.judge(&stage, &scenario, &seen);
+        self.history.push(StageResult {
+            kind: stage.kind,
+            peak_v: seen.peak_v,
+            peak_current_a: seen.peak_current_a,
+            peak_speed_rad_s: seen.peak_speed_rad_s,
+            line,
+        });
+        self.next = if self.history.len() >= MOST_STAGES && matches!(next, Next::Run(_)) {
+            self.over(Ending::NotIdentified {
+                reason: format!("{MOST_STAGES} stages were run"),
+            })
+        } else {
+            next
+        };
+        Ok(())
+    }
+
+    fn judge(&mut self, stage: &Stage, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+        if let Some(ending) = ending::wrong_sign(seen) {
+            return (self.over(ending.clone()), ending.sentence());
+        }
+        match stage.kind {
+            StageKind::Feel => self.felt(scenario, seen),
+            StageKind::BreakAway => self.broke_away(scenario, seen),
+            StageKind::Turn | StageKind::Sweep => self.turned(stage.kind, scenario, seen),
+        }
+    }
+
+    /// Current, motion, or a larger look.
+    fn felt(&mut self, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+        self.learn_rest(scenario, seen);
+        let bounds = &self.bounds;
+        if seen.moves() {
+            return (self.turn(), format!("it turns already, {}", seen.text()));
+        }
+        let rated_a = bounds.rated_current_a;
+        let shows = seen.peak_current_a.abs() >= 0.8 * FEEL_CURRENT * rated_a;
+        let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
+        let line = format!("at rest, {}", seen.text());
+        if shows || (self.last_v >= safe_v * 0.999 && self.rest.is_some()) {
+            return (self.break_away(), line);
+        }
+        if self.last_v >= safe_v * 0.999 {
+            let ending = ending::no_current(seen, NO_CURRENT * rated_a);
+            return (self.over(ending.clone()), ending.sentence());
+        }
+        // A resistance that is known spares looks in between; one that is not allows no more than the usual growth.
+        let wanted_v =
+            self.rest
+                .filter(|rest| rest.relative() < KNOWN)
+                .map_or(GROWTH * self.last_v, |rest| {
+                    (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm())
+                        .clamp(1.2 * self.last_v, GROWTH * self.last_v)
+                });
+        let reason = format!(
+            "{:.3} A at {:.3} V leave room",
+            seen.peak_current_a.abs(),
+            self.last_v
+        );
+        (
+            Next::Run(stage::feel(
+                bounds,
+                // No further look for the last few per cent.
+                if wanted_v > 0.9 * safe_v {
+                    safe_v
+                } else {
+                    wanted_v
+                },
+                reason,
+            )),
+            line,
+        )
+    }
+
+    fn broke_away(&mut self, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+        let before = self.rest;
+        self.learn_rest(scenario, seen);
+        if seen.moves() {
+            return (self.turn(), format!("it breaks away, {}", seen.text()));
+        }
+        let bounds = &self.bounds;
+        let reached_a = REACHED * bounds.rated_current_a;
+        match ending::no_motion(seen, before, reached_a, bounds) {
+            NoMotion::Named(ending) => (self.over(ending.clone()), ending.sentence()),
+            NoMotion::TooSlowToSee => {
+                let line = format!("it may turn too slowly to be seen, {}", seen.text());
+                let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
+                let wanted_v = (GROWTH * self.last_v).min(safe_v);
+                if wanted_v < 1.2 * self.last_v {
+                    let ending = Ending::NotIdentified {
+                        reason: format!("no speed that can be seen at {:.1} V", self.last_v),
+                    };
+                    return (self.over(ending), line);
+                }
+                let reason = "a back-EMF shows, a speed not yet".to_owned();
+                let mut stage = stage::feel(bounds, wanted_v, reason);
+                stage.kind = StageKind::BreakAway;
+                stage.stop_current_a = 1.15 * BREAK_AWAY * bounds.rated_current_a;
+                (Next::Run(stage), line)
+            }
+        }
+    }
+
+    fn turned(&mut self, kind: StageKind, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+        self.rounds += 1;
+        let found = fit::turned(scenario, self.rest);
+        let line = match &found {
+            Ok(found) => found.text(),
+            Err(reason) => format!("{}: {reason}", seen.text()),
+        };
+        let failure = found.as_ref().err().cloned();
+        if let Ok(found) = found {
+            self.turned = Some(found);
+        }
+        let within = |most| {
+            self.turned
+                .as_ref()
+                .is_some_and(|turned| turned.is_within(most))
+        };
+        // Only a sweep has shown more than a corner of what the motor will be used for.
+        if (within(GOOD) && kind == StageKind::Sweep) || (within(USABLE) && self.rounds >= ROUNDS) {
+            return (self.found(), line);
+        }
+        if self.rounds >= ROUNDS {
+            let reason = failure.unwrap_or_else(|| {
+                self.turned.as_ref().map_or_else(
+                    || "nothing was learnt".to_owned(),
+                    |turned| turned.worst_text(),
+                )
+            });
+            let ending = Ending::NotIdentified { reason };
+            return (self.over(ending), line);
+        }
+        let next = if within(USABLE) {
+            self.sweep().unwrap_or_else(|| self.turn())
+        } else {
+            self.turn()
+        };
+        (next, line)
+    }
+
+    fn learn_rest(&mut self, scenario: &Scenario, seen: &Seen) {
+        let found = rest::at_rest(scenario, seen);
+        self.rest = match (self.rest, found) {
+            (Some(old), Some(new)) if old.relative() < new.relative() => Some(old),
+            (old, new) => new.or(old),
+        };
+        if seen.moves() {
+            self.break_away_a = Some(seen.break_away_current_a);
+            self.first_back_emf = Some(seen.back_emf(self.rest));
+        }
+    }
+
+    fn break_away(&self) -> Next {
+        let bounds = &self.bounds;
+        let Some(rest) = self.rest else {
+            return self.over(Ending::NotIdentified {
+                reason: "current flows, but not in proportion to the voltage: its resistance cannot be told"
+                    .to_owned(),
+            });
+        };
+        Next::Run(stage::break_away(bounds, &rest, BREAK_AWAY))
+    }
+
+    /// The next steps in both directions: the current that is wanted, through the lowest resistance that is possible.
+    fn turn(&self) -> Next {
+        let bounds = &self.bounds;
+        let rated_a = bounds.rated_current_a;
+        let lowest_ohm = self.lowest_resistance_ohm();
+        let most_a = CURRENT_SHARE * bounds.current_limit_a;
+        let friction_a = self
+            .turned
+            .as_ref()
+            .and_then(Turned::friction_a)
+            .or(self.break_away_a)
+            .unwrap_or(0.0);
+        let share = [1.0, 1.5, 2.0][self.rounds.min(2)];
+        let wanted_a = (share * rated_a)
+            .max(friction_a + 0.5 * rated_a)
+            .min(most_a);
+        let mut volts = wanted_a * lowest_ohm;
+        let mut reason = format!("{wanted_a:.2} A through at least {lowest_ohm:.3} ohm");
+        if self.rounds > 0 && !self.knows_resistance() && self.last_a < 0.3 * rated_a {
+            // A step that drew next to nothing still tells that three times as much is bearable.
+            volts = volts.max(GROWTH * self.last_v);
+            reason = format!("{:.3} A at {:.3} V leave room", self.last_a, self.last_v);
+        }
+        // No faster than a share of the limit, by what the back-EMF is at least.
+        let speed_rad_s = SPEED_SHARE * bounds.speed_limit_rad_s;
+        let fastest_v = self
+            .turned
+            .as_ref()
+            .and_then(|turned| turned.voltage_at(speed_rad_s))
+            .or_else(|| {
+                let (value, std) = self.first_back_emf?;
+                Some((value - 3.0 * std).max(0.25 * value) * speed_rad_s)
+            })
+            .unwrap_or(0.1 * bounds.rated_voltage_v)
+            // What has been borne is no reason to stop.
+            .max(0.5 * self.last_v)
+            .min(bounds.voltage_limit_v);
+        if volts > fastest_v {
+            volts = fastest_v;
+            reason = format!("at most {speed_rad_s:.1} rad/s");
+        }
+        // A step is never more than four times what was borne before.
+        let grown_v = 4.0 * self.last_v;
+        if volts > grown_v {
+            volts = grown_v;
+            reason = format!("four times the {:.3} V of before", self.last_v);
+        }
+        let constant_s = self.turned.as_ref().and_then(Turned::mechanical_s);
+        Next::Run(stage::turn(
+            bounds,
+            volts,
+            wanted_a,
+            bounds.current_limit_a * lowest_ohm,
+            constant_s,
+            reason,
+        ))
+    }
+
+    /// Farther up, once the motor is known roughly: the slew is the one of which the lag of the back-EMF draws the wanted
+    /// current, `s TM / R`.
+    fn sweep(&self) -> Option<Next> {
+        let bounds = &self.bounds;
+        let turned = self.turned.as_ref()?;
+        let lowest_ohm = self.lowest_resistance_ohm();
+        let friction_a = turned.friction_a().unwrap_or(0.0);
+        let rated_a = bounds.rated_current_a;
+        let most_a = CURRENT_SHARE * bounds.current_limit_a;
+        let accelerating_a = rated_a.min(most_a - friction_a).max(0.2 * rated_a);
+        // Half as slow again as what was found: an inertia that was hardly seen may be larger.
+        let mechanical_s = 1.5 * turned.mechanical_s()?.max(bounds.period_s);
+        let slew_v_per_s = accelerating_a * lowest_ohm / mechanical_s;
+        let speed_rad_s = SWEEP_SHARE * bounds.speed_limit_rad_s;
+        let peak_v = turned
+            .voltage_at(speed_rad_s)?
+            .min(bounds.voltage_limit_v)
+            .min(SWEEP_GROWTH * self.last_v)
+            .min(SLOPE_S * slew_v_per_s)
+            .max(1.5 * friction_a * lowest_ohm);
+        let sweep = stage::Sweep {
+            peak_v,
+            slew_v_per_s,
+            winding_v: bounds.current_limit_a * lowest_ohm,
+            back_emf_v_s_per_rad: turned.motor().get(MotorKey::BackEmf)?,
+            mechanical_s,
+            stop_current_a: (1.5 * (accelerating_a + friction_a)).min(0.9 * bounds.current_limit_a),
+        };
+        let reason = format!(
+            "{:.2} A of acceleration at {slew_v_per_s:.1} V/s",
+            accelerating_a
+        );
+        Some(Next::Run(stage::sweep(bounds, &sweep, reason)))
+    }
+
+    /// What the data still allow the resistance to be, ohm.
+    fn lowest_resistance_ohm(&self) -> f64 {
+        let bounds = &self.bounds;
+        let least = LEAST_RESISTANCE * bounds.rated_voltage_v / bounds.rated_current_a;
+        let at_rest = self.rest.filter(|rest| rest.relative() < KNOWN);
+        let turned = self.turned.as_ref().and_then(Turned::resistance);
+        let lowest = match (turned, at_rest) {
+            // The sharper one, but not above what the other allows.
+            (Some(turned), Some(rest)) if turned.relative() < rest.relative() => {
+                turned.lowest_ohm().min(rest.highest_ohm())
+            }
+            (Some(turned), Some(rest)) => rest.lowest_ohm().min(turned.highest_ohm()),
+            (one, other) => one.or(other).map_or(0.0, |known| known.lowest_ohm()),
+        };
+        lowest.max(least)
+    }
+
+    fn knows_resistance(&self) -> bool {
+        self.rest.is_some_and(|rest| rest.relative() < KNOWN)
+            || self
+                .turned
+                .as_ref()
+                .is_some_and(|turned| turned.resistance().is_some())
+    }
+
+    fn found(&self) -> Next {
+        let Some(turned) = &self.turned else {
+            return self.over(Ending::NotIdentified {
+                reason: "nothing was learnt".to_owned(),
+            });
+        };
+        Next::Over(Box::new(Outcome::Found(Found {
+            motor: turned.motor(),
+            parameters: turned.parameters().to_vec(),
+        })))
+    }
+
+    fn over(&self, ending: Ending) -> Next {
+        Next::Over(Box::new(Outcome::Named(ending)))
+    }
+}
+
+/// Relative standard deviation of an estimate that has a value.
+fn relative(parameters: &[ParameterEstimate], key: MotorKey) -> Option<f64> {
+    let found = parameters.iter().find(|p| p.key == key.key())?;
+    Some((found.std? / found.value?).abs())
+}
+
+/// The run under its commanded voltage: stamped with the instant of application, so no sample of it is missing.
+fn scenario_of(run: &Run) -> Result<Scenario, ScenarioError> {
+    let mut run = run.clone();
+    if let Some(cells) = run.column(Channel::VoltageCmd).map(<[f64]>::to_vec) {
+        // The length is the run's own.
+        let _ = run.set_column(Channel::VoltageCmd, cells, Origin::Commanded);
+        if let Some(cells) = run.column(Channel::Voltage).map(<[f64]>::to_vec) {
+            let _ = run.set_column(Channel::Voltage, cells, Origin::Measured);
+        }
+    }
+    Scenario::from_run(&run)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,448 @@
+//! Does the nameplate fit the motor? Each difference with both numbers, and what would explain the pattern of them.
+//!
+//! ```text
+//! nameplate, estimates --> rows (fits | differs | not told) --> causes: unit of the speed, pulses, sensor gain,
+//!                                                                       temperature, load, another motor
+//! ```
+
+use std::f64::consts::PI;
+
+use serde::Serialize;
+
+use crate::plant::{Motor, MotorKey};
+use crate::sample::{ParameterEstimate, Verdict};
+
+/// What catalogues allow themselves, and a load or a warm winding adds.
+pub const CATALOGUE_TOLERANCE: f64 = 0.3;
+/// Standard deviations by which a difference has to exceed the tolerance.
+const CONFIDENCE: f64 = 2.0;
+/// Relative distance within which a ratio counts as a known factor.
+const FACTOR: f64 = 0.15;
+/// Rise of the resistance of copper, 1/K.
+const COPPER_PER_K: f64 = 0.0039;
+/// Warmest winding that temperature is blamed for, K above the nameplate's.
+const WARMEST_K: f64 = 130.0;
+
+const KEYS: [MotorKey; 5] = [
+    MotorKey::Resistance,
+    MotorKey::Inductance,
+    MotorKey::BackEmf,
+    MotorKey::Inertia,
+    MotorKey::LoadTorque,
+];
+
+/// Whether one value fits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fits {
+    Yes,
+    No,
+    /// The data do not carry the value, or the plate does not say it.
+    NotTold,
+}
+
+/// One key of the nameplate beside what was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    pub key: &'static str,
+    pub unit: &'static str,
+    pub nameplate: Option<f64>,
+    pub found: Option<f64>,
+    pub std: Option<f64>,
+    /// Found over nameplate.
+    pub ratio: Option<f64>,
+    pub fits: Fits,
+    pub sentence: String,
+}
+
+/// The whole plate.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// No value that can be told differs.
+    pub fits: bool,
+    /// Relative tolerance that was granted besides the uncertainty.
+    pub tolerance: f64,
+    pub rows: Vec<Row>,
+    /// What would explain the differences, the likeliest first.
+    pub causes: Vec<String>,
+}
+
+impl Comparison {
+    /// Sentences of the values that do not fit.
+    pub fn differences(&self) -> impl Iterator<Item = &str> {
+        self.rows
+            .iter()
+            .filter(|row| row.fits == Fits::No)
+            .map(|row| row.sentence.as_str())
+    }
+
+    /// A table for people.
+    pub fn text(&self) -> String {
+        use std::fmt::Write as _;
+        let mut text = format!(
+            "nameplate {} (within {:.0} % and the uncertainty)\n",
+            if self.fits { "fits" } else { "does NOT fit" },
+            100.0 * self.tolerance
+        );
+        for row in &self.rows {
+            let _ = writeln!(text, "  {}", row.sentence);
+        }
+        for cause in &self.causes {
+            let _ = writeln!(text, "  likely: {cause}");
+        }
+        text
+    }
+}
+
+/// Compares what the plate says with what the data say; a key that neither knows is left out.
+pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
+    let rows: Vec<Row> = KEYS
+        .into_iter()
+        .filter_map(|key| row(key, nameplate.get(key), found))
+        .collect();
+    let fits = rows.iter().all(|row| row.fits != Fits::No);
+    let causes = if fits { Vec::new() } else { causes(&rows) };
+    Comparison {
+        fits,
+        tolerance: CATALOGUE_TOLERANCE,
+        rows,
+        causes,
+    }
+}
+
+/// Four significant digits, plain as long as that can be read.
+pub(super) fn significant(value: f64) -> String {
+    let size = value.abs();
+    if size > 0.0 && !(1e-3..1e5).contains(&size) {
+        return format!("{value:.3e}");
+    }
+    let decimals = (3.0 - size.max(1e-3).log10().floor()).clamp(0.0, 6.0) as usize;
+    format!("{value:.decimals$}")
+}
+
+/// A relative deviation as a percentage.
+pub(super) fn share(relative: f64) -> String {
+    let percent = 100.0 * relative.abs();
+    if percent < 0.1 {
+        "less than 0.1 %".to_owned()
+    } else {
+        format!("{percent:.1} %")
+    }
+}
+
+fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
+    let estimate = found.iter().find(|estimate| estimate.key == key.key());
+    let value = estimate
+        .filter(|estimate| matches!(estimate.verdict, Verdict::Settled | Verdict::Searching))
+        .and_then(|estimate| estimate.value);
+    let std = value.and(estimate.and_then(|estimate| estimate.std));
+    if nameplate.is_none() && value.is_none() {
+        return None;
+    }
+    let unit = key.unit();
+    let ratio = nameplate
+        .filter(|plate| *plate > 0.0)
+        .zip(value)
+        .map(|(plate, value)| value / plate);
+    let fits = match (nameplate, value) {
+        (Some(plate), Some(value)) => {
+            let margin = CONFIDENCE * std.unwrap_or(0.0);
+            let (low, high) = (
+                plate / (1.0 + CATALOGUE_TOLERANCE),
+                plate * (1.0 + CATALOGUE_TOLERANCE),
+            );
+            if value + margin < low || value - margin > high {
+                Fits::No
+            } else {
+                Fits::Yes
+            }
+        }
+        _ => Fits::NotTold,
+    };
+    let name = key.key();
+    let sentence = match (nameplate, value) {
+        (Some(plate), Some(value)) => {
+            let spread = std.map_or_else(String::new, |std| format!(" +- {}", share(std / value)));
+            let times = ratio.map_or_else(String::new, |ratio| match ratio {
+                ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),
+                ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
+                ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
+            });
+            format!(
+                "{name}: found {}{spread} {unit}, nameplate {} {unit}{times}{}",
+                significant(value),
+                significant(plate),
+                if fits == Fits::No {
+                    ", does not fit"
+                } else {
+                    ""
+                }
+            )
+        }
+        (Some(plate), None) => {
+            let reason = estimate.and_then(|estimate| estimate.reason.as_deref());
+            format!(
+                "{name}: nameplate {} {unit}, not told from the data ({})",
+                significant(plate),
+                reason.unwrap_or("not estimated")
+            )
+        }
+        (None, value) => format!(
+            "{name}: found {} {unit}, not on the nameplate",
+            significant(value.unwrap_or(f64::NAN))
+        ),
+    };
+    Some(Row {
+        key: name,
+        unit,
+        nameplate,
+        found: value,
+        std,
+        ratio,
+        fits,
+        sentence,
+    })
+}
+
+/// What a wrong factor in one sensor does to each estimate, as powers of the factor. The torque constant is taken from
+/// the back-EMF, so a wrong speed goes into the torques as well.
+struct Pattern {
+    cause: fn(f64) -> Option<String>,
+    /// Power of the factor in R, L, Ke, J, Mc.
+    powers: [i32; 5],
+    /// The key whose ratio is the factor, and its power.
+    leader: usize,
+}
+
+/// A speed that is read as `c` times the true one: Ke/c, J/c^2, Mc/c. A current read as `c` times: R/c, L/c, J c, Mc c.
+/// A voltage read as `c` times: R c, L c, Ke c, and with it J c, Mc c.
+const PATTERNS: [Pattern; 3] = [
+    Pattern {
+        cause: speed_cause,
+        powers: [0, 0, -1, -2, -1],
+        leader: 2,
+    },
+    Pattern {
+        cause: current_cause,
+        powers: [-1, -1, 0, 1, 1],
+        leader: 0,
+    },
+    Pattern {
+        cause: voltage_cause,
+        powers: [1, 1, 1, 1, 1],
+        leader: 2,
+    },
+];
+
+fn near(ratio: f64, factor: f64) -> bool {
+    (ratio / factor).ln().abs() < FACTOR
+}
+
+fn speed_cause(factor: f64) -> Option<String> {
+    let per_minute = 60.0 / (2.0 * PI);
+    let known = [
+        (per_minute, "speed in r/min taken for rad/s (factor 9.55)"),
+        (
+            1.0 / per_minute,
+            "speed in rad/s taken for r/min (factor 1/9.55)",
+        ),
+        (
+            2.0 * PI,
+            "speed in turns taken for radians the wrong way (factor 6.28)",
+        ),
+        (
+            1.0 / (2.0 * PI),
+            "speed in turns per second taken for rad/s (factor 1/6.28)",
+        ),
+        (
+            2.0,
+            "encoder pulses per turn given as half of what they are, or edges counted twice",
+        ),
+        (
+            4.0,
+            "encoder pulses per turn: lines given, quadrature edges counted (factor 4)",
+        ),
+        (0.5, "encoder pulses per turn given as twice what they are"),
+        (
+            0.25,
+            "encoder pulses per turn: edges given, lines counted (factor 1/4)",
+        ),
+        (10.0, "speed scaling ten times too large"),
+        (0.1, "speed scaling ten times too small"),
+    ];
+    known
+        .iter()
+        .find(|(known, _)| near(factor, *known))
+        .map(|(_, text)| (*text).to_owned())
+        .or_else(|| Some(format!("speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear")))
+}
+
+fn current_cause(factor: f64) -> Option<String> {
+    Some(format!(
+        "current sensor reads {factor:.2} times the true current (gain, unit, shunt)"
+    ))
+}
+
+fn voltage_cause(factor: f64) -> Option<String> {
+    Some(format!(
+        "voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)"
+    ))
+}
+
+fn causes(rows: &[Row]) -> Vec<String> {
+    let ratio = |key: MotorKey| rows.iter().find(|row| row.key == key.key())?.ratio;
+    let differs = |key: MotorKey| {
+        rows.iter()
+            .any(|row| row.key == key.key() && row.fits == Fits::No)
+    };
+    let count = rows.iter().filter(|row| row.fits == Fits::No).count();
+    let mut causes = Vec::new();
+    for pattern in &PATTERNS {
+        if let Some(text) = explained(pattern, &ratio) {
+            causes.push(text);
+        }
+    }
+    if !causes.is_empty() {
+        return causes;
+    }
+    if count == 1 && differs(MotorKey::Resistance) {
+        let rise_k = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / COPPER_PER_K);
+        causes.push(if (0.0..=WARMEST_K).contains(&rise_k) {
+            format!("winding temperature: copper gains 39 % per 100 K, this is {rise_k:.0} K; or leads and brushes")
+        } else if rise_k > WARMEST_K {
+            "resistance of leads, brushes or contacts; or another winding".to_owned()
+        } else {
+            "another winding, or a resistance on the plate that includes more than the armature".to_owned()
+        });
+    } else if count == 1 && differs(MotorKey::Inertia) {
+        causes.push(
+            "a load on the shaft (or none), or a plate that gives the rotor alone".to_owned(),
+        );
+    } else if count == 1 && differs(MotorKey::LoadTorque) {
+        causes.push("friction of load, bearings or brake is not what was expected".to_owned());
+    } else if count == 1 && differs(MotorKey::Inductance) {
+        causes.push(
+            "saturation, another way of measuring the inductance, or another winding".to_owned(),
+        );
+    } else if !differs(MotorKey::Resistance)
+        && !differs(MotorKey::BackEmf)
+        && !differs(MotorKey::Inductance)
+    {
+        causes.push("the load on the shaft: winding and back-EMF fit the plate".to_owned());
+    } else {
+        causes.push("another motor than the one on the nameplate: no single sensor factor explains the differences".to_owned());
+    }
+    causes
+}
+
+/// The cause of a pattern, if one factor explains every value that is known, within the catalogue's tolerance.
+fn explained(pattern: &Pattern, ratio: &impl Fn(MotorKey) -> Option<f64>) -> Option<String> {
+    let leader = ratio(KEYS[pattern.leader])?;
+    let factor = leader.powf(1.0 / f64::from(pattern.powers[pattern.leader]));
+    // A factor of about one explains nothing.
+    if factor.ln().abs() < CATALOGUE_TOLERANCE.ln_1p() {
+        return None;
+    }
+    let tolerance = CATALOGUE_TOLERANCE.ln_1p();
+    let mut witnesses = 0;
+    for (key, power) in KEYS.into_iter().zip(pattern.powers) {
+        let Some(found) = ratio(key) else {
+            continue;
+        };
+        // Friction and load are the least certain entries of any plate.
+        let allowed = if key == MotorKey::LoadTorque {
+            2.0
+        } else {
+            1.0
+        } * tolerance;
+        if (found.ln() - f64::from(power) * factor.ln()).abs() > allowed {
+            return None;
+        }
+        witnesses += usize::from(power != 0);
+    }
+    // The leader alone is no pattern.
+    (witnesses >= 2).then(|| (pattern.cause)(factor)).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn estimates(values: [f64; 5]) -> Vec<ParameterEstimate> {
+        KEYS.into_iter()
+            .zip(values)
+            .map(|(key, value)| ParameterEstimate {
+                key: key.key().to_owned(),
+                value: Some(value),
+                std: Some(0.01 * value),
+                unit: key.unit(),
+                verdict: Verdict::Settled,
+                reason: None,
+            })
+            .collect()
+    }
+
+    fn scaled(factors: [f64; 5]) -> Comparison {
+        let plate = Motor::zk_22fc();
+        let values: Vec<f64> = KEYS
+            .into_iter()
+            .zip(factors)
+            .map(|(key, factor)| factor * plate.get(key).unwrap())
+            .collect();
+        compare(&plate, &estimates(values.try_into().unwrap()))
+    }
+
+    #[test]
+    fn a_specimen_within_the_tolerance_fits() {
+        let found = scaled([1.2, 0.8, 1.05, 0.9, 1.3]);
+        assert!(found.fits && found.causes.is_empty(), "{}", found.text());
+        // The same excess beyond the tolerance and two deviations does not.
+        let found = scaled([1.34, 1.0, 1.0, 1.0, 1.0]);
+        assert!(!found.fits);
+        assert_eq!(found.differences().count(), 1);
+        let sentence = found.differences().next().unwrap();
+        assert!(
+            sentence.contains("1.474") && sentence.contains("1.100"),
+            "{sentence}"
+        );
+        assert!(found.causes[0].contains("87 K"), "{:?}", found.causes);
+    }
+
+    #[test]
+    fn a_wrong_sensor_is_known_by_its_pattern() {
+        let c: f64 = 9.549;
+        for (factors, word) in [
+            ([1.0, 1.0, 1.0 / c, 1.0 / (c * c), 1.0 / c], "r/min"),
+            ([1.1, 0.9, 4.0, 16.0, 4.0], "edges given"),
+            ([0.5, 0.5, 1.0, 2.0, 2.0], "current sensor reads 2.00"),
+            ([3.0, 3.0, 3.0, 3.0, 3.0], "voltage is 3.00"),
+            ([1.8, 0.1, 0.14, 0.0044, 0.022], "another motor"),
+            ([1.0, 1.0, 1.0, 10.0, 3.0], "load on the shaft"),
+            ([1.0, 1.0, 1.0, 10.0, 1.0], "a load on the shaft"),
+            ([2.0, 1.0, 1.0, 1.0, 1.0], "leads"),
+        ] {
+            let found = scaled(factors);
+            assert!(
+                found
+                    .causes
+                    .first()
+                    .is_some_and(|cause| cause.contains(word)),
+                "{word}: {:?}",
+                found.causes
+            );
+        }
+    }
+
+    #[test]
+    fn what_the_data_do_not_carry_is_not_compared() {
+        let mut found = estimates([1.1, 0.0099, 0.3538, 0.0045, 0.455]);
+        found[1] = ParameterEstimate::not_observable("inductance_h", "H", "period too long");
+        let mut plate = Motor::zk_22fc();
+        plate.clear(MotorKey::LoadTorque);
+        let comparison = compare(&plate, &found);
+        assert!(comparison.fits);
+        assert_eq!(comparison.rows[1].fits, Fits::NotTold);
+        assert!(comparison.rows[1].sentence.contains("period too long"));
+        assert!(comparison.rows[4].sentence.contains("not on the nameplate"));
+    }
+}

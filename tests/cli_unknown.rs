@@ -1,0 +1,158 @@
+//! An unknown motor, a broken bench and a nameplate that does not fit; through the real binary, in virtual time.
+
+mod program;
+
+use program::{drivebench, line, only_folder};
+use serde_json::Value;
+
+const BENCH: &str = include_str!("../bench-configs/benches/zk-22fc-emulated.toml");
+
+#[track_caller]
+fn ratio(parameters: &Value, key: &str, truth: f64) -> f64 {
+    let value = parameters
+        .as_array()
+        .into_iter()
+        .flatten()
+        .find(|p| p["key"] == key);
+    let value = value.and_then(|p| p["value"].as_f64()).unwrap_or(f64::NAN);
+    value / truth
+}
+
+#[test]
+fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
+    for (emulator, name, sentence) in [
+        (
+            "zk-22fc-locked",
+            "locked rotor",
+            "locked rotor, or a load beyond the rated torque",
+        ),
+        (
+            "zk-22fc-open",
+            "open phase",
+            "open phase, or the motor is not connected: 27.50 V",
+        ),
+    ] {
+        let out = tempfile::tempdir().expect("a temporary folder");
+        let text = format!("run --escalate --port sim: --json --emulator {emulator} --out {{}}");
+        let done = drivebench(line(&text, &[out.path()])).expect(3);
+        assert_eq!(done.json()["outcome"], name);
+        assert!(done.error().contains(sentence), "{}", done.stderr);
+        // Every stage is on the disk with what came of it.
+        let folder = done.json()["stages"][0]["folder"]
+            .as_str()
+            .map(str::to_owned);
+        let result = std::path::Path::new(&folder.unwrap_or_default()).join("result.json");
+        assert!(result.exists(), "{}", result.display());
+    }
+}
+
+#[test]
+fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is_made_to_fit() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let bench = out.path().join("bench.toml");
+    let unknown: String = BENCH
+        .lines()
+        .filter(|line| {
+            ![
+                "resistance_ohm",
+                "inductance_h",
+                "back_emf",
+                "inertia_kg",
+                "load_torque",
+            ]
+            .iter()
+            .any(|key| line.starts_with(key))
+        })
+        .flat_map(|line| [line, "\n"])
+        .collect();
+    std::fs::write(&bench, unknown).expect("a temporary file");
+    let runs = out.path().join("runs");
+    let text = "run {} --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
+    let done = drivebench(line(text, &[&bench, &runs])).expect(0);
+    let found = done.json();
+    assert_eq!(found["escalation"]["outcome"], "found");
+    assert!(
+        found["escalation"]["nameplate"].is_null(),
+        "nothing on the plate, nothing to compare"
+    );
+    let factor = found["escalation"]["scaled"]["factor"]
+        .as_f64()
+        .unwrap_or(f64::NAN);
+    assert!((0.1..0.25).contains(&factor), "{factor}");
+    // The specimen lies within 10 % of the file; Ke to within the last per cent from both.
+    let parameters = &found["escalation"]["parameters"];
+    assert!((ratio(parameters, "back_emf_v_s_per_rad", 0.05) - 1.0).abs() < 0.1);
+    let online = found["parameters"]["back_emf_v_s_per_rad"]["value"].as_f64();
+    assert!(
+        (ratio(
+            parameters,
+            "back_emf_v_s_per_rad",
+            online.unwrap_or(f64::NAN)
+        ) - 1.0)
+            .abs()
+            < 0.02
+    );
+    let excited = found["excitation"]["back_emf_v_s_per_rad"].as_f64();
+    assert!(excited.is_some_and(|share| share > 0.9), "{excited:?}");
+
+    // A plan is not made of nothing.
+    let refused = drivebench(line("plan {}", &[&bench])).expect(2);
+    assert!(
+        refused.stderr.contains("motor.resistance_ohm is left out"),
+        "{}",
+        refused.stderr
+    );
+}
+
+#[test]
+fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_not() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let servo = "run --escalate --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
+    let refused = drivebench(line(servo, &[out.path()])).expect(2);
+    for words in [
+        "the nameplate does not fit",
+        "peak speed",
+        "back_emf_v_s_per_rad: found 0.05",
+        "nameplate 0.3538",
+        "likely: another motor",
+        "motor.unknown = true",
+    ] {
+        assert!(
+            refused.stderr.contains(words),
+            "{words}: {}",
+            refused.stderr
+        );
+    }
+
+    let bench = out.path().join("bench.toml");
+    let told = BENCH.replace("# unknown = false", "unknown = true");
+    std::fs::write(&bench, told).expect("a temporary file");
+    let text = "run {} --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
+    let done = drivebench(line(text, &[&bench, out.path()])).expect(0);
+    assert_eq!(done.json()["escalation"]["nameplate"]["fits"], false);
+    assert_eq!(done.json()["nameplate"]["fits"], false);
+}
+
+#[test]
+fn the_whole_loop_goes_on_from_the_motor_that_was_found() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let text = "commission --escalate --port sim: --json --emulator zk-22fc-hidden --out {}";
+    let done = drivebench(line(text, &[out.path()])).expect(0);
+    let result = done.json();
+    assert_eq!(result["escalation"]["outcome"], "found");
+    assert_eq!(result["nameplate"]["fits"], true);
+    assert_eq!(result["truth"]["named_correctly"], true);
+    assert!(done.stderr.contains("find the motor"), "{}", done.stderr);
+}
+
+#[test]
+fn an_ordinary_run_is_compared_with_its_plate_too() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let text = "run --port sim: --json --emulator zk-22fc-plain --out {}";
+    let done = drivebench(line(text, &[out.path()])).expect(0);
+    assert_eq!(done.json()["nameplate"]["fits"], true);
+    let kept = std::fs::read_to_string(only_folder(out.path()).join("result.json"));
+    let kept: Value = serde_json::from_str(&kept.expect("a result")).expect("JSON");
+    assert_eq!(kept["nameplate"], done.json()["nameplate"]);
+    assert!(kept["excitation"]["inertia_kg_m2"].as_f64() > Some(0.9));
+}
