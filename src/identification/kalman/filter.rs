@@ -151,8 +151,8 @@ impl Filter {
         let (current, speed) = (self.belief.x[I], self.belief.x[W]);
         self.belief = Belief::new(x);
         (self.belief.x[I], self.belief.x[W]) = (current, speed);
-        for state in R..N {
-            self.belief.p[state][state] = variance[state];
+        for (state, value) in variance.iter().enumerate().skip(R) {
+            self.belief.p[state][state] = *value;
         }
         self.prior = variance;
         self.early = self.early_loss;
@@ -332,12 +332,12 @@ impl Filter {
             step = self.solve(&physics, &about, length_s, s, offsets).1;
         }
         let mut rows = [[0.0; N]; 2];
-        for k in 0..2 {
-            rows[k][I] = step.phi[k][0];
-            rows[k][W] = step.phi[k][1];
+        for (k, row) in rows.iter_mut().enumerate() {
+            row[I] = step.phi[k][0];
+            row[W] = step.phi[k][1];
             if s != 0.0 {
-                rows[k][TL] = -step.gain[k][1] / physics.j;
-                rows[k][MC] = s * rows[k][TL];
+                row[TL] = -step.gain[k][1] / physics.j;
+                row[MC] = s * row[TL];
             }
         }
         for state in R..=J {

@@ -290,7 +290,9 @@ fn time_of_a_step() {
     let run = paper_run(0.001, 1);
     let samples: Vec<Sample> = run.samples().collect();
     let mut kalman = Kalman::new(&unknown());
-    samples.iter().for_each(|sample| kalman.push(sample));
+    for sample in &samples {
+        kalman.push(sample);
+    }
     assert!(kalman.starter.is_none());
     let begin = std::time::Instant::now();
     for round in 1_u32..=20 {
