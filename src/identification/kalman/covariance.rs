@@ -49,10 +49,10 @@ impl Belief {
         });
         let inner = |k: usize, m: usize| -> f64 { (0..N).map(|n| fp[k][n] * rows[m][n]).sum() };
         let (p00, p01, p11) = (inner(0, 0), inner(0, 1), inner(1, 1));
-        for column in 2..N {
-            for k in 0..2 {
-                self.p[k][column] = fp[k][column];
-                self.p[column][k] = fp[k][column];
+        for (k, row) in fp.iter().enumerate() {
+            for (column, value) in row.iter().enumerate().skip(2) {
+                self.p[k][column] = *value;
+                self.p[column][k] = *value;
             }
         }
         self.p[0][0] = p00;

@@ -99,6 +99,10 @@ pub(super) struct Filter {
     /// Normalised innovations squared of the rows used, their number, and the logarithm of their likelihood.
     pub(super) log_likelihood: f64,
     pub(super) innovation: [Option<f64>; 2],
+    /// Parameters about which the model is linearised, where that is not the present estimate: derivatives that follow a
+    /// noisy estimate tell directions that the data do not (Huang, Mourikis and Roumeliotis, Int. J. Robotics Research
+    /// 29 (2010) 502).
+    pub(super) reference: Option<[f64; N]>,
     early: f64,
     early_loss: f64,
     /// Only the load is tracked: the noise is that of the rest, where there was one.
@@ -129,6 +133,7 @@ impl Filter {
             tally: Tally::default(),
             log_likelihood: 0.0,
             innovation: [None; 2],
+            reference: None,
             early: EARLY_LOSS,
             early_loss: EARLY_LOSS,
             fixed_noise: false,
@@ -146,8 +151,8 @@ impl Filter {
         let (current, speed) = (self.belief.x[I], self.belief.x[W]);
         self.belief = Belief::new(x);
         (self.belief.x[I], self.belief.x[W]) = (current, speed);
-        for state in R..N {
-            self.belief.p[state][state] = variance[state];
+        for (state, value) in variance.iter().enumerate().skip(R) {
+            self.belief.p[state][state] = *value;
         }
         self.prior = variance;
         self.early = self.early_loss;
@@ -316,14 +321,23 @@ impl Filter {
         };
         let offsets = self.effects.linearise(&mut physics, &at, s);
         let x = self.belief.x;
-        let (mean, step) = self.solve(&physics, &x, length_s, s, offsets);
+        let (mean, mut step) = self.solve(&physics, &x, length_s, s, offsets);
+        let mut about = x;
+        if let Some(reference) = &self.reference {
+            about[R..=MC].copy_from_slice(&reference[R..=MC]);
+            physics = Physics {
+                b: physics.b,
+                ..self.physics_at(&about)
+            };
+            step = self.solve(&physics, &about, length_s, s, offsets).1;
+        }
         let mut rows = [[0.0; N]; 2];
-        for k in 0..2 {
-            rows[k][I] = step.phi[k][0];
-            rows[k][W] = step.phi[k][1];
+        for (k, row) in rows.iter_mut().enumerate() {
+            row[I] = step.phi[k][0];
+            row[W] = step.phi[k][1];
             if s != 0.0 {
-                rows[k][TL] = -step.gain[k][1] / physics.j;
-                rows[k][MC] = s * rows[k][TL];
+                row[TL] = -step.gain[k][1] / physics.j;
+                row[MC] = s * row[TL];
             }
         }
         for state in R..=J {
@@ -331,7 +345,7 @@ impl Filter {
                 continue;
             }
             let shifted = |by: f64| {
-                let mut x = x;
+                let mut x = about;
                 x[state] += by;
                 let mut shifted = self.physics_at(&x);
                 shifted.b = physics.b;
@@ -519,6 +533,10 @@ impl Filter {
         self.belief.forget(W, mechanical);
         if self.is_signless() {
             self.mode = Mode::Turning(1.0);
+            return;
+        }
+        if !self.voltage.energised && self.sensors[1].at_rest().is_none() {
+            // Too early to tell noise from motion.
             return;
         }
         let zone = self.zone_rad_s();

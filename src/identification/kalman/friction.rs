@@ -52,10 +52,10 @@ impl KnownEffects {
         }
         let torque = |speed_rad_s: f64| -> f64 {
             let at = Instant { speed_rad_s, ..*at };
-            let one = |terms: &Box<dyn Terms>| {
-                terms.torque_n_m(&at, &[]) + direction * terms.friction_n_m(&at)
-            };
-            self.terms.iter().map(one).sum()
+            self.terms
+                .iter()
+                .map(|terms| terms.torque_n_m(&at, &[]) + direction * terms.friction_n_m(&at))
+                .sum()
         };
         let step = 1e-3 * (1.0 + at.speed_rad_s.abs());
         let here = torque(at.speed_rad_s);

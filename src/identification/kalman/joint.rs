@@ -127,6 +127,7 @@ impl Kalman {
         });
         kalman.start(values, spread);
         kalman.filter.trust_start();
+        kalman.filter.reference = Some(kalman.filter.belief.x);
         kalman
     }
 

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::super::bench::*;
 use super::*;
+use crate::plant::Motor;
 
 fn errors(found: &Kalman, truth: &Truth) -> Vec<f64> {
     found
@@ -131,21 +132,176 @@ fn without_noise_every_parameter_is_found() {
 }
 
 #[test]
-#[ignore = "debug"]
-fn debug_large() {
-    for (name, truth, scale, hold_s, period_s) in [cases()[4], cases()[5], cases()[1]] {
+fn intervals_cover_on_three_motors_at_regular_and_jittered_stamps() {
+    // The table above over 200 seeds: 0.90 to 0.985. Few seeds here: below 0.84 lies one honest case in a thousand.
+    for (name, truth, scale, hold_s, period_s) in [cases()[1], cases()[3], cases()[5]] {
+        let seconds = 6.0;
         let model = Model::baseline(motor(&truth));
-        let record = Record::of(&model, steps(6.0, scale, hold_s), every(period_s, 6.0));
-        for seed in 0..12 {
-            let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], seed);
-            let found = identify(&unknown(), &run);
-            let z: Vec<f64> = found
-                .estimates()
-                .iter()
-                .zip(&truth)
-                .map(|(e, t)| (e.value.unwrap() - t) / e.std.unwrap())
-                .collect();
-            println!("{name} {seed} {z:.2?} {}", found.summary());
+        let noise = [CURRENT_NOISE_A, SPEED_NOISE_RAD_S];
+        let stamps = jittered(period_s, seconds, 5);
+        let record = Record::of(&model, steps(seconds, scale, hold_s), stamps);
+        let found = statistics(&record, noise, &truth, 60, false);
+        print(name, &found);
+        assert_eq!(found.missing, 0);
+        assert!(found.covered.iter().all(|share| *share >= 0.83), "{name}");
+        for k in 0..5 {
+            assert!(found.bias[k].abs() < found.spread[k], "{name} {k}");
+            assert!(found.told[k] < 1.3 * found.spread[k], "{name} {k}");
         }
     }
+}
+
+fn paper_run(period_s: f64, seed: u64) -> Run {
+    let model = Model::baseline(motor(&PAPER));
+    let record = Record::of(&model, steps(4.0, 1.0, 0.0613), every(period_s, 4.0));
+    record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], seed)
+}
+
+#[test]
+fn on_line_from_a_guess_that_is_far_off_and_without_any() {
+    let guess = motor(&[2.5, 0.004, 0.25, 0.01, 0.1]);
+    let far = KalmanConfig {
+        model: Model::baseline(guess),
+        ..unknown()
+    };
+    for period_s in [0.001, 0.01] {
+        for config in [far.clone(), unknown()] {
+            let mut kalman = Kalman::new(&config);
+            paper_run(period_s, 1)
+                .samples()
+                .for_each(|sample| kalman.push(&sample));
+            let found = errors(&kalman, &PAPER);
+            println!("{period_s} {found:.5?} {}", kalman.summary());
+            assert!(found.iter().all(|e| e.abs() < 0.01), "{found:?}");
+        }
+    }
+}
+
+#[test]
+fn standstill_claims_nothing_and_says_why_in_numbers() {
+    let model = Model::baseline(motor(&PAPER));
+    let record = Record::of(&model, vec![(0.0, 0.0)], every(0.001, 2.0));
+    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 1);
+    let known = KalmanConfig { model, ..unknown() };
+    for config in [unknown(), known] {
+        for estimate in identify(&config, &run).estimates() {
+            assert_eq!(estimate.verdict, Verdict::NotObservable, "{estimate:?}");
+            let reason = estimate.reason.unwrap();
+            assert!(reason.contains(|c: char| c.is_ascii_digit()), "{reason}");
+        }
+    }
+}
+
+#[test]
+fn constant_voltage_settles_neither_inductance_nor_inertia() {
+    let model = Model::baseline(motor(&PAPER));
+    let record = Record::of(&model, vec![(0.0, 40.0)], every(0.001, 4.0));
+    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 3);
+    // The run without its start: nothing but steady state.
+    let steady = run.slice(1500, run.rows(), "steady");
+    let known = KalmanConfig { model, ..unknown() };
+    for config in [unknown(), known] {
+        let found = identify(&config, &steady);
+        let estimates = found.estimates();
+        for estimate in &estimates {
+            println!("steady {estimate:?}");
+        }
+        for k in [0, 1, 3] {
+            assert_ne!(estimates[k].verdict, Verdict::Settled, "{:?}", estimates[k]);
+        }
+        // u = R i + Ke w: Ke is known as well as the start knows R (30 % of 1.4 V in 40 V), not better.
+        if let (Some(value), Some(std)) = (estimates[2].value, estimates[2].std) {
+            assert!(std > 0.005 * value, "{:?}", estimates[2]);
+        }
+    }
+}
+
+#[test]
+fn bad_samples_are_left_out_and_one_missing_quantity_is_not_a_missing_row() {
+    let run = paper_run(0.001, 2);
+    let mut kalman = Kalman::new(&unknown());
+    for (k, mut sample) in run.samples().enumerate() {
+        match k % 7 {
+            2 => sample.set(Channel::Speed, f64::NAN),
+            4 => sample.set_stale(Channel::Current),
+            _ => {}
+        }
+        kalman.push(&sample);
+        // Out of order, and without a time.
+        kalman.push(&Sample::at(sample.time_s - 0.01).with(Channel::Speed, 1e6));
+        kalman.push(&Sample::at(f64::NAN).with(Channel::Speed, 1e6));
+    }
+    let found = errors(&kalman, &PAPER);
+    println!("bad {found:.5?} {}", kalman.summary());
+    assert!(found.iter().all(|e| e.abs() < 0.01), "{found:?}");
+}
+
+#[test]
+fn a_hotter_winding_and_twice_the_inertia_are_followed() {
+    let truth = [1.43, 0.0099, 0.3538, 0.009, 0.455];
+    let changed = Model::baseline(motor(&truth));
+    for period_s in [0.001, 0.01] {
+        let mut kalman = Kalman::new(&unknown());
+        paper_run(period_s, 3)
+            .samples()
+            .for_each(|sample| kalman.push(&sample));
+        let record = Record::of(&changed, steps(6.0, 1.0, 0.0613), every(period_s, 6.0));
+        for mut sample in record
+            .run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 4)
+            .samples()
+        {
+            sample.time_s += 5.0;
+            kalman.push(&sample);
+        }
+        let found = errors(&kalman, &truth);
+        println!("changed {period_s} {found:.5?} {}", kalman.summary());
+        assert!(kalman.filter.tally.reopened > 0);
+        assert!(found.iter().all(|e| e.abs() < 0.02), "{found:?}");
+    }
+}
+
+#[test]
+fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
+    let mut truth = Model::baseline(motor(&PAPER));
+    let viscous = crate::plant::effect::find("quadratic_load").unwrap();
+    let mut active = crate::plant::ActiveEffect::new(viscous);
+    active.values[0] = Some(5e-5);
+    truth.effects.push(active);
+    let record = Record::of(&truth, steps(6.0, 1.0, 0.0613), every(0.001, 6.0));
+    let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 5);
+    let blind = identify(&unknown(), &run);
+    for estimate in blind.estimates() {
+        println!("blind {estimate:?}");
+        assert_ne!(estimate.verdict, Verdict::Settled);
+    }
+    // Told of the effect, it finds the motor.
+    let mut model = Model::baseline(Motor::new("?"));
+    model.effects = truth.effects;
+    let told = identify(&KalmanConfig { model, ..unknown() }, &run);
+    let found = errors(&told, &PAPER);
+    println!("told {found:.5?} {}", told.summary());
+    assert!(found.iter().all(|e| e.abs() < 0.005), "{found:?}");
+}
+
+#[test]
+#[ignore = "measures the time of a step"]
+#[expect(clippy::disallowed_methods, reason = "a measurement of time")]
+fn time_of_a_step() {
+    let run = paper_run(0.001, 1);
+    let samples: Vec<Sample> = run.samples().collect();
+    let mut kalman = Kalman::new(&unknown());
+    for sample in &samples {
+        kalman.push(sample);
+    }
+    assert!(kalman.starter.is_none());
+    let begin = std::time::Instant::now();
+    for round in 1_u32..=20 {
+        for sample in &samples {
+            let mut sample = sample.clone();
+            sample.time_s += 5.0 * f64::from(round);
+            kalman.push(&sample);
+        }
+    }
+    let ns = begin.elapsed().as_nanos() as f64 / (20.0 * samples.len() as f64);
+    println!("{ns:.0} ns per sample, {} bytes", size_of::<Kalman>());
 }

@@ -11,6 +11,7 @@ const LAST_TRIAL: i32 = 8;
 const PER_DECADE: f64 = 4.0;
 /// Rows without which nothing is told.
 const FEWEST_ROWS: u64 = 20;
+const FEWEST_ROWS_IN_MOTION: usize = 20;
 
 /// What the user may set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -88,12 +89,12 @@ pub fn load_torque_trace(
         }
     }
     let used = tracker.evidence().1;
-    if used < FEWEST_ROWS || rows_followed == 0 {
+    if used < FEWEST_ROWS || rows_followed < FEWEST_ROWS_IN_MOTION {
         let [_, speed] = tracker.largest();
         return Err(LoadError::NothingSeen {
             run: run.name.clone(),
             reason: format!(
-                "{rows_followed} of {} rows in motion, at least {FEWEST_ROWS} are needed (largest speed {speed:.2} rad/s)",
+                "{rows_followed} of {} rows in motion, at least {FEWEST_ROWS_IN_MOTION} are needed (largest speed {speed:.2} rad/s)",
                 points.len()
             ),
         });

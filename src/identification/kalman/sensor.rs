@@ -185,7 +185,9 @@ mod tests {
     #[test]
     fn innovations_correct_a_wrong_rest_and_the_test_says_how_wrong_it_was() {
         let mut sensor = Sensor::default();
-        noise(0.1, 200, 2).iter().for_each(|v| sensor.see(*v, true));
+        for value in noise(0.1, 200, 2) {
+            sensor.see(value, true);
+        }
         for innovation in noise(0.3, 3000, 3) {
             sensor.take(innovation, 1e-4, false);
         }
@@ -201,7 +203,9 @@ mod tests {
     #[test]
     fn coloured_innovations_widen() {
         let mut sensor = Sensor::default();
-        noise(0.1, 200, 4).iter().for_each(|v| sensor.see(*v, true));
+        for value in noise(0.1, 200, 4) {
+            sensor.see(value, true);
+        }
         let mut value = 0.0;
         for step in noise(0.06, 3000, 5) {
             value = 0.8 * value + step;
