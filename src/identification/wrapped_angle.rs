@@ -62,7 +62,7 @@ impl Sawtooth {
             .map(|step| step.1.abs())
             .filter(|step| *step > 1e-9 * span)
             .fold(f64::INFINITY, f64::min);
-        if !(span > FEWEST_STEPS * finest) {
+        if span <= FEWEST_STEPS * finest {
             return None;
         }
         let mut ranges = Vec::new();
