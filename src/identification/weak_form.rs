@@ -5,7 +5,8 @@
 //! method for runs that carry torque and motion but no voltage. The price: the signals must be sampled several times
 //! per time constant (at 10 ms the armature circuit is not), and an effect's shape parameters stay as they are given.
 //! What that costs is measured, not assumed: the same fit with every second sample left out moves each value, and for a
-//! quadrature of second order a third of the move is the error at the full rate. It is added to the uncertainty. Noise in
+//! quadrature of second order a third of the move is the error at the full rate, of first order all of it; the current has
+//! a corner at each step of the voltage, so the move over 1.5 is taken and added to the uncertainty. Noise in
 //! a regressor pulls its value towards zero: the pull follows from the noise, is taken back, and what is not known of it
 //! is added too. A torque constant found in the same run hands its uncertainty on to everything in the torque balance.
 //!
@@ -33,6 +34,8 @@ const FEWEST_HALF: usize = 4;
 /// within four standard deviations of the speed's noise, up to the second share.
 const DEAD_ZONE: f64 = 0.01;
 const WIDEST_DEAD_ZONE: f64 = 0.1;
+/// Move by leaving out every second sample over the error at the full rate: between first order (1) and second (3).
+const SAMPLING_ORDER: f64 = 1.5;
 /// A regressor whose own part is less than this many times its noise (in power) carries no information.
 const LEAST_SIGNAL: f64 = 4.0;
 
@@ -134,8 +137,9 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
         parameters.push(match (&solution, &doubts) {
             (Some(solution), Some(doubts)) => {
                 let value = solution.x[place] + doubts[place].pulled;
+                // Not a number where it is undetermined.
                 let variance =
-                    solution.covariance[(place, place)].max(0.0) + (doubt_of_left * value).powi(2);
+                    solution.covariance[(place, place)] + (doubt_of_left * value).powi(2);
                 estimate(unknown, value, variance, &doubts[place], period_s)
             }
             _ => ParameterEstimate::not_observable(
@@ -205,7 +209,7 @@ fn estimate(
     {
         let moved = format!(
             "; half the samples move it by {:.1} %: sample faster, or use the output-error fit",
-            300.0 * doubt.sampling / value.abs().max(f64::MIN_POSITIVE)
+            100.0 * SAMPLING_ORDER * doubt.sampling / value.abs().max(f64::MIN_POSITIVE)
         );
         reason.push_str(&moved);
     }
@@ -330,7 +334,7 @@ impl System {
         (0..free.len())
             .map(|place| Doubt {
                 sampling: coarse
-                    .map(|coarse| (coarse.x[place] - solution.x[place]).abs() / 3.0)
+                    .map(|coarse| (coarse.x[place] - solution.x[place]).abs() / SAMPLING_ORDER)
                     .filter(|moved| moved.is_finite())
                     .unwrap_or(0.0),
                 pulled: (0..free.len())
@@ -343,7 +347,14 @@ impl System {
                         share * finite(pull(place, other)).abs()
                     })
                     .sum(),
-                signal: own(place) / power[place].max(f64::MIN_POSITIVE),
+                // The own part is a sum of regressors: the noise of each counts by its share in it.
+                signal: own(place)
+                    / (0..free.len())
+                        .map(|other| {
+                            finite((bread[(place, other)] * own(place)).powi(2) * power[other])
+                        })
+                        .sum::<f64>()
+                        .max(f64::MIN_POSITIVE),
             })
             .collect()
     }

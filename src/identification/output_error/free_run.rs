@@ -3,6 +3,7 @@
 use super::FitError;
 use crate::identification::noise::NoiseFloor;
 use crate::numerics::levenberg_marquardt::Problem;
+use crate::numerics::statistics;
 use crate::plant::{Model, MotorKey, Plant, Scenario, Slot, State, Trajectory, typical_size};
 
 /// Where a fit of a Coulomb level starts that was given as zero, whose logarithm does not exist, N.m.
@@ -12,6 +13,9 @@ const SMALLEST_LOAD_N_M: f64 = 1e-6;
 const UNMEASURED_START: f64 = 30.0;
 /// Unit in which initial states of effects are fitted: A2.s of heat in a winding.
 const EFFECT_STATE_SCALE: f64 = 100.0;
+
+/// Share of a signal's power left as residual from which on it carries nothing.
+const STILL: f64 = 0.8;
 
 /// How a parameter and its scaled coordinate belong together.
 #[derive(Clone, Copy, Debug)]
@@ -225,6 +229,37 @@ impl<'a> FreeRun<'a> {
         }
         let effects: Vec<f64> = own.iter().map(|x| x * EFFECT_STATE_SCALE).collect();
         state.with_effects(&effects)
+    }
+
+    /// Where no signal does more than its residual at a minimum: a machine at constant speed, whose noise would pass for
+    /// a transient of its initial state.
+    pub(super) fn why_still(&self, residual: &[f64]) -> Option<String> {
+        let share = |speed: bool| -> Option<f64> {
+            let (values, level) = if speed {
+                (&self.scenario.speed_rad_s, self.noise.speed_rad_s)
+            } else {
+                (&self.scenario.current_a, self.noise.current_a)
+            };
+            let (mut signal, mut left) = (Vec::new(), Vec::new());
+            for ((sample, _), residual) in self
+                .rows
+                .iter()
+                .zip(residual)
+                .filter(|((_, is_speed), _)| *is_speed == speed)
+            {
+                signal.push(values[*sample]);
+                left.push(residual * level);
+            }
+            (signal.len() > 2).then(|| statistics::variance(&left) / statistics::variance(&signal))
+        };
+        let shares: Vec<f64> = [false, true].into_iter().filter_map(share).collect();
+        let most = shares.iter().copied().fold(f64::INFINITY, f64::min);
+        (most > STILL).then(|| {
+            format!(
+                "the model explains {:.0} % of what the signals do, the rest is noise: the run is a steady state",
+                100.0 * (1.0 - most).max(0.0)
+            )
+        })
     }
 
     pub fn trajectory(&mut self, x: &[f64]) -> Result<Trajectory, FitError> {

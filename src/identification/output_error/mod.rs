@@ -129,6 +129,7 @@ fn estimates(
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     let slopes = problem.slopes(&minimum.x);
+    let still = problem.why_still(&minimum.residual);
     model
         .slots()
         .iter()
@@ -150,6 +151,9 @@ fn estimates(
                     reason,
                 };
             };
+            if let Some(reason) = &still {
+                return ParameterEstimate::not_observable(&key, slot.unit(), reason.clone());
+            }
             let variance = covariance[(index, index)];
             let std = variance
                 .is_finite()
