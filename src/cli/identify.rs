@@ -176,8 +176,13 @@ fn identify(
     arguments: &Arguments,
 ) -> Result<OneRun, Failure> {
     let scenario = Scenario::from_run(&loaded.run)?;
-    let findings =
-        sanity_report::before_identify(&mut loaded.run, &scenario, model, arguments.json)?;
+    let findings = sanity_report::before_identify(
+        &mut loaded.run,
+        &scenario,
+        model,
+        &arguments.require,
+        arguments.json,
+    )?;
     let scheme = match &arguments.scheme {
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),

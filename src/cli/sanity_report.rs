@@ -29,6 +29,7 @@ pub(super) fn before_identify(
     run: &mut Run,
     scenario: &Scenario,
     model: &Model,
+    require: &[String],
     json: bool,
 ) -> Result<Vec<Finding>, Failure> {
     let findings = sanity::examine(run, scenario, model);
@@ -65,7 +66,11 @@ pub(super) fn before_identify(
             .map(|finding| finding.sentence.clone())
             .collect::<Vec<_>>(),
     );
-    Err(failure(refusal))
+    let mut what = "nothing".to_owned();
+    if !require.is_empty() {
+        what = require.join(", ");
+    }
+    Err(failure(&what, refusal))
 }
 
 /// What a command that judges a model does with it.
@@ -97,16 +102,17 @@ pub(super) fn before_judging(
             }
     };
     if let Some(refusal) = findings.iter().find(forbids) {
-        return Err(failure(refusal));
+        return Err(failure("nothing", refusal));
     }
     caution(run, &findings);
     Ok(())
 }
 
-fn failure(refusal: &Finding) -> Failure {
+fn failure(what: &str, refusal: &Finding) -> Failure {
+    let can = if what == "nothing" { "can" } else { "cannot" };
     Failure::with_help(
         NOT_IDENTIFIABLE,
-        format!("nothing can be identified: {}", refusal.sentence),
+        format!("{what} {can} be identified: {}", refusal.sentence),
         &refusal.help,
     )
 }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::super::bench::*;
+use super::super::testbed::*;
 use super::*;
 use crate::plant::Motor;
 

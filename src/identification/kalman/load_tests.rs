@@ -1,6 +1,6 @@
 //! Load tracking against an independent integrator: Runge-Kutta at 50 us with its own stick-slip.
 
-use super::super::bench::*;
+use super::super::testbed::*;
 use super::super::{LoadOptions, LoadTrace, load_torque_trace};
 use super::*;
 use crate::plant::{Motor, Scenario};
@@ -266,7 +266,7 @@ fn what_is_missing_or_impossible_is_named() {
     let motor = motor(&PAPER).with(MotorKey::Inertia, -1.0);
     let error = LoadTracker::new(&Model::baseline(motor), Input::Voltage, 0.5).unwrap_err();
     assert!(error.to_string().contains("inertia_kg_m2 = -1"), "{error}");
-    let good = Model::baseline(super::super::bench::motor(&PAPER));
+    let good = Model::baseline(super::super::testbed::motor(&PAPER));
     assert!(LoadTracker::new(&good, Input::Voltage, f64::NAN).is_err());
     let record = plant(&events(), &stepping, 0.01, 1.0);
     let scenario = Scenario::from_run(&record.run([0.0; 2], 0)).unwrap();

@@ -10,8 +10,6 @@
 //! Model (parameters known) ---------+--> load: load torque over time (LoadTracker, load_torque_trace)
 //! ```
 
-#[cfg(test)]
-mod bench;
 mod covariance;
 mod filter;
 mod friction;
@@ -20,6 +18,8 @@ mod joint;
 mod load;
 mod load_trace;
 mod sensor;
+#[cfg(test)]
+mod testbed;
 mod transition;
 
 pub use joint::{Kalman, KalmanConfig, identify};

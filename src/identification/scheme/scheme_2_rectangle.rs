@@ -62,12 +62,19 @@ fn doubt(parameter: &mut ParameterEstimate, better: &ParameterEstimate) {
         return;
     };
     let off = value / other - 1.0;
-    if parameter.verdict == Verdict::Settled && off.abs() > VISIBLE {
-        parameter.verdict = Verdict::Searching;
-        parameter.reason = Some(format!(
-            "the left rectangle is {:+.1} % off the trapezoid ({other:.4e} {}) on the same rows",
-            100.0 * off,
-            parameter.unit
-        ));
+    if off.abs() <= VISIBLE {
+        return;
     }
+    let off = format!(
+        "the left rectangle is {:+.1} % off the trapezoid ({other:.4e} {}) on the same rows",
+        100.0 * off,
+        parameter.unit
+    );
+    if parameter.verdict == Verdict::Settled {
+        parameter.verdict = Verdict::Searching;
+    }
+    parameter.reason = Some(match parameter.reason.take() {
+        Some(reason) => format!("{off}; {reason}"),
+        None => off,
+    });
 }
