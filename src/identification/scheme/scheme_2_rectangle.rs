@@ -62,7 +62,8 @@ fn doubt(parameter: &mut ParameterEstimate, better: &ParameterEstimate) {
         return;
     };
     let off = value / other - 1.0;
-    if parameter.verdict == Verdict::Settled && off.abs() > VISIBLE {
+    let shown = matches!(parameter.verdict, Verdict::Settled | Verdict::Searching);
+    if shown && off.abs() > VISIBLE {
         parameter.verdict = Verdict::Searching;
         parameter.reason = Some(format!(
             "the left rectangle is {:+.1} % off the trapezoid ({other:.4e} {}) on the same rows",
