@@ -81,7 +81,7 @@ impl Trajectory {
         } else {
             0.01
         };
-        let times: Vec<f64> = (0_u32..)
+        let times: Vec<f64> = (0..u32::MAX)
             .map(|k| f64::from(k) * period_s)
             .take_while(|time_s| *time_s < seconds - 0.5 * period_s)
             .map(|time_s| match sampling {

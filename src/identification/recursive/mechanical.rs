@@ -3,7 +3,7 @@
 use crate::identification::verdict;
 use crate::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 use crate::plant::{MotorKey, Slot};
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, Verdict};
 
 /// Sizes of Kt/J, rad/(A.s^2), and Mc/J, rad/s^2, of a machine of some 100 W, and a prior wide enough for any other.
 const SCALE: [f64; 2] = [100.0, 100.0];
@@ -183,13 +183,15 @@ impl MechanicalBalance {
             .map(|((key, value, std), doubt)| {
                 let mut judged = verdict::judge(&Slot::Motor(key), value, std, period_s);
                 let most = std.is_some_and(|std| doubt * value.abs() > std / 2f64.sqrt());
-                if let (true, Some(reason)) = (most, judged.reason.as_mut()) {
-                    let moved = format!(
-                        "; half the samples ({:.1} ms apart) move it by {:.1} %: sample faster, or use scheme 3",
-                        2e3 * period_s,
-                        100.0 * doubt * SAMPLING_ORDER
-                    );
-                    reason.push_str(&moved);
+                if most && judged.value.is_some() {
+                    // A bound of an error that has one sign is no ground to settle on.
+                    judged.verdict = Verdict::Searching;
+                    judged.reason = Some(format!(
+                        "the current between samples ({:.1} ms apart) is not known: an error of about {:.1} %, by what \
+                         every second sample gives; sample faster, or use scheme 3",
+                        1e3 * period_s,
+                        100.0 * doubt
+                    ));
                 }
                 judged
             })

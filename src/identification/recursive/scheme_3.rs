@@ -430,7 +430,6 @@ impl Scheme3 {
         for track in tracks.iter_mut().rev() {
             innovation = track.take(&block, noise);
         }
-        drop(block);
         self.tracks = tracks;
         self.current_innovation_a = innovation;
         if let Trial::On(rows) = self.trial {
