@@ -110,6 +110,24 @@ fn a_drive_that_limits_the_voltage_settles_nothing() {
 }
 
 #[test]
+fn a_nameplate_that_does_not_fit_is_told_with_both_numbers() {
+    let run = run_with(0.0045, 8);
+    let plate = include_str!("../bench-configs/motors/zk-22fc.toml");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("motor.toml");
+    let compare = |text: &str| {
+        std::fs::write(&file, text).expect("a temporary file");
+        let options = "identify {} --nameplate {} --json";
+        drivebench(line(options, &[&run, &file])).expect(0).json()
+    };
+    assert_eq!(compare(plate)["nameplate"]["fits"], true);
+    let other = compare(&plate.replace("resistance_ohm = 1.1 ", "resistance_ohm = 3.3 "));
+    assert_eq!(other["nameplate"]["fits"], false);
+    let rows = other["nameplate"]["rows"].to_string();
+    assert!(rows.contains("3.300 ohm"), "{rows}");
+}
+
+#[test]
 fn wrong_options_are_named_with_what_is_allowed() {
     for (options, phrase) in [
         ("--gear-ratio 0", "above 0"),

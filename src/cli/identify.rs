@@ -7,15 +7,18 @@ use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use super::data::{MapArguments, model};
+use super::data::{MapArguments, model, read_text};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::output;
 use super::sanity_report;
+use crate::bench::MotorSection;
+use crate::config_text;
 use crate::identification::added_inertia::{self, Seen};
+use crate::identification::nameplate::{self, Comparison};
 use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Data, Identified};
 use crate::identification::{claims, temperature, voltage_departure};
-use crate::plant::{Model, MotorKey, Scenario};
+use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate};
 
@@ -48,6 +51,9 @@ pub(super) struct Arguments {
     /// Instead of parameters: the load torque over time, with the parameters of --model, into this file
     #[arg(long, value_name = "FILE.csv", requires = "model")]
     load_torque: Option<PathBuf>,
+    /// Motor file (as in bench-configs/motors) to compare with: what differs, and what would explain it
+    #[arg(long, value_name = "MOTOR.toml")]
+    nameplate: Option<PathBuf>,
     /// Write the identified model here
     #[arg(long, value_name = "MODEL2.toml")]
     output: Option<PathBuf>,
@@ -69,6 +75,7 @@ fn after_help() -> String {
 Examples:
   drivebench identify runs/a --model runs/a/model.toml --require inertia_kg_m2
   drivebench identify runs/a runs/b runs/c
+  drivebench identify runs/a --nameplate bench-configs/motors/zk-22fc.toml
   drivebench identify runs/bare --added-inertia runs/disc=0.002
   drivebench identify axis.csv --model axis.toml --map time_s=t,torque_n_m=force,angle_rad=position",
     );
@@ -89,6 +96,7 @@ struct Answer {
     /// Torque constant, inertia and load torque on the absolute scale of a known inertia.
     absolute: Option<Vec<ParameterEstimate>>,
     gear_ratio: Option<f64>,
+    nameplate: Option<Comparison>,
     /// What the found values, each sound by itself, say together that cannot be.
     caution: Option<String>,
 }
@@ -152,18 +160,27 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         .collect();
     let absolute = absolute(arguments, &file.model, &runs)?;
     let combined = repeat::combine(&per_run);
-    let answer = Answer {
+    let mut answer = Answer {
         caution: caution(&combined, absolute.as_deref()),
         combined,
         absolute,
         gear_ratio: arguments.gear_ratio,
+        nameplate: None,
         runs,
     };
+    if let Some(path) = &arguments.nameplate {
+        answer.nameplate = Some(nameplate::compare(&plate(path)?, &answer.parameters()));
+    }
     output::result(&answer.json(), arguments.json, |_| answer.text())?;
     if let Some(path) = &arguments.output {
         write::model(path, file, &answer)?;
     }
     verdict(&arguments.require, &answer.parameters())
+}
+
+fn plate(path: &Path) -> Result<Motor, Failure> {
+    let file: MotorSection = config_text::parse(&path.display().to_string(), &read_text(path)?)?;
+    Ok(file.motor())
 }
 
 fn open(path: &Path, arguments: &Arguments) -> Result<LoadedRun, Failure> {

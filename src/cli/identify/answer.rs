@@ -63,6 +63,9 @@ impl Answer {
         if let Some(absolute) = &self.absolute {
             value["absolute"] = estimates(absolute);
         }
+        if let Some(comparison) = &self.nameplate {
+            value["nameplate"] = serde_json::to_value(comparison).unwrap_or_default();
+        }
         if let Some(ratio) = self.gear_ratio {
             let load = conventions::on_load_shaft(&self.parameters(), ratio);
             value["load_shaft"] = json!({ "gear_ratio": ratio, "parameters": estimates(&load) });
@@ -98,6 +101,9 @@ impl Answer {
             for parameter in conventions::on_load_shaft(&self.parameters(), ratio) {
                 line(&mut text, &parameter, "");
             }
+        }
+        if let Some(comparison) = &self.nameplate {
+            let _ = writeln!(text, "{}", comparison.text().trim_end());
         }
         self.conventions(&mut text);
         for note in self

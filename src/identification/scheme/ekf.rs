@@ -12,7 +12,7 @@ impl Scheme for Ekf {
     }
 
     fn summary(&self) -> &'static str {
-        "extended Kalman filter over state and parameters, twice through the run"
+        "on line, extended Kalman filter over state and parameters; then again over the whole run"
     }
 
     fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {

@@ -147,13 +147,13 @@ pub(super) fn record(
     }
 }
 
-/// The schemes that take part: all that work on voltage, current and speed.
+/// The schemes that take part: all that read these records.
 pub(super) fn taking_part() -> impl Iterator<Item = &'static dyn Scheme> {
-    // Inverse dynamics asks for a measured torque or a robot's filtering; nothing here is of that kind.
+    // Inverse dynamics filters, which takes many samples per time constant; a step response takes one long step.
     CATALOGUE
         .iter()
         .copied()
-        .filter(|scheme| scheme.id() != "inverse-dynamics")
+        .filter(|scheme| !["inverse-dynamics", "step-response"].contains(&scheme.id()))
 }
 
 /// What the paper lets a scheme know.

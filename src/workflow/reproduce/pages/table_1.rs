@@ -86,7 +86,7 @@ pub(super) fn section(table: &Table1) -> Section {
                 NamedTable { name: "table-1".to_owned(), table: by_n(table) },
             ),
             (
-                "Error of J by the period. Sampled fast, twenty samples end before the current has peaked and the noise weighs more; sampled at half of Ta, the trapezoid's own half per cent is larger than the noise, which is all that the interval knows.".to_owned(),
+                "Error of J by the period. Sampled fast, twenty samples end before the current has peaked and the noise weighs more; sampled at half of Ta, the trapezoid's own half per cent is larger than the noise; the interval has it from a second estimate on every second sample.".to_owned(),
                 NamedTable { name: "table-1-by-period".to_owned(), table: by_period(table) },
             ),
         ],
