@@ -82,17 +82,16 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
     // The specimen lies within 10 % of the file; Ke to within the last per cent from both.
     let parameters = &found["escalation"]["parameters"];
     assert!((ratio(parameters, "back_emf_v_s_per_rad", 0.05) - 1.0).abs() < 0.1);
-    let online = found["parameters"]["back_emf_v_s_per_rad"]["value"].as_f64();
-    assert!(
-        (ratio(
-            parameters,
-            "back_emf_v_s_per_rad",
-            online.unwrap_or(f64::NAN)
-        ) - 1.0)
-            .abs()
-            < 0.02
-    );
-    let excited = found["excitation"]["back_emf_v_s_per_rad"].as_f64();
+    let folder = std::path::PathBuf::from(found["folder"].as_str().unwrap_or_default());
+    let batch = drivebench(line("identify {} --json", &[&folder]))
+        .expect(0)
+        .json();
+    for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
+        let value = batch["parameters"][key]["value"].as_f64();
+        let agreement = ratio(parameters, key, value.unwrap_or(f64::NAN));
+        assert!((agreement - 1.0).abs() < 0.05, "{key} {agreement}");
+    }
+    let excited = found["excitation"]["inertia_kg_m2"].as_f64();
     assert!(excited.is_some_and(|share| share > 0.9), "{excited:?}");
 
     // A plan is not made of nothing.

@@ -49,7 +49,7 @@ struct RunResult<'a> {
 /// How far it came.
 enum Done {
     /// The motor could not be found.
-    Named(EscalationResult),
+    Named(Box<EscalationResult>),
     Run(Box<Whole>),
 }
 
@@ -90,7 +90,7 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Done, Failure> {
             }
         })?;
         if result.ending.is_some() {
-            return Ok(Done::Named(result));
+            return Ok(Done::Named(Box::new(result)));
         }
         escalation = Some(result);
     }
@@ -158,7 +158,11 @@ fn result(whole: &Whole) -> RunResult<'_> {
         plan: &whole.plan,
         summary: &recorded.summary,
         escalation: whole.escalation.as_ref(),
-        nameplate: compared(&whole.plate, &recorded.summary.estimates),
+        // The escalation's fit is the sharper one; where there was none, what was found on line.
+        nameplate: match &whole.escalation {
+            Some(escalation) => escalation.nameplate.clone(),
+            None => compared(&whole.plate, &recorded.summary.estimates),
+        },
         parameters: estimates
             .map(|e| (e.key.clone(), serde_json::to_value(e).unwrap_or_default()))
             .collect(),
@@ -168,7 +172,7 @@ fn result(whole: &Whole) -> RunResult<'_> {
 fn finish(json: bool, done: &Done) -> Result<(), Failure> {
     match done {
         Done::Named(escalation) => {
-            output::result(escalation, json, EscalationResult::text)?;
+            output::result(escalation.as_ref(), json, EscalationResult::text)?;
             failure(escalation).map_or(Ok(()), Err)
         }
         Done::Run(whole) => {

@@ -9,6 +9,7 @@ use std::f64::consts::PI;
 
 use serde::Serialize;
 
+use crate::numerics::count::whole;
 use crate::plant::{Motor, MotorKey};
 use crate::sample::{ParameterEstimate, Verdict};
 
@@ -116,7 +117,7 @@ pub(super) fn significant(value: f64) -> String {
     if size > 0.0 && !(1e-3..1e5).contains(&size) {
         return format!("{value:.3e}");
     }
-    let decimals = (3.0 - size.max(1e-3).log10().floor()).clamp(0.0, 6.0) as usize;
+    let decimals = whole((3.0 - size.max(1e-3).log10().floor()).clamp(0.0, 6.0));
     format!("{value:.decimals$}")
 }
 
@@ -207,7 +208,7 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
 /// What a wrong factor in one sensor does to each estimate, as powers of the factor. The torque constant is taken from
 /// the back-EMF, so a wrong speed goes into the torques as well.
 struct Pattern {
-    cause: fn(f64) -> Option<String>,
+    cause: fn(f64) -> String,
     /// Power of the factor in R, L, Ke, J, Mc.
     powers: [i32; 5],
     /// The key whose ratio is the factor, and its power.
@@ -238,7 +239,7 @@ fn near(ratio: f64, factor: f64) -> bool {
     (ratio / factor).ln().abs() < FACTOR
 }
 
-fn speed_cause(factor: f64) -> Option<String> {
+fn speed_cause(factor: f64) -> String {
     let per_minute = 60.0 / (2.0 * PI);
     let known = [
         (per_minute, "speed in r/min taken for rad/s (factor 9.55)"),
@@ -248,7 +249,7 @@ fn speed_cause(factor: f64) -> Option<String> {
         ),
         (
             2.0 * PI,
-            "speed in turns taken for radians the wrong way (factor 6.28)",
+            "speed in rad/s taken for turns per second (factor 6.28)",
         ),
         (
             1.0 / (2.0 * PI),
@@ -273,20 +274,22 @@ fn speed_cause(factor: f64) -> Option<String> {
     known
         .iter()
         .find(|(known, _)| near(factor, *known))
-        .map(|(_, text)| (*text).to_owned())
-        .or_else(|| Some(format!("speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear")))
+        .map_or_else(
+            || {
+                format!(
+                    "speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear"
+                )
+            },
+            |(_, text)| (*text).to_owned(),
+        )
 }
 
-fn current_cause(factor: f64) -> Option<String> {
-    Some(format!(
-        "current sensor reads {factor:.2} times the true current (gain, unit, shunt)"
-    ))
+fn current_cause(factor: f64) -> String {
+    format!("current sensor reads {factor:.2} times the true current (gain, unit, shunt)")
 }
 
-fn voltage_cause(factor: f64) -> Option<String> {
-    Some(format!(
-        "voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)"
-    ))
+fn voltage_cause(factor: f64) -> String {
+    format!("voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)")
 }
 
 fn causes(rows: &[Row]) -> Vec<String> {
@@ -361,7 +364,7 @@ fn explained(pattern: &Pattern, ratio: &impl Fn(MotorKey) -> Option<f64>) -> Opt
         witnesses += usize::from(power != 0);
     }
     // The leader alone is no pattern.
-    (witnesses >= 2).then(|| (pattern.cause)(factor)).flatten()
+    (witnesses >= 2).then(|| (pattern.cause)(factor))
 }
 
 #[cfg(test)]

@@ -57,11 +57,19 @@ impl Turned {
 
     /// Whether R and Ke, and J where it leaves a trace, are known to this relative standard deviation.
     pub(super) fn is_within(&self, most: f64) -> bool {
-        let known = |key| relative(&self.parameters, key).is_some_and(|share| share <= most);
+        self.worst() <= most
+    }
+
+    /// Largest relative standard deviation of R and Ke, and of J where it leaves a trace; infinite where one is not told.
+    pub(super) fn worst(&self) -> f64 {
         let inertia_shows = self
             .mechanical_s()
             .is_none_or(|constant_s| constant_s > LEAST_PERIODS * self.period_s);
-        NEEDED.into_iter().all(known) && (!inertia_shows || known(MotorKey::Inertia))
+        NEEDED
+            .into_iter()
+            .chain(inertia_shows.then_some(MotorKey::Inertia))
+            .map(|key| relative(&self.parameters, key).unwrap_or(f64::INFINITY))
+            .fold(0.0, f64::max)
     }
 
     pub(super) fn mechanical_s(&self) -> Option<f64> {

@@ -121,12 +121,17 @@ pub struct Escalation {
     /// Current at which the shaft was last seen to leave rest, A.
     break_away_a: Option<f64>,
     turned: Option<Turned>,
+    /// The round that knew the motor best.
+    best: Option<Turned>,
+    best_is_sweep: bool,
     rounds: usize,
     /// Back-EMF constant from the first motion and its standard deviation, V.s/rad: rough, but enough to bound a speed.
     first_back_emf: Option<(f64, f64)>,
     /// Voltage that the last stage reached, V, and the current that was seen with it, A.
     last_v: f64,
     last_a: f64,
+    /// Whether the shaft turned in it.
+    last_moved: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -150,10 +155,13 @@ impl Escalation {
             rest: None,
             break_away_a: None,
             turned: None,
+            best: None,
+            best_is_sweep: false,
             rounds: 0,
             first_back_emf: None,
             last_v: first_v,
             last_a: 0.0,
+            last_moved: false,
         }
     }
 
@@ -187,6 +195,7 @@ impl Escalation {
         let scenario = scenario_of(run)?;
         let seen = Seen::of(&scenario, run, &self.bounds);
         (self.last_v, self.last_a) = (seen.peak_v.abs(), seen.peak_current_a.abs());
+        self.last_moved = seen.moves();
         let (next, line) = self.judge(&stage, &scenario, &seen);
         self.history.push(StageResult {
             kind: stage.kind,
@@ -196,7 +205,7 @@ impl Escalation {
             line,
         });
         self.next = if self.history.len() >= MOST_STAGES && matches!(next, Next::Run(_)) {
-            self.over(Ending::NotIdentified {
+            over(Ending::NotIdentified {
                 reason: format!("{MOST_STAGES} stages were run"),
             })
         } else {
@@ -207,7 +216,7 @@ impl Escalation {
 
     fn judge(&mut self, stage: &Stage, scenario: &Scenario, seen: &Seen) -> (Next, String) {
         if let Some(ending) = ending::wrong_sign(seen) {
-            return (self.over(ending.clone()), ending.sentence());
+            return (over(ending.clone()), ending.sentence());
         }
         match stage.kind {
             StageKind::Feel => self.felt(scenario, seen),
@@ -232,7 +241,7 @@ impl Escalation {
         }
         if self.last_v >= safe_v * 0.999 {
             let ending = ending::no_current(seen, NO_CURRENT * rated_a);
-            return (self.over(ending.clone()), ending.sentence());
+            return (over(ending.clone()), ending.sentence());
         }
         // A resistance that is known spares looks in between; one that is not allows no more than the usual growth.
         let wanted_v =
@@ -271,7 +280,7 @@ impl Escalation {
         let bounds = &self.bounds;
         let reached_a = REACHED * bounds.rated_current_a;
         match ending::no_motion(seen, before, reached_a, bounds) {
-            NoMotion::Named(ending) => (self.over(ending.clone()), ending.sentence()),
+            NoMotion::Named(ending) => (over(ending.clone()), ending.sentence()),
             NoMotion::TooSlowToSee => {
                 let line = format!("it may turn too slowly to be seen, {}", seen.text());
                 let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
@@ -280,7 +289,7 @@ impl Escalation {
                     let ending = Ending::NotIdentified {
                         reason: format!("no speed that can be seen at {:.1} V", self.last_v),
                     };
-                    return (self.over(ending), line);
+                    return (over(ending), line);
                 }
                 let reason = "a back-EMF shows, a speed not yet".to_owned();
                 let mut stage = stage::feel(bounds, wanted_v, reason);
@@ -300,6 +309,16 @@ impl Escalation {
         };
         let failure = found.as_ref().err().cloned();
         if let Ok(found) = found {
+            // A sweep has seen more of the motor than any step: it counts before a sharper number from a corner of it.
+            let sharper = self
+                .best
+                .as_ref()
+                .is_none_or(|best| found.worst() < best.worst());
+            let first_sweep = kind == StageKind::Sweep && !self.best_is_sweep;
+            if first_sweep || (sharper && (kind == StageKind::Sweep) == self.best_is_sweep) {
+                self.best = Some(found.clone());
+                self.best_is_sweep = kind == StageKind::Sweep;
+            }
             self.turned = Some(found);
         }
         let within = |most| {
@@ -308,18 +327,21 @@ impl Escalation {
                 .is_some_and(|turned| turned.is_within(most))
         };
         // Only a sweep has shown more than a corner of what the motor will be used for.
-        if (within(GOOD) && kind == StageKind::Sweep) || (within(USABLE) && self.rounds >= ROUNDS) {
+        let best_is_usable = self
+            .best
+            .as_ref()
+            .is_some_and(|best| best.is_within(USABLE));
+        if (within(GOOD) && kind == StageKind::Sweep) || (best_is_usable && self.rounds >= ROUNDS) {
             return (self.found(), line);
         }
         if self.rounds >= ROUNDS {
             let reason = failure.unwrap_or_else(|| {
-                self.turned.as_ref().map_or_else(
-                    || "nothing was learnt".to_owned(),
-                    |turned| turned.worst_text(),
-                )
+                self.turned
+                    .as_ref()
+                    .map_or_else(|| "nothing was learnt".to_owned(), Turned::worst_text)
             });
             let ending = Ending::NotIdentified { reason };
-            return (self.over(ending), line);
+            return (over(ending), line);
         }
         let next = if within(USABLE) {
             self.sweep().unwrap_or_else(|| self.turn())
@@ -344,7 +366,7 @@ impl Escalation {
     fn break_away(&self) -> Next {
         let bounds = &self.bounds;
         let Some(rest) = self.rest else {
-            return self.over(Ending::NotIdentified {
+            return over(Ending::NotIdentified {
                 reason: "current flows, but not in proportion to the voltage: its resistance cannot be told"
                     .to_owned(),
             });
@@ -383,11 +405,12 @@ impl Escalation {
             .and_then(|turned| turned.voltage_at(speed_rad_s))
             .or_else(|| {
                 let (value, std) = self.first_back_emf?;
-                Some((value - 3.0 * std).max(0.25 * value) * speed_rad_s)
+                let back_emf_v = (value - 3.0 * std).max(0.25 * value) * speed_rad_s;
+                Some(back_emf_v + friction_a * lowest_ohm)
             })
             .unwrap_or(0.1 * bounds.rated_voltage_v)
-            // What has been borne is no reason to stop.
-            .max(0.5 * self.last_v)
+            // What has been borne is no reason to stop; a step that did not turn the shaft is one to go on.
+            .max(if self.last_moved { 0.5 } else { 1.5 } * self.last_v)
             .min(bounds.voltage_limit_v);
         if volts > fastest_v {
             volts = fastest_v;
@@ -438,10 +461,7 @@ impl Escalation {
             mechanical_s,
             stop_current_a: (1.5 * (accelerating_a + friction_a)).min(0.9 * bounds.current_limit_a),
         };
-        let reason = format!(
-            "{:.2} A of acceleration at {slew_v_per_s:.1} V/s",
-            accelerating_a
-        );
+        let reason = format!("{accelerating_a:.2} A of acceleration at {slew_v_per_s:.1} V/s");
         Some(Next::Run(stage::sweep(bounds, &sweep, reason)))
     }
 
@@ -471,8 +491,8 @@ impl Escalation {
     }
 
     fn found(&self) -> Next {
-        let Some(turned) = &self.turned else {
-            return self.over(Ending::NotIdentified {
+        let Some(turned) = &self.best else {
+            return over(Ending::NotIdentified {
                 reason: "nothing was learnt".to_owned(),
             });
         };
@@ -481,10 +501,10 @@ impl Escalation {
             parameters: turned.parameters().to_vec(),
         })))
     }
+}
 
-    fn over(&self, ending: Ending) -> Next {
-        Next::Over(Box::new(Outcome::Named(ending)))
-    }
+fn over(ending: Ending) -> Next {
+    Next::Over(Box::new(Outcome::Named(ending)))
 }
 
 /// Relative standard deviation of an estimate that has a value.
