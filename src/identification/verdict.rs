@@ -102,7 +102,7 @@ mod tests {
         for (relative, text) in [
             (0.031, "relative uncertainty 3.1 %"),
             (0.87, "relative uncertainty 87 %"),
-            (3.14, "the uncertainty is 3.1 times the value"),
+            (3.12, "the uncertainty is 3.1 times the value"),
             (
                 12345.678,
                 "the uncertainty is more than ten times the value",
