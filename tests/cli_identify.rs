@@ -130,7 +130,7 @@ fn a_nameplate_that_does_not_fit_is_told_with_both_numbers() {
 #[test]
 fn wrong_options_are_named_with_what_is_allowed() {
     for (options, phrase) in [
-        ("--gear-ratio 0", "above 0"),
+        ("--gear-ratio 0", "0.001 to 100000"),
         ("--added-inertia disc", "RUN=KG_M2"),
         ("--added-inertia disc=-1", "RUN=KG_M2"),
         ("--scheme 4", "output-error"),

@@ -20,11 +20,14 @@ use crate::identification::scheme::{self, Data, Identified};
 use crate::identification::{claims, temperature, voltage_departure};
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::recording::LoadedRun;
-use crate::sample::{Channel, ParameterEstimate};
+use crate::sample::{Channel, ParameterEstimate, Verdict};
 
 /// Kt over Ke of real direct-current machines: iron loss takes some of the torque (ZK-22FC: 0.85), sensor gains add some
 /// per cent either way.
 const PLAUSIBLE_RATIO: RangeInclusive<f64> = 0.7..=1.1;
+
+/// Gearboxes that exist, with room.
+const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
 
 /// Find the motor's parameters in a recorded run, each with its uncertainty and verdict
 #[derive(clap::Args)]
@@ -105,11 +108,12 @@ impl Answer {
     /// What the model file, `--require` and the exit status go by.
     fn parameters(&self) -> Vec<ParameterEstimate> {
         let of_runs = self.combined.iter().map(|repeated| &repeated.estimate);
-        let absolute = self.absolute.iter().flatten();
-        let replaced = |key: &str| absolute.clone().any(|p| p.key == key && p.value.is_some());
+        let sound = |p: &&ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Invalid;
+        let absolute = self.absolute.iter().flatten().filter(sound);
+        let replaced = |key: &str| absolute.clone().any(|p| p.key == key);
         of_runs
             .filter(|p| !replaced(&p.key))
-            .chain(absolute.clone().filter(|p| p.value.is_some()))
+            .chain(absolute.clone())
             .cloned()
             .collect()
     }
@@ -118,13 +122,22 @@ impl Answer {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(ratio) = arguments
         .gear_ratio
-        .filter(|ratio| !(ratio.is_finite() && *ratio > 0.0))
+        .filter(|ratio| !GEAR_RATIOS.contains(ratio))
     {
         return Err(Failure::with_help(
             USAGE,
-            format!("--gear-ratio {ratio} is not allowed (expected a number above 0)"),
+            format!("--gear-ratio {ratio} is not allowed (expected 0.001 to 100000)"),
             "give motor turns per turn of the load, as --gear-ratio 10",
         ));
+    }
+    for (place, path) in arguments.runs.iter().enumerate() {
+        if arguments.runs[..place].contains(path) {
+            return Err(Failure::with_help(
+                USAGE,
+                format!("{}: given twice", path.display()),
+                "several runs count as independent records: give each once",
+            ));
+        }
     }
     let mut file = None;
     let mut runs = Vec::new();
@@ -145,7 +158,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
                     "a trace over time belongs to one run",
                 ));
             }
-            return super::load_torque::execute(trace, &loaded.run, &file.model, arguments.json);
+            let scenario = Scenario::from_run(&loaded.run)?;
+            let mut run = loaded.run;
+            sanity_report::before_identify(&mut run, &scenario, &file.model, &[], arguments.json)?;
+            return super::load_torque::execute(trace, &run, &file.model, arguments.json);
         }
         runs.push(identify(loaded, &file.model, arguments)?);
     }
@@ -158,10 +174,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         .iter()
         .map(|run| run.found.parameters.clone())
         .collect();
-    let absolute = absolute(arguments, &file.model, &runs)?;
+    let mut absolute = absolute(arguments, &file.model, &runs)?;
     let combined = repeat::combine(&per_run);
+    let caution = caution(&combined, absolute.as_deref());
+    if let Some(caution) = &caution {
+        for parameter in absolute.iter_mut().flatten() {
+            parameter.verdict = Verdict::Invalid;
+            parameter.reason = Some(caution.clone());
+        }
+    }
     let mut answer = Answer {
-        caution: caution(&combined, absolute.as_deref()),
+        caution,
         combined,
         absolute,
         gear_ratio: arguments.gear_ratio,
@@ -297,7 +320,8 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
             format!("{key} could not be identified: {reason}"),
         ));
     }
-    if parameters.iter().all(|parameter| parameter.value.is_none()) {
+    let found = |p: &ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Fixed;
+    if !parameters.iter().any(found) {
         return Err(Failure::with_help(
             NOT_IDENTIFIABLE,
             "no parameter can be identified from these data",

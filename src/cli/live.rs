@@ -61,7 +61,8 @@ pub(super) struct LiveArguments {
     /// The drive is real and its shaft may turn (needed without a screen)
     #[arg(long)]
     hardware: bool,
-    /// Find the motor from small steps first, whatever its nameplate says (as motor.unknown = true does)
+    /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the
+    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead)
     #[arg(long)]
     pub(super) escalate: bool,
     /// Go on although the drive's watchdog cannot be proven; the waiver is recorded

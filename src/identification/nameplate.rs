@@ -80,9 +80,14 @@ impl Comparison {
     /// A table for people.
     pub fn text(&self) -> String {
         use std::fmt::Write as _;
+        let judged = self.rows.iter().any(|row| row.fits != Fits::NotTold);
         let mut text = format!(
             "nameplate {} (within {:.0} % and the uncertainty)\n",
-            if self.fits { "fits" } else { "does NOT fit" },
+            match (judged, self.fits) {
+                (false, _) => "not judged: nothing was identified that it says",
+                (true, true) => "fits",
+                (true, false) => "does NOT fit",
+            },
             100.0 * self.tolerance
         );
         for row in &self.rows {

@@ -175,6 +175,14 @@ impl Run {
         self.sides[channel.index()] = Some(side);
     }
 
+    /// The same run without one of its columns.
+    #[must_use]
+    pub fn without(&self, channel: Channel) -> Self {
+        let mut run = self.clone();
+        run.columns[channel.index()] = None;
+        run
+    }
+
     pub fn time_s(&self) -> &[f64] {
         &self.time_s
     }

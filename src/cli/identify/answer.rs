@@ -76,7 +76,7 @@ impl Answer {
     pub(super) fn text(&self) -> String {
         let scheme = self.runs.first().map_or("", |run| run.found.scheme);
         let mut text = match self.runs.len() {
-            1 => format!("scheme {scheme}\n"),
+            1 => format!("scheme {scheme}; ± is one standard deviation, 1.96 of them hold 95 %\n"),
             runs => format!(
                 "scheme {scheme}, mean of {runs} runs; the spread is that from run to run\n"
             ),

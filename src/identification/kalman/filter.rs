@@ -17,6 +17,7 @@ use super::friction::{KnownEffects, Offsets};
 use super::held_voltage::HeldVoltage;
 use super::sensor::Sensor;
 use super::transition::{Physics, Step};
+use crate::identification::recursive::steady_period;
 use crate::plant::Instant;
 
 /// Standard deviations of the speed noise, and share of the largest speed, below which its sign is not certain.
@@ -211,7 +212,7 @@ impl Filter {
         }
         self.innovation = [None; 2];
         if !first {
-            self.period_s = length_s;
+            self.period_s = steady_period(self.period_s, length_s);
             self.widen(length_s);
         }
         let powered = self.source == Source::Current || self.voltage.at(self.now_s).is_some();
@@ -264,14 +265,16 @@ impl Filter {
             Source::Voltage => self.predict(length_s, s),
             Source::Current => {
                 let Some(current) = measured[0] else {
+                    self.walk(length_s);
                     return false;
                 };
                 self.predict_from_current(length_s, s, current);
             }
         }
         let zone = self.zone_rad_s();
-        let certain =
-            s * self.belief.x[W] > zone && measured[1].is_none_or(|speed| s * speed > 0.25 * zone);
+        let certain = self.is_signless()
+            || (s * self.belief.x[W] > zone
+                && measured[1].is_none_or(|speed| s * speed > 0.25 * zone));
         if !certain {
             self.belief = before;
             self.walk(length_s);
@@ -282,6 +285,12 @@ impl Filter {
 
     fn rest(&mut self, length_s: f64, measured: [Option<f64>; 2]) -> bool {
         let noise = self.sensors[1].variance().sqrt();
+        if self.source == Source::Current
+            && let Some(current) = measured[0]
+        {
+            // Nothing predicts a current that is the input: it is what was measured.
+            self.belief.x[I] = current;
+        }
         let before = self.belief;
         let moves = measured[1].is_some_and(|speed| speed.abs() > REST_ENDS * noise);
         if !moves && self.source == Source::Voltage {

@@ -39,3 +39,16 @@ impl Direction {
         self.largest_rad_s
     }
 }
+
+/// Sampling period as it is usually, s: one gap in the stamps does not change it.
+pub(in crate::identification) fn steady_period(known_s: f64, step_s: f64) -> f64 {
+    const GAP: f64 = 2.5;
+    const ROWS: f64 = 16.0;
+    if known_s.is_nan() || step_s < known_s / GAP {
+        step_s
+    } else if step_s > GAP * known_s {
+        known_s
+    } else {
+        known_s + (step_s - known_s) / ROWS
+    }
+}

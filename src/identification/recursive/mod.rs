@@ -13,6 +13,6 @@ mod scheme_3;
 mod track;
 mod winding;
 
-pub(in crate::identification) use direction::Direction;
+pub(in crate::identification) use direction::{Direction, steady_period};
 pub use scheme_2::{CurrentIntegral, Scheme2};
 pub use scheme_3::{Memory, Scheme3, StartValues};

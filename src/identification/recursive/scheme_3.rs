@@ -9,7 +9,7 @@
 
 mod verdicts;
 
-use super::direction::Direction;
+use super::direction::{Direction, steady_period};
 use super::mechanical::{self, MechanicalBalance, MechanicalRow};
 use super::track::{Block, SampleNoise, Track};
 use super::winding::{self, Interval, Winding};
@@ -17,6 +17,8 @@ use crate::numerics::recursive_least_squares::RecursiveLeastSquares;
 use crate::plant::{Motor, MotorKey};
 
 const LONGEST_BLOCK_S: f64 = 0.01;
+/// Voltage events that are kept while no sample comes that could use them.
+const MOST_EVENTS: usize = 4096;
 /// A longer gap between samples ends the block.
 const LONGEST_GAP_S: f64 = 0.1;
 /// Sizes of R, L, Ke for the linear start, and a prior wide enough for any machine.
@@ -170,6 +172,10 @@ impl Scheme3 {
             return;
         }
         self.energised |= voltage_v != 0.0;
+        if self.voltage.len() >= MOST_EVENTS {
+            // Commands without a usable sample: they are pruned with the blocks, and there are none.
+            self.voltage.drain(..MOST_EVENTS / 2);
+        }
         let position = self.voltage.partition_point(|event| event.0 < time_s);
         match self.voltage.get_mut(position) {
             Some(event) if event.0.total_cmp(&time_s).is_eq() => event.1 = voltage_v,
@@ -187,7 +193,7 @@ impl Scheme3 {
             if step_s <= 0.0 {
                 return;
             }
-            self.period_s = step_s;
+            self.period_s = steady_period(self.period_s, step_s);
             if step_s > LONGEST_GAP_S {
                 self.readings.clear();
             }

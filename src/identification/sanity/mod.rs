@@ -1,7 +1,8 @@
 //! What is wrong with the data themselves, asked before anything is identified from them.
 //!
 //! ```text
-//! Run, Scenario, Model -> Table -+-> still     nothing changes, or the shaft does not turn
+//! Run, Scenario, Model -> Table -+-> outlier   single rows that no machine can have shown
+//!                                +-> still     nothing changes, or the shaft does not turn
 //!                                +-> channel   one signal is frozen, clipped or has lost its sign
 //!                                +-> columns   two columns swapped, a sign reversed  <- balance (both equations, quickly)
 //!                                +-> scale     r/min for rad/s, mA for A, ms for s: by name and factor
@@ -15,6 +16,7 @@ mod balance;
 mod channel;
 mod columns;
 mod header;
+mod outlier;
 mod scale;
 mod still;
 mod table;
@@ -39,6 +41,8 @@ pub enum Kind {
     Standstill,
     /// The terminals are open while a voltage is stated.
     OpenCircuit,
+    /// Single values that no machine can have shown.
+    Outlier,
     /// A signal does not move although it must.
     Frozen,
     /// A signal is cut off at a limit.
@@ -103,6 +107,10 @@ impl Finding {
 /// `model`: a nameplate or an earlier model, as far as there is one; its values are what units are judged by.
 pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
     let table = Table::new(scenario);
+    // One wild value bends every range and balance below.
+    if let Some(outlier) = outlier::check(&table) {
+        return vec![outlier];
+    }
     let mut findings = still::check(&table);
     // A record in which nothing moves has no balance to check.
     if findings.iter().any(|finding| finding.refuses) {

@@ -28,7 +28,7 @@ impl Scheme for Ekf {
             model: data.model.clone(),
             ..KalmanConfig::default()
         };
-        let found = kalman::identify(&config, data.run);
+        let found = kalman::identify(&config, &data.run_as_used());
         let identified = Identified::new(self.id(), data.model, found.estimates());
         Ok(identified.with_note(found.summary()))
     }

@@ -20,8 +20,10 @@ mod weak_form;
 
 pub use error::IdentifyError;
 
+use std::borrow::Cow;
+
 use crate::plant::{Input, Model, MotorKey, Scenario};
-use crate::sample::{ParameterEstimate, Run};
+use crate::sample::{Channel, ParameterEstimate, Run};
 
 /// What a scheme works on.
 #[derive(Clone, Copy, Debug)]
@@ -32,6 +34,18 @@ pub struct Data<'a> {
     pub scenario: &'a Scenario,
     /// Which parameters are sought and which are fixed, and where to start; values may be missing.
     pub model: &'a Model,
+}
+
+impl Data<'_> {
+    /// The run with the voltage that the scenario takes, and no other: a foreign file may hold a command besides a
+    /// voltage that was applied, and every scheme has to see the same one.
+    fn run_as_used(&self) -> Cow<'_, Run> {
+        let command = Channel::VoltageCmd;
+        if self.scenario.input_channel == Channel::Voltage && self.run.column(command).is_some() {
+            return Cow::Owned(self.run.without(command));
+        }
+        Cow::Borrowed(self.run)
+    }
 }
 
 /// What a scheme found.

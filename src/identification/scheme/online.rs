@@ -11,7 +11,7 @@ pub(super) struct Scheme3;
 
 fn over_run(data: &Data<'_>) -> Online {
     let mut online = Online::new(OnlineConfig::from_model(data.model));
-    for sample in data.run.samples() {
+    for sample in data.run_as_used().samples() {
         online.push(&sample);
     }
     online

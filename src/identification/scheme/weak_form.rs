@@ -2,7 +2,8 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::{missing_cells, torque_ratio, weak_form};
-use crate::plant::{Model, Scenario};
+use crate::numerics::statistics::median;
+use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
 
 pub(super) struct WeakForm;
@@ -17,10 +18,48 @@ impl Scheme for WeakForm {
     }
 
     fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
-        let parameters = parameters(data.model, data.scenario)?;
+        let mut parameters = parameters(data.model, data.scenario)?;
+        doubt_coarse_sampling(&mut parameters, data.scenario);
         Ok(Identified::new(self.id(), data.model, parameters).with_note(
             "weak form: windows without standstill; friction values depend on the method by some per cent",
         ))
+    }
+}
+
+/// Periods per L/R above which a window's quadrature error is of the order of what it measures.
+const COARSE: f64 = 1.0 / 3.0;
+
+/// Where the samples do not resolve the armature circuit nothing from it is settled, and nothing that rests on it: every
+/// second sample left out then moves the values by chance more than by what is wrong with them.
+fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
+    if scenario.input != Input::Voltage {
+        return;
+    }
+    let value = |key: MotorKey| parameters.iter().find(|p| p.key == key.key())?.value;
+    let time_constant_s = value(MotorKey::Inductance)
+        .zip(value(MotorKey::Resistance))
+        .map(|(l, r)| l / r);
+    let steps: Vec<f64> = scenario
+        .sample_time_s
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .collect();
+    let period_s = median(&steps);
+    if time_constant_s.is_some_and(|ta| period_s <= COARSE * ta) {
+        return;
+    }
+    let ta = time_constant_s.map_or_else(
+        || "L/R is not resolved".to_owned(),
+        |ta| format!("L/R is {:.1} ms", 1e3 * ta),
+    );
+    for parameter in parameters.iter_mut() {
+        if parameter.verdict == Verdict::Settled {
+            parameter.verdict = Verdict::Searching;
+            parameter.reason = Some(format!(
+                "{ta} against a period of {:.1} ms: windows need three samples in it; use the output-error fit",
+                1e3 * period_s
+            ));
+        }
     }
 }
 
@@ -49,8 +88,8 @@ pub(super) fn parameters(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::Motor;
     use crate::plant::testing::record;
-    use crate::plant::{Input, Motor};
 
     /// A record of current and speed alone, as a drive in torque mode leaves it.
     fn mechanical() -> Scenario {
