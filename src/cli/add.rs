@@ -7,10 +7,10 @@ use super::data::{EvidenceArguments, prepare};
 use super::diagnose::parameter_text;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
-use super::{compare, output};
+use super::{compare, model_output, output};
 use crate::config_text::help_for_unknown;
 use crate::diagnosis::{AddResult, add, remove};
-use crate::plant::{FileHistory, FittedValue, ModelFile, effect};
+use crate::plant::{FileHistory, ModelFile, effect};
 
 /// Refit a model with an effect added (removed) and show the held-out error before and after
 #[derive(clap::Args)]
@@ -49,16 +49,8 @@ pub(super) fn execute(arguments: &Arguments, adding: bool) -> Result<(), Failure
             help,
         )
     })?;
-    if let Some(path) = arguments.output.as_ref().filter(|path| path.exists()) {
-        let headline = format!(
-            "{}: exists already, and models are never overwritten",
-            path.display()
-        );
-        return Err(Failure::with_help(
-            USAGE,
-            headline,
-            "choose another name for --output",
-        ));
+    if let Some(path) = &arguments.output {
+        model_output::refuse_existing(path)?;
     }
     let prepared = prepare(
         &arguments.run,
@@ -111,14 +103,8 @@ pub(super) fn execute(arguments: &Arguments, adding: bool) -> Result<(), Failure
 
 /// The new model with its history.
 fn model_file(result: &AddResult, before: &FileHistory, run: &str) -> ModelFile {
-    let fitted = result.fit.parameters.iter().filter_map(|parameter| {
-        Some(FittedValue {
-            key: parameter.key.clone(),
-            std: parameter.std.filter(|std| *std > 0.0)?,
-        })
-    });
     let mut history = FileHistory {
-        fitted: fitted.collect(),
+        fitted: model_output::fitted(&result.fit.parameters),
         ..before.clone()
     };
     history.fitted_on = vec![run.to_owned()];

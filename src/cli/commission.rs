@@ -3,9 +3,9 @@
 use super::escalate::{escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Recorded, Rig, Strings};
-use super::{data, output, pages, screen};
+use super::{data, model_output, output, pages, screen};
 use crate::identification::nameplate::Comparison;
-use crate::plant::{FittedValue, Model, ModelFile, Scenario};
+use crate::plant::{Model, ModelFile, Scenario};
 use crate::recording::RunFile;
 use crate::workflow::{
     Commission, CommissionResult, EscalationResult, Progress, ProgressCell, Role, RunRecord,
@@ -178,16 +178,7 @@ fn save(workflow: &Commission, rig: &Rig, records: &[Recorded]) -> Result<String
         .take(1)
         .map(|record| record.folder.path().display().to_string())
         .collect();
-    file.history.fitted = fit
-        .parameters
-        .iter()
-        .filter_map(|p| {
-            Some(FittedValue {
-                key: p.key.clone(),
-                std: p.std.filter(|std| *std > 0.0)?,
-            })
-        })
-        .collect();
+    file.history.fitted = model_output::fitted(&fit.parameters);
     file.history.ladder = result
         .ladder
         .iter()

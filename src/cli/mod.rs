@@ -16,6 +16,7 @@ mod failure;
 mod identify;
 mod live;
 mod load_torque;
+mod model_output;
 mod output;
 mod pages;
 mod plan;

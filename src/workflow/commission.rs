@@ -1,8 +1,9 @@
 //! The commissioning loop: which task comes next, and the analysis between the tasks.
 
 use super::escalate::{EscalationResult, compared};
+use super::named_estimate::NamedEstimate;
 use super::progress::{Progress, StepState, StepView};
-use super::result::{CommissionResult, NamedEstimate, RunRecord, Truth};
+use super::result::{CommissionResult, RunRecord, Truth};
 use crate::bench::{CheckReport, Plan};
 use crate::diagnosis::{Diagnosis, ErrorOf, Evidence, Rung, Score, compare, diagnose};
 use crate::identification::output_error::FitError;

@@ -6,7 +6,7 @@
 
 use serde::Serialize;
 
-use super::result::NamedEstimate;
+use super::named_estimate::NamedEstimate;
 use crate::bench::{BenchFile, Nameplate, Refusal, Scaled, bounds, scale};
 use crate::identification::escalation::{Ending, Escalation, Outcome, Stage, StageResult};
 use crate::identification::nameplate::{self, Comparison};

@@ -10,11 +10,13 @@
 
 mod commission;
 mod escalate;
+mod named_estimate;
 mod progress;
 pub mod reproduce;
 mod result;
 
 pub use commission::{Commission, Role, Task};
 pub use escalate::{Escalate, EscalationResult, StageRecord, compared, scaled_sentence};
+pub use named_estimate::NamedEstimate;
 pub use progress::{Progress, ProgressCell, StepState, StepView};
-pub use result::{CommissionResult, NamedEstimate, RunRecord, Truth};
+pub use result::{CommissionResult, RunRecord, Truth};

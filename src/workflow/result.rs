@@ -3,9 +3,9 @@
 use serde::Serialize;
 
 use super::escalate::EscalationResult;
+use super::named_estimate::NamedEstimate;
 use crate::diagnosis::{Comparison, Diagnosis, Rung};
 use crate::identification::nameplate;
-use crate::sample::ParameterEstimate;
 
 /// One recorded run of the loop.
 #[derive(Clone, Debug, Serialize)]
@@ -50,24 +50,4 @@ pub struct CommissionResult {
     pub runs: Vec<RunRecord>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<Truth>,
-}
-
-/// An estimate with its key in the JSON.
-#[derive(Clone, Debug, Serialize)]
-pub struct NamedEstimate {
-    pub key: String,
-    #[serde(flatten)]
-    pub estimate: ParameterEstimate,
-}
-
-impl NamedEstimate {
-    pub fn list(estimates: &[ParameterEstimate]) -> Vec<Self> {
-        estimates
-            .iter()
-            .map(|estimate| Self {
-                key: estimate.key.clone(),
-                estimate: estimate.clone(),
-            })
-            .collect()
-    }
 }

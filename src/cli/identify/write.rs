@@ -4,21 +4,12 @@ use std::path::Path;
 
 use super::Answer;
 use crate::cli::failure::{Failure, USAGE};
+use crate::cli::model_output;
 use crate::identification::scheme::Identified;
-use crate::plant::{FittedValue, ModelFile};
+use crate::plant::ModelFile;
 
 pub(super) fn model(path: &Path, mut file: ModelFile, answer: &Answer) -> Result<(), Failure> {
-    if path.exists() {
-        let headline = format!(
-            "{}: exists already, and models are never overwritten",
-            path.display()
-        );
-        return Err(Failure::with_help(
-            USAGE,
-            headline,
-            "choose another name for --output",
-        ));
-    }
+    model_output::refuse_existing(path)?;
     let parameters = answer.parameters();
     let start = answer.runs.first().map(|run| &run.found.model);
     file.model = Identified::new("", start.unwrap_or(&file.model), parameters.clone()).model;
@@ -27,15 +18,7 @@ pub(super) fn model(path: &Path, mut file: ModelFile, answer: &Answer) -> Result
         .iter()
         .map(|run| run.loaded.run.name.clone())
         .collect();
-    file.history.fitted = parameters
-        .iter()
-        .filter_map(|p| {
-            Some(FittedValue {
-                key: p.key.clone(),
-                std: p.std.filter(|std| *std > 0.0)?,
-            })
-        })
-        .collect();
+    file.history.fitted = model_output::fitted(&parameters);
     std::fs::write(path, file.to_toml()).map_err(|error| {
         Failure::with_help(
             USAGE,

@@ -282,26 +282,3 @@ fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
     println!("told {found:.5?} {}", told.summary());
     assert!(found.iter().all(|e| e.abs() < 0.005), "{found:?}");
 }
-
-#[test]
-#[ignore = "measures the time of a step"]
-#[expect(clippy::disallowed_methods, reason = "a measurement of time")]
-fn time_of_a_step() {
-    let run = paper_run(0.001, 1);
-    let samples: Vec<Sample> = run.samples().collect();
-    let mut kalman = Kalman::new(&unknown());
-    for sample in &samples {
-        kalman.push(sample);
-    }
-    assert!(kalman.starter.is_none());
-    let begin = std::time::Instant::now();
-    for round in 1_u32..=20 {
-        for sample in &samples {
-            let mut sample = sample.clone();
-            sample.time_s += 5.0 * f64::from(round);
-            kalman.push(&sample);
-        }
-    }
-    let ns = begin.elapsed().as_nanos() as f64 / (20.0 * samples.len() as f64);
-    println!("{ns:.0} ns per sample, {} bytes", size_of::<Kalman>());
-}
