@@ -118,15 +118,18 @@ pub fn scale(
     let first_refusal = refusal.clone();
     let mut factor = 1.0;
     while factor >= LEAST {
-        // The plate's slew belongs to another motor; the one of the motor that was found draws two rated currents, and
-        // smaller voltages are reached in the same time.
-        if let Some(mut scaled) = tried(factor, given_slew.min(own_slew) * factor.max(0.3))? {
-            match scaled.plan.refusals.first() {
-                None => {
-                    scaled.refusal = first_refusal;
-                    return Ok(Ok(scaled));
+        // The plate's slew belongs to another motor; the one of the motor that was found draws two rated currents. Where
+        // that is too much, smaller voltages are reached in the same time.
+        let slew = given_slew.min(own_slew);
+        for slew_v_per_s in [slew, slew * factor.max(0.3)] {
+            if let Some(mut scaled) = tried(factor, slew_v_per_s)? {
+                match scaled.plan.refusals.first() {
+                    None => {
+                        scaled.refusal = first_refusal;
+                        return Ok(Ok(scaled));
+                    }
+                    Some(still) => refusal = Some(still.clone()),
                 }
-                Some(still) => refusal = Some(still.clone()),
             }
         }
         factor *= SHRINK;

@@ -109,8 +109,8 @@ fn excitation_style(share: f64) -> Style {
 
 /// One block at the right edge; left out where the text needs the room.
 fn with_block(mut line: Line<'static>, share: Option<f64>, width: u16) -> Line<'static> {
-    let gap = usize::from(width).saturating_sub(line.width() + 1);
-    if let Some(share) = share.filter(|_| gap > 0) {
+    let gap = usize::from(width).checked_sub(line.width() + 1);
+    if let (Some(share), Some(gap)) = (share, gap) {
         let at = (share.clamp(0.0, 1.0) * (BLOCKS.len() - 1) as f64).round() as usize;
         line.push_span(" ".repeat(gap));
         line.push_span(Span::styled(BLOCKS[at], excitation_style(share)));
