@@ -559,7 +559,7 @@ fn the_origin_of_a_signal_limits_what_is_claimed_from_it() {
     let reason = found["parameters"]["resistance_ohm"]["reason"].as_str();
     assert!(reason.unwrap().contains("drive's own drops"));
 
-    let found = identify("current_a=supply").expect(0).json();
+    let found = identify("current_a=supply").expect(5).json();
     assert_eq!(found["signals"]["current_a"]["side"], "supply");
     for key in ["resistance_ohm", "inductance_h", "inertia_kg_m2"] {
         assert_eq!(verdict(&found, key), "invalid", "{key}");

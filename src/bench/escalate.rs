@@ -39,11 +39,16 @@ pub fn bounds(bench: &BenchFile) -> Bounds {
 
 /// A session over one stage: every limit of the bench in force, and the goals that end the stage early.
 pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, ExcitationError> {
+    // The stage's own slew serves the experiment; a limit that the bench file gives stands above it.
+    let slew_v_per_s = bench
+        .limits
+        .slew_v_per_s
+        .map_or(stage.slew_v_per_s, |given| given.min(stage.slew_v_per_s));
     let limits = Limits {
-        slew_v_per_s: stage.slew_v_per_s,
+        slew_v_per_s,
         ..bench.limits()
     };
-    let program = excitation::Program::new(&stage.segments, stage.slew_v_per_s)?;
+    let program = excitation::Program::new(&stage.segments, slew_v_per_s)?;
     let guard = Guard::for_unknown_motor(limits, stage.winding_v, stage.back_emf_v_s_per_rad);
     Ok(Session::new(Box::new(program), guard).until(vec![
         (Channel::Current, stage.stop_current_a),

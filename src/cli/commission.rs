@@ -2,7 +2,8 @@
 
 use super::escalate::{escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
-use super::live::{LiveArguments, Recorded, Rig, Strings};
+use super::live::{LiveArguments, Rig, Strings};
+use super::recorded::Recorded;
 use super::{data, model_output, output, pages, screen};
 use crate::identification::nameplate::Comparison;
 use crate::plant::{Model, ModelFile, Scenario};

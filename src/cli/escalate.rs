@@ -1,8 +1,9 @@
 //! An unknown motor on a live drive: stage after stage, each into a run folder of its own.
 
 use super::data;
-use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, USAGE};
+use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, NOT_IDENTIFIABLE, USAGE};
 use super::live::{Rig, Strings};
+use crate::identification::escalation::Ending;
 use crate::workflow::{Escalate, EscalationResult, scaled_sentence};
 
 /// Runs the stages until the motor is found or the reason why not is named. With a motor the rig goes on with its values
@@ -82,5 +83,9 @@ pub(super) fn escalate(
 /// The failure for what stands in the way of a motor: it is the device.
 pub(super) fn failure(result: &EscalationResult) -> Option<Failure> {
     let ending = result.ending.as_ref()?;
-    Some(Failure::with_help(LINK, ending.sentence(), ending.help()))
+    let status = match ending {
+        Ending::NotIdentified { .. } => NOT_IDENTIFIABLE,
+        _ => LINK,
+    };
+    Some(Failure::with_help(status, ending.sentence(), ending.help()))
 }

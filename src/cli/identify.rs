@@ -308,10 +308,15 @@ fn caution(combined: &[Repeated], absolute: Option<&[ParameterEstimate]>) -> Opt
     })
 }
 
+/// A value that may be used: found or given, and not forbidden by physics or by where its signals come from.
+fn is_told(parameter: &ParameterEstimate) -> bool {
+    parameter.value.is_some() && parameter.verdict != Verdict::Invalid
+}
+
 /// Status 5 when nothing, or not everything that was required, could be found.
 fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), Failure> {
     let find = |key: &String| parameters.iter().find(|parameter| parameter.key == *key);
-    let missing = |key: &&String| find(key).is_none_or(|parameter| parameter.value.is_none());
+    let missing = |key: &&String| !find(key).is_some_and(is_told);
     if let Some(key) = require.iter().find(missing) {
         let reason = find(key).and_then(|parameter| parameter.reason.clone());
         let reason = reason.unwrap_or_else(|| "it is not a parameter of this model".to_owned());
@@ -320,8 +325,14 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
             format!("{key} could not be identified: {reason}"),
         ));
     }
-    let found = |p: &ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Fixed;
+    let found = |p: &ParameterEstimate| is_told(p) && p.verdict != Verdict::Fixed;
     if !parameters.iter().any(found) {
+        if parameters.iter().any(|p| p.verdict == Verdict::Invalid) {
+            return Err(Failure::new(
+                NOT_IDENTIFIABLE,
+                "no parameter can be identified soundly: the values found are invalid",
+            ));
+        }
         return Err(Failure::with_help(
             NOT_IDENTIFIABLE,
             "no parameter can be identified from these data",

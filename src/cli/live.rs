@@ -12,16 +12,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 use clap::Args;
-use serde::Serialize;
 
 use super::data::read_text;
-use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
+use super::failure::{Failure, INTERNAL, LINK, USAGE};
 use super::output;
+use super::recorded::Recorded;
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
-    LiveOnline, MonotonicClock, Nameplate, OnlineResult, OnlineSettings, Outcome, Plan, Port,
-    Protocol, RunOptions, RunSummary, Session, SnapshotCell, Target, check, layout, manifest, plan,
-    run, stage_session,
+    LiveOnline, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions,
+    Session, SnapshotCell, Target, check, layout, manifest, plan, run, stage_session,
 };
 use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
 use crate::emulator::{
@@ -31,7 +30,7 @@ use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
 use crate::plant::{Model, Motor};
-use crate::recording::{Manifest, Recorder, RunFile, RunFolder, utc_stamp};
+use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
 use crate::sample::{Channel, Command, Demand};
 
 /// Options of every command that may energise a motor.
@@ -436,65 +435,6 @@ impl Rig {
             }
         }
         manifest
-    }
-}
-
-/// A run that was recorded, to its end or not.
-pub(super) struct Recorded {
-    pub(super) folder: RunFolder,
-    pub(super) summary: RunSummary,
-    /// What the on-line estimators said at the end; `replay` compares itself with it.
-    pub(super) online: OnlineResult,
-}
-
-/// `result.json`: what a command has to say, and what the live estimators said.
-#[derive(Serialize)]
-struct KeptResult<'a, T> {
-    #[serde(flatten)]
-    result: &'a T,
-    online: &'a OnlineResult,
-}
-
-impl Recorded {
-    /// Writes `result.json`.
-    pub(super) fn write_result<T: Serialize>(&self, result: &T) -> Result<(), Failure> {
-        let kept = KeptResult {
-            result,
-            online: &self.online,
-        };
-        let text = serde_json::to_string_pretty(&kept).map_err(|error| {
-            Failure::new(INTERNAL, format!("the result has no JSON form: {error}"))
-        })?;
-        self.folder.write(RunFile::Result, &text)?;
-        Ok(())
-    }
-
-    /// The failure that ended the run early, if any.
-    pub(super) fn failure(&self) -> Option<Failure> {
-        let kept = format!("the record is kept in {}", self.folder.path().display());
-        match &self.summary.outcome {
-            Outcome::Done => None,
-            Outcome::Stopped | Outcome::Interrupted => Some(Failure::with_help(
-                INTERRUPTED,
-                "stopped before the end of the sequence",
-                kept,
-            )),
-            Outcome::Tripped(trip) => Some(Failure::with_help(
-                TRIP,
-                format!("safety trip: {}", trip.reason),
-                kept,
-            )),
-            Outcome::NotStarted { reason } => Some(Failure::with_help(
-                LINK,
-                format!("not started: {reason}"),
-                kept,
-            )),
-            Outcome::LinkLost { reason } => Some(Failure::with_help(
-                LINK,
-                format!("link lost: {reason}"),
-                kept,
-            )),
-        }
     }
 }
 

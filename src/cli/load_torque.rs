@@ -15,6 +15,16 @@ use crate::sample::Run;
 
 /// Tracks the load torque, writes it to `path` and prints a summary.
 pub(super) fn execute(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), Failure> {
+    if path.exists() {
+        return Err(Failure::with_help(
+            USAGE,
+            format!(
+                "{}: exists already, and records are never overwritten",
+                path.display()
+            ),
+            "choose another name for --load-torque",
+        ));
+    }
     let trace = load_torque_trace(run, model, LoadOptions::default())?;
     std::fs::write(path, csv(&trace)).map_err(|error| {
         Failure::with_help(

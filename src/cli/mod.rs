@@ -21,6 +21,7 @@ mod output;
 mod pages;
 mod plan;
 mod provenance;
+mod recorded;
 mod replay;
 mod reproduce;
 mod run;

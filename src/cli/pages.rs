@@ -4,7 +4,8 @@ use std::path::Path;
 
 use super::data;
 use super::failure::Failure;
-use super::live::{Recorded, Rig};
+use super::live::Rig;
+use super::recorded::Recorded;
 use crate::bench::{Outcome, Plan};
 use crate::identification::output_error;
 use crate::plant::{Model, Motor, Scenario};

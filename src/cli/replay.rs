@@ -69,6 +69,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let online = estimator.result();
     let live = live_result(&rows, map.is_some());
     let (difference, compared_with, because) = match live {
+        Ok(_) if configuration_from == "default" => (
+            None,
+            None,
+            Some("the manifest does not hold the configuration of the live estimators".to_owned()),
+        ),
         Ok((path, live)) => {
             let replayed = serde_json::to_value(&online).map_err(|error| {
                 Failure::new(INTERNAL, format!("the result has no JSON form: {error}"))

@@ -6,7 +6,8 @@ use serde::Serialize;
 
 use super::escalate::{escalate, failure};
 use super::failure::Failure;
-use super::live::{LiveArguments, Recorded, Rig, Strings};
+use super::live::{LiveArguments, Rig, Strings};
+use super::recorded::Recorded;
 use super::{output, pages, screen};
 use crate::bench::{Plan, RunSummary};
 use crate::identification::nameplate::Comparison;

@@ -54,7 +54,8 @@ fn one(all: &[&ParameterEstimate]) -> Option<Repeated> {
         .collect();
     if carried.len() < 2 {
         // Nothing to compare: the one run that says something, else the first one's reason.
-        let told = all.iter().find(|p| p.value.is_some()).unwrap_or(&first);
+        let sound = |p: &&&ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Invalid;
+        let told = all.iter().find(sound).unwrap_or(&first);
         return Some(Repeated {
             estimate: (*told).clone(),
             runs: carried.len(),

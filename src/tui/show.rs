@@ -1,12 +1,15 @@
 //! The loop: keys and cells in, effects out, a frame after each change.
 
 use std::io;
+use std::os::fd::AsFd as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use crossterm::event::{self, Event as TerminalEvent};
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use super::model::Model;
 use super::terminal::Owned;
@@ -79,6 +82,22 @@ impl Drop for StopUnlessLeft<'_> {
     }
 }
 
+/// Waits for a key or for `longest`; whether the terminal has been closed.
+fn is_gone(longest: Duration) -> io::Result<bool> {
+    let stdout = io::stdout();
+    let mut terminal = [PollFd::new(stdout.as_fd(), PollFlags::POLLIN)];
+    let timeout = PollTimeout::try_from(longest).unwrap_or(PollTimeout::ZERO);
+    match poll(&mut terminal, timeout) {
+        // A signal, as that of a change of size, ends the wait.
+        Ok(_) | Err(Errno::EINTR) => {}
+        Err(error) => return Err(error.into()),
+    }
+    let gone = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
+    Ok(terminal[0]
+        .revents()
+        .is_some_and(|seen| seen.intersects(gone)))
+}
+
 fn run(owned: &mut Owned, options: &ShowOptions) -> io::Result<Exit> {
     let mut model = Model::new(options.workflow.as_ref().map(ProgressCell::latest));
     let mut changed = true;
@@ -95,9 +114,11 @@ fn run(owned: &mut Owned, options: &ShowOptions) -> io::Result<Exit> {
         if std::mem::take(&mut changed) {
             owned.terminal.draw(|frame| view(&model, frame))?;
         }
-        let mut wait = FRAME;
-        while event::poll(wait)? {
-            wait = Duration::ZERO;
+        // Asked of the terminal itself first: crossterm reads one that is gone for ever.
+        if is_gone(FRAME)? {
+            return Err(io::Error::other("the terminal is gone"));
+        }
+        while event::poll(Duration::ZERO)? {
             changed = true;
             // Everything else, as a change of size, only needs a new frame.
             if let TerminalEvent::Key(key) = event::read()?

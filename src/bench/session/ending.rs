@@ -44,7 +44,12 @@ impl Session {
     }
 
     pub(super) fn finish(&mut self, confirmed: bool, now_s: f64, actions: &mut Vec<Action>) {
-        let outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        let mut outcome = self.ending.take().unwrap_or(Outcome::Stopped);
+        if !confirmed && outcome == Outcome::Done {
+            outcome = Outcome::LinkLost {
+                reason: "the drive did not confirm that its output is off".to_owned(),
+            };
+        }
         let phase = match &outcome {
             Outcome::Done => Phase::Done,
             Outcome::Stopped | Outcome::Interrupted | Outcome::NotStarted { .. } => Phase::Stopped,

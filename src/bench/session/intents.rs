@@ -116,6 +116,10 @@ impl Session {
                 self.stop_now(now_s, actions);
             }
             Phase::Armed | Phase::Running => self.end(outcome, now_s, actions),
+            // The program is over and the output going to zero: whoever asks to stop now must not see a next run begin.
+            Phase::Stopping if matches!(self.ending, Some(Outcome::Done)) => {
+                self.ending = Some(outcome);
+            }
             _ => {}
         }
     }

@@ -10,7 +10,8 @@ use crate::plant::ModelFile;
 
 pub(super) fn model(path: &Path, mut file: ModelFile, answer: &Answer) -> Result<(), Failure> {
     model_output::refuse_existing(path)?;
-    let parameters = answer.parameters();
+    let mut parameters = answer.parameters();
+    parameters.retain(super::is_told);
     // Onto the given model: what was not observable stays as it was given, or is left out.
     file.model = Identified::new("", &file.model, parameters.clone()).model;
     file.history.fitted_on = answer

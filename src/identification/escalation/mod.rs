@@ -48,6 +48,8 @@ const FIRST_VOLTAGE: f64 = 0.003;
 const GROWTH: f64 = 3.0;
 /// Current below this share of the rated one counts as none, if it is also within the noise.
 const NO_CURRENT: f64 = 0.01;
+/// Standard deviations of the noise above which the largest of some hundred samples is a current.
+const FLOWS_NOISE: f64 = 6.0;
 /// Least resistance that a motor can have, in rated voltages over rated currents: half a per cent of the rated power
 /// in the winding. Used only until the data say more.
 const LEAST_RESISTANCE: f64 = 0.005;
@@ -236,7 +238,10 @@ impl Escalation {
         let shows = seen.peak_current_a.abs() >= 0.8 * FEEL_CURRENT * rated_a;
         let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
         let line = format!("at rest, {}", seen.text());
-        if shows || (self.last_v >= safe_v * 0.999 && self.rest.is_some()) {
+        // Beyond the safe voltage only on a current that noise does not make.
+        let flows =
+            seen.peak_current_a.abs() > (NO_CURRENT * rated_a).max(FLOWS_NOISE * seen.noise_a);
+        if shows && flows || (self.last_v >= safe_v * 0.999 && self.rest.is_some() && flows) {
             return (self.break_away(), line);
         }
         if self.last_v >= safe_v * 0.999 {

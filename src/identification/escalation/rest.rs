@@ -14,7 +14,9 @@ const LONGEST_S: f64 = 0.2;
 const STEPS: u32 = 45;
 /// Samples and significance below which nothing is claimed.
 const FEWEST: usize = 15;
-const SIGNIFICANCE: f64 = 4.0;
+const SIGNIFICANCE: f64 = 5.0;
+/// Rows of the standstill that the offset of the current is at least the mean of.
+const OFFSET_ROWS: usize = 30;
 
 /// Resistance of a winding at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -73,7 +75,10 @@ pub(super) fn at_rest(scenario: &Scenario, seen: &Seen) -> Option<RestWinding> {
     let best = fits.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
     let degrees = (rows.len() - 2) as f64;
     let noise_a = (best.0 / degrees).sqrt().max(seen.noise_a);
-    let std = noise_a / best.3.sqrt();
+    // The offset is a mean over the rows before the voltage: its error bends every row the same way.
+    let sum: f64 = lagged(scenario, &rows, best.1).iter().sum();
+    let offset = noise_a / (OFFSET_ROWS as f64).sqrt() * sum / best.3;
+    let std = (noise_a / best.3.sqrt()).hypot(offset);
     let conductance = best.2;
     if conductance < SIGNIFICANCE * std {
         return None;

@@ -17,6 +17,8 @@ use crate::numerics::recursive_least_squares::RecursiveLeastSquares;
 use crate::plant::{Motor, MotorKey};
 
 const LONGEST_BLOCK_S: f64 = 0.01;
+/// A voltage this small is what a start without a bump leaves behind, V; it counts as none.
+const NEARLY_ZERO_V: f64 = 0.05;
 /// Voltage events that are kept while no sample comes that could use them.
 const MOST_EVENTS: usize = 4096;
 /// A longer gap between samples ends the block.
@@ -171,7 +173,7 @@ impl Scheme3 {
         if !(time_s.is_finite() && voltage_v.is_finite()) {
             return;
         }
-        self.energised |= voltage_v != 0.0;
+        self.energised |= voltage_v.abs() > NEARLY_ZERO_V;
         if self.voltage.len() >= MOST_EVENTS {
             // Commands without a usable sample: they are pruned with the blocks, and there are none.
             self.voltage.drain(..MOST_EVENTS / 2);
@@ -331,7 +333,7 @@ impl Scheme3 {
         let least = (CURRENT_NOISE * noise).max(CURRENT_SHARE * self.largest_current_a);
         self.voltage[held.saturating_sub(1)..]
             .iter()
-            .all(|event| event.1 == 0.0)
+            .all(|event| event.1.abs() <= NEARLY_ZERO_V)
             && self
                 .readings
                 .iter()

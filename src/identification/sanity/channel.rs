@@ -18,6 +18,8 @@ const STEEP: f64 = 0.03;
 const CLIPPED: f64 = 0.01;
 /// Share of the largest voltage from which its direction counts.
 const CLEARLY: f64 = 0.2;
+/// Share of the largest value below which a signal has come through zero.
+const THROUGH_ZERO: f64 = 0.1;
 /// Share of the largest value that a signal may be negative by, through noise or offset.
 const NEARLY_NONE: f64 = 0.05;
 
@@ -208,6 +210,16 @@ fn clipped(key: &str, values: &[f64], activity: &Activity) -> Option<Finding> {
 fn unsigned(table: &Table, key: &str, activity: &Activity, values: &[f64]) -> Option<Finding> {
     let voltage = Activity::of(&table.voltage_v);
     if !voltage.is_there() || activity.least < -NEARLY_NONE * activity.most {
+        return None;
+    }
+    // A heavy shaft need not follow a short reversal; one that did came through zero.
+    let astern_least = table
+        .voltage_v
+        .iter()
+        .zip(values)
+        .filter(|(u, x)| **u < -CLEARLY * voltage.largest() && x.is_finite())
+        .fold(f64::INFINITY, |least, (_, x)| least.min(x.abs()));
+    if astern_least > THROUGH_ZERO * activity.largest() {
         return None;
     }
     // Power of the signal where the voltage is clearly of one direction.

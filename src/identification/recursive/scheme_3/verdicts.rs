@@ -7,6 +7,8 @@ use crate::sample::{ParameterEstimate, Verdict};
 
 /// Share of the prior variance above which a parameter counts as not excited.
 const IGNORANT: f64 = 0.3;
+/// Root mean square of the normalised innovation over the last rows above which nothing is settled.
+const LARGEST_MISFIT: f64 = 3.0;
 /// Relative standard deviation of the resistance from which on that estimate is trusted.
 const CERTAIN_RATIO: f64 = 0.01;
 
@@ -58,7 +60,23 @@ impl Scheme3 {
             self.period_s,
             [0.0; 2],
         ));
+        if let Some(times) = self.misfit() {
+            for parameter in out.iter_mut().filter(|p| p.verdict == Verdict::Settled) {
+                parameter.verdict = Verdict::Searching;
+                parameter.reason = Some(format!(
+                    "the measured current misses the prediction by {times:.1} times its noise: \
+                     an effect is missing, a signal is wrong, or the estimate went astray"
+                ));
+            }
+        }
         out
+    }
+
+    /// How many times its noise the current misses the prediction by, where that is no chance.
+    fn misfit(&self) -> Option<f64> {
+        self.current_noise_a()?;
+        let times = self.best()?.misfit().sqrt();
+        (times > LARGEST_MISFIT).then_some(times)
     }
 
     /// Why the integral of the current between samples is not known yet, once the shaft has moved.

@@ -1,0 +1,72 @@
+//! A run that has been recorded: its result file, and what ended it early.
+
+use serde::Serialize;
+
+use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
+use crate::bench::{OnlineResult, Outcome, RunSummary};
+use crate::recording::{RunFile, RunFolder};
+
+/// A run that was recorded, to its end or not.
+pub(super) struct Recorded {
+    pub(super) folder: RunFolder,
+    pub(super) summary: RunSummary,
+    /// What the on-line estimators said at the end; `replay` compares itself with it.
+    pub(super) online: OnlineResult,
+}
+
+/// `result.json`: what a command has to say, and what the live estimators said.
+#[derive(Serialize)]
+struct KeptResult<'a, T> {
+    #[serde(flatten)]
+    result: &'a T,
+    online: &'a OnlineResult,
+}
+
+impl Recorded {
+    /// Writes `result.json`.
+    pub(super) fn write_result<T: Serialize>(&self, result: &T) -> Result<(), Failure> {
+        let kept = KeptResult {
+            result,
+            online: &self.online,
+        };
+        let text = serde_json::to_string_pretty(&kept).map_err(|error| {
+            Failure::new(INTERNAL, format!("the result has no JSON form: {error}"))
+        })?;
+        self.folder.write(RunFile::Result, &text)?;
+        Ok(())
+    }
+
+    /// The failure that ended the run early, if any.
+    pub(super) fn failure(&self) -> Option<Failure> {
+        let kept = format!("the record is kept in {}", self.folder.path().display());
+        match &self.summary.outcome {
+            Outcome::Done => self.summary.stop_error.as_ref().map(|error| {
+                Failure::with_help(
+                    LINK,
+                    format!("the last stop did not reach the drive: {error}"),
+                    kept,
+                )
+            }),
+            Outcome::Stopped | Outcome::Interrupted => Some(Failure::with_help(
+                INTERRUPTED,
+                "stopped before the end of the sequence",
+                kept,
+            )),
+            Outcome::Tripped(trip) => Some(Failure::with_help(
+                TRIP,
+                format!("safety trip: {}", trip.reason),
+                kept,
+            )),
+            Outcome::NotStarted { reason } => Some(Failure::with_help(
+                LINK,
+                format!("not started: {reason}"),
+                kept,
+            )),
+            Outcome::LinkLost { reason } => Some(Failure::with_help(
+                LINK,
+                format!("link lost: {reason}"),
+                kept,
+            )),
+        }
+    }
+}
