@@ -476,7 +476,15 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
     let refused = lab.run(&BenchFile::default()).expect(3);
     assert!(refused.error().contains("fault"), "{}", refused.stderr);
     assert!(!lab.out().exists());
-    wait_for("the reset", || reset_fault(&lab.port));
+    // Each session has a line of its own behind the same path: the next host must not open the one that is going away.
+    let mut line_of_reset = None;
+    wait_for("the reset", || {
+        line_of_reset = fs::read_link(&lab.port).ok();
+        reset_fault(&lab.port)
+    });
+    wait_for("a fresh line", || {
+        (fs::read_link(&lab.port).ok() != line_of_reset).then_some(())
+    });
     lab.run(&BenchFile::default()).expect(0);
 }
 
