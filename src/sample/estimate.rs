@@ -38,8 +38,7 @@ pub struct ParameterEstimate {
     /// `inertia_kg_m2`, or `stribeck_friction.stribeck_n_m` for a parameter of an effect.
     pub key: String,
     pub value: Option<f64>,
-    /// Standard deviation, same unit. The 95 % interval is the value and 1.96 of these on either side; an estimator with
-    /// few degrees of freedom has widened it by Student's t over 1.96.
+    /// Standard deviation, same unit. The 95 % interval is the value and 1.96 of these on either side.
     pub std: Option<f64>,
     pub unit: &'static str,
     pub verdict: Verdict,
