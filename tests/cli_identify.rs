@@ -128,6 +128,22 @@ fn a_nameplate_that_does_not_fit_is_told_with_both_numbers() {
 }
 
 #[test]
+fn a_load_trace_never_overwrites_a_record() {
+    let run = run_with(0.0045, 9);
+    let samples = run.join("samples.csv");
+    let model = run.join("model.toml");
+    let before = std::fs::read(&samples).expect("a record");
+    let text = "identify {} --model {} --load-torque {}";
+    let done = drivebench(line(text, &[&samples, &model, &samples])).expect(2);
+    assert!(
+        done.error().contains("never overwritten"),
+        "{}",
+        done.error()
+    );
+    assert_eq!(std::fs::read(&samples).expect("a record"), before);
+}
+
+#[test]
 fn wrong_options_are_named_with_what_is_allowed() {
     for (options, phrase) in [
         ("--gear-ratio 0", "0.001 to 100000"),

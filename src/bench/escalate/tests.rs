@@ -411,26 +411,14 @@ fn fault_of(seed: u64) -> Option<String> {
 #[test]
 fn random_motors_are_found_without_a_trip_and_below_every_limit() {
     use rayon::prelude::*;
-    let faults: Vec<String> = (0..40_u64).into_par_iter().filter_map(fault_of).collect();
-    assert!(faults.is_empty(), "{}", faults.join("\n"));
-}
-
-/// The whole property: minutes in the development profile.
-#[test]
-#[ignore = "minutes; cargo test --release -- --ignored random_motors_by"]
-fn random_motors_by_the_hundred() {
-    use rayon::prelude::*;
-    let count: u64 = std::env::var("COUNT")
-        .ok()
-        .and_then(|n| n.parse().ok())
-        .unwrap_or(300);
-    let faults: Vec<String> = (100..100 + count)
-        .into_par_iter()
-        .filter_map(fault_of)
-        .collect();
-    for fault in &faults {
-        println!("{fault}");
-    }
-    println!("{} of {count} random motors failed", faults.len());
-    assert!(faults.is_empty());
+    // Forty in every run of the tests; COUNT=3000 takes a minute with optimisation.
+    let asked = std::env::var("COUNT").ok().and_then(|n| n.parse().ok());
+    let count: u64 = asked.unwrap_or(40);
+    let faults: Vec<String> = (0..count).into_par_iter().filter_map(fault_of).collect();
+    assert!(
+        faults.is_empty(),
+        "{} of {count} random motors:\n{}",
+        faults.len(),
+        faults.join("\n")
+    );
 }

@@ -220,6 +220,25 @@ fn a_stop_that_the_drive_does_not_confirm_is_repeated_and_said() {
         action,
         Action::Notice(notice) if notice.text.contains("NOT confirmed")
     )));
+    // The program was over, but nobody knows that the output is off: no success.
+    assert!(
+        matches!(bench.outcome(), Some(Outcome::LinkLost { .. })),
+        "{:?}",
+        bench.outcome()
+    );
+}
+
+#[test]
+fn a_stop_asked_for_while_the_output_goes_off_is_not_forgotten() {
+    let drive = ScriptedDrive::new(PERIOD_S).with(60, u64::MAX, Fault::IgnoresStop);
+    let mut bench = Bench::new(drive).start();
+    while bench.session.phase() != Phase::Stopping {
+        assert!(bench.outcome().is_none(), "it ended before it stopped");
+        bench.cycles(1);
+    }
+    bench.feed(Input::Intent(Intent::Quit));
+    bench.cycles(400);
+    assert_eq!(bench.outcome(), Some(&Outcome::Interrupted));
 }
 
 #[test]

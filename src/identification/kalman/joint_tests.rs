@@ -28,24 +28,12 @@ struct Statistics {
     missing: u32,
 }
 
-fn statistics(
-    record: &Record,
-    noise: [f64; 2],
-    truth: &Truth,
-    seeds: u64,
-    online: bool,
-) -> Statistics {
+fn statistics(record: &Record, noise: [f64; 2], truth: &Truth, seeds: u64) -> Statistics {
     let rows: Vec<[[f64; 2]; 5]> = (0..seeds)
         .into_par_iter()
         .filter_map(|seed| {
             let run = record.run(noise, seed);
-            let found = if online {
-                let mut kalman = Kalman::new(&unknown());
-                run.samples().for_each(|sample| kalman.push(&sample));
-                kalman
-            } else {
-                identify(&unknown(), &run)
-            };
+            let found = identify(&unknown(), &run);
             let estimates = found.estimates();
             let mut row = [[0.0; 2]; 5];
             for k in 0..5 {
@@ -92,29 +80,6 @@ fn cases() -> Vec<(&'static str, Truth, f64, f64, f64)> {
 }
 
 #[test]
-#[ignore = "prints the table of coverage; minutes"]
-fn table_of_coverage() {
-    let seeds = 200;
-    for (name, truth, scale, hold_s, period_s) in cases() {
-        let seconds = if period_s < 0.001 { 2.5 } else { 6.0 };
-        let model = Model::baseline(motor(&truth));
-        let events = steps(seconds, scale, hold_s);
-        let noise = [CURRENT_NOISE_A, SPEED_NOISE_RAD_S];
-        let regular = Record::of(&model, events.clone(), every(period_s, seconds));
-        let jitter = Record::of(&model, events, jittered(period_s, seconds, 5));
-        print(name, &statistics(&regular, noise, &truth, seeds, false));
-        print(
-            &format!("{name} jitter"),
-            &statistics(&jitter, noise, &truth, seeds, false),
-        );
-        print(
-            &format!("{name} on line"),
-            &statistics(&regular, noise, &truth, seeds, true),
-        );
-    }
-}
-
-#[test]
 fn without_noise_every_parameter_is_found() {
     for (name, truth, scale, hold_s, period_s) in cases() {
         let seconds = 4.0;
@@ -140,7 +105,7 @@ fn intervals_cover_on_three_motors_at_regular_and_jittered_stamps() {
         let noise = [CURRENT_NOISE_A, SPEED_NOISE_RAD_S];
         let stamps = jittered(period_s, seconds, 5);
         let record = Record::of(&model, steps(seconds, scale, hold_s), stamps);
-        let found = statistics(&record, noise, &truth, 60, false);
+        let found = statistics(&record, noise, &truth, 60);
         print(name, &found);
         assert_eq!(found.missing, 0);
         assert!(found.covered.iter().all(|share| *share >= 0.83), "{name}");
