@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::failure::{Failure, USAGE};
 use super::output;
 use crate::config_text::help_for_unknown;
-use crate::plant::{Balance, Effect, effect};
+use crate::plant::{Effect, Enters, effect};
 
 /// List the physical effects the program can name, or show one effect's card
 #[derive(clap::Args)]
@@ -54,16 +54,18 @@ fn card_json(effect: &dyn Effect) -> Value {
         .map(|spec| json!({"key": spec.key, "unit": spec.unit}))
         .collect();
     json!({
-        "id": card.id, "name": card.name, "balance": balance(card.balance), "equation": card.equation,
+        "id": card.id, "name": card.name, "enters": enters(card.enters), "equation": card.equation,
         "causes": card.causes, "looks_like": card.looks_like, "excite": card.excite, "remedy": card.remedy,
         "parameters": parameters,
     })
 }
 
-const fn balance(balance: Balance) -> &'static str {
-    match balance {
-        Balance::Voltage => "voltage",
-        Balance::Torque => "torque",
+const fn enters(enters: Enters) -> &'static str {
+    match enters {
+        Enters::Voltage => "voltage",
+        Enters::Torque => "torque",
+        Enters::Both => "both",
+        Enters::Path => "path",
     }
 }
 
@@ -73,9 +75,9 @@ fn list_text(effects: &[&'static dyn Effect]) -> String {
         let card = effect.card();
         let _ = writeln!(
             text,
-            "{:<20} {:<8} {}",
+            "{:<24} {:<8} {}",
             card.id,
-            balance(card.balance),
+            enters(card.enters),
             card.equation
         );
     }
@@ -87,7 +89,7 @@ fn card_text(effect: &dyn Effect) -> String {
     let mut text = format!("{} ({})\n\n", card.name, card.id);
     for (title, body) in [
         ("equation", card.equation),
-        ("enters", balance(card.balance)),
+        ("enters", enters(card.enters)),
         ("causes", card.causes),
         ("looks like", card.looks_like),
         ("excite it", card.excite),

@@ -384,7 +384,11 @@ fn unknowns(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<Unknow
     let motor = keys.iter().map(|key| Slot::Motor(*key));
     let effects = model.slots().into_iter().filter(|slot| match slot {
         Slot::Effect { index, spec, .. } => {
-            let enters = model.effects[*index].effect.card().balance == equation;
+            let enters = model.effects[*index]
+                .effect
+                .card()
+                .enters
+                .includes(equation);
             enters
                 && spec.is_coefficient()
                 && (equation == Balance::Torque || scenario.input == Input::Voltage)
@@ -411,6 +415,7 @@ struct Signals<'a> {
     /// Left-hand side: voltage, or motor torque.
     left: Vec<f64>,
     sign: Vec<f64>,
+    equation: Balance,
     /// Measured angle at the samples; NaN where there is none.
     angle: Vec<f64>,
 }
@@ -439,6 +444,7 @@ impl<'a> Signals<'a> {
         Self {
             model,
             scenario,
+            equation,
             left,
             sign,
             angle: scenario
@@ -476,20 +482,16 @@ impl<'a> Signals<'a> {
         }
         let terms = active.effect.terms(&values);
         let at = Instant {
-            time_s: self.scenario.sample_time_s[sample],
+            time_s: self.scenario.sample_time_s[sample] - self.scenario.begin_s(),
             voltage_v: self.left[sample],
             current_a: self.scenario.current_a[sample],
             speed_rad_s: self.scenario.speed_rad_s[sample],
             angle_rad: self.angle[sample],
+            ..Instant::of(&self.model.motor)
         };
         let own = vec![0.0; terms.states()];
-        let resistance = self
-            .model
-            .motor
-            .get(MotorKey::Resistance)
-            .unwrap_or(f64::NAN);
-        match active.effect.card().balance {
-            Balance::Voltage => terms.voltage_v(&at, &own, resistance),
+        match self.equation {
+            Balance::Voltage => terms.voltage_v(&at, &own),
             Balance::Torque => {
                 terms.torque_n_m(&at, &own) + self.sign[sample] * terms.friction_n_m(&at)
             }

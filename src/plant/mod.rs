@@ -20,7 +20,10 @@ mod simulate;
 pub(crate) mod testing;
 mod typical_size;
 
-pub use effect::{Balance, Card, Effect, Instant, ParameterSpec, Sums, Terms};
+pub use effect::{
+    Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path, Sums,
+    Terms,
+};
 pub use model::{ActiveEffect, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::effect::{self, Effect, ParameterSpec};
+use super::effect::{self, Effect, ParameterRole, ParameterSpec};
 use super::motor::{Motor, MotorKey};
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -110,6 +110,11 @@ impl Slot {
         }
     }
 
+    /// Whether it is an effect's parameter that is found in this way.
+    pub fn has_role(&self, role: ParameterRole) -> bool {
+        matches!(self, Self::Effect { spec, .. } if spec.role == role)
+    }
+
     pub const fn unit(&self) -> &'static str {
         match self {
             Self::Motor(key) => key.unit(),
@@ -158,12 +163,13 @@ impl Model {
     }
 
     /// Slots that a fit may change. A given torque constant is never fitted: the torque balance fixes only the ratios
-    /// of torque constant, inertia and load (DISCOVERY.md 2.2).
+    /// of torque constant, inertia and load (DISCOVERY.md 2.2). Neither is what is chosen from a grid.
     pub fn free_slots(&self) -> Vec<Slot> {
         let mut slots = self.slots();
         slots.retain(|slot| {
             !self.fixed.contains(&slot.key())
                 && !matches!(slot, Slot::Motor(MotorKey::TorqueConstant))
+                && !slot.has_role(ParameterRole::Choice)
         });
         slots
     }

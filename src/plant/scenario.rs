@@ -1,5 +1,6 @@
 //! What a simulation needs of a run: the input as applied, the instants at which something was measured, the angle.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use thiserror::Error;
@@ -153,6 +154,38 @@ impl Scenario {
             }),
             None => Ok(()),
         }
+    }
+
+    /// When the first input came: the simulation starts there.
+    pub fn begin_s(&self) -> f64 {
+        self.events[0].0
+    }
+
+    /// Input that holds at `time_s`.
+    pub fn input_at(&self, time_s: f64) -> f64 {
+        let next = self.events.partition_point(|event| event.0 <= time_s);
+        self.events[next.saturating_sub(1)].1
+    }
+
+    /// Angle of the shaft `(time, angle)`: the measured one, else the integral of the measured speed, which starts
+    /// anywhere and drifts. Never the simulated one, whose phase is lost within seconds (DISCOVERY.md 2.1).
+    pub fn shaft_angle(&self) -> Cow<'_, [(f64, f64)]> {
+        if !self.angle.is_empty() {
+            return Cow::Borrowed(&self.angle);
+        }
+        let mut points: Vec<(f64, f64)> = Vec::with_capacity(self.samples());
+        let (mut angle_rad, mut last) = (0.0, None);
+        for (&time_s, &speed_rad_s) in self.sample_time_s.iter().zip(&self.speed_rad_s) {
+            if !speed_rad_s.is_finite() {
+                continue;
+            }
+            if let Some((before_s, before_rad_s)) = last {
+                angle_rad += 0.5 * (speed_rad_s + before_rad_s) * (time_s - before_s);
+            }
+            points.push((time_s, angle_rad));
+            last = Some((time_s, speed_rad_s));
+        }
+        Cow::Owned(points)
     }
 
     pub fn samples(&self) -> usize {

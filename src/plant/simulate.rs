@@ -8,12 +8,17 @@
 //! a sub-step (exponential midpoint rule, second order), so that a stiff armature circuit needs no small steps.
 
 mod angle_track;
+mod commands;
 mod equations;
+mod sensors;
 mod state;
 mod steps;
 
+use std::borrow::Cow;
+
 use angle_track::AngleTrack;
 use equations::Equations;
+use sensors::{Reading, Sensors};
 use state::Mode;
 pub use state::State;
 use steps::Steps;
@@ -42,6 +47,18 @@ pub struct Plant {
     moving: Steps,
     /// While stuck: the current alone.
     stuck: Steps,
+    /// Where something lies between the motion and its measurement.
+    sensors: Option<Sensors>,
+    /// Start of the run that is being simulated, s.
+    begin_s: f64,
+}
+
+fn reading(time_s: f64, state: &State) -> Reading {
+    Reading {
+        time_s,
+        current_a: state.current_a,
+        speed_rad_s: state.speed_rad_s,
+    }
 }
 
 impl Plant {
@@ -58,6 +75,8 @@ impl Plant {
             },
             moving: Steps::new(&equations.a, !linear),
             stuck: Steps::new(&still, !linear),
+            sensors: None,
+            begin_s: 0.0,
             equations,
         })
     }
@@ -98,36 +117,44 @@ impl Plant {
         self.stuck.clear();
         let mut state = start;
         let mut event = 0;
-        let mut now_s = scenario.events[0].0;
-        let mut angle = AngleTrack::new(&scenario.angle);
+        let events = commands::applied(&scenario.events, &self.equations.path);
+        self.begin_s = scenario.begin_s();
+        let mut now_s = self.begin_s;
+        let angles = if self.equations.needs_angle {
+            scenario.shaft_angle()
+        } else {
+            Cow::Borrowed(&[][..])
+        };
+        let mut angle = AngleTrack::new(&angles);
+        self.sensors = (!self.equations.path.measures_directly())
+            .then(|| Sensors::new(self.equations.path, reading(now_s, &state)));
         for (sample, &sample_s) in scenario.sample_time_s.iter().enumerate() {
             while now_s < sample_s {
-                while event + 1 < scenario.events.len() && scenario.events[event + 1].0 <= now_s {
+                while event + 1 < events.len() && events[event + 1].0 <= now_s {
                     event += 1;
                 }
-                let next_s = scenario
-                    .events
+                let next_s = events
                     .get(event + 1)
                     .map_or(sample_s, |next| next.0.min(sample_s));
                 self.advance(
                     &mut state,
                     now_s,
                     next_s - now_s,
-                    scenario.events[event].1,
+                    events[event].1,
                     &mut angle,
                 );
                 now_s = next_s;
             }
             if self.equations.input != Input::Voltage {
-                let held = scenario
-                    .events
-                    .partition_point(|(time, _)| *time <= sample_s)
-                    .max(1)
-                    - 1;
-                state.current_a = scenario.events[held].1;
+                let held = events.partition_point(|(time, _)| *time <= sample_s).max(1) - 1;
+                state.current_a = events[held].1;
             }
-            out.current_a.push(state.current_a);
-            out.speed_rad_s.push(state.speed_rad_s);
+            let (current_a, speed_rad_s) = self
+                .sensors
+                .as_ref()
+                .map_or((state.current_a, state.speed_rad_s), Sensors::read);
+            out.current_a.push(current_a);
+            out.speed_rad_s.push(speed_rad_s);
             if horizon.is_some_and(|horizon| sample % horizon == 0) {
                 state.anchor(scenario.current_a[sample], scenario.speed_rad_s[sample]);
             }
@@ -163,13 +190,16 @@ impl Plant {
                 state.angle_rad = measured;
             }
             let at = Instant {
-                time_s: begin_s,
+                time_s: begin_s - self.begin_s,
                 voltage_v: input,
                 ..Instant::default()
             };
             self.sub_step(state, at, h);
             if angle.is_empty() {
                 state.angle_rad += state.speed_rad_s * h;
+            }
+            if let Some(sensors) = &mut self.sensors {
+                sensors.follow(reading(begin_s + h, state));
             }
         }
     }

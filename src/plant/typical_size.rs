@@ -1,6 +1,6 @@
 //! How large an effect would have to be to matter in a run: where fits start and in which unit they step.
 
-use super::effect::{Balance, Effect, Instant};
+use super::effect::{Effect, Instant};
 use super::model::Model;
 use super::scenario::{Input, Scenario};
 
@@ -26,7 +26,8 @@ pub fn typical_size(
         .enumerate()
         .map(
             |(index, spec)| match (spec.is_coefficient(), index == parameter) {
-                (true, true) => 1.0,
+                // Nearly proportional there; a large size may saturate.
+                (true, true) => spec.scale,
                 (true, false) => 0.0,
                 (false, _) => spec.guess(),
             },
@@ -41,34 +42,37 @@ pub fn typical_size(
     let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
     // States of effects gather what the current leaves behind: by the end of the run as much as this.
     let own = vec![mean_square * duration_s; terms.states()];
-    let resistance = model.motor.get(super::MotorKey::Resistance).unwrap_or(1.0);
     let stride = times.len().div_ceil(LOOKS);
-    let balance = effect.card().balance;
-    let reached = (0..times.len()).step_by(stride).fold(0.0, |most, sample| {
-        let at = Instant {
-            time_s: times[sample],
-            current_a: scenario.current_a[sample],
-            speed_rad_s: scenario.speed_rad_s[sample],
-            ..Instant::default()
-        };
-        let here = match balance {
-            Balance::Voltage => terms.voltage_v(&at, &own, resistance).abs(),
-            Balance::Torque => terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs(),
-        };
-        // A comparison that drops NaN, as of a sample without a speed.
-        f64::max(most, here)
-    });
     let largest_input = events
         .iter()
         .fold(0.0, |most, event| f64::max(most, event.1.abs()));
     let largest_current = currents.iter().fold(0.0, |most, i| f64::max(most, i.abs()));
-    let level = match (balance, scenario.input) {
-        (Balance::Voltage, _) | (Balance::Torque, Input::Torque) => largest_input,
-        (Balance::Torque, Input::Voltage | Input::Current) => {
+    let largest_torque = match scenario.input {
+        Input::Torque => largest_input,
+        Input::Voltage | Input::Current => {
             model.motor.torque_constant().unwrap_or(1.0) * largest_current
         }
     };
-    let size = SHARE * level / reached;
+    let reached = (0..times.len())
+        .step_by(stride)
+        .fold(0.0_f64, |most, sample| {
+            let at = Instant {
+                time_s: times[sample] - scenario.begin_s(),
+                current_a: scenario.current_a[sample],
+                speed_rad_s: scenario.speed_rad_s[sample],
+                voltage_v: scenario.input_at(times[sample]),
+                // Any angles will do, as long as they are many.
+                angle_rad: sample as f64,
+                ..Instant::of(&model.motor)
+            };
+            let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
+            let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();
+            // Comparisons that drop NaN, as of a sample without a speed.
+            most.max(voltage)
+                .max(torque / largest_torque)
+                .max(terms.current_rate_gain(&at).abs())
+        });
+    let size = SHARE * specs[parameter].scale / reached;
     if size.is_finite() && size > 0.0 {
         size
     } else {

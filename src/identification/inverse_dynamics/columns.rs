@@ -131,7 +131,6 @@ impl Signals<'_> {
         }
         let terms = active.effect.terms(&values);
         let own = vec![0.0; terms.states()];
-        let resistance = self.model.motor.get(MotorKey::Resistance);
         (0..self.speed.len())
             .map(|k| {
                 let at = Instant {
@@ -144,9 +143,10 @@ impl Signals<'_> {
                     current_a: self.current[k],
                     speed_rad_s: self.speed[k],
                     angle_rad: self.part.angle_rad[k],
+                    ..Instant::of(&self.model.motor)
                 };
                 match self.equation {
-                    Balance::Voltage => terms.voltage_v(&at, &own, resistance.unwrap_or(f64::NAN)),
+                    Balance::Voltage => terms.voltage_v(&at, &own),
                     Balance::Torque => {
                         terms.torque_n_m(&at, &own)
                             + self.speed[k].signum() * terms.friction_n_m(&at)

@@ -139,7 +139,11 @@ fn unknowns(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<(Slot,
     };
     let effects = model.slots().into_iter().filter(|slot| match slot {
         Slot::Effect { index, spec, .. } => {
-            let enters = model.effects[*index].effect.card().balance == equation;
+            let enters = model.effects[*index]
+                .effect
+                .card()
+                .enters
+                .includes(equation);
             let driven = equation == Balance::Torque || scenario.input == Input::Voltage;
             enters && spec.is_coefficient() && driven
         }

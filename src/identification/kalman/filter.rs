@@ -326,7 +326,10 @@ impl Filter {
             voltage_v: self.voltage.at(self.now_s).unwrap_or(0.0),
             current_a: self.belief.x[I],
             speed_rad_s: self.belief.x[W],
-            angle_rad: 0.0,
+            resistance_ohm: physics.r,
+            back_emf_v_s_per_rad: physics.ke,
+            torque_n_m_per_a: physics.kt,
+            ..Instant::default()
         };
         let offsets = self.effects.linearise(&mut physics, &at, s);
         let x = self.belief.x;
@@ -420,7 +423,10 @@ impl Filter {
             voltage_v: 0.0,
             current_a: x[I],
             speed_rad_s: x[W],
-            angle_rad: 0.0,
+            resistance_ohm: physics.r,
+            back_emf_v_s_per_rad: physics.ke,
+            torque_n_m_per_a: physics.kt,
+            ..Instant::default()
         };
         let offsets = self.effects.linearise(&mut physics, &at, s);
         let rate = physics.b / physics.j;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::transition::Physics;
-use crate::plant::{Instant, Model, Terms};
+use crate::plant::{Instant, Model, Path, Terms};
 
 /// Effects whose values are known; they are subtracted, not estimated.
 #[derive(Clone, Default)]
@@ -26,13 +26,20 @@ pub(super) struct Offsets {
 
 impl KnownEffects {
     /// The effects of `model` that can be subtracted, and the identifiers of those that cannot: a value is missing, or
-    /// they have a state of their own.
+    /// they are
+    /// more than terms of a balance in current and speed.
     pub(super) fn of(model: &Model) -> (Self, Vec<&'static str>) {
         let (mut known, mut left) = (Vec::new(), Vec::new());
         for active in &model.effects {
             let values: Option<Vec<f64>> = active.values.iter().copied().collect();
             let terms = values.map(|values| active.effect.terms(&values));
-            match terms.filter(|terms| terms.states() == 0) {
+            let simple = |terms: &Box<dyn Terms>| {
+                terms.states() == 0
+                    && terms.path() == Path::default()
+                    && terms.coupling().is_none()
+                    && !active.effect.card().needs_angle
+            };
+            match terms.filter(simple) {
                 Some(terms) => known.push(terms),
                 None => left.push(active.id()),
             }
@@ -66,7 +73,7 @@ impl KnownEffects {
             voltage_v: self
                 .terms
                 .iter()
-                .map(|terms| terms.voltage_v(at, &[], physics.r))
+                .map(|terms| terms.voltage_v(at, &[]))
                 .sum(),
             torque_n_m: here - physics.b * at.speed_rad_s,
         }

@@ -33,6 +33,13 @@ impl Scaling {
                 min: 1e-12,
                 max: 1e9,
             },
+            Slot::Effect { spec, .. } if !spec.is_coefficient() && !spec.logarithmic => {
+                Self::Linear {
+                    scale: spec.scale,
+                    min: spec.min,
+                    max: spec.max,
+                }
+            }
             Slot::Effect { spec, .. } if spec.logarithmic => Self::Logarithm {
                 min: spec.min,
                 max: spec.max,

@@ -14,7 +14,7 @@ mod free_run;
 use thiserror::Error;
 
 use crate::numerics::levenberg_marquardt::{self, Minimum, Options, Problem};
-use crate::plant::{Model, ModelError, Scenario, Slot, State, Trajectory};
+use crate::plant::{Model, ModelError, ParameterRole, Scenario, Slot, State, Trajectory};
 use crate::sample::{ParameterEstimate, Verdict};
 
 pub use covariance::BLOCK_S;
@@ -168,11 +168,15 @@ fn estimates(
         .collect()
 }
 
-/// The model as given on a run: only the initial state is fitted, and only where the run does not start at rest.
+/// The model as given on a run: only the initial state is fitted, and only where the run does not start at rest, and the
+/// times of events, which are another in each run.
 #[derive(Clone, Debug)]
 pub struct Prediction {
     pub trajectory: Trajectory,
     pub start: State,
+    /// The model with its events where they are in this run.
+    pub model: Model,
+    cost: f64,
 }
 
 /// Free run of a complete model over a scenario.
@@ -182,19 +186,56 @@ pub fn predict(
     noise: &NoiseFloor,
 ) -> Result<Prediction, FitError> {
     let mut held = model.clone();
+    let is_event = |slot: &Slot| slot.has_role(ParameterRole::EventTime);
+    let events: Vec<Slot> = held.free_slots().into_iter().filter(is_event).collect();
     held.fixed = held.slots().iter().map(Slot::key).collect();
-    let mut problem = FreeRun::new(&held, scenario, *noise)?.with_free_effect_states()?;
-    let x0 = problem.start();
-    let minimum =
-        levenberg_marquardt::minimise(&mut problem, &x0, Options::default()).ok_or_else(|| {
-            FitError::CannotSimulate {
-                run: scenario.name.clone(),
-            }
-        })?;
-    Ok(Prediction {
-        trajectory: problem.trajectory(&minimum.x)?,
-        start: problem.initial_state(&minimum.x),
+    held.fixed
+        .retain(|key| !events.iter().any(|event| event.key() == *key));
+    let mut best: Option<Prediction> = None;
+    for start in event_starts(&held, &events, scenario) {
+        let mut problem = FreeRun::new(&start, scenario, *noise)?.with_free_effect_states()?;
+        let x0 = problem.start();
+        let Some(minimum) = levenberg_marquardt::minimise(&mut problem, &x0, Options::default())
+        else {
+            continue;
+        };
+        if best.as_ref().is_none_or(|best| minimum.cost < best.cost) {
+            best = Some(Prediction {
+                trajectory: problem.trajectory(&minimum.x)?,
+                start: problem.initial_state(&minimum.x),
+                model: problem.model_at(&minimum.x),
+                cost: minimum.cost,
+            });
+        }
+    }
+    best.ok_or_else(|| FitError::CannotSimulate {
+        run: scenario.name.clone(),
     })
+}
+
+/// The model with every event at every place of its grid: an event of another run stands anywhere in this one, and a
+/// fit finds it only from nearby.
+fn event_starts(model: &Model, events: &[Slot], scenario: &Scenario) -> Vec<Model> {
+    let mut starts = vec![model.clone()];
+    let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
+    for slot in events {
+        let Slot::Effect { spec, .. } = slot else {
+            continue;
+        };
+        starts = starts
+            .iter()
+            .flat_map(|start| {
+                let mut placed: Vec<Model> = vec![start.clone()];
+                for share in spec.shapes {
+                    let mut there = start.clone();
+                    there.set(slot, share * length_s);
+                    placed.push(there);
+                }
+                placed
+            })
+            .collect();
+    }
+    starts
 }
 
 #[cfg(test)]

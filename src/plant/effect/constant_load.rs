@@ -1,4 +1,4 @@
-use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+use super::{Card, Effect, Enters, Instant, ParameterSpec, Terms};
 
 /// Load of one sign, whatever the direction of motion.
 pub(super) struct ConstantLoad;
@@ -10,13 +10,14 @@ impl Effect for ConstantLoad {
         &Card {
             id: "constant_load",
             name: "constant load",
-            balance: Balance::Torque,
+            enters: Enters::Torque,
             equation: "T = T0, whatever the direction",
             causes: "a weight, a spring, belt tension; Coulomb friction that differs by direction (the same equation \
                      while it is below the Coulomb level: they cannot be told apart)",
             looks_like: "torque error of one sign that turns from driving to braking when the direction changes",
             excite: "the same speeds in both directions",
             remedy: "balance the load, or compensate by a constant feed-forward",
+            needs_angle: false,
         }
     }
 

@@ -1,4 +1,4 @@
-use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+use super::{Card, Effect, Enters, Instant, ParameterSpec, Terms};
 
 /// Load of a fan, pump or propeller.
 pub(super) struct QuadraticLoad;
@@ -10,12 +10,13 @@ impl Effect for QuadraticLoad {
         &Card {
             id: "quadratic_load",
             name: "quadratic load",
-            balance: Balance::Torque,
+            enters: Enters::Torque,
             equation: "T = k w |w|",
             causes: "fan, pump, propeller, windage of an open rotor",
             looks_like: "torque error grows with the square of speed, odd in the direction",
             excite: "holds at five or more speeds up to the highest, both directions",
             remedy: "expected where a fan or pump is coupled; compensate by feed-forward k w |w|",
+            needs_angle: false,
         }
     }
 

@@ -1,4 +1,4 @@
-use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+use super::{Card, Effect, Enters, Instant, ParameterSpec, Terms};
 
 /// Extra friction near standstill.
 pub(super) struct StribeckFriction;
@@ -14,12 +14,13 @@ impl Effect for StribeckFriction {
         &Card {
             id: "stribeck_friction",
             name: "Stribeck friction",
-            balance: Balance::Torque,
+            enters: Enters::Torque,
             equation: "T = Ts exp(-(w/ws)^2) sgn(w), added to the Coulomb level, stiction included",
             causes: "boundary lubrication in plain bearings, seals and gears; stiction of a machine that stood still",
             looks_like: "torque error below a few per cent of speed and at reversals; stick-slip when creeping",
             excite: "repeated slow passages through zero speed in both directions",
             remedy: "lubrication, dither or friction feed-forward at low speed",
+            needs_angle: false,
         }
     }
 

@@ -1,4 +1,4 @@
-use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+use super::{Card, Effect, Enters, Instant, ParameterSpec, Terms};
 
 /// Drag proportional to speed.
 pub(super) struct ViscousFriction;
@@ -10,13 +10,14 @@ impl Effect for ViscousFriction {
         &Card {
             id: "viscous_friction",
             name: "viscous friction",
-            balance: Balance::Torque,
+            enters: Enters::Torque,
             equation: "T = B w",
             causes: "grease and seals, churning oil, eddy currents in iron or a brake disc (the same equation: they \
                      cannot be told apart by voltage, current and speed)",
             looks_like: "torque error grows in proportion to speed, odd in the direction",
             excite: "long holds at several speeds over the full range, both directions",
             remedy: "check grease quantity and temperature; compensate by feed-forward B w",
+            needs_angle: false,
         }
     }
 

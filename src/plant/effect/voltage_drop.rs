@@ -1,4 +1,4 @@
-use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+use super::{Card, Effect, Enters, Instant, ParameterSpec, Terms};
 
 /// Drop across brushes or switches: its size hardly depends on the current, its sign does.
 pub(super) struct VoltageDrop;
@@ -13,12 +13,13 @@ impl Effect for VoltageDrop {
         &Card {
             id: "voltage_drop",
             name: "voltage drop",
-            balance: Balance::Voltage,
+            enters: Enters::Voltage,
             equation: "U = Ud sgn(i), smoothed over 0.1 A",
             causes: "brush contact, transistor and diode drops, dead time of the inverter",
             looks_like: "voltage error that jumps when the current changes its sign",
             excite: "current reversals, and small currents as well as large ones",
             remedy: "dead-time compensation in the drive; feed-forward of Ud sgn(i)",
+            needs_angle: false,
         }
     }
 
@@ -33,7 +34,7 @@ impl Effect for VoltageDrop {
 }
 
 impl Terms for Drop {
-    fn voltage_v(&self, at: &Instant, _own: &[f64], _resistance_ohm: f64) -> f64 {
+    fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
         self.0 * (at.current_a / SMOOTHING_A).tanh()
     }
 }

@@ -1,4 +1,4 @@
-use super::{Balance, Card, Effect, Instant, ParameterSpec, Terms};
+use super::{Card, Effect, Enters, Instant, ParameterSpec, Terms};
 
 /// Resistance that rises as the winding takes up its own loss.
 pub(super) struct WindingHeating;
@@ -13,12 +13,13 @@ impl Effect for WindingHeating {
         &Card {
             id: "winding_heating",
             name: "winding heating",
-            balance: Balance::Voltage,
+            enters: Enters::Voltage,
             equation: "U = R g x i, dx/dt = i^2 - x/tau: the resistance rises with the heat x taken up",
             causes: "copper loss: +39 % resistance per 100 K",
             looks_like: "voltage error that drifts over seconds and follows the current",
             excite: "a hard part first, then repeat the first part: hot against cold",
             remedy: "name the temperature with every resistance; let the winding cool between runs",
+            needs_angle: false,
         }
     }
 
@@ -39,8 +40,8 @@ impl Effect for WindingHeating {
 }
 
 impl Terms for Heat {
-    fn voltage_v(&self, at: &Instant, own: &[f64], resistance_ohm: f64) -> f64 {
-        resistance_ohm * self.gain_per_a2_s * own[0] * at.current_a
+    fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
+        at.resistance_ohm * self.gain_per_a2_s * own[0] * at.current_a
     }
 
     fn states(&self) -> usize {

@@ -1,7 +1,7 @@
 //! The right-hand sides: what drives the linear part, and what holds the shaft.
 
 use super::state::{MOST_STATES, Mode, State};
-use crate::plant::effect::{Instant, Sums, Terms};
+use crate::plant::effect::{Coupling, Instant, Path, Sums, Terms};
 use crate::plant::model::{Model, ModelError};
 use crate::plant::motor::MotorKey;
 use crate::plant::propagator::M2;
@@ -9,8 +9,8 @@ use crate::plant::scenario::Input;
 
 /// A model as numbers.
 pub(super) struct Equations {
-    resistance_ohm: f64,
-    torque_constant: f64,
+    /// The motor's constants, in every instant that effects are asked about.
+    motor: Instant,
     inverse_inertia: f64,
     coulomb: f64,
     pub(super) input: Input,
@@ -21,6 +21,9 @@ pub(super) struct Equations {
     /// Each effect with its number of states.
     terms: Vec<(Box<dyn Terms>, usize)>,
     states: usize,
+    pub(super) path: Path,
+    pub(super) coupling: Option<Coupling>,
+    pub(super) needs_angle: bool,
 }
 
 impl Equations {
@@ -31,7 +34,8 @@ impl Equations {
             })
         };
         let inertia = value(MotorKey::Inertia)?;
-        let (resistance_ohm, torque_constant, a, per_volt) = match input {
+        let mut motor = Instant::of(&model.motor);
+        let (torque_constant, a, per_volt) = match input {
             Input::Voltage => {
                 let (r, l, ke) = (
                     value(MotorKey::Resistance)?,
@@ -39,7 +43,7 @@ impl Equations {
                     value(MotorKey::BackEmf)?,
                 );
                 let kt = model.motor.torque_constant().unwrap_or(ke);
-                (r, kt, [[-r / l, -ke / l], [kt / inertia, 0.0]], 1.0 / l)
+                (kt, [[-r / l, -ke / l], [kt / inertia, 0.0]], 1.0 / l)
             }
             Input::Current => {
                 let kt = model
@@ -48,10 +52,11 @@ impl Equations {
                     .ok_or_else(|| ModelError::Unset {
                         key: MotorKey::TorqueConstant.key().to_owned(),
                     })?;
-                (0.0, kt, [[0.0, 0.0], [kt / inertia, 0.0]], 0.0)
+                (kt, [[0.0, 0.0], [kt / inertia, 0.0]], 0.0)
             }
-            Input::Torque => (0.0, 1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
+            Input::Torque => (1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
         };
+        motor.torque_n_m_per_a = torque_constant;
         let terms: Vec<(Box<dyn Terms>, usize)> = model
             .effects
             .iter()
@@ -61,9 +66,19 @@ impl Equations {
                 (terms, states)
             })
             .collect();
+        let each = |terms: &[(Box<dyn Terms>, usize)]| -> Path {
+            terms
+                .iter()
+                .fold(Path::default(), |path, (terms, _)| path.plus(terms.path()))
+        };
         Ok(Self {
-            resistance_ohm,
-            torque_constant,
+            motor,
+            path: each(&terms),
+            coupling: terms.iter().find_map(|(terms, _)| terms.coupling()),
+            needs_angle: model
+                .effects
+                .iter()
+                .any(|active| active.effect.card().needs_angle),
             inverse_inertia: 1.0 / inertia,
             coulomb: value(MotorKey::LoadTorque)?,
             input,
@@ -90,17 +105,18 @@ impl Equations {
         if self.terms.is_empty() {
             return sums;
         }
-        let here = state.instant(at);
+        let here = self.instant(state, at);
         // One effect, the usual case, is not added up: a sum of pairs would wait for the stores of its parts.
         if let [(only, _)] = &self.terms[..] {
-            return only.sums(&here, &state.own, self.resistance_ohm);
+            return only.sums(&here, &state.own);
         }
         let mut own = &state.own[..];
         for (terms, states) in &self.terms {
-            let added = terms.sums(&here, own, self.resistance_ohm);
+            let added = terms.sums(&here, own);
             sums.voltage_v += added.voltage_v;
             sums.torque_n_m += added.torque_n_m;
             sums.friction_n_m += added.friction_n_m;
+            sums.current_rate_gain += added.current_rate_gain;
             own = &own[*states..];
         }
         sums
@@ -117,21 +133,37 @@ impl Equations {
                 -(sums.torque_n_m + moving.sign() * level) * self.inverse_inertia
             }
         };
-        [
-            (at.voltage_v - sums.voltage_v) * self.per_volt,
-            acceleration,
-        ]
+        let mut voltage_v = at.voltage_v - sums.voltage_v;
+        if sums.current_rate_gain != 0.0 {
+            let inductive_v = voltage_v
+                - self.motor.resistance_ohm * state.current_a
+                - self.motor.back_emf_v_s_per_rad * state.speed_rad_s;
+            voltage_v += sums.current_rate_gain * inductive_v;
+        }
+        [voltage_v * self.per_volt, acceleration]
+    }
+
+    /// The instant `at` with what is known here.
+    fn instant(&self, state: &State, at: &Instant) -> Instant {
+        Instant {
+            time_s: at.time_s,
+            voltage_v: at.voltage_v,
+            current_a: state.current_a,
+            speed_rad_s: state.speed_rad_s,
+            angle_rad: state.angle_rad,
+            ..self.motor
+        }
     }
 
     /// Torque that would move the shaft, friction left out.
     pub(super) fn driving_torque(&self, state: &State, at: &Instant) -> f64 {
-        self.torque_constant * state.current_a - self.sums(state, at).torque_n_m
+        self.motor.torque_n_m_per_a * state.current_a - self.sums(state, at).torque_n_m
     }
 
     /// How far friction exceeds the driving torque: negative where a shaft at rest breaks away.
     pub(super) fn hold(&self, state: &State, at: &Instant) -> f64 {
         let sums = self.sums(state, at);
-        let driving = self.torque_constant * state.current_a - sums.torque_n_m;
+        let driving = self.motor.torque_n_m_per_a * state.current_a - sums.torque_n_m;
         (self.coulomb + sums.friction_n_m).max(0.0) - driving.abs()
     }
 
@@ -163,7 +195,7 @@ impl Equations {
         if self.states == 0 {
             return;
         }
-        let here = from.instant(at);
+        let here = self.instant(from, at);
         let mut first = 0;
         for (terms, states) in &self.terms {
             if *states == 0 {

@@ -1,9 +1,7 @@
 //! What a simulation carries from step to step.
 
-use crate::plant::effect::Instant;
-
 /// States that all effects of one model may have together.
-pub(super) const MOST_STATES: usize = 4;
+pub(super) const MOST_STATES: usize = 6;
 
 /// State of motor and effects.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -60,16 +58,6 @@ impl State {
         if speed_rad_s.is_finite() {
             self.speed_rad_s = speed_rad_s;
             self.mode = Mode::Undecided;
-        }
-    }
-
-    /// The instant `at` with what is known here.
-    pub(super) fn instant(&self, at: &Instant) -> Instant {
-        Instant {
-            current_a: self.current_a,
-            speed_rad_s: self.speed_rad_s,
-            angle_rad: self.angle_rad,
-            ..*at
         }
     }
 }

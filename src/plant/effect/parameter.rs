@@ -1,0 +1,140 @@
+//! What is known beforehand about one parameter of an effect.
+
+/// How a parameter is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParameterRole {
+    /// The effect is proportional to it, or nearly: zero is no effect.
+    Coefficient,
+    /// Gives the effect its form: tried on a grid by the screen, then fitted within its bounds.
+    Shape,
+    /// Taken from the grid as it is: the number of cogs is a whole number, and a fit of it would find no way from one
+    /// to the next.
+    Choice,
+    /// When something happened, s after the run's first command. Differs from run to run: found anew in each. The grid
+    /// gives shares of the run's length.
+    EventTime,
+}
+
+/// One parameter of an effect.
+#[derive(Debug)]
+pub struct ParameterSpec {
+    pub key: &'static str,
+    pub unit: &'static str,
+    pub min: f64,
+    pub max: f64,
+    /// A typical size: probe of the score screen and unit of the fit.
+    pub scale: f64,
+    pub role: ParameterRole,
+    /// Fitted as a logarithm (positive parameters without a natural zero) instead of linearly.
+    pub logarithmic: bool,
+    /// Values that the score screen tries; empty for a coefficient.
+    pub shapes: &'static [f64],
+}
+
+impl ParameterSpec {
+    /// A coefficient of either sign: the effect is proportional to it.
+    pub(super) const fn coefficient(
+        key: &'static str,
+        unit: &'static str,
+        max: f64,
+        scale: f64,
+    ) -> Self {
+        Self {
+            key,
+            unit,
+            min: -max,
+            max,
+            scale,
+            role: ParameterRole::Coefficient,
+            logarithmic: false,
+            shapes: &[],
+        }
+    }
+
+    /// A coefficient that physics keeps at zero or above, such as a delay.
+    pub(super) const fn positive(
+        key: &'static str,
+        unit: &'static str,
+        max: f64,
+        scale: f64,
+    ) -> Self {
+        Self {
+            min: 0.0,
+            ..Self::coefficient(key, unit, max, scale)
+        }
+    }
+
+    /// A positive shape parameter within bounds, fitted as a logarithm.
+    pub(super) const fn shape(
+        key: &'static str,
+        unit: &'static str,
+        range: (f64, f64),
+        shapes: &'static [f64],
+    ) -> Self {
+        Self {
+            key,
+            unit,
+            min: range.0,
+            max: range.1,
+            scale: shapes[0],
+            role: ParameterRole::Shape,
+            logarithmic: true,
+            shapes,
+        }
+    }
+
+    /// A shape parameter within bounds that may be zero, fitted in units of `scale`.
+    pub(super) const fn linear_shape(
+        key: &'static str,
+        unit: &'static str,
+        range: (f64, f64),
+        scale: f64,
+        shapes: &'static [f64],
+    ) -> Self {
+        Self {
+            scale,
+            logarithmic: false,
+            ..Self::shape(key, unit, range, shapes)
+        }
+    }
+
+    /// One value out of a grid.
+    pub(super) const fn choice(
+        key: &'static str,
+        unit: &'static str,
+        range: (f64, f64),
+        shapes: &'static [f64],
+    ) -> Self {
+        Self {
+            role: ParameterRole::Choice,
+            ..Self::shape(key, unit, range, shapes)
+        }
+    }
+
+    /// The time of an event, s after the run's first command; `shares` of the run's length are tried.
+    pub(super) const fn event_time(key: &'static str, shares: &'static [f64]) -> Self {
+        Self {
+            key,
+            unit: "s",
+            min: 0.0,
+            max: f64::MAX,
+            scale: 0.1,
+            role: ParameterRole::EventTime,
+            logarithmic: false,
+            shapes: shares,
+        }
+    }
+
+    pub const fn is_coefficient(&self) -> bool {
+        matches!(self.role, ParameterRole::Coefficient)
+    }
+
+    /// Where a fit starts when nothing better is known.
+    pub const fn guess(&self) -> f64 {
+        if self.is_coefficient() {
+            self.scale
+        } else {
+            self.shapes[self.shapes.len() / 2]
+        }
+    }
+}

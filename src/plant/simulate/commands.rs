@@ -1,0 +1,87 @@
+//! The commands as they reach the motor.
+
+use std::borrow::Cow;
+
+use crate::plant::effect::Path;
+
+/// `events` (time, value held from there) later by the command's delay, and zero until the drive has started.
+pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f64, f64)]> {
+    if !path.delays_command() {
+        return Cow::Borrowed(events);
+    }
+    let (begin_s, first) = events[0];
+    // What was held before the first command is not known; the first command stands for it.
+    let mut out = vec![(begin_s, first)];
+    let started_s = events
+        .iter()
+        .find(|event| event.1 != 0.0)
+        .map_or(f64::NEG_INFINITY, |event| event.0 + path.start_delay_s);
+    if path.start_delay_s > 0.0 {
+        out[0].1 = 0.0;
+    }
+    let mut held = first;
+    for &(time_s, value) in events.iter().skip(1) {
+        if path.start_delay_s > 0.0 && time_s > started_s && out.len() == 1 && held != 0.0 {
+            out.push((started_s + path.command_delay_s, held));
+        }
+        held = value;
+        let last = out[out.len() - 1].1;
+        // Repeats of the same value would only cut the simulation into more steps.
+        #[expect(clippy::float_cmp, reason = "a repeat is the same number")]
+        let repeats = value == last;
+        if !repeats && (path.start_delay_s <= 0.0 || time_s >= started_s) {
+            out.push((time_s + path.command_delay_s, value));
+        }
+    }
+    if path.start_delay_s > 0.0 && out.len() == 1 && held != 0.0 {
+        out.push((started_s + path.command_delay_s, held));
+    }
+    Cow::Owned(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EVENTS: [(f64, f64); 6] = [
+        (1.0, 0.0),
+        (1.5, 0.0),
+        (2.0, 5.0),
+        (2.1, 6.0),
+        (2.5, 6.0),
+        (3.0, -5.0),
+    ];
+
+    #[test]
+    fn a_delay_moves_every_change_and_drops_repeats() {
+        let path = Path {
+            command_delay_s: 0.25,
+            ..Path::default()
+        };
+        assert_eq!(
+            *applied(&EVENTS, &path),
+            [(1.0, 0.0), (2.25, 5.0), (2.35, 6.0), (3.25, -5.0)]
+        );
+        assert!(matches!(
+            applied(&EVENTS, &Path::default()),
+            Cow::Borrowed(_)
+        ));
+    }
+
+    #[test]
+    fn a_late_start_swallows_the_first_commands() {
+        let path = |start_delay_s: f64| Path {
+            start_delay_s,
+            ..Path::default()
+        };
+        assert_eq!(
+            *applied(&EVENTS, &path(0.05)),
+            [(1.0, 0.0), (2.05, 5.0), (2.1, 6.0), (3.0, -5.0)]
+        );
+        assert_eq!(
+            *applied(&EVENTS, &path(0.3)),
+            [(1.0, 0.0), (2.3, 6.0), (3.0, -5.0)]
+        );
+        assert_eq!(*applied(&EVENTS, &path(2.0)), [(1.0, 0.0), (4.0, -5.0)]);
+    }
+}

@@ -1,0 +1,152 @@
+//! What the sensors say of the simulated motion: delay, first-order filters and offsets, one after the other.
+
+use std::collections::VecDeque;
+
+use crate::plant::effect::Path;
+
+/// One instant of the motion, or of what is read of it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Reading {
+    pub(super) time_s: f64,
+    pub(super) current_a: f64,
+    pub(super) speed_rad_s: f64,
+}
+
+/// Follows the motion from sub-step to sub-step. Between two of them the motion is a straight line, over which delay and
+/// filters are exact.
+#[derive(Clone, Debug)]
+pub(super) struct Sensors {
+    path: Path,
+    /// The motion back to the instant that the delayed speed shows.
+    past: VecDeque<Reading>,
+    /// The delayed motion, and the filters' outputs, at the latest instant.
+    delayed: Reading,
+    filtered: Reading,
+}
+
+impl Sensors {
+    /// Sensors that have seen the motion rest at `first`.
+    pub(super) fn new(path: Path, first: Reading) -> Self {
+        Self {
+            path,
+            past: VecDeque::from([first]),
+            delayed: first,
+            filtered: first,
+        }
+    }
+
+    /// The motion has come to `now`.
+    pub(super) fn follow(&mut self, now: Reading) {
+        let interval_s = now.time_s - self.delayed.time_s;
+        if interval_s <= 0.0 {
+            return;
+        }
+        let delayed = Reading {
+            speed_rad_s: self.speed_before(now),
+            ..now
+        };
+        self.filtered = Reading {
+            time_s: now.time_s,
+            current_a: filter(
+                self.filtered.current_a,
+                (self.delayed.current_a, delayed.current_a),
+                interval_s,
+                self.path.current_filter_s,
+            ),
+            speed_rad_s: filter(
+                self.filtered.speed_rad_s,
+                (self.delayed.speed_rad_s, delayed.speed_rad_s),
+                interval_s,
+                self.path.speed_filter_s,
+            ),
+        };
+        self.delayed = delayed;
+    }
+
+    /// What the sensors show at the latest instant.
+    pub(super) fn read(&self) -> (f64, f64) {
+        (
+            self.filtered.current_a + self.path.current_offset_a,
+            self.filtered.speed_rad_s + self.path.speed_offset_rad_s,
+        )
+    }
+
+    /// The speed one delay before `now`, which joins the past.
+    fn speed_before(&mut self, now: Reading) -> f64 {
+        if self.path.speed_delay_s <= 0.0 {
+            return now.speed_rad_s;
+        }
+        self.past.push_back(now);
+        let wanted_s = now.time_s - self.path.speed_delay_s;
+        while self.past.len() > 2 && self.past[1].time_s <= wanted_s {
+            self.past.pop_front();
+        }
+        let (before, after) = (self.past[0], self.past[1]);
+        let share = ((wanted_s - before.time_s) / (after.time_s - before.time_s)).clamp(0.0, 1.0);
+        before.speed_rad_s + share * (after.speed_rad_s - before.speed_rad_s)
+    }
+}
+
+/// Output of a first-order filter after `interval_s`, its input on a straight line.
+fn filter(output: f64, input: (f64, f64), interval_s: f64, time_constant_s: f64) -> f64 {
+    if time_constant_s <= 0.0 {
+        return input.1;
+    }
+    let slope = (input.1 - input.0) / interval_s;
+    // Steady part: the input less what a ramp lags behind.
+    let lag = slope * time_constant_s;
+    let decay = (-interval_s / time_constant_s).exp();
+    input.1 - lag + (output - input.0 + lag) * decay
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn motion(time_s: f64) -> Reading {
+        Reading {
+            time_s,
+            current_a: (9.0 * time_s).sin(),
+            speed_rad_s: 40.0 * (7.0 * time_s).sin(),
+        }
+    }
+
+    fn followed(path: Path, end_s: f64) -> (f64, f64) {
+        let mut sensors = Sensors::new(path, motion(0.0));
+        let mut time_s = 0.0;
+        while time_s < end_s - 1e-9 {
+            time_s += 5e-4;
+            sensors.follow(motion(time_s));
+        }
+        sensors.read()
+    }
+
+    #[test]
+    fn a_delay_shows_what_was_and_an_offset_is_added() {
+        let path = Path {
+            speed_delay_s: 0.0123,
+            current_offset_a: 0.2,
+            speed_offset_rad_s: -1.0,
+            ..Path::default()
+        };
+        let (current, speed) = followed(path, 0.4);
+        assert!((current - motion(0.4).current_a - 0.2).abs() < 1e-9);
+        assert!((speed + 1.0 - motion(0.4 - 0.0123).speed_rad_s).abs() < 2e-3);
+    }
+
+    #[test]
+    fn a_filter_has_the_gain_and_phase_of_the_first_order() {
+        let (tau, end_s) = (3e-3, 1.0);
+        let path = Path {
+            speed_filter_s: tau,
+            current_filter_s: tau,
+            ..Path::default()
+        };
+        let (current, speed) = followed(path, end_s);
+        let expected = |amplitude: f64, w: f64| {
+            amplitude * (w * end_s - (w * tau).atan()).sin() / (1.0 + (w * tau).powi(2)).sqrt()
+        };
+        assert!((current - expected(1.0, 9.0)).abs() < 1e-5);
+        assert!((speed - expected(40.0, 7.0)).abs() < 3e-4);
+    }
+}
