@@ -7,7 +7,9 @@
 //!     the path of command and measurement (Path)      a second inertia behind a shaft (Coupling)
 //! ```
 
+mod backlash;
 mod constant_load;
+mod elastic_coupling;
 mod load_step;
 mod parameter;
 mod path;
@@ -33,6 +35,8 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &winding_heating::WindingHeating,
     &load_step::LoadStep,
     &speed_filter::SpeedFilter,
+    &elastic_coupling::ElasticCoupling,
+    &backlash::Backlash,
 ];
 
 /// The effect with this id.
