@@ -8,6 +8,7 @@ use super::decide::{
     not_told_apart, pays, z,
 };
 use super::evidence::{Evidence, HoldoutFrom};
+use super::fitted::Fitted;
 use super::ladder::Rung;
 use super::score::Score;
 use crate::identification::noise::FloorSource;
@@ -48,9 +49,9 @@ pub struct Diagnosis {
     pub sentence: String,
     /// The refitted baseline and the model with every accepted effect.
     #[serde(skip)]
-    pub baseline: Fit,
+    pub baseline: Fitted,
     #[serde(skip)]
-    pub model: Fit,
+    pub model: Fitted,
 }
 
 /// Refits `model` as the baseline and searches for what it misses. With `until_floor` the search goes on until the
@@ -148,8 +149,8 @@ pub fn diagnose(
         confusable: first_round.confusable,
         ladder,
         sentence: String::new(),
-        baseline,
-        model: current,
+        baseline: Fitted::from(&baseline),
+        model: Fitted::from(&current),
     };
     diagnosis.sentence = sentence(&diagnosis);
     Ok(diagnosis)

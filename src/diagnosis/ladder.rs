@@ -6,6 +6,7 @@ use super::candidates::by_key;
 use super::compare::{Comparison, compare};
 use super::decide::{SIGNIFICANT, WORTHWHILE, pays, z};
 use super::evidence::Evidence;
+use super::fitted::Fitted;
 use super::location::ErrorOf;
 use super::score::Score;
 use crate::identification::output_error::{self, Fit, FitError};
@@ -35,7 +36,7 @@ pub struct AddResult {
     /// Errors on the confirming run where there is one: the headline.
     pub confirm: Option<[Rung; 2]>,
     #[serde(skip)]
-    pub fit: Fit,
+    pub fit: Fitted,
 }
 
 /// Refits `model` with `effect` added; refused, with the reason, where that does not pay on the hold-out.
@@ -120,7 +121,7 @@ fn change(
             .collect(),
         ladder: vec![rung(before, &score_before), rung(&after, &score_after)],
         confirm,
-        fit: after,
+        fit: Fitted::from(&after),
     })
 }
 

@@ -1,14 +1,12 @@
 //! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
 
-use nalgebra::DMatrix;
-
 use super::*;
 use crate::diagnosis::{
-    Comparison, Diagnosis, DiagnosisVerdict, Evidence, HoldoutFrom, Rung, Score, compare, diagnose,
+    Comparison, Diagnosis, DiagnosisVerdict, Evidence, Fitted, HoldoutFrom, Rung, Score, compare,
+    diagnose,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::identification::output_error::{self, Fit};
-use crate::numerics::levenberg_marquardt::Minimum;
+use crate::identification::output_error;
 use crate::plant::{Model, Motor, Scenario, State, Trajectory, testing};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
 
@@ -68,8 +66,8 @@ fn estimate(
 }
 
 /// A fit that holds no more than a report needs.
-fn no_fit() -> Fit {
-    Fit {
+fn no_fit() -> Fitted {
+    Fitted {
         model: Model::baseline(Motor::zk_22fc()),
         noise: NoiseFloor {
             current_a: 0.03,
@@ -79,22 +77,11 @@ fn no_fit() -> Fit {
         },
         parameters: Vec::new(),
         nrms: 1.0,
-        start: State::default(),
-        iterations: 1,
-        minimum: Minimum {
-            x: vec![],
-            cost: 0.0,
-            residual: vec![],
-            jacobian: DMatrix::zeros(0, 0),
-            iterations: 1,
-            converged: true,
-        },
-        free: vec![],
     }
 }
 
 fn comparison(factor: f64) -> Comparison {
-    use crate::diagnosis::{FailureLocation, ResidualLights};
+    use crate::diagnosis::{FailureLocation, Fitted, ResidualLights};
     let mut comparison = tiny_comparison();
     for signal in [
         &mut comparison.signals.speed_rad_s,
@@ -147,7 +134,7 @@ fn tiny_comparison() -> Comparison {
 }
 
 fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
-    use crate::diagnosis::{Candidate, Status};
+    use crate::diagnosis::{Candidate, Fitted, Status};
     let candidate = |rank, effect, status, after: f64, probability, parameters| Candidate {
         effect,
         rank,
