@@ -7,7 +7,7 @@ use crate::diagnosis::{
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error;
-use crate::plant::{Model, Motor, Scenario, State, Trajectory, testing};
+use crate::plant::{Model, Motor, Scenario, Trajectory, testing};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
 
 /// Where to write the demonstration pages, to be looked at.
