@@ -119,6 +119,7 @@ impl Plant {
         let mut event = 0;
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
+        self.equations.set_supply(scenario.supply_v());
         let mut now_s = self.begin_s;
         let angles = if self.equations.needs_angle {
             scenario.shaft_angle()
