@@ -8,6 +8,7 @@
 //! ```
 
 mod asymmetric_viscous;
+mod backlash;
 mod cogging;
 mod command_delay;
 mod constant_load;
@@ -15,6 +16,7 @@ mod current_filter;
 mod current_offset;
 mod discontinuous_conduction;
 mod eccentric_load;
+mod elastic_coupling;
 mod field_change;
 mod flux_saturation;
 mod inductance_saturation;
@@ -67,6 +69,8 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &current_offset::CurrentOffset,
     &speed_offset::SpeedOffset,
     &voltage_offset::VoltageOffset,
+    &elastic_coupling::ElasticCoupling,
+    &backlash::Backlash,
 ];
 
 /// The effect with this id.
