@@ -10,10 +10,11 @@ use super::decide::{
 use super::evidence::{Evidence, HoldoutFrom};
 use super::fitted::Fitted;
 use super::ladder::Rung;
+use super::mechanical;
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::Model;
+use crate::plant::{Input, Model};
 
 /// Effects that one search adds at most.
 const MOST_EFFECTS: usize = 4;
@@ -61,6 +62,9 @@ pub fn diagnose(
     evidence: Evidence,
     until_floor: bool,
 ) -> Result<Diagnosis, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return mechanical::diagnose(model, &evidence, until_floor);
+    }
     let (evidence, baseline) = evidence.with_baseline(model)?;
     let floor = evidence.floor();
     let base = Score::of(&baseline.model, &evidence.holdout, &evidence.noise)?;

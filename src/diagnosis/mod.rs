@@ -18,6 +18,7 @@ mod evidence;
 mod fitted;
 mod ladder;
 mod location;
+pub mod mechanical;
 mod residual;
 mod score;
 mod screen;
