@@ -67,7 +67,7 @@ pub(super) fn of_trials(
             holdout_before: base.rmse / scale.unit_n_m,
             holdout_after: judged.map_or(base.rmse, |judged| judged.holdout.rmse) / scale.unit_n_m,
             explained_percent: 100.0 * share,
-            minimum_detectable: judged.map_or(f64::INFINITY, |judged| judged.minimum_detectable),
+            minimum_detectable: judged.map(|judged| judged.minimum_detectable).filter(|size| size.is_finite()),
             evidence: evidence(trial, status, base, share, sides),
         }
     };
