@@ -13,7 +13,10 @@
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
 mod noise_share;
+mod torque_rows;
 mod window;
+
+pub use self::torque_rows::torque_rows;
 
 use nalgebra::{DMatrix, DVector};
 

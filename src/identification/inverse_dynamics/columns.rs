@@ -78,7 +78,7 @@ pub(super) fn rows(
 
 /// False at rest and within the filter's reach of it: a shaft that sticks is held by less than the Coulomb torque. A
 /// reversal passes through zero speed faster than the filter sees, and stays.
-fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
+pub(super) fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
     let mut moving = vec![true; speed.len()];
     let shortest = (reach / 2).max(3);
     let mut begin = 0;

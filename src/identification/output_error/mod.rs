@@ -35,6 +35,12 @@ pub enum FitError {
         "run {run:?}: neither current nor speed can be compared: each is missing or the same throughout"
     )]
     NothingMeasured { run: String },
+    #[error("run {run:?}: {rows} rows of the torque balance, at least {needed} are needed")]
+    NoTorqueBalance {
+        run: String,
+        rows: usize,
+        needed: usize,
+    },
     #[error("run {run:?}: the model cannot be simulated from its starting values")]
     CannotSimulate { run: String },
 }
@@ -47,6 +53,9 @@ impl FitError {
             Self::NothingFree => "take a key out of `fixed` in the model file",
             Self::NothingMeasured { .. } => {
                 "map a column with --map speed_rad_s=HEADER or current_a=HEADER"
+            }
+            Self::NoTorqueBalance { .. } => {
+                "the shaft must turn for some seconds; map torque_n_m (or current_a) and speed_rad_s or angle_rad"
             }
             Self::CannotSimulate { .. } => {
                 "check the units of voltage, current and speed, and the model's values"
