@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::location::{ErrorOf, FailureLocation, locate};
+use super::location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, locate};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore};
 use crate::identification::noise::FloorSource;
@@ -42,11 +42,17 @@ pub struct Comparison {
     pub signals: Signals,
     #[serde(rename = "where")]
     pub locations: Vec<FailureLocation>,
+    /// What each equation lacks, the worse first.
+    pub balances: Vec<EquationBalance>,
+    /// The error over speed x current, on the hold-out.
+    pub map: Option<ErrorMap>,
     pub residual: ResidualLights,
     pub noise_floor_from: FloorSource,
     pub holdout_from: HoldoutFrom,
     /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
     pub holdout_rmse: f64,
+    /// What could not be asked of these runs, and why.
+    pub limits: Vec<String>,
 }
 
 /// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of.
@@ -81,6 +87,7 @@ pub fn compare(
             .map(|(_, value)| value)
             .collect::<Vec<_>>()
     };
+    let located = locate(model, &evidence.holdout, noise, error_of)?;
     Ok(Comparison {
         signals: Signals {
             speed_rad_s: signal(training.speed, holdout.speed, noise.speed_rad_s, one_step.1),
@@ -91,7 +98,9 @@ pub fn compare(
                 one_step.0,
             ),
         },
-        locations: locate(model, &evidence.holdout, noise, error_of)?,
+        locations: located.locations,
+        balances: located.balances,
+        map: located.map,
         residual: ResidualLights::of(&[
             values(holdout.current_residual()),
             values(holdout.speed_residual()),
@@ -99,6 +108,7 @@ pub fn compare(
         noise_floor_from: noise.source,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
+        limits: located.notes,
     })
 }
 

@@ -26,7 +26,7 @@ pub use compare::{Comparison, SignalComparison, compare};
 pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use ladder::{AddResult, Rung, add, remove};
-pub use location::{ErrorOf, FailureLocation, locate};
+pub use location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, locate};
 pub use residual::ResidualLights;
 pub use score::{Score, SignalScore};
 
