@@ -81,12 +81,6 @@ pub fn compare(
                 },
             })
         };
-    let values = |points: Vec<(f64, f64)>| {
-        points
-            .into_iter()
-            .map(|(_, value)| value)
-            .collect::<Vec<_>>()
-    };
     let located = locate(model, &evidence.holdout, noise, error_of)?;
     Ok(Comparison {
         signals: Signals {
@@ -101,15 +95,30 @@ pub fn compare(
         locations: located.locations,
         balances: located.balances,
         map: located.map,
-        residual: ResidualLights::of(&[
-            values(holdout.current_residual()),
-            values(holdout.speed_residual()),
-        ]),
+        residual: ResidualLights::of(
+            &with_input(&holdout.current_residual(), &evidence.holdout),
+            &with_input(&holdout.speed_residual(), &evidence.holdout),
+        ),
         noise_floor_from: noise.source,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
         limits: located.notes,
     })
+}
+
+/// Each residual with the input that held then; the times ascend.
+fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
+    let events = &scenario.events;
+    let mut event = 0;
+    residual
+        .iter()
+        .map(|(time_s, value)| {
+            while event + 1 < events.len() && events[event + 1].0 < *time_s {
+                event += 1;
+            }
+            (*value, events[event].1)
+        })
+        .collect()
 }
 
 /// Root mean square of the one-step prediction errors of current and speed on the training run.

@@ -26,8 +26,10 @@ pub use compare::{Comparison, SignalComparison, compare};
 pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use ladder::{AddResult, Rung, add, remove};
-pub use location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, locate};
-pub use residual::ResidualLights;
+pub use location::{
+    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
+};
+pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 use super::balance::{Weights, Window, Windows};
 use super::fit::{Fitted, fit};
 use super::region::{Point, Region, narrowest};
-use super::{Equation, ErrorOf, FailureLocation, line, own, words};
+use super::{Equation, FailureLocation, line, own, words};
 use crate::plant::{Input, Model, MotorKey};
 
 /// Hat functions along speed and current, and along time.
@@ -16,6 +16,8 @@ const HATS: usize = 16;
 const HATS_OF_TIME: usize = 24;
 /// Periods per turn that are looked for.
 const ORDERS: usize = 36;
+/// Windows (by their weight) in which a wave must be visible.
+const FEWEST_SEEN: f64 = 30.0;
 /// Share of the error that must follow a variable to be worth a sentence, and its multiple of chance.
 const WORTH_MENTIONING: f64 = 0.1;
 const CERTAIN: f64 = 4.0;
@@ -35,15 +37,35 @@ pub(super) enum Shape {
     /// A curve over the variable.
     Curve,
     /// One of the motor's own values differs by this much.
-    Own { key: MotorKey, by: f64, share: f64 },
+    Own {
+        key: MotorKey,
+        by: f64,
+        share: f64,
+    },
     /// So many periods per turn, with this amplitude.
-    Turns { order: usize, amplitude: f64 },
+    Turns {
+        order: usize,
+        amplitude: f64,
+    },
     /// A curve over time; of the resistance, from its begin to its end, or of the equation itself.
-    Drift { resistance: Option<[f64; 2]> },
-    Line { amplitude: f64 },
+    Drift {
+        resistance: Option<[f64; 2]>,
+    },
+    Line {
+        amplitude: f64,
+    },
     /// The voltage seems to come later by this time, s.
-    Late { delay_s: f64 },
-    OneWay { forward: bool },
+    Late {
+        delay_s: f64,
+        resolved: bool,
+    },
+    OneWay {
+        forward: bool,
+    },
+    /// The same everywhere.
+    Offset {
+        by: f64,
+    },
 }
 
 pub(super) struct Axis {
@@ -80,23 +102,23 @@ impl Axis {
 pub(super) fn ranked(
     windows: &Windows<'_>,
     equation: Equation,
-    error_of: ErrorOf,
+    refitted: bool,
     model: &Model,
 ) -> Vec<Axis> {
     let search = Search {
         windows,
         equation,
-        with_own: error_of == ErrorOf::Structure,
+        with_own: refitted,
     };
     let mut found = Vec::new();
-    if error_of == ErrorOf::Model {
+    if !refitted {
         found.extend(search.own(model));
     }
     found.extend(search.curve("speed_rad_s"));
     match equation {
         Equation::Voltage => {
             found.extend(search.curve("current_a"));
-            found.extend(search.late());
+            found.extend(search.late(model));
         }
         Equation::Torque => {
             found.extend(search.load());
@@ -104,6 +126,7 @@ pub(super) fn ranked(
             found.extend(search.line());
         }
     }
+    found.extend(search.offset());
     found.extend(search.drift());
     found.extend(search.one_way());
     found.sort_by(|a: &Axis, b| b.weight.total_cmp(&a.weight));
@@ -159,7 +182,11 @@ impl Search<'_> {
                 row.fill(0.0);
                 row[..own].copy_from_slice(&own::columns(window, self.equation)[..own]);
                 fill(window, &mut row[own..]);
-                let value = row.iter().zip(&fitted.coefficients).map(|(c, x)| c * x).sum();
+                let value = row
+                    .iter()
+                    .zip(&fitted.coefficients)
+                    .map(|(c, x)| c * x)
+                    .sum();
                 Point {
                     at: at(window),
                     fitted: value,
@@ -169,7 +196,14 @@ impl Search<'_> {
             .collect()
     }
 
-    fn axis(&self, variable: &'static str, shape: Shape, region: Region, fitted: &Fitted, weight: f64) -> Axis {
+    fn axis(
+        &self,
+        variable: &'static str,
+        shape: Shape,
+        region: Region,
+        fitted: &Fitted,
+        weight: f64,
+    ) -> Axis {
         Axis {
             equation: self.equation,
             variable,
@@ -193,6 +227,16 @@ impl Search<'_> {
         let last = values.len().checked_sub(1)?;
         let span = values[last] - values[0];
         let mut knots: Vec<f64> = (0..most).map(|k| values[k * last / (most - 1)]).collect();
+        if most == HATS {
+            let largest = values[0].abs().max(values[last].abs());
+            let near_zero = [0.02, 0.04, 0.08, 0.16, 0.32].map(|share| share * largest);
+            let both = near_zero
+                .iter()
+                .flat_map(|edge| [-edge, *edge])
+                .chain([0.0]);
+            knots.extend(both.filter(|edge| *edge > values[0] && *edge < values[last]));
+            knots.sort_by(f64::total_cmp);
+        }
         knots.dedup_by(|later, earlier| *later - *earlier <= 0.002 * span);
         (knots.len() >= 3 && span > 0.0).then_some(knots)
     }
@@ -201,8 +245,18 @@ impl Search<'_> {
     fn curve(&self, variable: &'static str) -> Option<Axis> {
         let scenario = self.windows.scenario;
         let is_speed = variable == "speed_rad_s";
-        let values = if is_speed { &scenario.speed_rad_s } else { &scenario.current_a };
-        let at = move |window: &Window| if is_speed { window.speed_rad_s } else { window.current_a };
+        let values = if is_speed {
+            &scenario.speed_rad_s
+        } else {
+            &scenario.current_a
+        };
+        let at = move |window: &Window| {
+            if is_speed {
+                window.speed_rad_s
+            } else {
+                window.current_a
+            }
+        };
         let knots = self.knots(at, HATS)?;
         let mut weights = Weights::default();
         let span = 2 * self.windows.half;
@@ -265,13 +319,24 @@ impl Search<'_> {
     }
 
     /// The steps of the voltage: `v = -delay <du/dt>` where it comes late.
-    fn late(&self) -> Option<Axis> {
+    fn late(&self, model: &Model) -> Option<Axis> {
         let fill = |window: &Window, row: &mut [f64]| row[0] = window.input_rate;
         let fitted = self.fit(1, fill)?;
         // The loss is u(t) - u(t - delay).
         let delay_s = fitted.coefficients[self.own_columns()];
         let region = everywhere(delay_s.min(0.0), delay_s.max(0.0));
-        Some(self.axis("voltage_edge_s", Shape::Late { delay_s }, region, &fitted, 1.0))
+        let value = |key| model.motor.get(key).unwrap_or(f64::NAN);
+        let time_constant_s = value(MotorKey::Inductance) / value(MotorKey::Resistance);
+        // Samples that miss the armature's transient tell that there is a delay, not how long it is.
+        let period_s = self.windows.length_s() / (2 * self.windows.half) as f64;
+        let resolved = period_s < 0.5 * time_constant_s;
+        Some(self.axis(
+            "voltage_edge_s",
+            Shape::Late { delay_s, resolved },
+            region,
+            &fitted,
+            1.0,
+        ))
     }
 
     /// The order per turn that explains most.
@@ -302,26 +367,30 @@ impl Search<'_> {
             }
         };
         // Normal equations of two columns for each order.
-        let mut sums = vec![[0.0; 5]; ORDERS + 1];
+        let mut sums = vec![[0.0; 6]; ORDERS + 1];
         for window in self.windows.of(self.equation) {
             average(window, ORDERS, &mut waves);
             let error = window.error(self.equation);
             for (sum, [c, s]) in sums.iter_mut().zip(&waves) {
-                let products = [c * c, c * s, s * s, c * error, s * error];
+                let size = c * c + s * s;
+                let products = [c * c, c * s, s * s, c * error, s * error, size * size];
                 for (total, product) in sum.iter_mut().zip(products) {
                     *total += product;
                 }
             }
         }
-        let explained = |[cc, cs, ss, ce, se]: [f64; 5]| {
+        let explained = |[cc, cs, ss, ce, se, fourth]: [f64; 6]| {
             let determinant = cc * ss - cs * cs;
-            if determinant > 1e-6 * cc * ss {
+            // Seen in few windows only, as a high order is, it explains whatever happened there.
+            let seen_in = (cc + ss).powi(2) / fourth;
+            if determinant > 1e-6 * cc * ss && seen_in > FEWEST_SEEN {
                 (ce * ce * ss - 2.0 * ce * se * cs + se * se * cc) / determinant
             } else {
                 0.0
             }
         };
-        let order = (1..=ORDERS).max_by(|a, b| explained(sums[*a]).total_cmp(&explained(sums[*b])))?;
+        let order =
+            (1..=ORDERS).max_by(|a, b| explained(sums[*a]).total_cmp(&explained(sums[*b])))?;
         let fitted = self.fit(2, |window, row| {
             average(window, order, &mut waves);
             row.copy_from_slice(&waves[order]);
@@ -358,7 +427,13 @@ impl Search<'_> {
         let amplitude = fitted.coefficients[own].hypot(fitted.coefficients[own + 1]);
         let mut region = everywhere(frequency_hz, frequency_hz);
         region.share_of_error = fitted.follows;
-        Some(self.axis("frequency_hz", Shape::Line { amplitude }, region, &fitted, WEIGHT_OF_LINE))
+        Some(self.axis(
+            "frequency_hz",
+            Shape::Line { amplitude },
+            region,
+            &fitted,
+            WEIGHT_OF_LINE,
+        ))
     }
 
     /// A curve over time: of the equation itself, or (voltage) of its resistance; the better.
@@ -369,8 +444,9 @@ impl Search<'_> {
         let of_resistance =
             |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, window.current_a, row);
         // Friction acts against the motion: a load that changes does so too.
-        let of_friction =
-            |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, window.speed_rad_s.signum(), row);
+        let of_friction = |window: &Window, row: &mut [f64]| {
+            hat(&knots, window.time_s, window.speed_rad_s.signum(), row)
+        };
         let own = self.own_columns();
         let plain = self.fit(knots.len(), of_itself);
         let modulated = match self.equation {
@@ -389,9 +465,35 @@ impl Search<'_> {
             (true, Equation::Torque) => self.points(&fitted, at, of_friction),
         };
         let region = narrowest(&points, self.equation)?;
-        let ends = [fitted.coefficients[own], fitted.coefficients[own + knots.len() - 1]];
+        let ends = [
+            fitted.coefficients[own],
+            fitted.coefficients[own + knots.len() - 1],
+        ];
         let resistance = (better && self.equation == Equation::Voltage).then_some(ends);
-        Some(self.axis("time_s", Shape::Drift { resistance }, region, &fitted, WEIGHT_OF_TIME))
+        Some(self.axis(
+            "time_s",
+            Shape::Drift { resistance },
+            region,
+            &fitted,
+            WEIGHT_OF_TIME,
+        ))
+    }
+
+    /// What is the same in every window.
+    fn offset(&self) -> Option<Axis> {
+        let fitted = self.fit(1, |_, row| row[0] = 1.0)?;
+        let by = fitted.coefficients[self.own_columns()];
+        let variable = match self.equation {
+            Equation::Torque => "offset_n_m",
+            Equation::Voltage => "offset_v",
+        };
+        Some(self.axis(
+            variable,
+            Shape::Offset { by },
+            everywhere(by, by),
+            &fitted,
+            PARSIMONY,
+        ))
     }
 
     /// Whether nearly all of the error falls in one direction of motion.
@@ -412,7 +514,11 @@ impl Search<'_> {
         if !(share >= ONE_SIDED && time <= TIME_ONE_SIDED && side.1 >= 20) {
             return None;
         }
-        let mut region = if forward { everywhere(0.0, 1.0) } else { everywhere(-1.0, 0.0) };
+        let mut region = if forward {
+            everywhere(0.0, 1.0)
+        } else {
+            everywhere(-1.0, 0.0)
+        };
         (region.share_of_error, region.share_of_time) = (share, time);
         Some(Axis {
             equation: self.equation,

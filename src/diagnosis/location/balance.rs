@@ -17,6 +17,8 @@ const FEWEST_HALF: usize = 3;
 const DEAD_DEVIATIONS: f64 = 4.0;
 /// ...and, whatever the noise, those below this share of the largest.
 const DEAD_SHARE: f64 = 0.002;
+/// Share of a window at standstill above which it says nothing of the torque: friction takes what it must.
+const LONGEST_REST: f64 = 0.1;
 
 /// One window. What is not known is NaN.
 pub(super) struct Window {
@@ -129,9 +131,8 @@ impl<'a> Windows<'a> {
             .iter()
             .filter(|w| w.is_finite())
             .fold(0.0, |most: f64, w| most.max(w.abs()));
-        let known = |level: f64| {
-            (noise.source != FloorSource::None && level.is_finite()).then_some(level)
-        };
+        let known =
+            |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
         let dead_zone_rad_s = known(noise.speed_rad_s)
             .map_or(0.01 * fastest, |level| DEAD_DEVIATIONS * level)
             .max(DEAD_SHARE * fastest);
@@ -167,7 +168,9 @@ impl<'a> Windows<'a> {
                 }
                 let range = begin..=begin + 2 * half;
                 weights.fill(&times[range.clone()]);
-                while event + 1 < scenario.events.len() && scenario.events[event + 1].0 <= times[begin] {
+                while event + 1 < scenario.events.len()
+                    && scenario.events[event + 1].0 <= times[begin]
+                {
                     event += 1;
                 }
                 found.windows.push(window(
@@ -245,12 +248,14 @@ impl<'a> Windows<'a> {
         let [reverse, forward] = sums.turning_power.map(|power| power.max(0.0));
         let [turned_back, turned] = sums.turning.map(|count| count as f64);
         let whole_power = forward + reverse;
-        let fails = relative > ARITHMETIC
-            && nres.is_none_or(|nres| nres > noise.tolerance(LARGEST_NRES));
+        let fails =
+            relative > ARITHMETIC && nres.is_none_or(|nres| nres > noise.tolerance(LARGEST_NRES));
         EquationBalance {
             equation: equation.name(),
             unit: equation.unit(),
             nres,
+            nres_refitted: None,
+            own_changes: Vec::new(),
             rms,
             relative,
             share_of_error: None,
@@ -258,6 +263,7 @@ impl<'a> Windows<'a> {
             forward_share_of_time: (turned + turned_back > 0.0)
                 .then(|| turned / (turned + turned_back)),
             windows: sums.windows,
+            refitted: false,
             fails,
             sentence: String::new(),
         }
@@ -297,7 +303,10 @@ fn window(
 ) -> Window {
     let end = begin + current.len();
     let times = &scenario.sample_time_s[begin..end];
-    let (measured_i, measured_w) = (&scenario.current_a[begin..end], &scenario.speed_rad_s[begin..end]);
+    let (measured_i, measured_w) = (
+        &scenario.current_a[begin..end],
+        &scenario.speed_rad_s[begin..end],
+    );
     let c = constants;
     let (mut e_i, mut e_i_rate, mut e_w, mut e_w_rate) = (0.0, 0.0, 0.0, 0.0);
     for k in 0..times.len() {
@@ -308,9 +317,13 @@ fn window(
         e_w_rate += weights.rate[k] * error_w;
     }
     let (mean, rate) = (norm(&weights.mean), norm(&weights.rate));
-    let slow = measured_w.iter().any(|w| w.abs() <= dead_zone_rad_s);
-    let forward = measured_w.iter().any(|w| *w > 0.0);
-    let reverses = forward && measured_w.iter().any(|w| *w < 0.0);
+    let at_rest: f64 = weights
+        .mean
+        .iter()
+        .zip(measured_w)
+        .filter(|(_, w)| w.abs() <= dead_zone_rad_s)
+        .map(|(weight, _)| weight)
+        .sum();
     // Under a current or a torque there is no error of the current.
     let torque = if scenario.input == Input::Voltage {
         c.torque * e_i
@@ -321,14 +334,18 @@ fn window(
     Window {
         begin,
         time_s: 0.5 * (times[0] + times[times.len() - 1]),
-        torque_n_m: if slow || reverses {
+        torque_n_m: if at_rest > LONGEST_REST {
             f64::NAN
         } else {
             torque - c.inertia * e_w_rate
         },
         voltage_v: -(c.inductance * e_i_rate + c.resistance * e_i + c.back_emf * e_w),
         torque_floor_n_m: (c.inertia * c.speed_noise * rate).hypot(
-            if scenario.input == Input::Voltage { c.torque * c.current_noise * mean } else { 0.0 },
+            if scenario.input == Input::Voltage {
+                c.torque * c.current_noise * mean
+            } else {
+                0.0
+            },
         ),
         voltage_floor_v: (c.resistance * c.current_noise * mean)
             .hypot(c.back_emf * c.speed_noise * mean)
@@ -345,7 +362,10 @@ fn window(
 /// Weighted mean of the held input, and of its rate: the sum of its steps, each with the test function where it falls.
 fn input_over(events: &[(f64, f64)], times: &[f64]) -> (f64, f64) {
     let last = times.len() - 1;
-    let (middle_s, half_s) = (0.5 * (times[0] + times[last]), 0.5 * (times[last] - times[0]));
+    let (middle_s, half_s) = (
+        0.5 * (times[0] + times[last]),
+        0.5 * (times[last] - times[0]),
+    );
     let s = |time_s: f64| ((time_s - middle_s) / half_s).clamp(-1.0, 1.0);
     // Integral of (1 - s^2)^4 from zero, and over the whole window.
     let area = |s: f64| {

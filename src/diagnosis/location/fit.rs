@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::Equation;
-use super::balance::{Windows, Window};
+use super::balance::{Window, Windows};
 
 /// Share of the largest diagonal that keeps columns without data from being singular.
 const RIDGE: f64 = 1e-9;
@@ -63,7 +63,13 @@ pub(super) fn fit(
     if largest <= 0.0 {
         return None;
     }
-    let inverse = |at: usize| if scale[at] > 1e-9 * largest { 1.0 / scale[at] } else { 0.0 };
+    let inverse = |at: usize| {
+        if scale[at] > 1e-9 * largest {
+            1.0 / scale[at]
+        } else {
+            0.0
+        }
+    };
     for at in 0..columns {
         right[at] *= inverse(at);
         for other in 0..columns {
@@ -74,11 +80,20 @@ pub(super) fn fit(
     let solved = normal.cholesky()?.solve(&right);
     let explained = solved.dot(&right).clamp(0.0, power);
     let left = power - explained;
-    let per_chance = if noise > 0.0 { noise / n } else { left / (n - k) }.max(1e-12 * power / n);
+    let per_chance = if noise > 0.0 {
+        noise / n
+    } else {
+        left / (n - k)
+    }
+    .max(1e-12 * power / n);
     let adjusted = 1.0 - (left / (n - k)) / (power / n);
     let beyond = (power - noise).max(0.02 * power);
     Some(Fitted {
-        coefficients: solved.iter().enumerate().map(|(at, x)| x * inverse(at)).collect(),
+        coefficients: solved
+            .iter()
+            .enumerate()
+            .map(|(at, x)| x * inverse(at))
+            .collect(),
         adjusted,
         follows: ((explained - k * per_chance) / beyond).clamp(0.0, 1.0),
         strength: explained / (k * per_chance),

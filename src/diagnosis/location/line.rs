@@ -33,11 +33,10 @@ pub(super) fn strongest(windows: &Windows<'_>, equation: Equation) -> Option<f64
     transform(&mut real, &mut imaginary);
     let resolution_hz = 1.0 / (size as f64 * stride_s);
     let lowest = whole(FEWEST_PERIODS / (end_s - begin_s) / resolution_hz) + 1;
-    let peak = (lowest..size / 2)
-        .max_by(|a, b| {
-            let power = |k: usize| real[k].powi(2) + imaginary[k].powi(2);
-            power(*a).total_cmp(&power(*b))
-        })?;
+    let peak = (lowest..size / 2).max_by(|a, b| {
+        let power = |k: usize| real[k].powi(2) + imaginary[k].powi(2);
+        power(*a).total_cmp(&power(*b))
+    })?;
     let power_at = |frequency_hz: f64| {
         let (mut c, mut s) = (0.0, 0.0);
         for window in windows.of(equation) {
@@ -95,12 +94,17 @@ mod tests {
     #[test]
     fn the_transform_of_a_wave_has_its_power_in_one_place() {
         let n = 64;
-        let mut real: Vec<f64> = (0..n).map(|k| (TAU * 5.0 * k as f64 / n as f64).cos()).collect();
+        let mut real: Vec<f64> = (0..n)
+            .map(|k| (TAU * 5.0 * k as f64 / n as f64).cos())
+            .collect();
         let mut imaginary = vec![0.0; n];
         transform(&mut real, &mut imaginary);
         for k in 0..n {
             let expected = if k == 5 || k == n - 5 { 32.0 } else { 0.0 };
-            assert!((real[k] - expected).abs() < 1e-9 && imaginary[k].abs() < 1e-9, "{k}");
+            assert!(
+                (real[k] - expected).abs() < 1e-9 && imaginary[k].abs() < 1e-9,
+                "{k}"
+            );
         }
     }
 }

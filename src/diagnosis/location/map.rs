@@ -50,7 +50,10 @@ pub(super) fn of(windows: &Windows<'_>) -> Option<ErrorMap> {
         if !(window.speed_rad_s.is_finite() && window.current_a.is_finite()) {
             continue;
         }
-        let (row, column) = (cell(&speed, window.speed_rad_s), cell(&current, window.current_a));
+        let (row, column) = (
+            cell(&speed, window.speed_rad_s),
+            cell(&current, window.current_a),
+        );
         count[row][column] += 1;
         for (equation, cells) in &mut sums {
             let error = window.error(*equation);
@@ -62,7 +65,10 @@ pub(super) fn of(windows: &Windows<'_>) -> Option<ErrorMap> {
     }
     let [torque, voltage] = sums.map(|(_, cells)| -> Vec<Vec<Option<f64>>> {
         let rms = |(power, n): &(f64, usize)| (*n > 0).then(|| (power / *n as f64).sqrt());
-        cells.iter().map(|row| row.iter().map(rms).collect()).collect()
+        cells
+            .iter()
+            .map(|row| row.iter().map(rms).collect())
+            .collect()
     });
     Some(ErrorMap {
         speed_edges_rad_s: speed,

@@ -58,6 +58,10 @@ pub struct EquationBalance {
     pub unit: &'static str,
     /// Error of the balance over what noise alone gives: one when the equation is right; null where no noise is known.
     pub nres: Option<f64>,
+    /// The same after the equation's own parameters were allowed to move: what no value of them explains.
+    pub nres_refitted: Option<f64>,
+    /// Which moves of the own parameters, relative to the model's values, would explain most of the error.
+    pub own_changes: Vec<OwnChange>,
     /// Root mean square of what the equation lacks.
     pub rms: f64,
     /// The same over the root mean square of the equation's drive (voltage, or torque of the current).
@@ -68,9 +72,22 @@ pub struct EquationBalance {
     pub forward_share_of_error: Option<f64>,
     pub forward_share_of_time: Option<f64>,
     pub windows: usize,
-    /// Whether the error is more than the noise, and more than the arithmetic.
+    /// Whether what is located is the error after the own parameters moved, because only the structure was asked for, or
+    /// because the moves are small.
+    pub refitted: bool,
+    /// Whether the located error is more than the noise, and more than the arithmetic.
     pub fails: bool,
     pub sentence: String,
+}
+
+/// How far one of the motor's values is from what this equation asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct OwnChange {
+    pub key: &'static str,
+    /// Positive where the model's value is too low.
+    pub by: f64,
+    /// Of the model's value.
+    pub share: f64,
 }
 
 /// Everything that is known of the places where a model fails.
@@ -122,6 +139,8 @@ impl Equation {
 const FEWEST_WINDOWS: usize = 40;
 /// A balance within this multiple of the noise lacks nothing that can be seen.
 const LARGEST_NRES: f64 = 1.15;
+/// A move of an own parameter from this share of its value on is a wrong value, not the trace of a fit.
+const MATERIAL: f64 = 0.03;
 /// Without a known noise: share of the drive below which an error is arithmetic.
 const ARITHMETIC: f64 = 1e-4;
 
@@ -142,9 +161,6 @@ pub fn locate(
         equations.push(Equation::Voltage);
     }
     for equation in equations {
-        if error_of == ErrorOf::Structure {
-            own::take_out(&mut windows, equation);
-        }
         let usable = windows.usable(equation);
         if usable < FEWEST_WINDOWS {
             found.notes.push(format!(
@@ -156,14 +172,18 @@ pub fn locate(
             ));
             continue;
         }
-        let mut axes = Vec::new();
         let mut balance = windows.balance(equation, noise);
-        if balance.fails {
-            axes = axis::ranked(&windows, equation, error_of, model);
-        }
+        let refitted = refit(&mut windows, &mut balance, noise, model, error_of);
+        let axes = if balance.fails {
+            axis::ranked(&windows, equation, refitted, model)
+        } else {
+            Vec::new()
+        };
         words::describe(&mut balance, axes.first());
         found.balances.push(balance);
-        found.locations.extend(axes.into_iter().map(Axis::into_location));
+        found
+            .locations
+            .extend(axes.into_iter().map(Axis::into_location));
     }
     rank(&mut found);
     if scenario.angle.is_empty() && !found.balances.is_empty() {
@@ -177,18 +197,82 @@ pub fn locate(
     Ok(found)
 }
 
+/// Lets the equation's own parameters move. The moves stay taken out of the windows where that is asked, and where they
+/// are small: a fit of the whole model that lacks something leaves values that are a little off, and a balance sees
+/// them well. Large ones are a fault of their own. Returns whether they were taken out.
+fn refit(
+    windows: &mut Windows<'_>,
+    balance: &mut EquationBalance,
+    noise: &NoiseFloor,
+    model: &Model,
+    error_of: ErrorOf,
+) -> bool {
+    let equation = if balance.equation == Equation::Torque.name() {
+        Equation::Torque
+    } else {
+        Equation::Voltage
+    };
+    let Some(changes) = own::changes(windows, equation) else {
+        return false;
+    };
+    balance.own_changes = own::keys(equation)
+        .iter()
+        .zip(&changes)
+        .map(|(key, by)| OwnChange {
+            key: key.key(),
+            by: *by,
+            share: by / model.motor.get(*key).unwrap_or(f64::NAN),
+        })
+        .collect();
+    own::take_out(windows, equation, &changes);
+    let after = windows.balance(equation, noise);
+    balance.nres_refitted = after.nres;
+    let small = balance
+        .own_changes
+        .iter()
+        .all(|change| change.share.abs() < MATERIAL);
+    if error_of == ErrorOf::Structure || small {
+        balance.fails = after.fails;
+        balance.forward_share_of_error = after.forward_share_of_error;
+        balance.refitted = true;
+        return true;
+    }
+    let back: Vec<f64> = changes.iter().map(|by| -by).collect();
+    own::take_out(windows, equation, &back);
+    false
+}
+
 /// The equation that fails worse first: by its error in units of the noise, else beside its drive.
 fn rank(found: &mut Located) {
-    let badness = |balance: &EquationBalance| balance.nres.unwrap_or(balance.relative);
-    found
-        .balances
-        .sort_by(|a, b| badness(b).total_cmp(&badness(a)));
+    let nres = |balance: &EquationBalance| {
+        if balance.refitted {
+            balance.nres_refitted
+        } else {
+            balance.nres
+        }
+    };
+    let locations = &found.locations;
+    let badness = |balance: &EquationBalance| {
+        // An error that follows something says more than a larger one that follows nothing.
+        let follows = locations
+            .iter()
+            .find(|location| location.equation == balance.equation)
+            .map_or(0.0, |location| location.follows);
+        let size = nres(balance).unwrap_or(balance.relative) * (0.1 + 0.9 * follows).sqrt();
+        (f64::from(u8::from(balance.fails)), size)
+    };
+    found.balances.sort_by(|a, b| {
+        let (a, b) = (badness(a), badness(b));
+        b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1))
+    });
     let order: Vec<&str> = found.balances.iter().map(|b| b.equation).collect();
-    let place = |location: &FailureLocation| order.iter().position(|name| *name == location.equation);
+    let place =
+        |location: &FailureLocation| order.iter().position(|name| *name == location.equation);
     // Stable: within an equation the order of the axes stays.
     found.locations.sort_by_key(place);
-    if found.balances.len() == 2 && found.balances.iter().all(|b| b.nres.is_some()) {
-        let beyond = |balance: &EquationBalance| (balance.nres.unwrap_or(0.0).powi(2) - 1.0).max(0.0);
+    if found.balances.len() == 2 && found.balances.iter().all(|b| nres(b).is_some()) {
+        let beyond =
+            |balance: &EquationBalance| (nres(balance).unwrap_or(0.0).powi(2) - 1.0).max(0.0);
         let total: f64 = found.balances.iter().map(beyond).sum();
         if total > 0.0 {
             for balance in &mut found.balances {

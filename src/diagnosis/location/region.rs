@@ -66,7 +66,9 @@ fn along(points: &[Point<'_>], equation: Equation, of_size: bool) -> Option<Regi
             .map(|point| value(point))
             .sum()
     };
-    let follows: Vec<f64> = (0..BINS).map(|bin| sum(bin, &|p| p.fitted * p.fitted)).collect();
+    let follows: Vec<f64> = (0..BINS)
+        .map(|bin| sum(bin, &|p| p.fitted * p.fitted))
+        .collect();
     let beyond: Vec<f64> = (0..BINS)
         .map(|bin| {
             sum(bin, &|p| {
@@ -82,7 +84,9 @@ fn along(points: &[Point<'_>], equation: Equation, of_size: bool) -> Option<Regi
         .min_by(|a, b| {
             // Fewest windows; among equals the one that holds more.
             let held = |(first, end): &(usize, usize)| follows[*first..=*end].iter().sum::<f64>();
-            (a.1 - a.0).cmp(&(b.1 - b.0)).then(held(b).total_cmp(&held(a)))
+            (a.1 - a.0)
+                .cmp(&(b.1 - b.0))
+                .then(held(b).total_cmp(&held(a)))
         })?;
     let whole: f64 = beyond.iter().sum();
     let inside = first_of(end + 1) - first_of(first);

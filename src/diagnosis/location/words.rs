@@ -53,7 +53,10 @@ pub(super) fn sentence(axis: &Axis) -> String {
             format!("{follows} of the {equation} error follows the {name}, over its whole range")
         }),
         Shape::Own { key, by, share } => {
-            format!("{follows} of the {equation} error follows the {name}, {}", own(*key, *by, *share))
+            format!(
+                "{follows} of the {equation} error follows the {name}, {}",
+                own(*key, *by, *share)
+            )
         }
         Shape::Turns { order, amplitude } => format!(
             "{follows} of the {equation} error follows the angle: it repeats {}, with {} {unit}",
@@ -64,7 +67,9 @@ pub(super) fn sentence(axis: &Axis) -> String {
             },
             figure(*amplitude)
         ),
-        Shape::Drift { resistance: Some([from, to]) } => format!(
+        Shape::Drift {
+            resistance: Some([from, to]),
+        } => format!(
             "{follows} of the {equation} error follows the time, as a resistance that moves by {:+.3} ohm from begin to \
              end would",
             to - from
@@ -77,10 +82,22 @@ pub(super) fn sentence(axis: &Axis) -> String {
             figure(axis.region.from),
             figure(*amplitude)
         ),
-        Shape::Late { delay_s } => format!(
-            "{follows} of the {equation} error follows the steps of the voltage, as if it came {} ms {} (timing)",
-            figure(1e3 * delay_s.abs()),
+        Shape::Late { delay_s, resolved } => format!(
+            "{follows} of the {equation} error follows the steps of the voltage, as if it came{} {} (timing)",
+            if *resolved {
+                format!(" {} ms", figure(1e3 * delay_s.abs()))
+            } else {
+                String::new()
+            },
             if *delay_s > 0.0 { "late" } else { "early" }
+        ),
+        Shape::Offset { by } => format!(
+            "{follows} of the {equation} error is the same everywhere: {} {unit} too much in the model's {}",
+            figure(-by),
+            match axis.equation {
+                Equation::Torque => "losses",
+                Equation::Voltage => "drops",
+            }
         ),
         Shape::OneWay { forward } => format!(
             "{} of the {equation} error falls in {} motion ({} of the time in motion)",
@@ -116,14 +133,7 @@ fn range(axis: &Axis) -> Option<String> {
 }
 
 fn own(key: MotorKey, by: f64, share: f64) -> String {
-    let name = match key {
-        MotorKey::Resistance => "resistance",
-        MotorKey::Inductance => "inductance",
-        MotorKey::BackEmf => "back-EMF constant",
-        MotorKey::Inertia => "inertia",
-        MotorKey::LoadTorque => "load torque",
-        MotorKey::TorqueConstant => "torque constant",
-    };
+    let name = name_of(key);
     format!(
         "as a {name} that is {} too {} in the model would ({} {})",
         percent(share.abs()),
@@ -139,20 +149,55 @@ pub(super) fn describe(balance: &mut EquationBalance, first: Option<&Axis>) {
     let size = match balance.nres {
         Some(nres) => format!("{nres:.2} times its noise"),
         None => format!(
-            "{} of the {} (no noise is known to compare it with)",
-            percent_fine(balance.relative),
-            if name == Equation::Torque.name() { "driving torque" } else { "voltage" }
+            "{} % of the {} (no noise is known to compare it with)",
+            figure(100.0 * balance.relative),
+            if name == Equation::Torque.name() {
+                "driving torque"
+            } else {
+                "voltage"
+            }
         ),
     };
+    let moved = match (balance.refitted, balance.nres, balance.nres_refitted) {
+        (true, Some(before), Some(after)) if before - after > 0.1 => format!(
+            ", {after:.2} times where {} may move",
+            largest_change(balance)
+        ),
+        _ => String::new(),
+    };
     balance.sentence = if !balance.fails {
-        format!("the {name} equation holds: its error is {size}")
+        format!("the {name} equation holds: its error is {size}{moved}")
     } else if let Some(axis) = first {
-        format!("the {name} equation fails: its error is {size}; {}", sentence(axis))
+        format!(
+            "the {name} equation fails: its error is {size}{moved}; {}",
+            sentence(axis)
+        )
     } else {
-        format!("the {name} equation fails: its error is {size} and follows no variable that was asked")
+        format!(
+            "the {name} equation fails: its error is {size}{moved} and follows no variable that was asked"
+        )
     };
 }
 
-fn percent_fine(share: f64) -> String {
-    format!("{} %", figure(100.0 * share))
+/// The parameter that is farthest off, with its move.
+fn largest_change(balance: &EquationBalance) -> String {
+    let largest = balance
+        .own_changes
+        .iter()
+        .max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
+    largest.map_or_else(String::new, |change| {
+        let name = MotorKey::from_key(change.key).map_or("a value", name_of);
+        format!("its values (the {name} by {:+.1} %)", 100.0 * change.share)
+    })
+}
+
+const fn name_of(key: MotorKey) -> &'static str {
+    match key {
+        MotorKey::Resistance => "resistance",
+        MotorKey::Inductance => "inductance",
+        MotorKey::BackEmf => "back-EMF constant",
+        MotorKey::Inertia => "inertia",
+        MotorKey::LoadTorque => "load torque",
+        MotorKey::TorqueConstant => "torque constant",
+    }
 }
