@@ -35,10 +35,12 @@ pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use fitted::Fitted;
 pub use ladder::{AddResult, Rung, add, remove};
-pub use location::{ErrorOf, FailureLocation, locate};
+pub use location::{
+    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
+};
 pub use progress::{Event, Progress, silent};
 pub use refit::Thoroughness;
-pub use residual::ResidualLights;
+pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
 
 #[cfg(test)]

@@ -76,7 +76,10 @@ pub fn remove(
     );
     let prefix = format!("{}.", effect.card().id);
     let own = before.parameters.iter();
-    result.parameters = own.filter(|p| p.key.starts_with(&prefix)).cloned().collect();
+    result.parameters = own
+        .filter(|p| p.key.starts_with(&prefix))
+        .cloned()
+        .collect();
     Ok(result)
 }
 
@@ -160,7 +163,8 @@ fn both_processings(result: &AddResult) -> String {
                 after.relative_error_percent,
                 match before.method {
                     Method::WeakForm => "weak form",
-                    Method::InverseDynamics => "reference processing: inverse dynamics, zero-phase low pass",
+                    Method::InverseDynamics =>
+                        "reference processing: inverse dynamics, zero-phase low pass",
                 }
             )
         })

@@ -61,7 +61,11 @@ fn is_linear(slot: &Slot, model: &Model) -> bool {
         Slot::Motor(key) => matches!(key, MotorKey::Inertia | MotorKey::LoadTorque),
         Slot::Effect { index, spec, .. } => {
             spec.is_coefficient()
-                && model.effects[*index].effect.card().enters.includes(Balance::Torque)
+                && model.effects[*index]
+                    .effect
+                    .card()
+                    .enters
+                    .includes(Balance::Torque)
         }
     }
 }
@@ -110,7 +114,11 @@ pub(super) fn column(model: &Model, slot: &Slot, rows: &TorqueRows) -> Vec<f64> 
 }
 
 /// What the model, as it stands, says of the torque in each row.
-pub(super) fn predicted(model: &Model, extra: Option<(&Extra, f64)>, rows: &TorqueRows) -> Vec<f64> {
+pub(super) fn predicted(
+    model: &Model,
+    extra: Option<(&Extra, f64)>,
+    rows: &TorqueRows,
+) -> Vec<f64> {
     let mut sum = vec![0.0; rows.rows()];
     for slot in unknowns(model) {
         let value = model.get(&slot).unwrap_or(0.0);
@@ -137,7 +145,11 @@ pub(super) fn fit(model: &Model, extra: Option<&Extra>, rows: &TorqueRows) -> Op
         .filter(|slot| match slot {
             Slot::Effect { index, spec, .. } => {
                 matches!(spec.role, ParameterRole::Shape | ParameterRole::EventTime)
-                    && model.effects[*index].effect.card().enters.includes(Balance::Torque)
+                    && model.effects[*index]
+                        .effect
+                        .card()
+                        .enters
+                        .includes(Balance::Torque)
             }
             Slot::Motor(_) => false,
         })
@@ -159,7 +171,10 @@ fn search(model: &mut Model, forms: &[Slot], extra: Option<&Extra>, rows: &Torqu
     for slot in forms {
         if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
             let start = if spec.role == ParameterRole::EventTime {
-                terms::event_times(&[0.5], rows).first().copied().unwrap_or(0.0)
+                terms::event_times(&[0.5], rows)
+                    .first()
+                    .copied()
+                    .unwrap_or(0.0)
             } else {
                 spec.guess()
             };
@@ -267,7 +282,11 @@ fn not_in_the_balance(model: &Model, slot: &Slot) -> ParameterEstimate {
     let (verdict, std, reason) = match slot {
         _ if is_fixed(model, slot) => (Verdict::Fixed, Some(0.0), None),
         Slot::Effect { index, .. }
-            if model.effects[*index].effect.card().enters.includes(Balance::Torque) =>
+            if model.effects[*index]
+                .effect
+                .card()
+                .enters
+                .includes(Balance::Torque) =>
         {
             (
                 Verdict::Searching,
