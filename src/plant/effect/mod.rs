@@ -8,19 +8,24 @@
 //! ```
 
 mod constant_load;
+mod custom;
+mod defined;
 mod load_step;
 mod parameter;
 mod path;
 mod quadratic_load;
 mod speed_filter;
 mod stribeck_friction;
+mod table;
 mod terms;
 mod viscous_friction;
 mod voltage_drop;
 mod winding_heating;
 
+pub use defined::{DefinitionError, FAMILIES, Layout, define, family};
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use path::{Coupling, Path};
+pub use table::{Axis, weights as table_weights};
 pub use terms::{Instant, Sums, Terms};
 
 /// Every effect that the program can name, add and remove.
@@ -94,6 +99,21 @@ pub trait Effect: Sync {
     fn parameters(&self) -> &'static [ParameterSpec];
     /// `values` in the order of [`Effect::parameters`].
     fn terms(&self, values: &[f64]) -> Box<dyn Terms>;
+
+    /// What defines the effect beside its parameters, as a model file keeps it: nothing for those of the catalogue.
+    fn settings(&self) -> Vec<(&'static str, toml::Value)> {
+        Vec::new()
+    }
+
+    /// How a model file holds its parameters.
+    fn layout(&self) -> Layout {
+        Layout::Keys
+    }
+
+    /// One parameter in a model file; `None` where nothing is written.
+    fn written(&self, _parameter: usize, value: Option<f64>) -> Option<toml::Value> {
+        value.map(toml::Value::Float)
+    }
 }
 
 #[cfg(test)]
