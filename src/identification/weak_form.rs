@@ -479,9 +479,16 @@ struct Signals<'a> {
     voltage: Vec<f64>,
     sign: Vec<f64>,
     equation: Balance,
-    /// Measured angle at the samples; NaN where there is none.
+    /// Angle of the shaft at the samples, measured or the integral of the speed; NaN where there is none.
     angle: Vec<f64>,
     supply_v: f64,
+}
+
+/// Angle of the shaft at every sample, measured or the integral of the speed; NaN where there is none.
+pub fn angles(scenario: &Scenario) -> Vec<f64> {
+    let shaft = scenario.shaft_angle();
+    let times = scenario.sample_time_s.iter();
+    times.map(|time_s| interpolated(&shaft, *time_s)).collect()
 }
 
 impl<'a> Signals<'a> {
@@ -516,11 +523,7 @@ impl<'a> Signals<'a> {
             left,
             sign,
             supply_v: scenario.supply_v(),
-            angle: scenario
-                .sample_time_s
-                .iter()
-                .map(|time_s| interpolated(&scenario.angle, *time_s))
-                .collect(),
+            angle: angles(scenario),
         }
     }
 
