@@ -10,6 +10,7 @@
 //!
 //! The method is that of DISCOVERY.md; a name is given only for what pays on data that the fit has not seen.
 
+mod axis_map;
 mod candidates;
 mod compare;
 mod decide;
@@ -29,6 +30,7 @@ mod screen;
 mod search;
 mod shapes;
 
+pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
