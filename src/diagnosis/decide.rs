@@ -4,6 +4,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::candidates::Refit;
+use super::evidence::Evidence;
 use super::score::Score;
 
 /// z above which one model beats another.
@@ -15,6 +16,9 @@ pub(super) const AT_THE_FLOOR: f64 = 1.1;
 /// Shares of the explainable error from which a named set is sufficient, and below which nothing is named.
 pub(super) const SUFFICIENT: f64 = 0.9;
 pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
+
+/// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
+const NEAR_THE_FLOOR: f64 = 1.5;
 
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
@@ -70,6 +74,42 @@ pub(super) fn explained(before: f64, after: f64, floor: f64) -> f64 {
     } else {
         (1.0 - (after * after - floor * floor) / explainable).min(1.0)
     }
+}
+
+/// The floor, raised by what it is uncertain by, because it was estimated from few samples.
+fn highest_floor(evidence: &Evidence) -> f64 {
+    evidence.floor() * evidence.noise.tolerance(1.0)
+}
+
+/// Whether a model explains the hold-out to the noise.
+pub(super) fn at_the_floor(evidence: &Evidence, score: &Score) -> bool {
+    score.nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
+}
+
+/// Whether the search may end with this model.
+pub(super) fn enough(evidence: &Evidence, base: &Score, now: &Score, until_floor: bool) -> bool {
+    let floor = highest_floor(evidence);
+    if until_floor {
+        return now.nrms < 1.08 * evidence.floor() || now.nrms < floor;
+    }
+    // A strong effect explains nine tenths of the error and may still hide a weak partner well above the floor.
+    explained(base.nrms, now.nrms, floor) >= SUFFICIENT
+        && (floor <= 0.0 || now.nrms < NEAR_THE_FLOOR * floor)
+}
+
+/// Whether a set of effects explains enough to be named: its first alone a good part, or all of them nearly everything.
+/// Several that each explain a little of an error that is none of them are not an answer.
+pub(super) fn explains(evidence: &Evidence, base: &Score, first: &Score, all: &Score) -> bool {
+    let floor = highest_floor(evidence);
+    let share = |score: &Score| explained(base.nrms, score.nrms, floor);
+    share(first) >= EXPLAINS_SOMETHING && share(all) >= EXPLAINS_SOMETHING
+        || share(all) >= SUFFICIENT
+        || base.nrms <= floor
+}
+
+/// Whether `better` has a smaller held-out error than `worse` beyond chance.
+pub(super) fn beats(better: &Score, worse: &Score) -> bool {
+    better.nrms < worse.nrms && z(worse, better) >= SIGNIFICANT
 }
 
 /// Whether `candidate` pays on the hold-out.

@@ -10,10 +10,10 @@ use super::fitted::Fitted;
 use super::location::ErrorOf;
 use super::score::Score;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{ActiveEffect, Effect, Model};
+use crate::plant::{Effect, Model};
 use crate::sample::ParameterEstimate;
 
-use super::screen::Screen;
+use super::refit::refit_one;
 
 /// One model on the ladder and its held-out error in units of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -46,17 +46,7 @@ pub fn add(
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
     let (evidence, before) = evidence.with_baseline(model)?;
-    let screened = Screen::new(&before, &evidence.training).effect(effect)?;
-    let with = |model: &Model, active: ActiveEffect| {
-        let mut model = model.clone();
-        model.effects.push(active);
-        model
-    };
-    let mut starts = vec![with(&before.model, screened.start)];
-    if model.require_complete().is_ok() {
-        starts.push(with(model, ActiveEffect::new(effect)));
-    }
-    let after = output_error::fit(&starts, &evidence.training, &evidence.noise)?;
+    let after = refit_one(&evidence, &before, model, effect)?.fit;
     change(effect, &evidence, &before, after, true)
 }
 

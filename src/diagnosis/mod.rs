@@ -13,22 +13,29 @@
 mod candidates;
 mod compare;
 mod decide;
+mod describe;
 mod diagnose;
 mod evidence;
 mod fitted;
 mod ladder;
 mod location;
+mod progress;
+mod refit;
 mod residual;
 mod score;
 mod screen;
+mod search;
+mod shapes;
 
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
-pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose};
+pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use fitted::Fitted;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{ErrorOf, FailureLocation, locate};
+pub use progress::{Event, Progress, silent};
+pub use refit::Thoroughness;
 pub use residual::ResidualLights;
 pub use score::{Score, SignalScore};
 

@@ -83,6 +83,29 @@ impl NoiseFloor {
         })
     }
 
+    /// One floor from the standstills of several runs of one machine: each counts with its samples.
+    pub fn pooled(rests: &[Self]) -> Option<Self> {
+        let first = rests.first()?;
+        let mean = |level: fn(&Self) -> f64| {
+            let known = rests.iter().filter(|rest| level(rest).is_finite());
+            let (squares, samples) = known.fold((0.0, 0.0), |(squares, samples), rest| {
+                let n = rest.samples as f64;
+                (squares + n * level(rest).powi(2), samples + n)
+            });
+            if samples > 0.0 {
+                (squares / samples).sqrt()
+            } else {
+                f64::INFINITY
+            }
+        };
+        Some(Self {
+            current_a: mean(|rest| rest.current_a),
+            speed_rad_s: mean(|rest| rest.speed_rad_s),
+            source: first.source,
+            samples: rests.iter().map(|rest| rest.samples).sum(),
+        })
+    }
+
     /// Scales that make both signals count alike where no noise is known: a hundredth of their spread.
     pub fn from_spread(scenario: &Scenario) -> Self {
         let spread = |values: &[f64]| {

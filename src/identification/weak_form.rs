@@ -418,6 +418,7 @@ struct Signals<'a> {
     equation: Balance,
     /// Measured angle at the samples; NaN where there is none.
     angle: Vec<f64>,
+    supply_v: f64,
 }
 
 impl<'a> Signals<'a> {
@@ -447,6 +448,7 @@ impl<'a> Signals<'a> {
             equation,
             left,
             sign,
+            supply_v: scenario.supply_v(),
             angle: scenario
                 .sample_time_s
                 .iter()
@@ -484,6 +486,7 @@ impl<'a> Signals<'a> {
         let at = Instant {
             time_s: self.scenario.sample_time_s[sample] - self.scenario.begin_s(),
             voltage_v: self.left[sample],
+            supply_v: self.supply_v,
             current_a: self.scenario.current_a[sample],
             speed_rad_s: self.scenario.speed_rad_s[sample],
             angle_rad: self.angle[sample],

@@ -167,6 +167,17 @@ impl Scenario {
         self.events[next.saturating_sub(1)].1
     }
 
+    /// Full voltage of the supply: the highest that the run applied, since a run says no more of its supply.
+    /// Zero where it is not driven by a voltage.
+    pub fn supply_v(&self) -> f64 {
+        if self.input != Input::Voltage {
+            return 0.0;
+        }
+        self.events
+            .iter()
+            .fold(0.0, |most, event| f64::max(most, event.1.abs()))
+    }
+
     /// Angle of the shaft `(time, angle)`: the measured one, else the integral of the measured speed, which starts
     /// anywhere and drifts. Never the simulated one, whose phase is lost within seconds (DISCOVERY.md 2.1).
     pub fn shaft_angle(&self) -> Cow<'_, [(f64, f64)]> {

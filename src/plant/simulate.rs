@@ -11,8 +11,10 @@ mod angle_track;
 mod commands;
 mod equations;
 mod sensors;
+mod shaft_flow;
 mod state;
 mod steps;
+mod two_mass;
 
 use std::borrow::Cow;
 
@@ -22,6 +24,7 @@ use sensors::{Reading, Sensors};
 use state::Mode;
 pub use state::State;
 use steps::Steps;
+use two_mass::TwoMass;
 
 use super::effect::Instant;
 use super::model::{Model, ModelError};
@@ -47,6 +50,8 @@ pub struct Plant {
     moving: Steps,
     /// While stuck: the current alone.
     stuck: Steps,
+    /// Where the load is a second inertia behind a shaft.
+    two_mass: Option<TwoMass>,
     /// Where something lies between the motion and its measurement.
     sensors: Option<Sensors>,
     /// Start of the run that is being simulated, s.
@@ -68,13 +73,16 @@ impl Plant {
         let still = [[equations.a[0][0], 0.0], [0.0, 0.0]];
         let linear = equations.is_linear();
         Ok(Self {
-            longest_step_s: if linear {
+            longest_step_s: if linear && equations.coupling.is_none() {
                 LONGEST_STEP_S
             } else {
                 LONGEST_STEP_WITH_EFFECTS_S
             },
             moving: Steps::new(&equations.a, !linear),
             stuck: Steps::new(&still, !linear),
+            two_mass: equations
+                .coupling
+                .map(|coupling| TwoMass::new(&coupling, &equations)),
             sensors: None,
             begin_s: 0.0,
             equations,
@@ -116,9 +124,13 @@ impl Plant {
         self.moving.clear();
         self.stuck.clear();
         let mut state = start;
+        if let Some(two_mass) = &mut self.two_mass {
+            two_mass.start(&state);
+        }
         let mut event = 0;
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
+        self.equations.set_supply(scenario.supply_v());
         let mut now_s = self.begin_s;
         let angles = if self.equations.needs_angle {
             scenario.shaft_angle()
@@ -156,6 +168,9 @@ impl Plant {
             out.current_a.push(current_a);
             out.speed_rad_s.push(speed_rad_s);
             if horizon.is_some_and(|horizon| sample % horizon == 0) {
+                if let Some(two_mass) = &mut self.two_mass {
+                    two_mass.anchor(scenario.speed_rad_s[sample] - state.speed_rad_s);
+                }
                 state.anchor(scenario.current_a[sample], scenario.speed_rad_s[sample]);
             }
         }
@@ -208,6 +223,10 @@ impl Plant {
     fn sub_step(&mut self, state: &mut State, mut at: Instant, h: f64) {
         if self.equations.input != Input::Voltage {
             state.current_a = at.voltage_v;
+        }
+        if let Some(two_mass) = &mut self.two_mass {
+            two_mass.sub_step(&self.equations, state, at, h);
+            return;
         }
         if state.mode == Mode::Undecided {
             state.mode = self.equations.mode_at(state, &at);

@@ -81,7 +81,7 @@ fn no_fit() -> Fitted {
 }
 
 fn comparison(factor: f64) -> Comparison {
-    use crate::diagnosis::{FailureLocation, Fitted, ResidualLights};
+    use crate::diagnosis::{FailureLocation, ResidualLights};
     let mut comparison = tiny_comparison();
     for signal in [
         &mut comparison.signals.speed_rad_s,
@@ -134,7 +134,7 @@ fn tiny_comparison() -> Comparison {
 }
 
 fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
-    use crate::diagnosis::{Candidate, Fitted, Status};
+    use crate::diagnosis::{Candidate, Status};
     let candidate = |rank, effect, status, after: f64, probability, parameters| Candidate {
         effect,
         rank,
@@ -146,7 +146,7 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         holdout_before: 5.1,
         holdout_after: after,
         explained_percent: 100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0)),
-        minimum_detectable: 0.004,
+        minimum_detectable: Some(0.004),
         evidence: format!(
             "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
         ),

@@ -46,6 +46,7 @@ pub(super) fn rows(
     };
     let signals = Signals {
         model,
+        supply_v: scenario.supply_v(),
         part,
         equation,
         left: &left,
@@ -95,6 +96,7 @@ fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
 /// Signals of one part as the terms see them.
 struct Signals<'a> {
     model: &'a Model,
+    supply_v: f64,
     part: &'a Part,
     equation: Balance,
     left: &'a [f64],
@@ -140,6 +142,7 @@ impl Signals<'_> {
                     } else {
                         0.0
                     },
+                    supply_v: self.supply_v,
                     current_a: self.current[k],
                     speed_rad_s: self.speed[k],
                     angle_rad: self.part.angle_rad[k],

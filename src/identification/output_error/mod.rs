@@ -72,12 +72,22 @@ pub struct Fit {
 
 /// Fits the free parameters of each start's model and keeps the better minimum. Every start must have the same effects.
 pub fn fit(starts: &[Model], scenario: &Scenario, noise: &NoiseFloor) -> Result<Fit, FitError> {
+    fit_with(starts, scenario, noise, Options::default())
+}
+
+/// The same with other limits of the search.
+pub fn fit_with(
+    starts: &[Model],
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<Fit, FitError> {
     let mut best: Option<Fit> = None;
     let mut failure = FitError::CannotSimulate {
         run: scenario.name.clone(),
     };
     for start in starts {
-        match fit_from(start, scenario, noise) {
+        match fit_from(start, scenario, noise, options) {
             Ok(found)
                 if best
                     .as_ref()
@@ -92,18 +102,22 @@ pub fn fit(starts: &[Model], scenario: &Scenario, noise: &NoiseFloor) -> Result<
     best.ok_or(failure)
 }
 
-fn fit_from(start: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Fit, FitError> {
+fn fit_from(
+    start: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<Fit, FitError> {
     let mut problem = FreeRun::new(start, scenario, *noise)?;
     if problem.free_slots().is_empty() {
         return Err(FitError::NothingFree);
     }
     let x0 = problem.start();
-    let minimum =
-        levenberg_marquardt::minimise(&mut problem, &x0, Options::default()).ok_or_else(|| {
-            FitError::CannotSimulate {
-                run: scenario.name.clone(),
-            }
-        })?;
+    let minimum = levenberg_marquardt::minimise(&mut problem, &x0, options).ok_or_else(|| {
+        FitError::CannotSimulate {
+            run: scenario.name.clone(),
+        }
+    })?;
     let model = problem.model_at(&minimum.x);
     let parameters = estimates(&model, &problem, &minimum, scenario);
     Ok(Fit {

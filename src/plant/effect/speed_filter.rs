@@ -15,7 +15,8 @@ impl Effect for SpeedFilter {
             causes: "a smoothing filter in the drive or tachometer; speed from encoder edges over a window",
             looks_like: "speed error at every acceleration, of the sign of the acceleration",
             excite: "fast dither of the voltage about zero speed; slow ramps do not show it",
-            remedy: "lower the drive's filter, or declare it in the profile; count it into the loop's small time constant",
+            remedy: "lower the drive's filter, or declare it in the profile; count it into the loop's small \
+                     time constant",
             needs_angle: false,
         }
     }
