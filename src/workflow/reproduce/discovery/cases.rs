@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
+use super::Size;
 use super::record::Excitation;
 use super::sizes::{KNOWN, PAIRS, UNKNOWN, WRONG_FORM};
-use super::Size;
 
 /// Levels of unmodelled background, as multiples of the emulator's `messy`; level 0 is the single effects themselves.
 const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
@@ -25,7 +25,9 @@ pub enum Group {
     WrongForm,
     Pair,
     /// One effect among small unmodelled ones.
-    Background { level: f64 },
+    Background {
+        level: f64,
+    },
 }
 
 impl Group {
@@ -57,7 +59,13 @@ pub struct Case {
 }
 
 impl Case {
-    fn new(group: Group, excitation: Excitation, hidden: &[&'static str], set: u64, size: Size) -> Self {
+    fn new(
+        group: Group,
+        excitation: Excitation,
+        hidden: &[&'static str],
+        set: u64,
+        size: Size,
+    ) -> Self {
         let right_names = |id: &'static str| -> Vec<&'static str> {
             let foreign = WRONG_FORM.iter().find(|(foreign, ..)| *foreign == id);
             foreign.map_or_else(|| vec![id], |(_, _, names)| names.to_vec())
@@ -66,7 +74,12 @@ impl Case {
             Group::Unknown => vec![],
             _ => hidden.iter().map(|id| right_names(id)).collect(),
         };
-        let cell = format!("{}/{}/{}", group.name(), excitation.name(), hidden.join("+"));
+        let cell = format!(
+            "{}/{}/{}",
+            group.name(),
+            excitation.name(),
+            hidden.join("+")
+        );
         Self {
             group,
             excitation,
@@ -127,7 +140,12 @@ pub(super) fn all(size: Size) -> Vec<Case> {
     }
     for level in BACKGROUND_LEVELS {
         for (id, _) in KNOWN {
-            add(Group::Background { level }, Excitation::Rich, &[id], size.sets);
+            add(
+                Group::Background { level },
+                Excitation::Rich,
+                &[id],
+                size.sets,
+            );
         }
     }
     cases

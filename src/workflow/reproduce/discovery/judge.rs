@@ -238,9 +238,8 @@ mod tests {
     #[test]
     fn on_a_messy_bench_the_background_may_be_named_but_is_not_the_answer() {
         let messy = case(Group::Background { level: 1.0 }, &[&["voltage_drop"]]);
-        let effect = |effects: &[&'static str]| {
-            outcome(&messy, &said(DiagnosisVerdict::Effect, effects))
-        };
+        let effect =
+            |effects: &[&'static str]| outcome(&messy, &said(DiagnosisVerdict::Effect, effects));
         assert_eq!(effect(&["voltage_drop", "cogging"]), Outcome::Right);
         assert_eq!(effect(&["cogging"]), Outcome::Abstained);
         assert_eq!(effect(&["backlash"]), Outcome::Wrong);

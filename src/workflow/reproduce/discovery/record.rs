@@ -69,7 +69,9 @@ impl Excitation {
 
     pub const fn description(self) -> &'static str {
         match self {
-            Self::Rich => "the default sequence: steps with dither, ramp, five levels at random, slow sine; 1 kHz",
+            Self::Rich => {
+                "the default sequence: steps with dither, ramp, five levels at random, slow sine; 1 kHz"
+            }
             Self::Steps => "random levels of both signs up to 105 V, held for 0.45 s; 1 kHz",
             Self::Unipolar => "the same with positive levels only, the shaft never reverses; 1 kHz",
             Self::Prbs => "nine levels up to 85 V at random, changing every 80 ms; 1 kHz",
@@ -149,7 +151,7 @@ impl Excitation {
 
 /// Why a set has no runs: a fault of the study, never a verdict on the diagnosis.
 #[derive(Debug, Error)]
-pub enum StudyError {
+pub(super) enum StudyError {
     #[error("a hidden effect is not one of the emulator's: {0}")]
     Effect(#[from] toml::de::Error),
     #[error(transparent)]
@@ -179,7 +181,13 @@ pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
     let seconds = if case.short { SECONDS / 2.0 } else { SECONDS };
     let mut run = |name: &str| {
         let program = case.excitation.program(&mut rng, seconds)?;
-        record(name, &config, case.excitation.period_s(), &program, &mut rng)
+        record(
+            name,
+            &config,
+            case.excitation.period_s(),
+            &program,
+            &mut rng,
+        )
     };
     Ok(Runs {
         fit: run("fit")?,

@@ -20,25 +20,46 @@ const SIN_COS_RATIO: [&str; 2] = ["sin_ratio", "cos_ratio"];
 
 /// What the host's catalogue has too: every one is a class of the study.
 pub(super) const KNOWN: &[(&str, &[Draw])] = &[
-    ("viscous_friction", &[Between("viscous_n_m_s_per_rad", 4e-4, 8e-4)]),
-    ("quadratic_load", &[Between("quadratic_n_m_s2_per_rad2", 1.2e-6, 2.8e-6)]),
+    (
+        "viscous_friction",
+        &[Between("viscous_n_m_s_per_rad", 4e-4, 8e-4)],
+    ),
+    (
+        "quadratic_load",
+        &[Between("quadratic_n_m_s2_per_rad2", 1.2e-6, 2.8e-6)],
+    ),
     (
         "stribeck_friction",
-        &[Between("stribeck_n_m", 0.08, 0.16), Between("stribeck_speed_rad_s", 6.0, 18.0)],
+        &[
+            Between("stribeck_n_m", 0.08, 0.16),
+            Between("stribeck_speed_rad_s", 6.0, 18.0),
+        ],
     ),
     ("constant_load", &[Signed("constant_n_m", 0.04, 0.12)]),
-    ("asymmetric_viscous", &[Signed("asymmetry_n_m_s_per_rad", 2e-4, 5e-4)]),
+    (
+        "asymmetric_viscous",
+        &[Signed("asymmetry_n_m_s_per_rad", 2e-4, 5e-4)],
+    ),
     (
         "cogging",
-        &[OneOf("order", &[4.0, 6.0, 8.0, 9.0, 12.0, 14.0]), Phase(SIN_COS_N_M, 0.07, 0.15)],
+        &[
+            OneOf("order", &[4.0, 6.0, 8.0, 9.0, 12.0, 14.0]),
+            Phase(SIN_COS_N_M, 0.07, 0.15),
+        ],
     ),
     (
         "torque_ripple",
-        &[OneOf("order", &[3.0, 6.0, 8.0, 12.0]), Phase(SIN_COS_RATIO, 0.05, 0.12)],
+        &[
+            OneOf("order", &[3.0, 6.0, 8.0, 12.0]),
+            Phase(SIN_COS_RATIO, 0.05, 0.12),
+        ],
     ),
     ("eccentric_load", &[Phase(SIN_COS_N_M, 0.07, 0.18)]),
     ("load_dependent_friction", &[Between("ratio", 0.05, 0.12)]),
-    ("load_step", &[Between("step_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0)]),
+    (
+        "load_step",
+        &[Between("step_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0)],
+    ),
     (
         "elastic_coupling",
         &[
@@ -62,14 +83,26 @@ pub(super) const KNOWN: &[(&str, &[Draw])] = &[
     ("supply_sag", &[Between("sag_ohm", 0.25, 0.6)]),
     (
         "winding_heating",
-        &[Between("gain_per_a2_s", 0.8e-3, 2.2e-3), Between("time_constant_s", 8.0, 40.0)],
+        &[
+            Between("gain_per_a2_s", 0.8e-3, 2.2e-3),
+            Between("time_constant_s", 8.0, 40.0),
+        ],
     ),
-    ("flux_saturation", &[Between("saturation_per_a2", 1.5e-4, 4e-4)]),
-    ("inductance_saturation", &[Between("saturation_per_a2", 2e-3, 5e-3)]),
+    (
+        "flux_saturation",
+        &[Between("saturation_per_a2", 1.5e-4, 4e-4)],
+    ),
+    (
+        "inductance_saturation",
+        &[Between("saturation_per_a2", 2e-3, 5e-3)],
+    ),
     ("field_change", &[Signed("drift_per_s", 0.003, 0.009)]),
     (
         "discontinuous_conduction",
-        &[Between("boundary_a", 1.0, 2.5), Between("extra_ohm", 0.5, 1.5)],
+        &[
+            Between("boundary_a", 1.0, 2.5),
+            Between("extra_ohm", 0.5, 1.5),
+        ],
     ),
     ("command_delay", &[Between("delay_s", 0.8e-3, 2.5e-3)]),
     ("start_delay", &[Between("delay_s", 0.05, 0.2)]),
@@ -83,7 +116,13 @@ pub(super) const KNOWN: &[(&str, &[Draw])] = &[
 
 /// What no catalogue of the host has: nothing known explains it.
 pub(super) const UNKNOWN: &[(&str, &[Draw])] = &[
-    ("shaker", &[Between("amplitude_n_m", 0.1, 0.2), Between("frequency_hz", 4.4, 5.6)]),
+    (
+        "shaker",
+        &[
+            Between("amplitude_n_m", 0.1, 0.2),
+            Between("frequency_hz", 4.4, 5.6),
+        ],
+    ),
     (
         "torque_bump",
         &[
@@ -92,14 +131,23 @@ pub(super) const UNKNOWN: &[(&str, &[Draw])] = &[
             Between("width_rad_s", 12.0, 22.0),
         ],
     ),
-    ("random_load", &[Between("std_n_m", 0.06, 0.12), Between("correlation_s", 0.15, 0.4)]),
+    (
+        "random_load",
+        &[
+            Between("std_n_m", 0.06, 0.12),
+            Between("correlation_s", 0.15, 0.4),
+        ],
+    ),
 ];
 
 /// A known effect in a shape that the catalogue does not have, and the names that are right for it.
 pub(super) const WRONG_FORM: &[(&str, &[Draw], &[&str])] = &[
     (
         "exponential_stribeck",
-        &[Between("stribeck_n_m", 0.08, 0.16), Between("stribeck_speed_rad_s", 6.0, 18.0)],
+        &[
+            Between("stribeck_n_m", 0.08, 0.16),
+            Between("stribeck_speed_rad_s", 6.0, 18.0),
+        ],
         &["stribeck_friction"],
     ),
     (
@@ -107,15 +155,26 @@ pub(super) const WRONG_FORM: &[(&str, &[Draw], &[&str])] = &[
         &[Between("three_halves_n_m_s15_per_rad15", 2.2e-5, 4e-5)],
         &["quadratic_load", "viscous_friction"],
     ),
-    ("soft_drop", &[Between("drop_v", 0.8, 2.0)], &["voltage_drop"]),
+    (
+        "soft_drop",
+        &[Between("drop_v", 0.8, 2.0)],
+        &["voltage_drop"],
+    ),
     (
         "harmonic_cogging",
-        &[OneOf("order", &[4.0, 6.0, 8.0, 9.0]), Phase(SIN_COS_N_M, 0.07, 0.15)],
+        &[
+            OneOf("order", &[4.0, 6.0, 8.0, 9.0]),
+            Phase(SIN_COS_N_M, 0.07, 0.15),
+        ],
         &["cogging"],
     ),
     (
         "load_ramp",
-        &[Between("step_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0), Between("rise_s", 0.5, 1.5)],
+        &[
+            Between("step_n_m", 0.08, 0.2),
+            Between("time_s", 3.0, 6.0),
+            Between("rise_s", 0.5, 1.5),
+        ],
         &["load_step"],
     ),
 ];
@@ -133,7 +192,8 @@ pub(super) const PAIRS: &[[&str; 2]] = &[
 ];
 
 /// What the emulator's `messy` background is made of: naming one of these there is no mistake.
-pub(super) const BACKGROUND: &[&str] = &["viscous_friction", "cogging", "command_delay", "supply_sag"];
+pub(super) const BACKGROUND: &[&str] =
+    &["viscous_friction", "cogging", "command_delay", "supply_sag"];
 
 fn draws_of(id: &str) -> &'static [Draw] {
     let known = KNOWN.iter().chain(UNKNOWN).map(|&(id, draws)| (id, draws));
