@@ -16,6 +16,7 @@ mod decide;
 mod describe;
 mod diagnose;
 mod evidence;
+mod family;
 mod fitted;
 mod ladder;
 mod location;
