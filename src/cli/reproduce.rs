@@ -22,7 +22,7 @@ pub(super) struct Arguments {
     /// Which paper, or `discovery`: the diagnosis on machines whose truth is known
     #[arg(value_enum, value_name = "PAPER")]
     paper: Paper,
-    /// With `discovery`: machines for each effect and excitation (default 1, about 370 machines in all)
+    /// With `discovery`: machines for each effect and excitation (default 1: some 300 machines in all)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
     sets: Option<u64>,
     /// With `discovery`: another seed makes other machines (default 1)
@@ -106,6 +106,10 @@ fn study(sets: u64, seed: u64) -> Result<reproduce::discovery::Discovery, Failur
         seed,
         reduced: false,
     };
+    output::message(&format!(
+        "{} machines are excited and diagnosed; Ctrl-C ends it",
+        size.machines()
+    ));
     discovery(size, &interrupted, tell).ok_or_else(|| {
         Failure::with_help(
             INTERRUPTED,

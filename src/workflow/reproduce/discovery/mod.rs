@@ -40,6 +40,13 @@ pub struct Size {
     pub reduced: bool,
 }
 
+impl Size {
+    /// How many machines that makes.
+    pub fn machines(self) -> usize {
+        cases::all(self).len()
+    }
+}
+
 /// The study.
 #[derive(Clone, Debug, Serialize)]
 pub struct Discovery {
