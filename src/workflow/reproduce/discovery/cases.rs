@@ -10,6 +10,8 @@ use super::sizes::{KNOWN, PAIRS, UNKNOWN, WRONG_FORM};
 const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
 /// Nulls in each excitation for each set of a cell: false alarms are rare, so they need counting.
 const NULLS_PER_SET: u64 = 6;
+/// Length of each run, s.
+const SECONDS: f64 = 12.0;
 
 /// What a set asks.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -54,8 +56,8 @@ pub struct Case {
     pub right: Vec<Vec<&'static str>>,
     /// Draws motor, sizes, excitation and noise.
     pub seed: u64,
-    /// Runs of a third of the length.
-    pub short: bool,
+    /// Length of each run, s; that of the rich sequence is its own.
+    pub seconds: f64,
 }
 
 impl Case {
@@ -86,7 +88,7 @@ impl Case {
             hidden: hidden.to_vec(),
             right,
             seed: seed_of(&cell, size.seed.wrapping_add(set)),
-            short: size.reduced,
+            seconds: SECONDS,
         }
     }
 

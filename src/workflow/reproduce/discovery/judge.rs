@@ -203,7 +203,7 @@ mod tests {
             hidden: right.iter().map(|names| names[0]).collect(),
             right: right.iter().map(|names| names.to_vec()).collect(),
             seed: 1,
-            short: true,
+            seconds: 12.0,
         }
     }
 

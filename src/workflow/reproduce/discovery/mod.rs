@@ -36,7 +36,7 @@ pub struct Size {
     /// Sets in each cell (effect and excitation); the groups beside the single effects follow it.
     pub sets: u64,
     pub seed: u64,
-    /// A dozen sets of short runs instead: for a test.
+    /// A few sets at 100 Hz instead: for a test.
     pub reduced: bool,
 }
 

@@ -29,7 +29,6 @@ const SLEW_V_PER_S: f64 = 350.0;
 const PRBS_SLEW_V_PER_S: f64 = 500.0;
 /// At rest first: the noise floor and the offsets come from here.
 const STANDSTILL_S: f64 = 0.5;
-const SECONDS: f64 = 12.0;
 /// A slow link samples for longer, and its polls lie up to this much late: the stamps say when.
 const LATE_S: f64 = 0.003;
 
@@ -178,9 +177,8 @@ pub(super) struct Runs {
 pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
     let mut rng = ChaCha8Rng::seed_from_u64(case.seed);
     let config = config(case, &mut rng)?;
-    let seconds = if case.short { SECONDS / 2.0 } else { SECONDS };
     let mut run = |name: &str| {
-        let program = case.excitation.program(&mut rng, seconds)?;
+        let program = case.excitation.program(&mut rng, case.seconds)?;
         record(
             name,
             &config,

@@ -49,8 +49,8 @@ fn every_case_of_the_full_study_can_be_recorded_and_has_seeds_of_its_own() {
             continue;
         }
         seen.push(class);
-        case.short = true;
-        case.excitation = Excitation::Rich100Hz;
+        case.seconds = 1.5;
+        case.excitation = Excitation::Steps;
         let runs = record::runs(&case).unwrap_or_else(|error| panic!("{}: {error}", case.class()));
         assert!(runs.fit.samples() > 500 && runs.holdout.samples() > 500);
         assert_ne!(runs.fit.current_a, runs.holdout.current_a);
