@@ -20,6 +20,7 @@ mod family;
 mod fitted;
 mod ladder;
 mod location;
+pub mod mechanical;
 mod progress;
 mod refit;
 mod residual;

@@ -13,13 +13,17 @@
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
 mod noise_share;
+mod torque_rows;
 mod window;
+
+pub use self::torque_rows::torque_rows;
 
 use nalgebra::{DMatrix, DVector};
 
 use self::noise_share::Noise;
 use self::window::{Window, half_window, held_means, held_values, interpolated, thinned};
 use super::output_error::{BLOCK_S, FitError};
+use super::regressor::{PROPORTIONAL, why_no_regressor};
 use super::verdict::judge;
 use crate::numerics::least_squares;
 use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, Slot};
@@ -382,6 +386,7 @@ fn unknowns(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<Unknow
         Balance::Torque => &[MotorKey::Inertia, MotorKey::LoadTorque],
     };
     let motor = keys.iter().map(|key| Slot::Motor(*key));
+    let electrical = scenario.input == Input::Voltage;
     let effects = model.slots().into_iter().filter(|slot| match slot {
         Slot::Effect { index, spec, .. } => {
             let enters = model.effects[*index]
@@ -391,7 +396,8 @@ fn unknowns(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<Unknow
                 .includes(equation);
             enters
                 && spec.is_coefficient()
-                && (equation == Balance::Torque || scenario.input == Input::Voltage)
+                && why_no_regressor(&model.effects[*index], &model.motor, electrical).is_none()
+                && (equation == Balance::Torque || electrical)
         }
         Slot::Motor(_) => false,
     });
@@ -416,7 +422,7 @@ struct Signals<'a> {
     left: Vec<f64>,
     sign: Vec<f64>,
     equation: Balance,
-    /// Measured angle at the samples; NaN where there is none.
+    /// Angle of the shaft at the samples; NaN where neither angle nor speed is measured.
     angle: Vec<f64>,
     supply_v: f64,
 }
@@ -437,6 +443,7 @@ impl<'a> Signals<'a> {
                 }
             },
         };
+        let shaft_angle = scenario.shaft_angle();
         let sign = scenario
             .speed_rad_s
             .iter()
@@ -452,7 +459,7 @@ impl<'a> Signals<'a> {
             angle: scenario
                 .sample_time_s
                 .iter()
-                .map(|time_s| interpolated(&scenario.angle, *time_s))
+                .map(|time_s| interpolated(&shaft_angle, *time_s))
                 .collect(),
         }
     }
@@ -473,13 +480,14 @@ impl<'a> Signals<'a> {
         }
     }
 
-    /// What the effect's coefficient adds per unit at one sample.
+    /// What the effect's coefficient adds per unit, of a size so small that the effect is proportional to it, at one sample.
     fn effect(&self, index: usize, parameter: usize, sample: usize) -> f64 {
         let active = &self.model.effects[index];
         let mut values = active.values_or_guess();
+        let size = PROPORTIONAL * active.effect.parameters()[parameter].scale;
         for (other, spec) in active.effect.parameters().iter().enumerate() {
             if spec.is_coefficient() {
-                values[other] = if other == parameter { 1.0 } else { 0.0 };
+                values[other] = if other == parameter { size } else { 0.0 };
             }
         }
         let terms = active.effect.terms(&values);
@@ -493,12 +501,13 @@ impl<'a> Signals<'a> {
             ..Instant::of(&self.model.motor)
         };
         let own = vec![0.0; terms.states()];
-        match self.equation {
+        let added = match self.equation {
             Balance::Voltage => terms.voltage_v(&at, &own),
             Balance::Torque => {
                 terms.torque_n_m(&at, &own) + self.sign[sample] * terms.friction_n_m(&at)
             }
-        }
+        };
+        added / size
     }
 }
 
