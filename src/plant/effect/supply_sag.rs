@@ -16,8 +16,8 @@ impl Effect for SupplySag {
                      carries (u/Us) i, sags by Rs times that, and the motor gets the share u/Us of it. Measure the \
                      DC bus under load: if it sags by Rs (u/Us) i it is the supply; if it stands still, a resistance \
                      that grows with the duty is in the drive (a contact, a chopper that loses time under current). \
-                     Us is the highest bus voltage recorded in the run, else the highest voltage applied in it: \
-                     without a recorded bus voltage compare runs of like top voltage",
+                     Us is the highest voltage applied in the run: Rs is that of runs of like top voltage, and \
+                     scales with its square",
             looks_like: "voltage error at high voltage and high current together; the resistance seems to grow \
                          towards full speed",
             excite: "hard acceleration at low and at high speed, so that the same current is met at small and at \
