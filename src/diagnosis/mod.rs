@@ -3,7 +3,8 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare    free-run fit and error per signal, beside the floor; residual lights
-//!    |-> location   which equation fails, and over which speeds, currents, times
+//!    |-> location   which equation fails, and over which speeds, currents, angles, times
+//!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
 //!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
 //! ```
@@ -15,6 +16,7 @@ mod compare;
 mod decide;
 mod diagnose;
 mod evidence;
+mod fingerprint;
 mod ladder;
 mod location;
 mod residual;
@@ -25,6 +27,7 @@ pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
+pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
     EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
