@@ -3,7 +3,8 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare    free-run fit and error per signal, beside the floor; residual lights
-//!    |-> location   which equation fails, and over which speeds, currents, times
+//!    |-> location   which equation fails, and over which speeds, currents, angles, times
+//!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
 //!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
 //! ```
@@ -18,6 +19,7 @@ mod describe;
 mod diagnose;
 mod evidence;
 mod family;
+mod fingerprint;
 mod fitted;
 mod ladder;
 mod location;
@@ -35,6 +37,7 @@ pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
+pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
 pub use fitted::Fitted;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{

@@ -425,7 +425,10 @@ impl Search<'_> {
         })?;
         let own = self.own_columns();
         let amplitude = fitted.coefficients[own].hypot(fitted.coefficients[own + 1]);
-        let mut region = everywhere(frequency_hz, frequency_hz);
+        // As sharp as the length of the run allows.
+        let times = &self.windows.scenario.sample_time_s;
+        let half_hz = 0.5 / (times[times.len() - 1] - times[0]);
+        let mut region = everywhere(frequency_hz - half_hz, frequency_hz + half_hz);
         region.share_of_error = fitted.follows;
         Some(self.axis(
             "frequency_hz",
