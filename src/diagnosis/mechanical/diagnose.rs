@@ -142,7 +142,7 @@ impl Start {
     ) -> Result<Self, FitError> {
         let sides = Sides::weak_form(model, evidence, settings)?;
         let baseline = sides
-            .fit(model, None)
+            .fit(model)
             .ok_or_else(|| FitError::CannotSimulate {
                 run: evidence.training.name.clone(),
             })?;
