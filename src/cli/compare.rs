@@ -110,6 +110,9 @@ pub(super) fn text(comparison: &Comparison) -> String {
         "not white"
     };
     let _ = writeln!(text, "residual {white}");
+    for balance in &comparison.balances {
+        let _ = writeln!(text, "balance  {}", balance.sentence);
+    }
     for location in comparison.locations.iter().take(3) {
         let _ = writeln!(text, "where    {}", location.sentence);
     }

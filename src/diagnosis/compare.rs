@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::location::{ErrorOf, FailureLocation, locate};
+use super::location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, locate};
 use super::mechanical::{self, TorqueComparison};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore};
@@ -49,11 +49,17 @@ pub struct Comparison {
     pub signals: Signals,
     #[serde(rename = "where")]
     pub locations: Vec<FailureLocation>,
+    /// What each equation lacks, the worse first.
+    pub balances: Vec<EquationBalance>,
+    /// The error over speed x current, on the hold-out.
+    pub map: Option<ErrorMap>,
     pub residual: ResidualLights,
     pub noise_floor_from: FloorSource,
     pub holdout_from: HoldoutFrom,
     /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
     pub holdout_rmse: f64,
+    /// What could not be asked of these runs, and why.
+    pub limits: Vec<String>,
 }
 
 /// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of.
@@ -85,12 +91,7 @@ pub fn compare(
                 },
             })
         };
-    let values = |points: Vec<(f64, f64)>| {
-        points
-            .into_iter()
-            .map(|(_, value)| value)
-            .collect::<Vec<_>>()
-    };
+    let located = locate(model, &evidence.holdout, noise, error_of)?;
     Ok(Comparison {
         signals: Signals {
             speed_rad_s: signal(training.speed, holdout.speed, noise.speed_rad_s, one_step.1),
@@ -103,15 +104,33 @@ pub fn compare(
             torque_n_m: None,
             speed_windows_s: None,
         },
-        locations: locate(model, &evidence.holdout, noise, error_of)?,
-        residual: ResidualLights::of(&[
-            values(holdout.current_residual()),
-            values(holdout.speed_residual()),
-        ]),
+        locations: located.locations,
+        balances: located.balances,
+        map: located.map,
+        residual: ResidualLights::of(
+            &with_input(&holdout.current_residual(), &evidence.holdout),
+            &with_input(&holdout.speed_residual(), &evidence.holdout),
+        ),
         noise_floor_from: noise.source,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
+        limits: located.notes,
     })
+}
+
+/// Each residual with the input that held then; the times ascend.
+fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
+    let events = &scenario.events;
+    let mut event = 0;
+    residual
+        .iter()
+        .map(|(time_s, value)| {
+            while event + 1 < events.len() && events[event + 1].0 < *time_s {
+                event += 1;
+            }
+            (*value, events[event].1)
+        })
+        .collect()
 }
 
 /// Root mean square of the one-step prediction errors of current and speed on the training run.

@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::candidates::Refit;
 use super::evidence::Evidence;
+use super::family::simple_form;
 use super::score::Score;
 
 /// z above which one model beats another.
@@ -117,12 +118,34 @@ pub(super) fn pays(base: &Score, candidate: &Score) -> bool {
     candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms && z(base, candidate) >= SIGNIFICANT
 }
 
+/// Share of what a richer effect explains from which its simple form is the answer.
+const SIMPLE_SUFFICES: f64 = 0.8;
+
+/// Whether `a` contains `b` and more.
+fn is_richer(a: &Refit, b: &Refit) -> bool {
+    simple_form(a.id()) == Some(b.id())
+}
+
+/// The simple form of the best candidate where that explains nearly as much: the name says what is there, and what the
+/// richer form adds may be the shape of the simple one.
+fn simple_instead(base: &Score, refits: &[Refit], best: usize) -> Option<usize> {
+    let simple = simple_form(refits[best].id())?;
+    let index = refits.iter().position(|refit| refit.id() == simple)?;
+    let gained = |index: usize| base.nrms.powi(2) - refits[index].holdout.nrms.powi(2);
+    (pays(base, &refits[index].holdout) && gained(index) >= SIMPLE_SUFFICES * gained(best))
+        .then_some(index)
+}
+
 /// Candidates that cannot be told from the best one by this hold-out: indices into `refits`, the preferred one first.
 /// Inside the set the fewer parameters win, then the smaller error.
 pub(super) fn not_told_apart(base: &Score, refits: &[Refit], best: usize) -> Vec<usize> {
     let best_error = refits[best].holdout.nrms.powi(2);
     let gained = base.nrms.powi(2) - best_error;
+    if let Some(simple) = simple_instead(base, refits, best) {
+        return not_told_apart(base, refits, simple);
+    }
     let mut set: Vec<usize> = (0..refits.len())
+        .filter(|&index| index == best || !is_richer(&refits[index], &refits[best]))
         .filter(|&index| {
             let rival = &refits[index].holdout;
             let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);

@@ -16,6 +16,7 @@
 
 pub mod added_inertia;
 pub mod claims;
+pub mod effect_start;
 pub mod escalation;
 pub mod inverse_dynamics;
 pub mod kalman;
@@ -25,6 +26,7 @@ pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+mod regressor;
 pub mod repeat;
 pub mod sanity;
 pub mod scheme;

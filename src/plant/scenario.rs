@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
+use super::shaft_angle::continuous;
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
@@ -74,7 +75,7 @@ pub struct Scenario {
     pub current_a: Vec<f64>,
     /// Measured speed at the sample times, NaN where missing.
     pub speed_rad_s: Vec<f64>,
-    /// Measured angle `(time, angle)`; an exogenous input of effects of position. Empty: the speed is integrated.
+    /// Measured angle `(time, angle)`, continuous over turns; an exogenous input of effects of position. Empty: the speed is integrated.
     pub angle: Vec<(f64, f64)>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
@@ -104,7 +105,10 @@ impl Scenario {
             sample_time_s: Vec::with_capacity(run.rows()),
             current_a: Vec::with_capacity(run.rows()),
             speed_rad_s: Vec::with_capacity(run.rows()),
-            angle: run.points(Channel::Angle).collect(),
+            angle: continuous(
+                run.points(Channel::Angle).collect(),
+                &run.points(Channel::Speed).collect::<Vec<_>>(),
+            ),
             scored: 0..0,
         };
         for (row, &time_s) in run.time_s().iter().enumerate() {
@@ -330,6 +334,21 @@ mod tests {
                 Err(ScenarioError::Gap { .. })
             ));
         }
+    }
+
+    #[test]
+    fn an_angle_within_one_turn_is_made_continuous() {
+        let mut wrapped = run(Origin::Commanded);
+        let turns = |k: u16| 0.2 * f64::from(k);
+        let cells = (0..40)
+            .map(|k| turns(k).fract() * std::f64::consts::TAU)
+            .collect();
+        wrapped
+            .set_column(Channel::Angle, cells, Origin::Measured)
+            .unwrap();
+        let angle = Scenario::from_run(&wrapped).unwrap();
+        let angle = angle.shaft_angle();
+        assert!((angle[39].1 - turns(39) * std::f64::consts::TAU).abs() < 1e-9);
     }
 
     #[test]

@@ -27,7 +27,10 @@ pub(super) fn describe(
         let error = |index: usize| found.first_round[index].held_out_rmse();
         place(a).cmp(&place(b)).then(error(a).total_cmp(&error(b)))
     });
-    let ordered: Vec<&Trial<'_>> = order.iter().map(|index| &found.first_round[*index]).collect();
+    let ordered: Vec<&Trial<'_>> = order
+        .iter()
+        .map(|index| &found.first_round[*index])
+        .collect();
     of_trials(&ordered, &found.accepted, base, error_before, scale, sides)
 }
 
@@ -67,7 +70,9 @@ pub(super) fn of_trials(
             holdout_before: base.rmse / scale.unit_n_m,
             holdout_after: judged.map_or(base.rmse, |judged| judged.holdout.rmse) / scale.unit_n_m,
             explained_percent: 100.0 * share,
-            minimum_detectable: judged.map(|judged| judged.minimum_detectable).filter(|size| size.is_finite()),
+            minimum_detectable: judged
+                .map(|judged| judged.minimum_detectable)
+                .filter(|size| size.is_finite()),
             evidence: evidence(trial, status, base, share, sides),
         }
     };

@@ -76,7 +76,9 @@ pub fn compare(
     let scale = baseline.map(|fit| Scale::of(model, &evidence.training, &sides.training, &fit));
     let mut processing = vec![processing_error(&sides, model, false)];
     processing.extend(reference.map(|sides| processing_error(&sides, model, false)));
-    Ok(comparison(model, &sides, scale, processing, evidence, error_of))
+    Ok(comparison(
+        model, &sides, scale, processing, evidence, error_of,
+    ))
 }
 
 /// Errors of a model under one processing.
@@ -121,6 +123,10 @@ pub(super) fn comparison(
     let unit = scale.map_or(f64::NAN, |scale| scale.unit_n_m);
     let noise_floor = (source != FloorSource::None).then_some(unit);
     let speed_rad_s = speed(model, evidence);
+    // Where it fails is a help; a run that it cannot be told for is still compared.
+    let located = locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
+    let torque = sides.holdout.left.iter().copied();
+    let with_torque: Vec<(f64, f64)> = holdout.residual.iter().copied().zip(torque).collect();
     Comparison {
         signals: Signals {
             speed_windows_s: speed_rad_s.map(|_| SPEED_WINDOW_S),
@@ -137,9 +143,11 @@ pub(super) fn comparison(
                 processing,
             }),
         },
-        // Where it fails is a help; a run that it cannot be told for is still compared.
-        locations: locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default(),
-        residual: ResidualLights::of(std::slice::from_ref(&holdout.residual)),
+        locations: located.locations,
+        balances: located.balances,
+        map: located.map,
+        limits: located.notes,
+        residual: ResidualLights::of(&[], &with_torque),
         noise_floor_from: source,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.rmse / unit,
@@ -163,7 +171,13 @@ fn in_windows(model: &Model, scenario: &Scenario) -> Option<(HoldoutFigures, f64
     let mut plant = Plant::new(model, scenario.input).ok()?;
     let times = &scenario.sample_time_s;
     let period_s = (times.last()? - times.first()?) / (times.len() - 1).max(1) as f64;
-    let start = State::at(0.0, *scenario.speed_rad_s.iter().find(|speed| speed.is_finite())?);
+    let start = State::at(
+        0.0,
+        *scenario
+            .speed_rad_s
+            .iter()
+            .find(|speed| speed.is_finite())?,
+    );
     let mut figures = |horizon: usize| {
         let ahead = plant.predict_ahead(scenario, start, horizon);
         let pairs: Vec<(f64, f64)> = scenario
@@ -174,8 +188,14 @@ fn in_windows(model: &Model, scenario: &Scenario) -> Option<(HoldoutFigures, f64
             .collect();
         let n = pairs.len().max(1) as f64;
         let mean = pairs.iter().map(|pair| pair.1).sum::<f64>() / n;
-        let spread = pairs.iter().map(|pair| (pair.1 - mean).powi(2)).sum::<f64>();
-        let squares = pairs.iter().map(|pair| (pair.0 - pair.1).powi(2)).sum::<f64>();
+        let spread = pairs
+            .iter()
+            .map(|pair| (pair.1 - mean).powi(2))
+            .sum::<f64>();
+        let squares = pairs
+            .iter()
+            .map(|pair| (pair.0 - pair.1).powi(2))
+            .sum::<f64>();
         HoldoutFigures {
             fit_percent: 100.0 * (1.0 - (squares / spread.max(f64::MIN_POSITIVE)).sqrt()),
             rmse: (squares / n).sqrt(),

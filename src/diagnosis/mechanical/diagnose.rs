@@ -65,9 +65,10 @@ pub(super) fn diagnose_with(
     let effect = found.accepted.first().copied();
     let ids = |index: &usize| found.first_round[*index].of.id();
     let confusable = match found.first_set.split_first() {
-        Some((first, rivals)) if !nothing => {
-            rivals.iter().map(|rival| [ids(first), ids(rival)]).collect()
-        }
+        Some((first, rivals)) if !nothing => rivals
+            .iter()
+            .map(|rival| [ids(first), ids(rival)])
+            .collect(),
         _ => Vec::new(),
     };
     let fitted = |fit: &BalanceFit| start.fitted(fit, evidence);
@@ -141,11 +142,9 @@ impl Start {
         settings: Settings,
     ) -> Result<Self, FitError> {
         let sides = Sides::weak_form(model, evidence, settings)?;
-        let baseline = sides
-            .fit(model)
-            .ok_or_else(|| FitError::CannotSimulate {
-                run: evidence.training.name.clone(),
-            })?;
+        let baseline = sides.fit(model).ok_or_else(|| FitError::CannotSimulate {
+            run: evidence.training.name.clone(),
+        })?;
         let scale = Scale::of(model, &evidence.training, &sides.training, &baseline);
         Ok(Self {
             sides,
@@ -177,7 +176,11 @@ fn verdict(base: &Score, scale: &Scale, found: &Found, eta: f64) -> DiagnosisVer
     let first = found.accepted.first();
     let tied = found.first_set.len() > 1
         && found.accepted.len() == 1
-        && found.first_set.first().map(|index| found.first_round[*index].of.id()) == first.copied();
+        && found
+            .first_set
+            .first()
+            .map(|index| found.first_round[*index].of.id())
+            == first.copied();
     if eta < EXPLAINS_SOMETHING {
         DiagnosisVerdict::Unexplained
     } else if tied {
@@ -207,7 +210,12 @@ fn sentence(diagnosis: &Diagnosis, base: &Score, found: &Found, sides: &Sides) -
         ),
         DiagnosisVerdict::Ambiguous => format!(
             "behaves like {names}, which this run cannot tell from {}; held-out torque error {before:.2} -> {after:.2} %",
-            diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", ")
+            diagnosis
+                .confusable
+                .iter()
+                .map(|pair| pair[1])
+                .collect::<Vec<_>>()
+                .join(", ")
         ),
         DiagnosisVerdict::Effect => format!(
             "missing: {names}; held-out torque error {before:.2} -> {after:.2} %, {:.0} % explained",

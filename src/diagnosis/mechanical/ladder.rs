@@ -76,7 +76,10 @@ pub fn remove(
     );
     let prefix = format!("{}.", effect.card().id);
     let own = before.parameters.iter();
-    result.parameters = own.filter(|p| p.key.starts_with(&prefix)).cloned().collect();
+    result.parameters = own
+        .filter(|p| p.key.starts_with(&prefix))
+        .cloned()
+        .collect();
     Ok(result)
 }
 

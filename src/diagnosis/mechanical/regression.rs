@@ -61,7 +61,11 @@ fn is_linear(slot: &Slot, model: &Model) -> bool {
         Slot::Motor(key) => matches!(key, MotorKey::Inertia | MotorKey::LoadTorque),
         Slot::Effect { index, spec, .. } => {
             spec.is_coefficient()
-                && model.effects[*index].effect.card().enters.includes(Balance::Torque)
+                && model.effects[*index]
+                    .effect
+                    .card()
+                    .enters
+                    .includes(Balance::Torque)
         }
     }
 }
@@ -110,7 +114,11 @@ pub(super) fn column(model: &Model, slot: &Slot, rows: &TorqueRows) -> Vec<f64> 
 }
 
 /// What the model, as it stands, says of the torque in each row.
-pub(super) fn predicted(model: &Model, extra: Option<(&Extra, f64)>, rows: &TorqueRows) -> Vec<f64> {
+pub(super) fn predicted(
+    model: &Model,
+    extra: Option<(&Extra, f64)>,
+    rows: &TorqueRows,
+) -> Vec<f64> {
     let mut sum = vec![0.0; rows.rows()];
     for slot in unknowns(model) {
         let value = model.get(&slot).unwrap_or(0.0);
@@ -145,7 +153,11 @@ pub(super) fn fit(model: &Model, extra: OnTrial<'_>, rows: &TorqueRows) -> Optio
         .filter(|slot| match slot {
             Slot::Effect { index, spec, .. } => {
                 matches!(spec.role, ParameterRole::Shape | ParameterRole::EventTime)
-                    && model.effects[*index].effect.card().enters.includes(Balance::Torque)
+                    && model.effects[*index]
+                        .effect
+                        .card()
+                        .enters
+                        .includes(Balance::Torque)
             }
             Slot::Motor(_) => false,
         })
@@ -167,7 +179,10 @@ fn search(model: &mut Model, forms: &[Slot], extra: OnTrial<'_>, rows: &TorqueRo
     for slot in forms {
         if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
             let start = if spec.role == ParameterRole::EventTime {
-                terms::event_times(&[0.5], rows).first().copied().unwrap_or(0.0)
+                terms::event_times(&[0.5], rows)
+                    .first()
+                    .copied()
+                    .unwrap_or(0.0)
             } else {
                 spec.guess()
             };
@@ -220,7 +235,9 @@ fn finish(mut model: Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<
     system.put(&mut model, &x);
     let residual = &system.right - &system.matrix * &x;
     // Intervals of what is not held at its bound.
-    let inside: Vec<usize> = (0..x.len()).filter(|place| !system.at_bound(&x, *place)).collect();
+    let inside: Vec<usize> = (0..x.len())
+        .filter(|place| !system.at_bound(&x, *place))
+        .collect();
     let solution = least_squares::solve(
         &system.matrix.select_columns(&inside),
         &system.right,
@@ -247,7 +264,12 @@ fn finish(mut model: Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<
                 certainty.push((slot.key(), x[place].abs() / std));
             }
             let widened = if white { 1.0 } else { WIDENED };
-            judge(slot, x[place], std(place).map(|std| widened * std), rows.span_s)
+            judge(
+                slot,
+                x[place],
+                std(place).map(|std| widened * std),
+                rows.span_s,
+            )
         })
         .collect();
     let parameters = model
@@ -265,7 +287,9 @@ fn finish(mut model: Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<
     let last = system.free.len();
     Some(BalanceFit {
         parameters,
-        extra: on_trial.extra.map(|_| (x[last], std(last).unwrap_or(f64::NAN))),
+        extra: on_trial
+            .extra
+            .map(|_| (x[last], std(last).unwrap_or(f64::NAN))),
         certainty,
         residual: residual.as_slice().to_vec(),
         free: inside.len(),
@@ -289,7 +313,11 @@ fn not_in_the_balance(model: &Model, slot: &Slot) -> ParameterEstimate {
     let (verdict, std, reason) = match slot {
         _ if is_fixed(model, slot) => (Verdict::Fixed, Some(0.0), None),
         Slot::Effect { index, .. }
-            if model.effects[*index].effect.card().enters.includes(Balance::Torque) =>
+            if model.effects[*index]
+                .effect
+                .card()
+                .enters
+                .includes(Balance::Torque) =>
         {
             (
                 Verdict::Searching,
@@ -419,7 +447,12 @@ fn takes_power_only(model: &Model, slot: &Slot, on_trial: OnTrial<'_>, rows: &To
         } => {
             let active = &model.effects[index];
             on_trial.effect != Some(id)
-                && terms::only_takes_power(active.effect, &active.values_or_guess(), parameter, &rows.at)
+                && terms::only_takes_power(
+                    active.effect,
+                    &active.values_or_guess(),
+                    parameter,
+                    &rows.at,
+                )
         }
     }
 }

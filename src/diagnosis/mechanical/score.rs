@@ -131,9 +131,9 @@ pub(super) fn z(worse: &Score, better: &Score, stretch: f64) -> f64 {
 
 /// Share of block bootstraps of the hold-out in which each score has the smallest error.
 pub(super) fn first_rank_shares(scores: &[&Score]) -> Vec<f64> {
-    let block_s = scores
-        .first()
-        .map_or(BLOCK_S, |score| BLOCK_S.min(score.duration_s() / FEWEST_BLOCKS));
+    let block_s = scores.first().map_or(BLOCK_S, |score| {
+        BLOCK_S.min(score.duration_s() / FEWEST_BLOCKS)
+    });
     let blocks: Vec<Vec<f64>> = scores
         .iter()
         .map(|score| score.blocks(block_s.max(f64::MIN_POSITIVE)))
@@ -151,5 +151,7 @@ pub(super) fn first_rank_shares(scores: &[&Score]) -> Vec<f64> {
             wins[first] += 1;
         }
     }
-    wins.iter().map(|wins| *wins as f64 / BOOTSTRAPS as f64).collect()
+    wins.iter()
+        .map(|wins| *wins as f64 / BOOTSTRAPS as f64)
+        .collect()
 }

@@ -70,7 +70,9 @@ pub(super) fn search(
             found.score = judged.holdout.clone();
         }
         found.accepted.push(trials[chosen].of.id());
-        found.rungs.push((found.fit.model.effect_ids(), found.score.rmse));
+        found
+            .rungs
+            .push((found.fit.model.effect_ids(), found.score.rmse));
         if found.first_round.is_empty() {
             found.first_round = std::mem::take(&mut trials);
         }
@@ -102,7 +104,11 @@ fn not_told_apart(base: &Score, trials: &[Trial<'_>], sides: &Sides) -> Vec<usiz
     let paying: Vec<usize> = (0..trials.len())
         .filter(|&index| trials[index].pays(base, sides))
         .collect();
-    let Some(best) = paying.iter().copied().min_by(|a, b| error(*a).total_cmp(&error(*b))) else {
+    let Some(best) = paying
+        .iter()
+        .copied()
+        .min_by(|a, b| error(*a).total_cmp(&error(*b)))
+    else {
         return Vec::new();
     };
     let least = error(best).powi(2);
@@ -123,7 +129,9 @@ fn not_told_apart(base: &Score, trials: &[Trial<'_>], sides: &Sides) -> Vec<usiz
         judged.map_or(usize::MAX, |judged| judged.fit.free)
     };
     set.sort_by(|&a, &b| {
-        parameters(a).cmp(&parameters(b)).then(error(a).total_cmp(&error(b)))
+        parameters(a)
+            .cmp(&parameters(b))
+            .then(error(a).total_cmp(&error(b)))
     });
     set
 }
@@ -154,7 +162,9 @@ fn drop_superfluous(found: &mut Found, sides: &Sides) {
             (found.fit, found.score) = (fit, score);
             // The rungs on the way led through an effect that is not in the answer.
             found.rungs.truncate(1);
-            found.rungs.push((found.fit.model.effect_ids(), found.score.rmse));
+            found
+                .rungs
+                .push((found.fit.model.effect_ids(), found.score.rmse));
         }
     }
 }

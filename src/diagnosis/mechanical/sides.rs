@@ -154,7 +154,9 @@ fn standstill_floor(
         currents.iter().map(|current| kt * current).collect()
     };
     let driving: Vec<f64> = driving.into_iter().filter(|v| v.is_finite()).collect();
-    let torque = crate::numerics::statistics::variance(&driving).max(0.0).sqrt();
+    let torque = crate::numerics::statistics::variance(&driving)
+        .max(0.0)
+        .sqrt();
     let torque = if torque.is_finite() { torque } else { 0.0 };
     let inertia = baseline.model.motor.get(MotorKey::Inertia)?;
     let floor = (torque * rows.gain).hypot(inertia * still.speed_rad_s * rows.rate_gain);

@@ -18,7 +18,9 @@ pub struct Extra {
 
 impl std::fmt::Debug for Extra {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Extra").field("id", &self.id).finish_non_exhaustive()
+        f.debug_struct("Extra")
+            .field("id", &self.id)
+            .finish_non_exhaustive()
     }
 }
 
@@ -39,7 +41,11 @@ pub(super) fn column(
     probe: f64,
     rows: &TorqueRows,
 ) -> Vec<f64> {
-    let mut column = rows.column(&torque(effect, &alone(effect, values, coefficient, probe), &rows.at));
+    let mut column = rows.column(&torque(
+        effect,
+        &alone(effect, values, coefficient, probe),
+        &rows.at,
+    ));
     for cell in &mut column {
         *cell /= probe;
     }
@@ -54,11 +60,13 @@ pub(super) fn alone(
     size: f64,
 ) -> Vec<f64> {
     let specs = effect.parameters();
-    let of = |(index, value): (usize, &f64)| match (specs[index].is_coefficient(), index == coefficient) {
-        (true, true) => size,
-        (true, false) => 0.0,
-        (false, _) => *value,
-    };
+    let of =
+        |(index, value): (usize, &f64)| match (specs[index].is_coefficient(), index == coefficient)
+        {
+            (true, true) => size,
+            (true, false) => 0.0,
+            (false, _) => *value,
+        };
     values.iter().enumerate().map(of).collect()
 }
 
@@ -79,10 +87,16 @@ pub(super) fn why_not_judged(effect: &dyn Effect, input: Input) -> Option<String
         }
         Enters::Both | Enters::Torque => {}
     }
-    let guess: Vec<f64> = effect.parameters().iter().map(crate::plant::ParameterSpec::guess).collect();
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(crate::plant::ParameterSpec::guess)
+        .collect();
     let terms = effect.terms(&guess);
     if terms.coupling().is_some() || terms.states() > 0 {
-        return Some("a second inertia is no term of the torque balance: record the voltage too".to_owned());
+        return Some(
+            "a second inertia is no term of the torque balance: record the voltage too".to_owned(),
+        );
     }
     (effect.parameters().is_empty()).then(|| "it has no parameter of its own".to_owned())
 }
@@ -94,18 +108,32 @@ pub(super) fn travels(rows: &TorqueRows, periods_per_turn: f64) -> bool {
         .iter()
         .map(|at| at.angle_rad)
         .filter(|angle| angle.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), angle| (a.min(angle), b.max(angle)));
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), angle| {
+            (a.min(angle), b.max(angle))
+        });
     (most - least) * periods_per_turn >= LEAST_TRAVEL * std::f64::consts::TAU
 }
 
 /// Whether a term that takes power wherever the shaft moves: physics allows it no negative coefficient.
-pub(super) fn only_takes_power(effect: &dyn Effect, values: &[f64], coefficient: usize, at: &[Instant]) -> bool {
+pub(super) fn only_takes_power(
+    effect: &dyn Effect,
+    values: &[f64],
+    coefficient: usize,
+    at: &[Instant],
+) -> bool {
     let specs = effect.parameters();
-    if specs.iter().any(|spec| spec.role == ParameterRole::EventTime) {
+    if specs
+        .iter()
+        .any(|spec| spec.role == ParameterRole::EventTime)
+    {
         return false;
     }
     let unit = alone(effect, values, coefficient, specs[coefficient].scale.abs());
-    let some: Vec<Instant> = at.iter().step_by(at.len().div_ceil(LOOKS).max(1)).copied().collect();
+    let some: Vec<Instant> = at
+        .iter()
+        .step_by(at.len().div_ceil(LOOKS).max(1))
+        .copied()
+        .collect();
     let torque = torque(effect, &unit, &some);
     let mut moves = false;
     for (torque, at) in torque.iter().zip(&some) {
@@ -121,7 +149,11 @@ pub(super) fn only_takes_power(effect: &dyn Effect, values: &[f64], coefficient:
 /// Values that are tried for the parameters which give the effect its form, `(parameter, values)`; times of events as
 /// shares of the run's length.
 pub(super) fn shape_grid(effect: &dyn Effect, rows: &TorqueRows) -> Vec<Vec<f64>> {
-    let guess: Vec<f64> = effect.parameters().iter().map(crate::plant::ParameterSpec::guess).collect();
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(crate::plant::ParameterSpec::guess)
+        .collect();
     let mut grid = vec![guess];
     for (index, spec) in effect.parameters().iter().enumerate() {
         if spec.is_coefficient() {
@@ -151,5 +183,8 @@ pub(super) fn event_times(shares: &[f64], rows: &TorqueRows) -> Vec<f64> {
     let (Some(first), Some(last)) = (rows.time_s.first(), rows.time_s.last()) else {
         return Vec::new();
     };
-    shares.iter().map(|share| first - rows.begin_s + share * (last - first)).collect()
+    shares
+        .iter()
+        .map(|share| first - rows.begin_s + share * (last - first))
+        .collect()
 }

@@ -115,7 +115,11 @@ pub(super) fn pays(base: &Score, better: &Score, sides: &Sides) -> bool {
 }
 
 /// Every effect of the catalogue that `baseline` does not have, in parallel.
-pub(super) fn all(baseline: &BalanceFit, sides: &Sides, scenario: &Scenario) -> Vec<Trial<'static>> {
+pub(super) fn all(
+    baseline: &BalanceFit,
+    sides: &Sides,
+    scenario: &Scenario,
+) -> Vec<Trial<'static>> {
     effect::CATALOGUE
         .par_iter()
         .filter(|effect| !baseline.model.has(effect.card().id))
@@ -163,7 +167,10 @@ fn best_form(
     input: Input,
     rows: &TorqueRows,
 ) -> Result<Model, String> {
-    let order = effect.parameters().iter().position(|spec| spec.key == "order");
+    let order = effect
+        .parameters()
+        .iter()
+        .position(|spec| spec.key == "order");
     let mut best: Option<(f64, Model)> = None;
     let mut moved_enough = false;
     for values in terms::shape_grid(effect, rows) {
@@ -244,7 +251,11 @@ fn refused(of: Of<'_>, fit: &BalanceFit, rows: &TorqueRows) -> Option<String> {
         }
     }
     let Of::Effect(effect) = of else { return None };
-    let active = fit.model.effects.iter().find(|active| active.id() == effect.card().id)?;
+    let active = fit
+        .model
+        .effects
+        .iter()
+        .find(|active| active.id() == effect.card().id)?;
     let values = active.values_or_guess();
     for (index, spec) in effect.parameters().iter().enumerate() {
         let wrong = spec.is_coefficient()
@@ -275,7 +286,10 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
         let cost = |model: &Model| Score::of(&regression::predicted(model, None, rows), rows).rmse;
         let span_s = rows.time_s.last().unwrap_or(&0.0) - rows.time_s.first().unwrap_or(&0.0);
         let given = model.get(&slot);
-        let tried: Vec<f64> = terms::event_times(spec.shapes, rows).into_iter().chain(given).collect();
+        let tried: Vec<f64> = terms::event_times(spec.shapes, rows)
+            .into_iter()
+            .chain(given)
+            .collect();
         let best = tried
             .into_iter()
             .map(|time_s| {

@@ -25,7 +25,9 @@ struct Stretch {
 impl Stretch {
     /// Both sides go through the filter again; beside a central difference everything is averaged over its span.
     fn averaged(&self, values: &[f64]) -> Vec<f64> {
-        let filtered = self.filter.zero_phase(&spanned(&values[self.from..self.to]));
+        let filtered = self
+            .filter
+            .zero_phase(&spanned(&values[self.from..self.to]));
         self.valid.iter().map(|row| filtered[*row]).collect()
     }
 }
@@ -76,7 +78,9 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
             filter,
             from: at.len(),
             to: at.len() + speed.len(),
-            valid: (0..speed.len()).filter(|k| valid[*k] && within(*k)).collect(),
+            valid: (0..speed.len())
+                .filter(|k| valid[*k] && within(*k))
+                .collect(),
         };
         for (k, (&speed_rad_s, &drives)) in speed.iter().zip(&driving).enumerate() {
             let angle_rad = if part.angle_rad[k].is_finite() {
@@ -173,7 +177,8 @@ fn as_run(scenario: &Scenario) -> Option<Run> {
     let mut run = Run::new(scenario.name.clone(), times.clone()).ok()?;
     if !scenario.angle.is_empty() {
         let angle = spread(&scenario.angle);
-        run.set_column(Channel::Angle, angle, Origin::Measured).ok()?;
+        run.set_column(Channel::Angle, angle, Origin::Measured)
+            .ok()?;
     }
     let is_derived = !scenario.angle.is_empty() && is_derived(&run, &speed);
     let drives = if scenario.input == Input::Torque {
@@ -186,8 +191,10 @@ fn as_run(scenario: &Scenario) -> Option<Run> {
     } else {
         Origin::Measured
     };
-    run.set_column(drives, spread(&driving), Origin::Measured).ok()?;
-    run.set_column(Channel::Speed, spread(&speed), origin).ok()?;
+    run.set_column(drives, spread(&driving), Origin::Measured)
+        .ok()?;
+    run.set_column(Channel::Speed, spread(&speed), origin)
+        .ok()?;
     Some(run)
 }
 
@@ -197,7 +204,9 @@ fn is_derived(angle_alone: &Run, speed: &[(f64, f64)]) -> bool {
         return false;
     };
     let derived: Vec<(f64, f64)> = completed.points(Channel::Speed).collect();
-    let fastest = speed.iter().fold(0.0, |most, point| f64::max(most, point.1.abs()));
+    let fastest = speed
+        .iter()
+        .fold(0.0, |most, point| f64::max(most, point.1.abs()));
     let mut compared = 0_usize;
     let mut same = true;
     for point in speed {

@@ -2,9 +2,10 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::identification::output_error::{Fit, fit};
-use crate::identification::start;
-use crate::plant::{Input, Model, MotorKey};
+use crate::identification::output_error::{Fit, FitError, fit};
+use crate::identification::{effect_start, start};
+use crate::plant::{Input, Model, MotorKey, Scenario};
+use crate::sample::{ParameterEstimate, Verdict};
 
 pub(super) struct OutputError;
 
@@ -28,13 +29,40 @@ impl Scheme for OutputError {
         }
         let noise = NoiseFloor::from_standstill(data.scenario)
             .unwrap_or_else(|| NoiseFloor::from_spread(data.scenario));
-        let fit = better_of_two_starts(data, &noise)?;
+        let (fit, chosen) = better_of_two_starts(data, &noise)?;
+        let mut parameters = fit.parameters;
+        for (key, doubt) in chosen {
+            tell_choice(&mut parameters, &key, doubt);
+        }
         Ok(Identified {
             scheme: self.id(),
             model: fit.model,
-            parameters: fit.parameters,
+            parameters,
             notes: Vec::new(),
         })
+    }
+}
+
+/// A fit, and what was chosen from grids for it, with a doubt where there is one.
+type Found = (Fit, Vec<(String, Option<String>)>);
+
+/// From one set of motor values, with the grids of effects tried.
+fn from(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Found, FitError> {
+    let starts = effect_start::scan(model, scenario, noise)?;
+    Ok((fit(&starts.models, scenario, noise)?, starts.chosen))
+}
+
+/// What was chosen out of a grid is found, not given: no fit moved it, so it has no scatter.
+fn tell_choice(parameters: &mut [ParameterEstimate], key: &str, doubt: Option<String>) {
+    if let Some(parameter) = parameters.iter_mut().find(|p| p.key == key)
+        && parameter.verdict == Verdict::Fixed
+    {
+        parameter.verdict = if doubt.is_none() {
+            Verdict::Settled
+        } else {
+            Verdict::Searching
+        };
+        parameter.reason = doubt;
     }
 }
 
@@ -43,10 +71,10 @@ const AT_THE_FLOOR: f64 = 1.1;
 
 /// From the values of the model, and where that ends above the floor from the data alone: a nameplate far from the truth,
 /// or one distorted by what the model lacks, must not decide in which valley the fit ends.
-fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Fit, IdentifyError> {
+fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Found, IdentifyError> {
     let given = start::complete(data.model, data.scenario)?;
-    let from_given = fit(std::slice::from_ref(&given), data.scenario, noise);
-    if let Ok(found) = &from_given
+    let from_given = from(&given, data.scenario, noise);
+    if let Ok((found, _)) = &from_given
         && noise.source != FloorSource::None
         && found.nrms < AT_THE_FLOOR
     {
@@ -55,8 +83,8 @@ fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Fit, Iden
     let Ok(fresh) = start::complete(&forget(data.model), data.scenario) else {
         return Ok(from_given?);
     };
-    match (from_given, fit(&[fresh], data.scenario, noise)) {
-        (Ok(given), Ok(fresh)) if fresh.minimum.cost < given.minimum.cost => Ok(fresh),
+    match (from_given, from(&fresh, data.scenario, noise)) {
+        (Ok(given), Ok(fresh)) if fresh.0.minimum.cost < given.0.minimum.cost => Ok(fresh),
         (Ok(given), _) => Ok(given),
         (Err(_), Ok(fresh)) => Ok(fresh),
         (Err(error), Err(_)) => Err(error.into()),
@@ -79,8 +107,8 @@ fn forget(model: &Model) -> Model {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::Motor;
     use crate::plant::testing::record;
-    use crate::plant::{Motor, Scenario};
     use crate::sample::Run;
 
     fn identified(start: &Model, scenario: &Scenario) -> Model {

@@ -19,10 +19,7 @@ const LONGEST_WINDOW: f64 = 2.0;
 pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<TorqueRows> {
     let noise = Noise::of(scenario);
     let (at, left) = samples(model, scenario);
-    let times: Vec<f64> = at
-        .iter()
-        .map(|at| at.time_s + scenario.begin_s())
-        .collect();
+    let times: Vec<f64> = at.iter().map(|at| at.time_s + scenario.begin_s()).collect();
     if times.len() < 2 * FEWEST_HALF {
         return None;
     }
@@ -65,9 +62,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
     if windows.is_empty() {
         return None;
     }
-    let averaged = |values: &[f64]| -> Vec<f64> {
-        windows.iter().map(|window| window.mean(values)).collect()
-    };
+    let averaged =
+        |values: &[f64]| -> Vec<f64> { windows.iter().map(|window| window.mean(values)).collect() };
     Some(TorqueRows {
         method: Method::WeakForm,
         sentence: format!(

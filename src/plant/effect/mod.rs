@@ -14,6 +14,8 @@ mod command_delay;
 mod constant_load;
 mod current_filter;
 mod current_offset;
+mod custom;
+mod defined;
 mod discontinuous_conduction;
 mod eccentric_load;
 mod elastic_coupling;
@@ -31,6 +33,7 @@ mod speed_offset;
 mod start_delay;
 mod stribeck_friction;
 mod supply_sag;
+mod table;
 mod terms;
 mod torque_ripple;
 mod viscous_friction;
@@ -38,8 +41,10 @@ mod voltage_drop;
 mod voltage_offset;
 mod winding_heating;
 
+pub use defined::{DefinitionError, FAMILIES, Layout, define, family};
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use path::{Coupling, Path};
+pub use table::{Axis, weights as table_weights};
 pub use terms::{Instant, Sums, Terms};
 
 /// Every effect that the program can name, add and remove.
@@ -132,6 +137,21 @@ pub trait Effect: Sync {
     fn parameters(&self) -> &'static [ParameterSpec];
     /// `values` in the order of [`Effect::parameters`].
     fn terms(&self, values: &[f64]) -> Box<dyn Terms>;
+
+    /// What defines the effect beside its parameters, as a model file keeps it: nothing for those of the catalogue.
+    fn settings(&self) -> Vec<(&'static str, toml::Value)> {
+        Vec::new()
+    }
+
+    /// How a model file holds its parameters.
+    fn layout(&self) -> Layout {
+        Layout::Keys
+    }
+
+    /// One parameter in a model file; `None` where nothing is written.
+    fn written(&self, _parameter: usize, value: Option<f64>) -> Option<toml::Value> {
+        value.map(toml::Value::Float)
+    }
 }
 
 #[cfg(test)]

@@ -26,7 +26,13 @@ impl Effect for StartDelay {
     }
 
     fn parameters(&self) -> &'static [ParameterSpec] {
-        const P: &[ParameterSpec] = &[ParameterSpec::positive("delay_s", "s", 5.0, 1e-2)];
+        // A shape: a late start is found by trying, the way to it is not straight.
+        const P: &[ParameterSpec] = &[ParameterSpec::shape(
+            "delay_s",
+            "s",
+            (1e-4, 5.0),
+            &[0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7],
+        )];
         P
     }
 

@@ -65,7 +65,9 @@ fn placebos(count: usize, seed: u64) -> Vec<Extra> {
         let order: f64 = rng.random_range(1.0..20.0);
         let shifted = move |at: &[Instant], term: fn(&Instant) -> f64| -> Vec<f64> {
             let by = crate::numerics::count::whole(shift * at.len() as f64);
-            (0..at.len()).map(|k| term(&at[(k + by) % at.len()])).collect()
+            (0..at.len())
+                .map(|k| term(&at[(k + by) % at.len()]))
+                .collect()
         };
         placebos.push(match kind {
             0 => Extra {
@@ -127,6 +129,11 @@ fn turned() -> Vec<Settings> {
 }
 
 fn status(diagnosis: &Diagnosis, id: &str) -> Status {
-    let found = diagnosis.candidates.iter().find(|candidate| candidate.effect == id);
-    found.expect("every effect of the catalogue is judged").status
+    let found = diagnosis
+        .candidates
+        .iter()
+        .find(|candidate| candidate.effect == id);
+    found
+        .expect("every effect of the catalogue is judged")
+        .status
 }

@@ -51,7 +51,12 @@ fn start(inertia: f64, load: f64, effects: &[&str]) -> Model {
 fn the_axis_misses_direction_dependent_viscous_friction() {
     let Some((data, model)) = emps() else { return };
     let diagnosis = diagnose(&model, &data, false).unwrap();
-    assert_eq!(diagnosis.effect, Some("asymmetric_viscous"), "{}", diagnosis.sentence);
+    assert_eq!(
+        diagnosis.effect,
+        Some("asymmetric_viscous"),
+        "{}",
+        diagnosis.sentence
+    );
     assert_eq!(diagnosis.verdict, DiagnosisVerdict::Effect);
     assert!(!diagnosis.sufficient);
     assert!(diagnosis.sentence.contains("constant_load is superfluous"));
@@ -59,7 +64,11 @@ fn the_axis_misses_direction_dependent_viscous_friction() {
     let added = add(effect::find("asymmetric_viscous").unwrap(), &model, &data).unwrap();
     let error = |side: &crate::diagnosis::Comparison, method| {
         let torque = side.signals.torque_n_m.as_ref().unwrap();
-        torque.under(method).unwrap().whole_run_relative_error_percent.unwrap()
+        torque
+            .under(method)
+            .unwrap()
+            .whole_run_relative_error_percent
+            .unwrap()
     };
     for (method, share) in [(Method::InverseDynamics, 0.8), (Method::WeakForm, 0.6)] {
         let (before, after) = (error(&added.before, method), error(&added.after, method));
@@ -72,19 +81,34 @@ fn the_axis_misses_direction_dependent_viscous_friction() {
 
 #[test]
 fn the_propeller_is_a_quadratic_load() {
-    let Some((data, model)) = propeller() else { return };
+    let Some((data, model)) = propeller() else {
+        return;
+    };
     let diagnosis = diagnose(&model, &data, false).unwrap();
-    assert_eq!(diagnosis.effect, Some("quadratic_load"), "{}", diagnosis.sentence);
+    assert_eq!(
+        diagnosis.effect,
+        Some("quadratic_load"),
+        "{}",
+        diagnosis.sentence
+    );
 }
 
 #[test]
 fn real_records_pass_the_tests_that_a_simulation_cannot_cheat() {
     let records = [
         (emps(), "asymmetric_viscous", 40.0, "quadratic_load", 400.0),
-        (propeller(), "quadratic_load", 1.4e-8, "viscous_friction", 2e-6),
+        (
+            propeller(),
+            "quadratic_load",
+            1.4e-8,
+            "viscous_friction",
+            2e-6,
+        ),
     ];
     for (record, name, unit, other, other_unit) in records {
-        let Some((data, model)) = record else { continue };
+        let Some((data, model)) = record else {
+            continue;
+        };
         let swapped = Evidence {
             training: Scenario {
                 scored: data.holdout.scored.clone(),
@@ -93,19 +117,27 @@ fn real_records_pass_the_tests_that_a_simulation_cannot_cheat() {
             holdout: data.training.clone(),
             ..data.clone()
         };
-        assert_eq!(diagnose(&model, &swapped, false).unwrap().effect, Some(name), "{name}: halves");
+        assert_eq!(
+            diagnose(&model, &swapped, false).unwrap().effect,
+            Some(name),
+            "{name}: halves"
+        );
         for settings in turned() {
             let named = diagnose_with(&model, &data, false, settings).unwrap();
             assert_eq!(named.effect, Some(name), "{settings:?}: {}", named.sentence);
         }
-        let explained = add(effect::find(name).unwrap(), &model, &data).unwrap().fit.model;
+        let explained = add(effect::find(name).unwrap(), &model, &data)
+            .unwrap()
+            .fit
+            .model;
         for (id, unit, base) in [(name, unit, &model), (other, other_unit, &explained)] {
             doses(&data, base, id, unit);
         }
         let (mut judged, mut passed) = (0, 0);
         for model in [&model, &explained] {
             for seed in 0..2 {
-                let found = judge_extras(model, &data, &placebos(100, seed), Settings::default()).unwrap();
+                let found =
+                    judge_extras(model, &data, &placebos(100, seed), Settings::default()).unwrap();
                 judged += found.len();
                 passed += supported(&found);
             }
@@ -130,7 +162,10 @@ fn doses(data: &Evidence, model: &Model, id: &str, unit: f64) {
         let (found, std) = size(model, &dosed_data, effect);
         let expected = natural + dose * unit;
         eprintln!("{id} x {dose}: {found:.4e} +- {std:.1e}, expected {expected:.4e}");
-        assert!((found - expected).abs() < 3.0 * std, "{id} x {dose}: {found} +- {std}, {expected}");
+        assert!(
+            (found - expected).abs() < 3.0 * std,
+            "{id} x {dose}: {found} +- {std}, {expected}"
+        );
         assert!(found > before, "{id} x {dose}: {found} after {before}");
         before = found;
     }

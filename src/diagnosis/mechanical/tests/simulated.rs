@@ -96,7 +96,12 @@ fn a_single_effect_is_named_in_a_messy_record_and_nothing_where_nothing_is_missi
     for (id, values) in KNOWN {
         let diagnosis = diagnose(&nameplate(), &evidence(&truth(id, values), 1), false).unwrap();
         assert_eq!(diagnosis.effect, Some(id), "{}", diagnosis.sentence);
-        assert_eq!(diagnosis.verdict, DiagnosisVerdict::Effect, "{}", diagnosis.sentence);
+        assert_eq!(
+            diagnosis.verdict,
+            DiagnosisVerdict::Effect,
+            "{}",
+            diagnosis.sentence
+        );
         assert_eq!(status(&diagnosis, id), Status::Supported);
         assert!(diagnosis.holdout_after < diagnosis.holdout_before);
     }
@@ -131,7 +136,10 @@ fn doses_are_found_within_their_interval_and_in_their_order() {
                 (found - expected).abs() < 3.0 * std + 0.03 * values[0],
                 "{id} x {dose}: {found:.3e} +- {std:.1e}, expected {expected:.3e}"
             );
-            assert!(found > before, "{id} x {dose}: {found:.3e} after {before:.3e}");
+            assert!(
+                found > before,
+                "{id} x {dose}: {found:.3e} after {before:.3e}"
+            );
             before = found;
             if dose >= 1.0 {
                 let named = diagnose(&nameplate(), &dosed_runs, false).unwrap();
@@ -190,7 +198,11 @@ fn add_and_remove_tell_both_processings_and_refuse_what_does_not_pay() {
     let with_offset = with_effects(nameplate(), &["constant_load"]);
     let added = add(effect, &with_offset, &data).unwrap();
     assert!(added.accepted, "{}", added.reason);
-    assert!(added.reason.contains("constant_load is superfluous"), "{}", added.reason);
+    assert!(
+        added.reason.contains("constant_load is superfluous"),
+        "{}",
+        added.reason
+    );
     let (before, after) = (
         added.before.signals.torque_n_m.as_ref().unwrap(),
         added.after.signals.torque_n_m.as_ref().unwrap(),
@@ -203,7 +215,10 @@ fn add_and_remove_tell_both_processings_and_refuse_what_does_not_pay() {
             before.method
         );
     }
-    assert!(added.after.signals.speed_rad_s.unwrap().rmse < added.before.signals.speed_rad_s.unwrap().rmse);
+    assert!(
+        added.after.signals.speed_rad_s.unwrap().rmse
+            < added.before.signals.speed_rad_s.unwrap().rmse
+    );
     let needed = remove(effect, &added.fit.model, &data).unwrap();
     assert!(!needed.accepted, "{}", needed.reason);
     let offset = effect::find("constant_load").unwrap();
@@ -226,7 +241,12 @@ fn a_run_in_one_direction_does_not_name_what_only_two_would_show() {
     }
     let diagnosis = diagnose(&nameplate(), &data, false).unwrap();
     for id in ["constant_load", "asymmetric_viscous"] {
-        assert_eq!(status(&diagnosis, id), Status::NotExcited, "{}", diagnosis.sentence);
+        assert_eq!(
+            status(&diagnosis, id),
+            Status::NotExcited,
+            "{}",
+            diagnosis.sentence
+        );
     }
 }
 
@@ -235,7 +255,10 @@ fn a_run_without_motion_or_torque_constant_is_refused_with_the_reason() {
     let mut still = evidence(&axis(), 1);
     still.training.speed_rad_s.fill(0.0);
     let error = diagnose(&nameplate(), &still, false).unwrap_err();
-    assert!(error.to_string().contains("0 rows of the torque balance"), "{error}");
+    assert!(
+        error.to_string().contains("0 rows of the torque balance"),
+        "{error}"
+    );
     let mut by_current = evidence(&axis(), 1);
     by_current.training.input = Input::Current;
     let error = diagnose(&nameplate(), &by_current, false).unwrap_err();
