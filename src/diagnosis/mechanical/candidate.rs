@@ -108,6 +108,10 @@ fn evidence(trial: &Trial<'_>, status: Status, base: &Score, share: f64, sides: 
             "{name}: {change}, explains {:.0} % of what can be explained",
             100.0 * share
         ),
+        Status::NotExcited if !judged.minimum_detectable.is_finite() => format!(
+            "{name} cannot be told from the rest of the model in this run: {}",
+            excite(trial.of)
+        ),
         Status::NotExcited => format!(
             "{name} {} would not show in this run: {}",
             size(trial.of, judged),

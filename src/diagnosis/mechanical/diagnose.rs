@@ -142,11 +142,9 @@ impl Start {
         settings: Settings,
     ) -> Result<Self, FitError> {
         let sides = Sides::weak_form(model, evidence, settings)?;
-        let baseline = sides
-            .fit(model, None)
-            .ok_or_else(|| FitError::CannotSimulate {
-                run: evidence.training.name.clone(),
-            })?;
+        let baseline = sides.fit(model).ok_or_else(|| FitError::CannotSimulate {
+            run: evidence.training.name.clone(),
+        })?;
         let scale = Scale::of(model, &evidence.training, &sides.training, &baseline);
         Ok(Self {
             sides,
