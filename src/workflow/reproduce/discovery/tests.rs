@@ -23,6 +23,16 @@ fn a_dozen_sets_name_what_is_hidden_and_nothing_else() {
     let nulls = Tally::of(study.answers.iter().filter(|a| a.group == Group::Null));
     assert_eq!(nulls.right, nulls.sets);
     assert!(whole.right + 1 >= whole.sets, "{:#?}", study.answers);
+    let page = study.report().markdown();
+    assert!(page.starts_with("# How often the diagnosis is right"));
+    for text in ["NaN", "inf "] {
+        assert!(!page.contains(text), "{text} in {page}");
+    }
+    let rows = page
+        .lines()
+        .filter(|line| line.contains("stribeck_friction"));
+    assert!(rows.count() >= 2, "{page}");
+    assert!(page.contains("There is none in this study."), "{page}");
 }
 
 #[test]
