@@ -11,7 +11,10 @@ const REDUCED: Size = Size {
 };
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "ten diagnoses take a minute without optimisation")]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "ten diagnoses take a minute without optimisation"
+)]
 fn ten_sets_name_what_is_hidden_and_nothing_else() {
     let heard = AtomicUsize::new(0);
     let study = discovery(REDUCED, &AtomicBool::new(false), |_, _, _| {
