@@ -3,12 +3,13 @@
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::location::{ErrorOf, FailureLocation, locate};
+use super::location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, locate};
+use super::mechanical::{self, TorqueComparison};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore};
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{Model, Plant, Scenario};
+use crate::plant::{Input, Model, Plant, Scenario};
 
 /// Figures of one held-out signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -28,12 +29,18 @@ pub struct SignalComparison {
     pub holdout: HoldoutFigures,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Signals {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_rad_s: Option<SignalComparison>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub current_a: Option<SignalComparison>,
+    /// Of runs without a voltage: the inverse model.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub torque_n_m: Option<TorqueComparison>,
+    /// Length of the windows in which the speed is simulated; left out where it is one free run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_windows_s: Option<f64>,
 }
 
 /// The comparison, as `compare --json` prints it.
@@ -42,11 +49,17 @@ pub struct Comparison {
     pub signals: Signals,
     #[serde(rename = "where")]
     pub locations: Vec<FailureLocation>,
+    /// What each equation lacks, the worse first.
+    pub balances: Vec<EquationBalance>,
+    /// The error over speed x current, on the hold-out.
+    pub map: Option<ErrorMap>,
     pub residual: ResidualLights,
     pub noise_floor_from: FloorSource,
     pub holdout_from: HoldoutFrom,
     /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
     pub holdout_rmse: f64,
+    /// What could not be asked of these runs, and why.
+    pub limits: Vec<String>,
 }
 
 /// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of.
@@ -55,6 +68,9 @@ pub fn compare(
     evidence: &Evidence,
     error_of: ErrorOf,
 ) -> Result<Comparison, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return mechanical::compare(model, evidence, error_of);
+    }
     let noise = &evidence.noise;
     let training = Score::of(model, &evidence.training, noise)?;
     let holdout = Score::of(model, &evidence.holdout, noise)?;
@@ -75,12 +91,7 @@ pub fn compare(
                 },
             })
         };
-    let values = |points: Vec<(f64, f64)>| {
-        points
-            .into_iter()
-            .map(|(_, value)| value)
-            .collect::<Vec<_>>()
-    };
+    let located = locate(model, &evidence.holdout, noise, error_of)?;
     Ok(Comparison {
         signals: Signals {
             speed_rad_s: signal(training.speed, holdout.speed, noise.speed_rad_s, one_step.1),
@@ -90,16 +101,54 @@ pub fn compare(
                 noise.current_a,
                 one_step.0,
             ),
+            torque_n_m: None,
+            speed_windows_s: None,
         },
-        locations: locate(model, &evidence.holdout, noise, error_of)?,
-        residual: ResidualLights::of(&[
-            values(holdout.current_residual()),
-            values(holdout.speed_residual()),
-        ]),
+        locations: located.locations,
+        balances: located.balances,
+        map: located.map,
+        residual: ResidualLights::of(
+            &with_input(&holdout.current_residual(), &evidence.holdout),
+            &with_input(&holdout.speed_residual(), &evidence.holdout),
+        ),
         noise_floor_from: noise.source,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
+        limits: limits(evidence, located.notes),
     })
+}
+
+/// What these runs cannot answer.
+fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
+    if evidence.noise.source == FloorSource::None {
+        notes.insert(
+            0,
+            "the run does not begin with a standstill at zero input (20 samples are needed): no noise floor is known, so \
+             that an error cannot be told from noise; errors are shown beside the drive instead"
+                .to_owned(),
+        );
+    }
+    if evidence.holdout_from == HoldoutFrom::Split {
+        notes.push(
+            "no hold-out was given: the last 40 % of the run are held out, which share its day and its excitation".to_owned(),
+        );
+    }
+    notes
+}
+
+/// Each residual with the input that held then; the times ascend.
+fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
+    let events = &scenario.events;
+    let mut event = 0;
+    residual
+        .iter()
+        .map(|(time_s, value)| {
+            while event + 1 < events.len() && events[event + 1].0 < *time_s {
+                event += 1;
+            }
+            (*value, events[event].1)
+        })
+        .collect()
 }
 
 /// Root mean square of the one-step prediction errors of current and speed on the training run.

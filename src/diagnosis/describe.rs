@@ -8,6 +8,7 @@ use super::score::Score;
 use super::screen::DETECTION_SIGMA;
 use super::search::Found;
 use crate::identification::noise::FloorSource;
+use crate::plant::Effect;
 
 /// Every candidate as it stood when nothing had been added yet, those of the answer first.
 pub(super) fn describe(
@@ -70,7 +71,7 @@ pub(super) fn describe(
 fn evidence_sentence(refit: &Refit, base: &Score, z: f64, share: f64, status: Status) -> String {
     let card = refit.effect.card();
     let (before, after) = (base.nrms, refit.holdout.nrms);
-    let first = &refit.effect.parameters()[0];
+    let unit = unit_of_size(refit.effect);
     match status {
         Status::NotExcited if !refit.minimum_detectable.is_finite() => format!(
             "{} touches nothing that this run measures: {}",
@@ -78,12 +79,12 @@ fn evidence_sentence(refit: &Refit, base: &Score, z: f64, share: f64, status: St
         ),
         Status::NotExcited => format!(
             "{} of less than {:.2e} {} would not show in this run: {}",
-            card.name, refit.minimum_detectable, first.unit, card.excite
+            card.name, refit.minimum_detectable, unit, card.excite
         ),
         Status::RuledOut => format!(
             "{} leaves the held-out error at {after:.2} of {before:.2} times the noise (z {z:.1}, {SIGNIFICANT} is \
              asked); more than {:.2e} {} would have shown",
-            card.name, refit.minimum_detectable, first.unit
+            card.name, refit.minimum_detectable, unit
         ),
         Status::Supported | Status::Possible => format!(
             "{} takes the held-out error from {before:.2} to {after:.2} times the noise (z {z:.1}) and explains \
@@ -119,4 +120,11 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
             diagnosis.explained_percent
         ),
     }
+}
+
+/// Unit of the parameter that gives the effect its size.
+fn unit_of_size(effect: &dyn Effect) -> &'static str {
+    let specs = effect.parameters();
+    let size = specs.iter().find(|spec| spec.is_coefficient());
+    size.unwrap_or(&specs[0]).unit
 }

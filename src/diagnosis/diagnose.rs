@@ -8,12 +8,13 @@ use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::fitted::Fitted;
 use super::ladder::Rung;
+use super::mechanical;
 use super::progress::{Progress, silent};
 use super::refit::Thoroughness;
 use super::search::{Accepted, Found, Limits, search};
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
-use crate::plant::Model;
+use crate::plant::{Input, Model};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -89,6 +90,9 @@ pub fn diagnose_with(
     evidence: Evidence,
     options: Options<'_>,
 ) -> Result<Diagnosis, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return mechanical::diagnose(model, &evidence, options.until_floor);
+    }
     let (evidence, baseline) = evidence.with_baseline(model)?;
     let limits = Limits {
         until_floor: options.until_floor,

@@ -8,9 +8,10 @@ use super::decide::{SIGNIFICANT, WORTHWHILE, pays, z};
 use super::evidence::Evidence;
 use super::fitted::Fitted;
 use super::location::ErrorOf;
+use super::mechanical;
 use super::score::Score;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{Effect, Model};
+use crate::plant::{Effect, Input, Model};
 use crate::sample::ParameterEstimate;
 
 use super::refit::refit_one;
@@ -45,6 +46,9 @@ pub fn add(
     model: &Model,
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return mechanical::add(effect, model, &evidence);
+    }
     let (evidence, before) = evidence.with_baseline(model)?;
     let after = refit_one(&evidence, &before, model, effect)?.fit;
     change(effect, &evidence, &before, after, true)
@@ -56,6 +60,9 @@ pub fn remove(
     model: &Model,
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return mechanical::remove(effect, model, &evidence);
+    }
     let (evidence, before) = evidence.with_baseline(model)?;
     let without = before.model.without_effect(effect.card().id)?;
     let after = output_error::fit(&[without], &evidence.training, &evidence.noise)?;

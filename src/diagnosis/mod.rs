@@ -3,22 +3,28 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare    free-run fit and error per signal, beside the floor; residual lights
-//!    |-> location   which equation fails, and over which speeds, currents, times
+//!    |-> location   which equation fails, and over which speeds, currents, angles, times
+//!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
 //!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
 //! ```
 //!
 //! The method is that of DISCOVERY.md; a name is given only for what pays on data that the fit has not seen.
 
+mod axis_map;
 mod candidates;
 mod compare;
 mod decide;
 mod describe;
 mod diagnose;
 mod evidence;
+mod family;
+mod fingerprint;
 mod fitted;
 mod ladder;
+mod linear_response;
 mod location;
+pub mod mechanical;
 mod progress;
 mod refit;
 mod residual;
@@ -27,16 +33,20 @@ mod screen;
 mod search;
 mod shapes;
 
+pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
+pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
 pub use fitted::Fitted;
 pub use ladder::{AddResult, Rung, add, remove};
-pub use location::{ErrorOf, FailureLocation, locate};
+pub use location::{
+    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
+};
 pub use progress::{Event, Progress, silent};
 pub use refit::Thoroughness;
-pub use residual::ResidualLights;
+pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::candidates::Refit;
 use super::decide::AT_THE_FLOOR;
 use super::evidence::Evidence;
+use super::family::related;
 use super::progress::{Event, Progress};
 use super::score::Score;
 use super::screen::{Screen, Screened};
@@ -43,7 +44,11 @@ pub(super) fn refit_all(
     let effects: Vec<&'static dyn Effect> = effect::CATALOGUE
         .iter()
         .copied()
-        .filter(|effect| !baseline.model.has(effect.card().id))
+        .filter(|effect| {
+            let id = effect.card().id;
+            let mut present = baseline.model.effects.iter();
+            !present.any(|active| active.id() == id || related(active.id(), id))
+        })
         .collect();
     let screen = Screen::new(baseline, &evidence.training);
     let mut screened = screen.all(&effects, progress);

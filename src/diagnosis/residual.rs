@@ -1,14 +1,65 @@
 //! Residual lights: is there anything left in the error but noise?
+//!
+//! Correlations of the free-run residual `e` with itself and with the input `u` over lags, in multiples of their 99 % band
+//! `2.58 / sqrt(n)` (DISCOVERY.md 2.9; Billings and Zhu, Int. J. Control 60, 1994). With `x'` for `x` less its mean:
+//! whiteness `ee`; independence of the input `ue`, `(u2)'e`, `(u2)'(e2)'`, `e(eu)`; and the Ljung-Box test of whiteness.
+//! A wrong model gives `ee` 18 to 42 times the band, a right one 0.6 to 1.4. They say *that* something is left, never what.
 
 use serde::Serialize;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Lags that are looked at.
-const LAGS: usize = 25;
-/// Samples below which an autocorrelation says nothing.
+pub const LAGS: usize = 25;
+/// Samples below which a correlation says nothing.
 const FEWEST_SAMPLES: usize = 4 * LAGS;
+/// Half width of the 99 % band of a correlation, times the root of the number of samples.
+const BAND: f64 = 2.58;
+/// Share of lags outside the band up to which a light is green: by chance more than three of 25 in one run of 8,000.
+const OUTSIDE_BY_CHANCE: f64 = 0.12;
+/// Multiple of the band above which a light is red whatever the number of lags; chance alone exceeds it once in 10,000
+/// lights.
+const FAR_OUTSIDE: f64 = 1.75;
 
-/// Whiteness of the residual; the 99 % band is `2.58 / sqrt(n)`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+/// One correlation over the lags.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Light {
+    /// Largest correlation over the band.
+    pub largest_over_band: f64,
+    /// Share of the lags outside the band.
+    pub outside_99_percent: f64,
+    pub passes: bool,
+}
+
+/// The lights of one signal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SignalLights {
+    /// Residual with itself, lags 1..25.
+    pub rho_ee: Light,
+    /// Input with the residual, lags 0..25, and the nonlinear ones.
+    pub rho_ue: Light,
+    pub rho_u2e: Light,
+    pub rho_u2e2: Light,
+    pub rho_e_eu: Light,
+    /// Ljung-Box statistic over the lags, and the value that white noise exceeds in one case of a hundred.
+    pub ljung_box: f64,
+    pub ljung_box_limit: f64,
+}
+
+impl SignalLights {
+    /// Each light with the name under which it is shown.
+    pub const fn named(&self) -> [(&'static str, Light); 5] {
+        [
+            ("ee", self.rho_ee),
+            ("ue", self.rho_ue),
+            ("u2e", self.rho_u2e),
+            ("u2e2", self.rho_u2e2),
+            ("e(eu)", self.rho_e_eu),
+        ]
+    }
+}
+
+/// Whiteness of the residual and its independence of the input.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ResidualLights {
     /// False also where there are too few samples to say.
     pub white: bool,
@@ -16,70 +67,211 @@ pub struct ResidualLights {
     pub enough_samples: bool,
     /// Share of the lags 1..25 whose autocorrelation lies outside the 99 % band, the worse of the signals.
     pub autocorrelation_outside_99_percent: f64,
+    /// Whether no residual goes with the input, linearly or in squares. Where the noise is known to be coloured this is
+    /// the only alarm that counts.
+    pub independent_of_input: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_rad_s: Option<SignalLights>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub current_a: Option<SignalLights>,
 }
 
 impl ResidualLights {
-    /// From the residuals of every signal, in order of time.
-    pub fn of(signals: &[Vec<f64>]) -> Self {
+    /// From the residuals of current and speed in order of time, each with the input at the same instants.
+    pub fn of(current: &[(f64, f64)], speed: &[(f64, f64)]) -> Self {
+        let [current_a, speed_rad_s] = [current, speed].map(lights);
         // A signal that the run does not have says nothing either way.
-        let measured = || signals.iter().filter(|residual| !residual.is_empty());
-        let worst = measured()
-            .map(|residual| share_outside(residual))
-            .fold(0.0, f64::max);
+        let measured = || {
+            [current, speed]
+                .into_iter()
+                .filter(|residual| !residual.is_empty())
+        };
         let enough_samples = measured().next().is_some()
             && measured().all(|residual| residual.len() >= FEWEST_SAMPLES);
-        // By chance a lag lies outside in one case of a hundred: more than three of 25 in one run of 8,000.
+        let each = || [current_a, speed_rad_s].into_iter().flatten();
+        let worst = each()
+            .map(|l| l.rho_ee.outside_99_percent)
+            .fold(0.0, f64::max);
         Self {
-            white: enough_samples && worst <= 0.12,
+            white: enough_samples && worst <= OUTSIDE_BY_CHANCE,
             enough_samples,
             autocorrelation_outside_99_percent: worst,
+            independent_of_input: enough_samples
+                && each().all(|l| l.rho_ue.passes && l.rho_u2e.passes && l.rho_u2e2.passes),
+            speed_rad_s,
+            current_a,
         }
     }
 }
 
-fn share_outside(residual: &[f64]) -> f64 {
-    let n = residual.len();
+/// Pairs `(residual, input)`; `None` where they are too few or do not vary.
+fn lights(pairs: &[(f64, f64)]) -> Option<SignalLights> {
+    let n = pairs.len();
     if n < FEWEST_SAMPLES {
-        return 0.0;
+        return None;
     }
-    let mean = residual.iter().sum::<f64>() / n as f64;
-    let centred: Vec<f64> = residual.iter().map(|value| value - mean).collect();
-    let power: f64 = centred.iter().map(|value| value * value).sum();
-    if power <= 0.0 {
-        return 0.0;
+    let e = centred(pairs.iter().map(|pair| pair.0));
+    let u = centred(pairs.iter().map(|pair| pair.1));
+    let u2 = centred(u.iter().map(|value| value * value));
+    let e2 = centred(e.iter().map(|value| value * value));
+    let eu: Vec<f64> = centred(e.iter().zip(&u).map(|(e, u)| e * u));
+    if power(&e) <= 0.0 {
+        return None;
     }
-    let band = 2.58 / (n as f64).sqrt();
-    let outside = (1..=LAGS).filter(|lag| {
-        let product: f64 = centred[*lag..]
+    let rho: Vec<f64> = (1..=LAGS).map(|lag| correlation(&e, &e, lag)).collect();
+    let count = n as f64;
+    let ljung_box = count
+        * (count + 2.0)
+        * rho
             .iter()
-            .zip(&centred)
-            .map(|(late, early)| late * early)
-            .sum();
-        (product / power).abs() > band
-    });
-    outside.count() as f64 / LAGS as f64
+            .enumerate()
+            .map(|(index, rho)| rho * rho / (count - (index + 1) as f64))
+            .sum::<f64>();
+    let cross = |later: &[f64], earlier: &[f64], first: usize| {
+        light(
+            (first..=LAGS).map(|lag| correlation(later, earlier, lag)),
+            n,
+        )
+    };
+    Some(SignalLights {
+        rho_ee: light(rho.iter().copied(), n),
+        rho_ue: cross(&e, &u, 0),
+        rho_u2e: cross(&e, &u2, 0),
+        rho_u2e2: cross(&e2, &u2, 0),
+        // e(t) with e u one sample earlier and more.
+        rho_e_eu: cross(&e, &eu, 1),
+        ljung_box,
+        ljung_box_limit: ChiSquared::new(LAGS as f64)
+            .map_or(f64::INFINITY, |chi| chi.inverse_cdf(0.99)),
+    })
+}
+
+fn light(correlations: impl Iterator<Item = f64>, n: usize) -> Light {
+    let band = BAND / (n as f64).sqrt();
+    let ratios: Vec<f64> = correlations.map(|rho| rho.abs() / band).collect();
+    let largest_over_band = ratios.iter().copied().fold(0.0, f64::max);
+    let outside = ratios.iter().filter(|ratio| **ratio > 1.0).count() as f64;
+    let outside_99_percent = outside / ratios.len() as f64;
+    Light {
+        largest_over_band,
+        outside_99_percent,
+        passes: outside_99_percent <= OUTSIDE_BY_CHANCE && largest_over_band <= FAR_OUTSIDE,
+    }
+}
+
+fn centred(values: impl Iterator<Item = f64> + Clone) -> Vec<f64> {
+    let (count, sum) = values
+        .clone()
+        .fold((0.0, 0.0), |(count, sum), value| (count + 1.0, sum + value));
+    values.map(|value| value - sum / count).collect()
+}
+
+fn power(values: &[f64]) -> f64 {
+    values.iter().map(|value| value * value).sum()
+}
+
+/// Correlation of `later` with what `earlier` was `lag` samples before; zero where one does not vary.
+fn correlation(later: &[f64], earlier: &[f64], lag: usize) -> f64 {
+    let scale = (power(later) * power(earlier)).sqrt();
+    if scale <= 0.0 {
+        return 0.0;
+    }
+    let product: f64 = later[lag..]
+        .iter()
+        .zip(earlier)
+        .map(|(late, early)| late * early)
+        .sum();
+    product / scale
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    fn noise(seed: u64, n: usize) -> Vec<f64> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        (0..n).map(|_| rng.sample(StandardNormal)).collect()
+    }
+
+    fn with_input(residual: &[f64], input: &[f64]) -> Vec<(f64, f64)> {
+        residual
+            .iter()
+            .copied()
+            .zip(input.iter().copied())
+            .collect()
+    }
 
     #[test]
     fn noise_is_white_and_a_slow_wave_is_not() {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(4);
-        let noise: Vec<f64> = (0..5000).map(|_| rng.random::<f64>() - 0.5).collect();
-        assert!(ResidualLights::of(std::slice::from_ref(&noise)).white);
-        let wave: Vec<f64> = noise
+        let (e, u) = (noise(4, 5000), noise(5, 5000));
+        let good = with_input(&e, &u);
+        let lights = ResidualLights::of(&good, &[]);
+        assert!(lights.white && lights.independent_of_input, "{lights:?}");
+        let one = lights.current_a.unwrap();
+        assert!(one.ljung_box < one.ljung_box_limit && lights.speed_rad_s.is_none());
+        let wave: Vec<f64> = e
             .iter()
             .enumerate()
-            .map(|(k, n)| n + 0.3 * (k as f64 / 50.0).sin())
+            .map(|(k, n)| n + 0.6 * (k as f64 / 50.0).sin())
             .collect();
-        let lights = ResidualLights::of(&[noise, wave]);
-        assert!(
-            !ResidualLights::of(&[vec![0.0; 40]]).white,
-            "too few to say"
-        );
+        let lights = ResidualLights::of(&good, &with_input(&wave, &u));
         assert!(!lights.white && lights.autocorrelation_outside_99_percent > 0.5);
+        assert!(lights.speed_rad_s.unwrap().rho_ee.largest_over_band > 3.0);
+    }
+
+    #[test]
+    fn each_light_of_independence_sees_its_own_fault() {
+        let (e, u) = (noise(6, 4000), noise(7, 4000));
+        let with = |fault: &dyn Fn(usize) -> f64| {
+            let spoilt: Vec<f64> = (0..4000).map(|k| e[k] + fault(k)).collect();
+            let lights = ResidualLights::of(&with_input(&spoilt, &u), &[]);
+            (lights, lights.current_a.unwrap())
+        };
+        let (all, linear) = with(&|k| if k > 3 { 0.3 * u[k - 3] } else { 0.0 });
+        assert!(!linear.rho_ue.passes && linear.rho_u2e.passes && !all.independent_of_input);
+        let (all, square) = with(&|k| 0.3 * u[k] * u[k]);
+        assert!(!square.rho_u2e.passes && square.rho_ue.passes && !all.independent_of_input);
+        // Noise that grows with the input is white and goes with no input itself.
+        let (all, size) = with(&|k| e[k] * u[k].abs());
+        assert!(
+            !size.rho_u2e2.passes && size.rho_ue.passes && all.white,
+            "{size:?}"
+        );
+        let mut fed_back = e.clone();
+        for k in 1..4000 {
+            fed_back[k] += 0.4 * fed_back[k - 1] * u[k - 1];
+        }
+        let bilinear = ResidualLights::of(&with_input(&fed_back, &u), &[])
+            .current_a
+            .unwrap();
+        assert!(
+            !bilinear.rho_e_eu.passes && bilinear.rho_ee.passes,
+            "{bilinear:?}"
+        );
+    }
+
+    #[test]
+    fn a_right_model_raises_a_light_rarely() {
+        let alarms = (0..60)
+            .filter(|seed| {
+                let pairs = with_input(&noise(100 + seed, 2000), &noise(900 + seed, 2000));
+                let lights = ResidualLights::of(&pairs, &[]);
+                !(lights.white && lights.independent_of_input)
+            })
+            .count();
+        assert!(alarms <= 2, "{alarms} of 60");
+    }
+
+    #[test]
+    fn too_few_samples_and_no_variation_are_no_verdict() {
+        let short = ResidualLights::of(&[(0.0, 1.0); 40], &[]);
+        assert!(!short.white && !short.enough_samples);
+        let still = ResidualLights::of(&[(0.0, 1.0); 400], &[]);
+        assert!(
+            still.white && still.current_a.is_none(),
+            "an exact model leaves nothing"
+        );
     }
 }

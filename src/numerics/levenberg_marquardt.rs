@@ -74,7 +74,17 @@ pub fn minimise(problem: &mut impl Problem, start: &[f64], options: Options) -> 
     while iterations < options.most_iterations && !converged {
         iterations += 1;
         let before = search.cost;
-        let step = search.step(problem, options, if exact { 8 } else { 2 });
+        let normal = search.jacobian.tr_mul(&search.jacobian);
+        let gradient = search
+            .jacobian
+            .tr_mul(&DVector::from_column_slice(&search.residual));
+        // Where even a linear problem would gain nothing, no step need be tried.
+        let step = if promised(&normal, &gradient) <= 0.3 * options.relative_cost * before {
+            None
+        } else {
+            let trials = if exact { 8 } else { 2 };
+            search.step(problem, options, (&normal, &gradient), trials)
+        };
         let gained = before - search.cost;
         let small = gained <= options.relative_cost * before;
         if small && !exact {
@@ -101,6 +111,17 @@ pub fn minimise(problem: &mut impl Problem, start: &[f64], options: Options) -> 
         jacobian: search.jacobian,
         iterations,
         converged,
+    })
+}
+
+/// Reduction of the cost by a full step if the residual were linear; infinite where the normal matrix has no inverse.
+fn promised(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
+    let mut damped = normal.clone();
+    for index in 0..gradient.len() {
+        damped[(index, index)] += 1e-9 * normal[(index, index)] + 1e-300;
+    }
+    damped.cholesky().map_or(f64::INFINITY, |factor| {
+        gradient.dot(&factor.solve(gradient))
     })
 }
 
@@ -148,12 +169,9 @@ impl Search {
         &mut self,
         problem: &mut impl Problem,
         options: Options,
+        (normal, gradient): (&DMatrix<f64>, &DVector<f64>),
         trials: usize,
     ) -> Option<Step> {
-        let normal = self.jacobian.tr_mul(&self.jacobian);
-        let gradient = self
-            .jacobian
-            .tr_mul(&DVector::from_column_slice(&self.residual));
         for _ in 0..trials {
             let mut damped = normal.clone();
             for index in 0..self.x.len() {
@@ -162,7 +180,7 @@ impl Search {
                     self.damping * normal[(index, index)] + 1e-12 * normal.trace().max(1e-300);
             }
             if let Some(factor) = damped.cholesky() {
-                let step = factor.solve(&gradient);
+                let step = factor.solve(gradient);
                 for (index, value) in self.trial.iter_mut().enumerate() {
                     *value = self.x[index]
                         - step[index].clamp(-options.longest_step, options.longest_step);

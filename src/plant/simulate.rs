@@ -110,8 +110,20 @@ impl Plant {
         start: State,
         horizon: usize,
     ) -> Trajectory {
+        self.predict_ahead_from(scenario, start, horizon, 0)
+    }
+
+    /// The same with the measurement taken over at the samples `first`, `first + horizon`, ...
+    pub fn predict_ahead_from(
+        &mut self,
+        scenario: &Scenario,
+        start: State,
+        horizon: usize,
+        first: usize,
+    ) -> Trajectory {
         let mut out = Trajectory::default();
-        self.run(scenario, start, Some(horizon.max(1)), &mut out);
+        let horizon = horizon.max(1);
+        self.run(scenario, start, Some((horizon, first % horizon)), &mut out);
         out
     }
 
@@ -119,7 +131,7 @@ impl Plant {
         &mut self,
         scenario: &Scenario,
         start: State,
-        horizon: Option<usize>,
+        restarts: Option<(usize, usize)>,
         out: &mut Trajectory,
     ) {
         out.current_a.clear();
@@ -133,6 +145,7 @@ impl Plant {
         let mut event = 0;
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
+        self.equations.set_supply(scenario.supply_v());
         let mut now_s = self.begin_s;
         let angles = if self.equations.needs_angle {
             scenario.shaft_angle()
@@ -169,11 +182,16 @@ impl Plant {
                 .map_or((state.current_a, state.speed_rad_s), Sensors::read);
             out.current_a.push(current_a);
             out.speed_rad_s.push(speed_rad_s);
-            if horizon.is_some_and(|horizon| sample % horizon == 0) {
+            if restarts.is_some_and(|(horizon, first)| sample % horizon == first) {
+                // What lies between motion and reading (a filter, an offset) stays between them.
+                let jump_rad_s = scenario.speed_rad_s[sample] - speed_rad_s;
                 if let Some(two_mass) = &mut self.two_mass {
-                    two_mass.anchor(scenario.speed_rad_s[sample] - state.speed_rad_s);
+                    two_mass.anchor(jump_rad_s);
                 }
-                state.anchor(scenario.current_a[sample], scenario.speed_rad_s[sample]);
+                state.anchor(
+                    state.current_a + (scenario.current_a[sample] - current_a),
+                    state.speed_rad_s + jump_rad_s,
+                );
             }
         }
     }

@@ -101,6 +101,7 @@ fn comparison(factor: f64) -> Comparison {
         enough_samples: true,
         white: factor < 1.5,
         autocorrelation_outside_99_percent: if factor < 1.5 { 0.04 } else { 0.96 },
+        ..ResidualLights::default()
     };
     comparison.locations = if factor < 1.5 {
         vec![]

@@ -100,6 +100,11 @@ impl Equations {
         })
     }
 
+    /// Tells effects the supply of the run that is simulated next.
+    pub(super) const fn set_supply(&mut self, supply_v: f64) {
+        self.motor.supply_v = supply_v;
+    }
+
     /// Whether the equations are linear between mode changes.
     pub(super) fn is_linear(&self) -> bool {
         self.terms.is_empty()
@@ -144,6 +149,10 @@ impl Equations {
                 -(sums.torque_n_m + moving.sign() * level) * self.inverse_inertia
             }
         };
+        // The current is given, and what the motor leaves out would make it no number.
+        if self.input != Input::Voltage {
+            return [0.0, acceleration];
+        }
         let mut voltage_v = at.voltage_v - sums.voltage_v;
         if sums.current_rate_gain != 0.0 {
             let inductive_v = voltage_v

@@ -1,0 +1,199 @@
+//! What was found, in one plain sentence each.
+
+use super::axis::{Axis, Shape};
+use super::{Equation, EquationBalance};
+use crate::plant::MotorKey;
+
+/// Share of the time above which a region is the whole range.
+const NEARLY_ALL: f64 = 0.75;
+
+fn percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
+}
+
+/// Three significant digits, without an exponent in the usual range.
+fn figure(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let mut decimals = 0;
+    let mut size = value.abs();
+    while size < 99.5 && decimals < 6 {
+        size *= 10.0;
+        decimals += 1;
+    }
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
+}
+
+fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
+    match variable {
+        "speed_rad_s" => ("speed", "rad/s"),
+        "current_a" => ("current", "A"),
+        "time_s" => ("time", "s"),
+        "acceleration_rad_s2" => ("acceleration", "rad/s2"),
+        "current_rate_a_s" => ("rate of the current", "A/s"),
+        "direction" => ("direction of motion", ""),
+        _ => ("variable", ""),
+    }
+}
+
+/// The sentence of one variable.
+pub(super) fn sentence(axis: &Axis) -> String {
+    let equation = axis.equation.name();
+    let unit = axis.equation.unit();
+    let follows = percent(axis.follows);
+    let (name, _) = name_and_unit(axis.variable);
+    match &axis.shape {
+        Shape::Curve => range(axis).unwrap_or_else(|| {
+            format!("{follows} of the {equation} error follows the {name}, over its whole range")
+        }),
+        Shape::Own { key, by, share } => {
+            format!(
+                "{follows} of the {equation} error follows the {name}, {}",
+                own(*key, *by, *share)
+            )
+        }
+        Shape::Turns { order, amplitude } => format!(
+            "{follows} of the {equation} error follows the angle: it repeats {}, with {} {unit}",
+            match order {
+                1 => "once per turn".to_owned(),
+                2 => "twice per turn".to_owned(),
+                order => format!("{order} times per turn"),
+            },
+            figure(*amplitude)
+        ),
+        Shape::Drift {
+            resistance: Some([from, to]),
+        } => format!(
+            "{follows} of the {equation} error follows the time, as a resistance that moves by {:+.3} ohm from begin to \
+             end would",
+            to - from
+        ),
+        Shape::Drift { resistance: None } => range(axis).unwrap_or_else(|| {
+            format!("{follows} of the {equation} error follows the time, over the whole run")
+        }),
+        Shape::Line { amplitude } => format!(
+            "{follows} of the {equation} error is a line at {} Hz, with {} {unit}",
+            figure(0.5 * (axis.region.from + axis.region.to)),
+            figure(*amplitude)
+        ),
+        Shape::Late { delay_s, resolved } => format!(
+            "{follows} of the {equation} error follows the steps of the voltage, as if it came{} {} (timing)",
+            if *resolved {
+                format!(" {} ms", figure(1e3 * delay_s.abs()))
+            } else {
+                String::new()
+            },
+            if *delay_s > 0.0 { "late" } else { "early" }
+        ),
+        Shape::Offset { by } => format!(
+            "{follows} of the {equation} error is the same everywhere: {} {unit} are missing in the model",
+            figure(*by)
+        ),
+        Shape::OneWay { forward } => format!(
+            "{} of the {equation} error falls in {} motion ({} of the time in motion)",
+            percent(axis.region.share_of_error),
+            if *forward { "forward" } else { "reverse" },
+            percent(axis.region.share_of_time)
+        ),
+    }
+}
+
+/// "85 % of the torque error lies below 12 rad/s (11 % of the time)"; `None` where the range is nearly everything.
+fn range(axis: &Axis) -> Option<String> {
+    let region = &axis.region;
+    if region.share_of_time > NEARLY_ALL {
+        return None;
+    }
+    let (_, unit) = name_and_unit(axis.variable);
+    let (from, to) = (figure(region.from), figure(region.to));
+    let place = match (region.from_lowest, region.to_highest, region.of_size) {
+        (true, _, true) => format!("below {to} {unit} in either direction"),
+        (_, true, true) => format!("above {from} {unit} in either direction"),
+        (_, _, true) => format!("between {from} and {to} {unit} in either direction"),
+        (true, _, false) => format!("below {to} {unit}"),
+        (_, true, false) => format!("above {from} {unit}"),
+        _ => format!("between {from} and {to} {unit}"),
+    };
+    Some(format!(
+        "{} of the {} error lies {place} ({} of the time)",
+        percent(region.share_of_error),
+        axis.equation.name(),
+        percent(region.share_of_time)
+    ))
+}
+
+fn own(key: MotorKey, by: f64, share: f64) -> String {
+    let name = name_of(key);
+    format!(
+        "as {name} {} too {} in the model would make it ({} {})",
+        percent(share.abs()),
+        if by > 0.0 { "low" } else { "high" },
+        figure(by.abs()),
+        key.unit()
+    )
+}
+
+/// Writes the sentence of a whole balance.
+pub(super) fn describe(balance: &mut EquationBalance, first: Option<&Axis>) {
+    let name = balance.equation;
+    let size = match balance.nres {
+        Some(nres) => format!("{nres:.2} times its noise"),
+        None => format!(
+            "{} % of the {} (no noise is known to compare it with)",
+            figure(100.0 * balance.relative),
+            if name == Equation::Torque.name() {
+                "driving torque"
+            } else {
+                "voltage"
+            }
+        ),
+    };
+    let moved = match (balance.refitted, balance.nres, balance.nres_refitted) {
+        (true, Some(before), Some(after)) if before - after > 0.1 => format!(
+            ", {after:.2} times where {} may move",
+            largest_change(balance)
+        ),
+        _ => String::new(),
+    };
+    balance.sentence = if !balance.fails {
+        format!("the {name} equation holds: its error is {size}{moved}")
+    } else if let Some(axis) = first {
+        format!(
+            "the {name} equation fails: its error is {size}{moved}; {}",
+            sentence(axis)
+        )
+    } else {
+        format!(
+            "the {name} equation fails: its error is {size}{moved} and follows no variable that was asked"
+        )
+    };
+}
+
+/// The parameter that is farthest off, with its move.
+fn largest_change(balance: &EquationBalance) -> String {
+    let largest = balance
+        .own_changes
+        .iter()
+        .max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
+    largest.map_or_else(String::new, |change| {
+        let name = MotorKey::from_key(change.key).map_or("a value", name_of);
+        format!("its values (the {name} by {:+.1} %)", 100.0 * change.share)
+    })
+}
+
+const fn name_of(key: MotorKey) -> &'static str {
+    match key {
+        MotorKey::Resistance => "resistance",
+        MotorKey::Inductance => "inductance",
+        MotorKey::BackEmf => "back-EMF constant",
+        MotorKey::Inertia => "inertia",
+        MotorKey::LoadTorque => "load torque",
+        MotorKey::TorqueConstant => "torque constant",
+    }
+}
