@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::failure::{Failure, USAGE};
 use super::output;
 use crate::config_text::help_for_unknown;
-use crate::plant::{Effect, Enters, effect};
+use crate::plant::{Card, Enters, ParameterSpec, effect};
 
 /// List the physical effects the program can name, or show one effect's card
 #[derive(clap::Args)]
@@ -21,22 +21,22 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let chosen = match &arguments.id {
-        None => effect::CATALOGUE.to_vec(),
-        Some(id) => vec![effect::find(id).ok_or_else(|| {
-            let known: Vec<&str> = effect::CATALOGUE
-                .iter()
-                .map(|effect| effect.card().id)
-                .collect();
-            let help = help_for_unknown(id, known.iter().copied());
-            Failure::with_help(
-                USAGE,
-                format!("effect {id:?} is not in the catalogue"),
-                help,
-            )
-        })?],
-    };
-    let value: Value = chosen.iter().map(|effect| card_json(*effect)).collect();
+    let catalogue = effect::CATALOGUE
+        .iter()
+        .map(|effect| (effect.card(), effect.parameters()));
+    // What the user or the data define has its parameters in its settings.
+    let defined = effect::FAMILIES.iter().map(|card| (*card, &[][..]));
+    let mut chosen: Vec<Entry> = catalogue.chain(defined).collect();
+    if let Some(id) = &arguments.id {
+        let known: Vec<&str> = chosen.iter().map(|(card, _)| card.id).collect();
+        let help = help_for_unknown(id, known.iter().copied());
+        chosen.retain(|(card, _)| card.id == id);
+        if chosen.is_empty() {
+            let headline = format!("effect {id:?} is not in the catalogue");
+            return Err(Failure::with_help(USAGE, headline, help));
+        }
+    }
+    let value: Value = chosen.iter().map(|entry| card_json(*entry)).collect();
     output::result(&value, arguments.json, |_| {
         if arguments.id.is_some() {
             card_text(chosen[0])
@@ -46,10 +46,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     })
 }
 
-fn card_json(effect: &dyn Effect) -> Value {
-    let card = effect.card();
-    let parameters: Vec<Value> = effect
-        .parameters()
+/// A card and the parameters that go with it.
+type Entry = (&'static Card, &'static [ParameterSpec]);
+
+fn card_json((card, parameters): Entry) -> Value {
+    let parameters: Vec<Value> = parameters
         .iter()
         .map(|spec| json!({"key": spec.key, "unit": spec.unit}))
         .collect();
@@ -69,10 +70,9 @@ const fn enters(enters: Enters) -> &'static str {
     }
 }
 
-fn list_text(effects: &[&'static dyn Effect]) -> String {
+fn list_text(entries: &[Entry]) -> String {
     let mut text = String::new();
-    for effect in effects {
-        let card = effect.card();
+    for (card, _) in entries {
         let _ = writeln!(
             text,
             "{:<24} {:<8} {}",
@@ -84,8 +84,7 @@ fn list_text(effects: &[&'static dyn Effect]) -> String {
     text
 }
 
-fn card_text(effect: &dyn Effect) -> String {
-    let card = effect.card();
+fn card_text((card, parameters): Entry) -> String {
     let mut text = format!("{} ({})\n\n", card.name, card.id);
     for (title, body) in [
         ("equation", card.equation),
@@ -97,7 +96,7 @@ fn card_text(effect: &dyn Effect) -> String {
     ] {
         let _ = writeln!(text, "{title:<11} {body}");
     }
-    for spec in effect.parameters() {
+    for spec in parameters {
         let _ = writeln!(text, "{:<11} {} [{}]", "parameter", spec.key, spec.unit);
     }
     text

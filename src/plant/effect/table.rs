@@ -11,7 +11,8 @@ use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Terms};
 pub(super) const CARD: Card = Card {
     id: "table",
     name: "learned curve",
-    enters: Enters::Torque,
+    // In the one or the other, as the settings say.
+    enters: Enters::Both,
     equation: "T or U = piecewise linear over speed, current, angle or time, constant beyond the ends",
     causes: "not known yet: the curve holds what the data show until the effect has a name",
     looks_like: "the error follows one axis, and no effect of the catalogue has this form",

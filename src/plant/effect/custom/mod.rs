@@ -25,7 +25,8 @@ use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Sums, Terms};
 pub(super) const CARD: Card = Card {
     id: "custom",
     name: "own expression",
-    enters: Enters::Torque,
+    // In the one or the other, as the settings say.
+    enters: Enters::Both,
     equation: "T or U = expression in u, i, w, theta, t and named parameters",
     causes: "what the user knows of the machine and the catalogue does not hold",
     looks_like: "as the expression says; a parameter in which it is linear is a coefficient, another a shape that \
