@@ -21,7 +21,7 @@ use crate::plant::{Effect, FileHistory, Model, ModelError, ModelFile, effect};
     after_help = "Example:\n  drivebench remove stribeck_friction --model model.toml --run runs/a --holdout runs/b --output model2.toml"
 )]
 pub(super) struct Arguments {
-    /// Id of the effect, as `drivebench effects` lists them; or custom, custom_NAME, table, table_NAME
+    /// Id of the effect, as `drivebench effects` lists them; or custom and table, with an own name as `custom_fan`
     effect: String,
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]

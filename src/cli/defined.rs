@@ -20,8 +20,8 @@ pub(super) struct DefinitionArguments {
     /// 'ws={ guess = 10, min = 1, max = 40 }'
     #[arg(long = "parameter", value_name = "NAME[=GUESS]")]
     parameters: Vec<String>,
-    /// Of table: speed_rad_s, current_a, angle_rad, time_s, voltage_v
-    #[arg(long)]
+    /// Of table: what the curve runs over
+    #[arg(long, value_name = "speed_rad_s|current_a|angle_rad|time_s|voltage_v")]
     axis: Option<String>,
     /// Of table: own knots instead of those of the axis map, as --knots=-100,0,100
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
@@ -186,7 +186,7 @@ fn table(
             axis,
         )?;
         output::message(&found.sentence);
-        found.knots
+        found.knots.into_iter().map(four_digits).collect()
     } else {
         arguments.knots.clone()
     };
@@ -202,6 +202,11 @@ fn table(
     hold_what_the_curve_holds(model, &fit.model, equation, axis);
     output::message("provisional: the curve holds what the data show, not why; look for its cause");
     Ok(effect)
+}
+
+/// A knot that a person can read in a model file.
+fn four_digits(knot: f64) -> f64 {
+    format!("{knot:.3e}").parse().unwrap_or(knot)
 }
 
 fn chosen(maps: Vec<AxisMap>, equation: &str, axis: Axis) -> Result<AxisMap, Failure> {
@@ -252,5 +257,54 @@ fn hold_what_the_curve_holds(model: &mut Model, fitted: &Model, equation: &str, 
         output::message(&format!(
             "{held} is held: the curve would explain it as well"
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parameter_is_a_name_with_or_without_what_is_known() {
+        let empty = toml::Value::Table(toml::Table::new());
+        assert_eq!(parameter("a").unwrap(), ("a".to_owned(), empty));
+        assert_eq!(
+            parameter("ws = 1e1").unwrap(),
+            ("ws".to_owned(), 10.0.into())
+        );
+        let (name, value) = parameter("c={ guess = 10, min = 1 }").unwrap();
+        assert_eq!(
+            (name.as_str(), value["guess"].as_integer()),
+            ("c", Some(10))
+        );
+        assert!(parameter("a=b c").is_err());
+    }
+
+    #[test]
+    fn a_mistake_is_marked_below_the_expression() {
+        let arguments = DefinitionArguments {
+            equation: Some("torque".to_owned()),
+            expression: Some("a*ww".to_owned()),
+            parameters: vec!["a".to_owned()],
+            ..DefinitionArguments::default()
+        };
+        let error = custom("custom", &arguments).err().unwrap();
+        let error = error.headline();
+        assert!(
+            error.contains("column 3: unknown name `ww`\n  a*ww\n    ^"),
+            "{error}"
+        );
+        assert!(arguments.refuse_for("viscous_friction").is_err());
+        assert!(
+            DefinitionArguments::default()
+                .refuse_for("viscous_friction")
+                .is_ok()
+        );
+    }
+
+    #[test]
+    fn knots_are_readable() {
+        assert!((four_digits(-118.716_712_5) + 118.7).abs() < 1e-12);
+        assert!(four_digits(0.0).abs() < 1e-300);
     }
 }

@@ -184,8 +184,8 @@ fn check(axis: Axis, knots: &[f64]) -> Result<(), DefinitionError> {
         let help = format!("{FEWEST_KNOTS} to {MOST_KNOTS} are allowed");
         return Err(DefinitionError::new("knots", message, help));
     }
-    if let Some(pair) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
-        let message = format!("knot {} follows {}", pair[1], pair[0]);
+    if let Some([before, after, ..]) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
+        let message = format!("knot {after} follows {before}");
         return Err(DefinitionError::new(
             "knots",
             message,

@@ -88,10 +88,10 @@ pub(super) fn define(
     }
     // Parameters become coefficients one after the other, as long as the expression is linear in all of them together.
     let mut linear: Vec<usize> = Vec::new();
-    for index in 0..declared.len() {
+    for (index, one) in declared.iter_mut().enumerate() {
         linear.push(PARAMETERS + index);
         let is_coefficient = expression.is_linear_in(&linear);
-        declared[index].is_coefficient = is_coefficient;
+        one.is_coefficient = is_coefficient;
         if !is_coefficient {
             linear.pop();
         }
