@@ -70,7 +70,9 @@ pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> O
         .into_iter()
         .map(|name| {
             (
-                if name.contains(given) {
+                if name.starts_with(given) {
+                    0
+                } else if name.contains(given) {
                     1
                 } else {
                     edit_distance(given, name)

@@ -3,8 +3,12 @@
 mod program;
 
 use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::process::Stdio;
 
-use program::{drivebench, line, only_folder};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use program::{command, drivebench, line, only_folder};
 use serde_json::Value;
 
 #[test]
@@ -30,6 +34,36 @@ fn a_folder_with_results_is_not_overwritten() {
     );
     assert!(done.stdout.is_empty());
     assert_eq!(fs::read_dir(out.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn the_size_of_the_study_is_refused_where_it_means_nothing() {
+    let paper = drivebench(line("reproduce paper-a --sets 2 --json", &[])).expect(2);
+    assert!(paper.error().contains("--sets"), "{}", paper.stderr);
+    drivebench(line("reproduce discovery --sets 0 --json", &[])).expect(2);
+}
+
+#[test]
+fn an_interrupted_study_ends_with_130_and_leaves_nothing_behind() {
+    let room = tempfile::tempdir().unwrap();
+    let out = room.path().join("study");
+    let mut child = command(line("reproduce discovery --out {}", &[&out]))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stderr = BufReader::new(child.stderr.take().unwrap());
+    let mut first = String::new();
+    stderr.read_line(&mut first).unwrap();
+    assert!(first.contains("machines"), "{first}");
+    let id = i32::try_from(child.id()).unwrap();
+    kill(Pid::from_raw(id), Signal::SIGINT).unwrap();
+    let mut rest = String::new();
+    stderr.read_to_string(&mut rest).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{rest}");
+    assert!(output.stdout.is_empty() && !out.exists());
+    assert!(rest.contains("error: interrupted"), "{rest}");
 }
 
 /// One run serves the text and the files; a second one, as JSON, is the same to the bit.

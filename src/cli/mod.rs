@@ -24,6 +24,7 @@ mod provenance;
 mod recorded;
 mod replay;
 mod reproduce;
+mod reveal;
 mod run;
 mod sanity_report;
 mod screen;
@@ -69,6 +70,7 @@ enum Command {
     Remove(add::Arguments),
     Effects(effects::Arguments),
     Reproduce(reproduce::Arguments),
+    Reveal(reveal::Arguments),
 }
 
 /// Runs the program with the process's arguments.
@@ -105,6 +107,7 @@ pub fn main() -> ExitCode {
         Command::Remove(arguments) => add::execute(&arguments, false),
         Command::Effects(arguments) => effects::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
+        Command::Reveal(arguments) => reveal::execute(&arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

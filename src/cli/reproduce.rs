@@ -1,22 +1,33 @@
-//! `reproduce`: a paper's figures and tables, computed again beside what the paper prints.
+//! `reproduce`: a paper's figures and tables, computed again beside what the paper prints; or the study of the diagnosis.
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use clap::ValueEnum;
 
-use super::failure::{Failure, USAGE};
+use super::failure::{Failure, INTERNAL, INTERRUPTED, USAGE};
 use super::output;
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
+use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
 
-/// Compute a paper's figures and tables again: text on stdout, page, pictures and tables in a folder
+/// Compute a paper's figures and tables again, or how often the diagnosis is right: text on stdout, page, pictures and tables in a folder
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  drivebench reproduce paper-a --out paper-a")]
+#[command(
+    after_help = "Examples:\n  drivebench reproduce paper-a --out paper-a\n  drivebench reproduce discovery --sets 2 --out validation"
+)]
 pub(super) struct Arguments {
-    /// Which paper
+    /// Which paper, or `discovery`: the diagnosis on machines whose truth is known
     #[arg(value_enum, value_name = "PAPER")]
     paper: Paper,
+    /// With `discovery`: machines for each effect and excitation (default 1: some 300 machines in all)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
+    sets: Option<u64>,
+    /// With `discovery`: another seed makes other machines (default 1)
+    #[arg(long, value_name = "SEED")]
+    seed: Option<u64>,
     /// Folder for report.html, figure-2.svg .., table-1.csv ..; it must be new or empty (default: reproduce-PAPER, with --json none)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -29,12 +40,15 @@ pub(super) struct Arguments {
 enum Paper {
     /// On-line identification of a DC motor (Ma, Feng, Shi): schemes 1 and 2
     PaperA,
+    /// How often the diagnosis is right, on emulated machines whose truth is known
+    Discovery,
 }
 
 impl Paper {
     const fn folder(self) -> &'static str {
         match self {
             Self::PaperA => "reproduce-paper-a",
+            Self::Discovery => "reproduce-discovery",
         }
     }
 }
@@ -48,14 +62,92 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(folder) = &out {
         require_empty(folder)?;
     }
-    let Paper::PaperA = arguments.paper;
-    let found = reproduce::paper_a(|part| output::message(&format!("{part} ...")));
-    let report = found.report();
-    if let Some(folder) = &out {
-        write(folder, &report)?;
+    match arguments.paper {
+        Paper::PaperA if arguments.sets.is_some() || arguments.seed.is_some() => {
+            Err(Failure::with_help(
+                USAGE,
+                "--sets and --seed belong to `reproduce discovery`: a paper's figures have fixed seeds",
+                "leave them out",
+            ))
+        }
+        Paper::PaperA => {
+            let found = reproduce::paper_a(|part| output::message(&format!("{part} ...")));
+            let report = found.report();
+            file(out.as_deref(), &report, None)?;
+            output::result(&found, arguments.json, |_| report.text())
+        }
+        Paper::Discovery => {
+            let found = study(arguments.sets.unwrap_or(1), arguments.seed.unwrap_or(1))?;
+            let report = found.report();
+            let page = ("validation.md".to_owned(), report.markdown());
+            file(out.as_deref(), &report, Some(page))?;
+            output::result(&found, arguments.json, |_| report.text())
+        }
+    }
+}
+
+/// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
+fn study(sets: u64, seed: u64) -> Result<reproduce::discovery::Discovery, Failure> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [
+        signal_hook::consts::SIGINT,
+        signal_hook::consts::SIGTERM,
+        signal_hook::consts::SIGHUP,
+    ] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(|error| {
+            Failure::new(
+                INTERNAL,
+                format!("cannot watch for signal {signal}: {error}"),
+            )
+        })?;
+    }
+    let size = Size {
+        sets,
+        seed,
+        reduced: false,
+    };
+    output::message(&format!(
+        "{} machines are excited and diagnosed; Ctrl-C ends it",
+        size.machines()
+    ));
+    discovery(size, &interrupted, tell).ok_or_else(|| {
+        Failure::with_help(
+            INTERRUPTED,
+            "interrupted: a part of the study is not the study, so nothing was written",
+            "start it again with a smaller --sets",
+        )
+    })
+}
+
+/// Every twentieth part, and every wrong name at once.
+fn tell(done: usize, of: usize, answer: &Answer) {
+    if matches!(answer.outcome, Outcome::Wrong | Outcome::Failed) {
+        output::message(&format!(
+            "{} ({}), hidden {}: {}",
+            answer.group.name(),
+            answer.excitation,
+            answer.class,
+            answer.sentence
+        ));
+    }
+    let part = of.div_ceil(20);
+    if done.is_multiple_of(part) || done == of {
+        output::message(&format!("{done} of {of} machines diagnosed"));
+    }
+}
+
+fn file(
+    out: Option<&Path>,
+    report: &Reproduction,
+    page: Option<(String, String)>,
+) -> Result<(), Failure> {
+    if let Some(folder) = out {
+        let mut files = report.files();
+        files.extend(page);
+        write(folder, &files)?;
         output::message(&format!("written to {}", folder.display()));
     }
-    output::result(&found, arguments.json, |_| report.text())
+    Ok(())
 }
 
 fn require_empty(folder: &Path) -> Result<(), Failure> {
@@ -76,7 +168,7 @@ fn require_empty(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-fn write(folder: &Path, report: &Reproduction) -> Result<(), Failure> {
+fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
     let failed = |path: &Path, error: &std::io::Error| {
         Failure::with_help(
             USAGE,
@@ -85,7 +177,7 @@ fn write(folder: &Path, report: &Reproduction) -> Result<(), Failure> {
         )
     };
     fs::create_dir_all(folder).map_err(|error| failed(folder, &error))?;
-    for (name, content) in report.files() {
+    for (name, content) in files {
         let path = folder.join(name);
         fs::write(&path, content).map_err(|error| failed(&path, &error))?;
     }

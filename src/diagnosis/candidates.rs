@@ -1,13 +1,10 @@
 //! One candidate effect: screened, refitted with everything else free, scored on data that the fit has not seen.
 
-use rayon::prelude::*;
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
-use super::evidence::Evidence;
 use super::score::Score;
-use super::screen::Screen;
-use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{ActiveEffect, Effect, Model, effect};
+use crate::identification::output_error::Fit;
+use crate::plant::Effect;
 use crate::sample::ParameterEstimate;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -40,7 +37,7 @@ pub struct Candidate {
     pub holdout_after: f64,
     pub explained_percent: f64,
     /// Smallest size of its first parameter that this run would have shown.
-    pub minimum_detectable: f64,
+    pub minimum_detectable: Option<f64>,
     pub evidence: String,
 }
 
@@ -60,12 +57,13 @@ pub(super) fn by_key<S: Serializer>(
 }
 
 /// A candidate's refit with its scores.
+#[derive(Clone)]
 pub(super) struct Refit {
     pub(super) effect: &'static dyn Effect,
     pub(super) fit: Fit,
     pub(super) holdout: Score,
     pub(super) minimum_detectable: f64,
-    pub(super) typical_size: f64,
+    pub(super) visible: f64,
     pub(super) free_parameters: usize,
 }
 
@@ -84,63 +82,4 @@ impl Refit {
             .cloned()
             .collect()
     }
-}
-
-/// Screens and refits every effect that `baseline` does not have, two starts each, in parallel.
-pub(super) fn refit_all(
-    evidence: &Evidence,
-    baseline: &Fit,
-    original: &Model,
-) -> Result<Vec<Refit>, FitError> {
-    let screen = Screen::new(baseline, &evidence.training);
-    let refits: Vec<Result<Refit, FitError>> = effect::CATALOGUE
-        .par_iter()
-        .filter(|effect| !baseline.model.has(effect.card().id))
-        .map(|effect| refit(evidence, &screen, *effect, baseline, original))
-        .collect();
-    // One effect that cannot be simulated on this motor must not hide the others; if none can, that is the answer.
-    let mut failure = None;
-    let mut done = Vec::new();
-    for refit in refits {
-        match refit {
-            Ok(refit) => done.push(refit),
-            Err(error) => failure = Some(error),
-        }
-    }
-    match failure {
-        Some(error) if done.is_empty() => Err(error),
-        _ => Ok(done),
-    }
-}
-
-fn refit(
-    evidence: &Evidence,
-    screen: &Screen<'_>,
-    effect: &'static dyn Effect,
-    baseline: &Fit,
-    original: &Model,
-) -> Result<Refit, FitError> {
-    let screened = screen.effect(effect)?;
-    let with = |model: &Model, active: ActiveEffect| {
-        let mut model = model.clone();
-        model.effects.push(active);
-        model
-    };
-    // Start (a): the baseline's fit and what the screen found. Start (b): the model as it was given, with the effect
-    // at its typical size, because the missing effect has distorted the baseline's fit (DISCOVERY.md, pitfall 7).
-    let mut starts = vec![with(&baseline.model, screened.start)];
-    if original.require_complete().is_ok() {
-        starts.push(with(original, ActiveEffect::new(effect)));
-    }
-    let fit = output_error::fit(&starts, &evidence.training, &evidence.noise)?;
-    let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
-    let free_parameters = fit.free.len();
-    Ok(Refit {
-        effect,
-        fit,
-        holdout,
-        minimum_detectable: screened.minimum_detectable,
-        typical_size: screened.typical_size,
-        free_parameters,
-    })
 }

@@ -4,11 +4,12 @@ use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
 use super::location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, locate};
+use super::mechanical::{self, TorqueComparison};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore};
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{Model, Plant, Scenario};
+use crate::plant::{Input, Model, Plant, Scenario};
 
 /// Figures of one held-out signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -28,12 +29,18 @@ pub struct SignalComparison {
     pub holdout: HoldoutFigures,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Signals {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_rad_s: Option<SignalComparison>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub current_a: Option<SignalComparison>,
+    /// Of runs without a voltage: the inverse model.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub torque_n_m: Option<TorqueComparison>,
+    /// Length of the windows in which the speed is simulated; left out where it is one free run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_windows_s: Option<f64>,
 }
 
 /// The comparison, as `compare --json` prints it.
@@ -61,6 +68,9 @@ pub fn compare(
     evidence: &Evidence,
     error_of: ErrorOf,
 ) -> Result<Comparison, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return mechanical::compare(model, evidence, error_of);
+    }
     let noise = &evidence.noise;
     let training = Score::of(model, &evidence.training, noise)?;
     let holdout = Score::of(model, &evidence.holdout, noise)?;
@@ -91,6 +101,8 @@ pub fn compare(
                 noise.current_a,
                 one_step.0,
             ),
+            torque_n_m: None,
+            speed_windows_s: None,
         },
         locations: located.locations,
         balances: located.balances,

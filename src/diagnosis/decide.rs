@@ -4,7 +4,10 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::candidates::Refit;
+use super::evidence::Evidence;
+use super::family::simple_form;
 use super::score::Score;
+use crate::identification::noise::FloorSource;
 
 /// z above which one model beats another.
 pub(super) const SIGNIFICANT: f64 = 3.0;
@@ -15,6 +18,9 @@ pub(super) const AT_THE_FLOOR: f64 = 1.1;
 /// Shares of the explainable error from which a named set is sufficient, and below which nothing is named.
 pub(super) const SUFFICIENT: f64 = 0.9;
 pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
+
+/// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
+const NEAR_THE_FLOOR: f64 = 1.5;
 
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
@@ -72,9 +78,95 @@ pub(super) fn explained(before: f64, after: f64, floor: f64) -> f64 {
     }
 }
 
+/// The floor, raised by what it is uncertain by, because it was estimated from few samples.
+fn highest_floor(evidence: &Evidence) -> f64 {
+    evidence.floor() * evidence.noise.tolerance(1.0)
+}
+
+/// Whether a model explains the hold-out to the noise.
+pub(super) fn at_the_floor(evidence: &Evidence, score: &Score) -> bool {
+    score.nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
+}
+
+/// Whether the search may end with this model.
+pub(super) fn enough(evidence: &Evidence, base: &Score, now: &Score, until_floor: bool) -> bool {
+    let floor = highest_floor(evidence);
+    if until_floor {
+        return now.nrms < 1.08 * evidence.floor() || now.nrms < floor;
+    }
+    // A strong effect explains nine tenths of the error and may still hide a weak partner well above the floor.
+    explained(base.nrms, now.nrms, floor) >= SUFFICIENT
+        && (floor <= 0.0 || now.nrms < NEAR_THE_FLOOR * floor)
+}
+
+/// Whether a set of effects explains enough to be named: its first alone a good part, or all of them nearly everything.
+/// Several that each explain a little of an error that is none of them are not an answer.
+pub(super) fn explains(evidence: &Evidence, base: &Score, first: &Score, all: &Score) -> bool {
+    let floor = highest_floor(evidence);
+    let share = |score: &Score| explained(base.nrms, score.nrms, floor);
+    share(first) >= EXPLAINS_SOMETHING && share(all) >= EXPLAINS_SOMETHING
+        || share(all) >= SUFFICIENT
+        || base.nrms <= floor
+}
+
+/// Whether `better` has a smaller held-out error than `worse` beyond chance.
+pub(super) fn beats(better: &Score, worse: &Score) -> bool {
+    better.nrms < worse.nrms && z(worse, better) >= SIGNIFICANT
+}
+
 /// Whether `candidate` pays on the hold-out.
 pub(super) fn pays(base: &Score, candidate: &Score) -> bool {
-    candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms && z(base, candidate) >= SIGNIFICANT
+    candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms
+        && (z(base, candidate) >= SIGNIFICANT || mends(base, candidate))
+}
+
+/// Standard deviations by which a block must leave the noise to count as failed, and blocks that must be mended.
+const FAILED: f64 = 5.0;
+const FEWEST_MENDED: usize = 3;
+
+/// Whether the candidate explains the run to its noise while the base fails in several blocks, and fails in none that the
+/// base explains. An effect that shows for a short time only, as at a passage through zero, leaves most blocks as they
+/// are; their mean says little however plain the few are. Needs a known noise.
+fn mends(base: &Score, candidate: &Score) -> bool {
+    let noise = candidate.noise();
+    if noise.source == FloorSource::None || candidate.nrms >= noise.tolerance(AT_THE_FLOOR) {
+        return false;
+    }
+    let (mut mended, mut spoilt) = (0, 0);
+    let blocks = base
+        .counted_blocks(BLOCK_S)
+        .into_iter()
+        .zip(candidate.counted_blocks(BLOCK_S));
+    for ((before, count), (after, _)) in blocks {
+        if count == 0 {
+            continue;
+        }
+        let limit = noise.tolerance(1.0).powi(2) + FAILED * (2.0 / count as f64).sqrt();
+        match (before / count as f64 > limit, after / count as f64 > limit) {
+            (true, false) => mended += 1,
+            (false, true) => spoilt += 1,
+            _ => {}
+        }
+    }
+    mended >= FEWEST_MENDED && spoilt == 0
+}
+
+/// Share of what a richer effect explains from which its simple form is the answer.
+const SIMPLE_SUFFICES: f64 = 0.8;
+
+/// Whether `a` contains `b` and more.
+fn is_richer(a: &Refit, b: &Refit) -> bool {
+    simple_form(a.id()) == Some(b.id())
+}
+
+/// The simple form of the best candidate where that explains nearly as much: the name says what is there, and what the
+/// richer form adds may be the shape of the simple one.
+fn simple_instead(base: &Score, refits: &[Refit], best: usize) -> Option<usize> {
+    let simple = simple_form(refits[best].id())?;
+    let index = refits.iter().position(|refit| refit.id() == simple)?;
+    let gained = |index: usize| base.nrms.powi(2) - refits[index].holdout.nrms.powi(2);
+    (pays(base, &refits[index].holdout) && gained(index) >= SIMPLE_SUFFICES * gained(best))
+        .then_some(index)
 }
 
 /// Candidates that cannot be told from the best one by this hold-out: indices into `refits`, the preferred one first.
@@ -82,7 +174,11 @@ pub(super) fn pays(base: &Score, candidate: &Score) -> bool {
 pub(super) fn not_told_apart(base: &Score, refits: &[Refit], best: usize) -> Vec<usize> {
     let best_error = refits[best].holdout.nrms.powi(2);
     let gained = base.nrms.powi(2) - best_error;
+    if let Some(simple) = simple_instead(base, refits, best) {
+        return not_told_apart(base, refits, simple);
+    }
     let mut set: Vec<usize> = (0..refits.len())
+        .filter(|&index| index == best || !is_richer(&refits[index], &refits[best]))
         .filter(|&index| {
             let rival = &refits[index].holdout;
             let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);

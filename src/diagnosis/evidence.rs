@@ -28,11 +28,15 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Takes the noise floor from the standstill of the training run, else leaves the signals scaled by their spread
+    /// Takes the noise floor from the standstills of the runs, else leaves the signals scaled by their spread
     /// until a baseline is fitted ([`Evidence::with_baseline`]).
     pub fn new(fit_run: Scenario, holdout: Option<Scenario>, confirm: Option<Scenario>) -> Self {
-        let noise = NoiseFloor::from_standstill(&fit_run)
-            .unwrap_or_else(|| NoiseFloor::from_spread(&fit_run));
+        let rests: Vec<NoiseFloor> = [Some(&fit_run), holdout.as_ref(), confirm.as_ref()]
+            .into_iter()
+            .flatten()
+            .filter_map(NoiseFloor::from_standstill)
+            .collect();
+        let noise = NoiseFloor::pooled(&rests).unwrap_or_else(|| NoiseFloor::from_spread(&fit_run));
         let (training, holdout, holdout_from) = if let Some(holdout) = holdout {
             (fit_run, holdout, HoldoutFrom::Run)
         } else {

@@ -6,13 +6,15 @@ use super::candidates::by_key;
 use super::compare::{Comparison, compare};
 use super::decide::{SIGNIFICANT, WORTHWHILE, pays, z};
 use super::evidence::Evidence;
+use super::fitted::Fitted;
 use super::location::ErrorOf;
+use super::mechanical;
 use super::score::Score;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{ActiveEffect, Effect, Model};
+use crate::plant::{Effect, Input, Model};
 use crate::sample::ParameterEstimate;
 
-use super::screen::Screen;
+use super::refit::refit_one;
 
 /// One model on the ladder and its held-out error in units of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -35,7 +37,7 @@ pub struct AddResult {
     /// Errors on the confirming run where there is one: the headline.
     pub confirm: Option<[Rung; 2]>,
     #[serde(skip)]
-    pub fit: Fit,
+    pub fit: Fitted,
 }
 
 /// Refits `model` with `effect` added; refused, with the reason, where that does not pay on the hold-out.
@@ -44,18 +46,11 @@ pub fn add(
     model: &Model,
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
-    let (evidence, before) = evidence.with_baseline(model)?;
-    let screened = Screen::new(&before, &evidence.training).effect(effect)?;
-    let with = |model: &Model, active: ActiveEffect| {
-        let mut model = model.clone();
-        model.effects.push(active);
-        model
-    };
-    let mut starts = vec![with(&before.model, screened.start)];
-    if model.require_complete().is_ok() {
-        starts.push(with(model, ActiveEffect::new(effect)));
+    if evidence.training.input != Input::Voltage {
+        return mechanical::add(effect, model, &evidence);
     }
-    let after = output_error::fit(&starts, &evidence.training, &evidence.noise)?;
+    let (evidence, before) = evidence.with_baseline(model)?;
+    let after = refit_one(&evidence, &before, model, effect)?.fit;
     change(effect, &evidence, &before, after, true)
 }
 
@@ -65,6 +60,9 @@ pub fn remove(
     model: &Model,
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return mechanical::remove(effect, model, &evidence);
+    }
     let (evidence, before) = evidence.with_baseline(model)?;
     let without = before.model.without_effect(effect.card().id)?;
     let after = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
@@ -120,7 +118,7 @@ fn change(
             .collect(),
         ladder: vec![rung(before, &score_before), rung(&after, &score_after)],
         confirm,
-        fit: after,
+        fit: Fitted::from(&after),
     })
 }
 

@@ -11,27 +11,40 @@
 //!
 //! The method is that of DISCOVERY.md; a name is given only for what pays on data that the fit has not seen.
 
+mod axis_map;
 mod candidates;
 mod compare;
 mod decide;
+mod describe;
 mod diagnose;
 mod evidence;
+mod family;
 mod fingerprint;
+mod fitted;
 mod ladder;
 mod location;
+pub mod mechanical;
+mod progress;
+mod refit;
 mod residual;
 mod score;
 mod screen;
+mod search;
+mod shapes;
 
+pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
-pub use diagnose::{Diagnosis, DiagnosisVerdict, diagnose};
+pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
+pub use fitted::Fitted;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
     EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
 };
+pub use progress::{Event, Progress, silent};
+pub use refit::Thoroughness;
 pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
 

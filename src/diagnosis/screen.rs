@@ -5,26 +5,37 @@
 //! could have been seen at all.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
+use super::progress::{Event, Progress};
+use super::shapes::shape_grid;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError, FreeRun};
 use crate::numerics::levenberg_marquardt::Problem;
-use crate::plant::{ActiveEffect, Effect, Model, Scenario, typical_size};
+use crate::plant::{ActiveEffect, Effect, Model, ParameterRole, Scenario, typical_size};
 
 /// Standard deviations at which an effect counts as visible.
-const DETECTION_SIGMA: f64 = 5.0;
+pub(super) const DETECTION_SIGMA: f64 = 5.0;
+/// Longest step of a baseline parameter that the linear solution may suggest.
+const LONGEST_SHIFT: f64 = 0.7;
+/// A coefficient that must be positive starts no lower than this share of its typical size: at zero it has no slope to
+/// go by.
+const LEAST_START: f64 = 0.05;
 
 /// What the screen says of one effect.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(super) struct Screened {
-    /// The effect with the best coefficients and shapes found: where a refit starts.
-    pub(super) start: ActiveEffect,
+    pub(super) effect: &'static dyn Effect,
+    /// The baseline moved to where it would be with the effect, and the effect with its best coefficients and shapes:
+    /// where a refit starts.
+    pub(super) start: Model,
     /// Reduction of the cost that the effect would bring, to first order.
     pub(super) gain: f64,
-    /// Smallest size of the first coefficient that this run would show (5 sigma, white noise).
+    /// Smallest size of the first parameter that this run would show (5 sigma, white noise); infinite where the run does
+    /// not show it whatever its size.
     pub(super) minimum_detectable: f64,
-    /// Size at which the first coefficient would matter in this run.
-    pub(super) typical_size: f64,
+    /// Length of what the effect at its typical size would add to the residual beyond the baseline's own parameters.
+    pub(super) visible: f64,
 }
 
 /// The baseline's fit, made ready for projecting.
@@ -33,78 +44,187 @@ pub(super) struct Screen<'a> {
     training: &'a Scenario,
     noise: NoiseFloor,
     residual: DVector<f64>,
+    /// The residual without what the baseline's parameters can explain.
+    unexplained: DVector<f64>,
     /// Orthonormal basis of what the baseline's parameters can explain.
     basis: DMatrix<f64>,
+    jacobian: &'a DMatrix<f64>,
+    x: &'a [f64],
 }
 
 impl<'a> Screen<'a> {
     pub(super) fn new(fit: &'a Fit, training: &'a Scenario) -> Self {
+        let basis = orthonormal_basis(&fit.minimum.jacobian);
+        let residual = DVector::from_column_slice(&fit.minimum.residual);
         Self {
             baseline: &fit.model,
             training,
             noise: fit.noise,
-            residual: DVector::from_column_slice(&fit.minimum.residual),
-            basis: orthonormal_basis(&fit.minimum.jacobian),
+            unexplained: project(&basis, residual.clone()),
+            residual,
+            basis,
+            jacobian: &fit.minimum.jacobian,
+            x: &fit.minimum.x,
         }
+    }
+
+    /// Screens every effect, in parallel over effects and shapes; an effect that cannot be simulated is left out.
+    pub(super) fn all(
+        &self,
+        effects: &[&'static dyn Effect],
+        progress: Progress<'_>,
+    ) -> Vec<Screened> {
+        effects
+            .par_iter()
+            .filter_map(|effect| {
+                let screened = self.effect(*effect).ok()?;
+                progress(Event::Screened {
+                    effect: effect.card().id,
+                    share: screened.gain / self.unexplained.norm_squared().max(f64::MIN_POSITIVE),
+                });
+                Some(screened)
+            })
+            .collect()
     }
 
     pub(super) fn effect(&self, effect: &'static dyn Effect) -> Result<Screened, FitError> {
-        let residual = self.project(self.residual.clone());
-        let mut best: Option<Screened> = None;
-        for shape in shape_grid(effect) {
-            let found = self.shape(effect, &shape, &residual)?;
-            if best.as_ref().is_none_or(|best| found.gain > best.gain) {
-                best = Some(found);
+        let shapes = shape_grid(effect, self.training);
+        let found: Vec<Result<Tried, FitError>> = shapes
+            .into_par_iter()
+            .map(|shape| self.shape(effect, &shape))
+            .collect();
+        let mut best: Option<Tried> = None;
+        let mut failure = None;
+        for tried in found {
+            match tried {
+                Ok(tried) if best.as_ref().is_none_or(|best| tried.gain > best.gain) => {
+                    best = Some(tried);
+                }
+                Ok(_) => {}
+                Err(error) => failure = Some(error),
             }
         }
-        Ok(best.expect("every effect has at least one shape"))
+        match (best, failure) {
+            (Some(best), _) => Ok(self.screened(effect, best)),
+            (None, Some(error)) => Err(error),
+            (None, None) => unreachable!("every effect has at least one shape"),
+        }
     }
 
     /// One combination of shape parameters: all coefficients by linear least squares.
-    fn shape(
-        &self,
-        effect: &'static dyn Effect,
-        shape: &[f64],
-        residual: &DVector<f64>,
-    ) -> Result<Screened, FitError> {
+    fn shape(&self, effect: &'static dyn Effect, shape: &[f64]) -> Result<Tried, FitError> {
         let specs = effect.parameters();
         let coefficients: Vec<usize> = (0..specs.len())
             .filter(|index| specs[*index].is_coefficient())
             .collect();
-        let mut probes = DMatrix::zeros(residual.len(), coefficients.len());
-        for (column, &index) in coefficients.iter().enumerate() {
-            let mut values = shape.to_vec();
-            let size = typical_size(effect, index, self.baseline, self.training);
-            values[index] = size;
-            let there = self.residual_with(effect, &values)?;
-            let probe = self.project((there - &self.residual) / size);
-            probes.set_column(column, &probe);
+        let mut values = shape.to_vec();
+        if coefficients.is_empty() {
+            // Finite by nature, as a shaft's elasticity: all of it or nothing.
+            let probe = self.residual_with(effect, &values)? - &self.residual;
+            let along = project(&self.basis, probe.clone());
+            let length = along.norm_squared();
+            let share = (-along.dot(&self.unexplained) / length.max(f64::MIN_POSITIVE)).max(0.0);
+            let whole = &self.unexplained + &along;
+            let linear = share * share * length;
+            let finite = self.unexplained.norm_squared() - whole.norm_squared();
+            return Ok(Tried {
+                values,
+                shift: self.shift(&probe),
+                gain: linear.max(finite),
+                visible: length.sqrt(),
+                per_unit: length.sqrt() / shape[0],
+            });
         }
-        let normal = probes.tr_mul(&probes);
-        let projected = probes.tr_mul(residual);
+        let mut probes = DMatrix::zeros(self.residual.len(), coefficients.len());
+        let mut sizes = Vec::with_capacity(coefficients.len());
+        for (column, &index) in coefficients.iter().enumerate() {
+            let mut probed = values.clone();
+            let size = typical_size(effect, index, self.baseline, self.training);
+            probed[index] = size;
+            let probe = (self.residual_with(effect, &probed)? - &self.residual) / size;
+            probes.set_column(column, &probe);
+            sizes.push(size);
+        }
+        let mut along = probes.clone();
+        for mut column in along.column_iter_mut() {
+            let projected = project(&self.basis, column.clone_owned());
+            column.copy_from(&projected);
+        }
+        let normal = along.tr_mul(&along);
+        let projected = along.tr_mul(&self.unexplained);
         // Half a hair of damping: a coefficient that does nothing in this run stays at zero.
         let damped = &normal
             + DMatrix::identity(normal.nrows(), normal.ncols())
                 * (1e-12 * normal.trace().max(1e-300));
-        let solution = damped.cholesky().map_or_else(
+        let mut solution = damped.cholesky().map_or_else(
             || projected.clone() * 0.0,
             |factor| -factor.solve(&projected),
         );
-        let gain = -projected.dot(&solution);
-        let mut start = ActiveEffect::new(effect);
-        for (index, value) in shape.iter().enumerate() {
-            start.values[index] = Some(*value);
-        }
         for (column, &index) in coefficients.iter().enumerate() {
-            start.values[index] = Some(solution[column]);
+            if !(specs[index].min..=specs[index].max).contains(&solution[column]) {
+                solution[column] = 0.0;
+            }
         }
-        let norm = normal[(0, 0)].sqrt();
-        Ok(Screened {
-            start,
+        let gain = -2.0 * projected.dot(&solution) - solution.dot(&(&normal * &solution));
+        let change = &probes * &solution;
+        for (column, &index) in coefficients.iter().enumerate() {
+            let least = if specs[index].min >= 0.0 {
+                LEAST_START * sizes[column]
+            } else {
+                f64::NEG_INFINITY
+            };
+            values[index] = solution[column].max(least);
+        }
+        Ok(Tried {
+            values,
+            shift: self.shift(&change),
             gain,
-            minimum_detectable: DETECTION_SIGMA / norm,
-            typical_size: typical_size(effect, 0, self.baseline, self.training),
+            visible: normal[(0, 0)].sqrt() * sizes[0],
+            per_unit: normal[(0, 0)].sqrt(),
         })
+    }
+
+    fn screened(&self, effect: &'static dyn Effect, best: Tried) -> Screened {
+        let mut start = self.moved_baseline(&best.shift);
+        start.effects.push(ActiveEffect {
+            effect,
+            values: best.values.into_iter().map(Some).collect(),
+        });
+        Screened {
+            effect,
+            start,
+            gain: best.gain,
+            minimum_detectable: DETECTION_SIGMA / best.per_unit,
+            visible: best.visible,
+        }
+    }
+
+    /// How the baseline's coordinates would move if `change` were added to the residual.
+    fn shift(&self, change: &DVector<f64>) -> Vec<f64> {
+        let normal = self.jacobian.tr_mul(self.jacobian);
+        let damped = &normal
+            + DMatrix::identity(normal.nrows(), normal.ncols())
+                * (1e-9 * normal.trace().max(1e-300));
+        let gradient = self.jacobian.tr_mul(&(&self.residual + change));
+        damped.cholesky().map_or_else(
+            || vec![0.0; self.x.len()],
+            |factor| {
+                factor
+                    .solve(&gradient)
+                    .iter()
+                    .map(|step| -step.clamp(-LONGEST_SHIFT, LONGEST_SHIFT))
+                    .collect()
+            },
+        )
+    }
+
+    fn moved_baseline(&self, shift: &[f64]) -> Model {
+        let Ok(problem) = FreeRun::new(self.baseline, self.training, self.noise) else {
+            return self.baseline.clone();
+        };
+        let mut x: Vec<f64> = self.x.iter().zip(shift).map(|(x, dx)| x + dx).collect();
+        problem.clamp(&mut x);
+        problem.model_at(&x)
     }
 
     fn residual_with(
@@ -117,8 +237,17 @@ impl<'a> Screen<'a> {
             effect,
             values: values.iter().copied().map(Some).collect(),
         });
+        // Held at the baseline's values: only the start of the run is carried over.
         let mut problem = FreeRun::new(&model, self.training, self.noise)?;
-        let x = problem.start();
+        let own = effect
+            .parameters()
+            .iter()
+            .filter(|spec| spec.role != ParameterRole::Choice)
+            .count();
+        let motor = self.x.len() - problem.starts();
+        let mut x = problem.start();
+        x[..motor].copy_from_slice(&self.x[..motor]);
+        x[motor + own..].copy_from_slice(&self.x[motor..]);
         let mut out = vec![0.0; problem.residual_len()];
         if problem.residual(&x, &mut out) {
             Ok(DVector::from_vec(out))
@@ -128,12 +257,21 @@ impl<'a> Screen<'a> {
             })
         }
     }
+}
 
-    /// The part of `vector` that the baseline's parameters cannot explain.
-    fn project(&self, vector: DVector<f64>) -> DVector<f64> {
-        let explained = &self.basis * self.basis.tr_mul(&vector);
-        vector - explained
-    }
+/// One combination of shapes with its best coefficients.
+struct Tried {
+    values: Vec<f64>,
+    shift: Vec<f64>,
+    gain: f64,
+    visible: f64,
+    per_unit: f64,
+}
+
+/// The part of `vector` that is at right angles to `basis`.
+fn project(basis: &DMatrix<f64>, vector: DVector<f64>) -> DVector<f64> {
+    let explained = basis * basis.tr_mul(&vector);
+    vector - explained
 }
 
 /// Modified Gram-Schmidt on the scaled columns, twice for orthogonality; dependent columns are left out.
@@ -158,25 +296,4 @@ fn orthonormal_basis(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
     } else {
         DMatrix::from_columns(&columns)
     }
-}
-
-/// Every combination of the shape parameters' grids, coefficients at zero.
-fn shape_grid(effect: &dyn Effect) -> Vec<Vec<f64>> {
-    let specs = effect.parameters();
-    let mut grid = vec![vec![0.0; specs.len()]];
-    for (index, spec) in specs.iter().enumerate() {
-        if !spec.is_coefficient() {
-            grid = grid
-                .into_iter()
-                .flat_map(|values| {
-                    spec.shapes.iter().map(move |shape| {
-                        let mut values = values.clone();
-                        values[index] = *shape;
-                        values
-                    })
-                })
-                .collect();
-        }
-    }
-    grid
 }

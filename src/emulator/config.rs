@@ -63,6 +63,20 @@ pub enum EmulatorConfigError {
         value: f64,
         allowed: &'static str,
     },
+    #[error(
+        "{file}: {key} of the hidden effect {effect} = {value} is not allowed (expected {allowed})"
+    )]
+    Hidden {
+        file: String,
+        effect: &'static str,
+        key: &'static str,
+        value: f64,
+        allowed: &'static str,
+    },
+    #[error(
+        "{file}: two hidden effects put a second inertia behind the shaft (expected one at most)"
+    )]
+    TwoShafts { file: String },
     #[error("there is no embedded emulator {name:?}")]
     Unknown { name: String },
 }
@@ -72,9 +86,12 @@ impl EmulatorConfigError {
     pub fn help(&self) -> String {
         match self {
             Self::Text(error) => error.help.clone(),
-            Self::Value { .. } => {
+            Self::Value { .. } | Self::Hidden { .. } => {
                 "see bench-configs/emulators/example.toml for every key, its unit and its default"
                     .to_owned()
+            }
+            Self::TwoShafts { .. } => {
+                "keep either elastic_coupling or backlash; backlash is elastic too".to_owned()
             }
             Self::Unknown { name } => {
                 config_text::help_for_unknown(name, EMBEDDED.iter().map(|(name, _)| *name))
@@ -273,11 +290,27 @@ impl EmulatorConfig {
                 "10 to 12",
             );
         }
-        for (key, value, _) in self.hidden.iter().flat_map(HiddenEffect::parameters) {
-            let scale = key.ends_with("speed_rad_s") || key == "time_constant_s";
-            if !(value.is_finite() && (value > 0.0 || (value == 0.0 && !scale))) {
-                return refuse(key, value, "0 or more; a speed or time scale above 0");
+        for effect in &self.hidden {
+            if let Some((key, value, allowed)) = effect.refused() {
+                return Err(EmulatorConfigError::Hidden {
+                    file: file.to_owned(),
+                    effect: effect.id(),
+                    key,
+                    value,
+                    allowed,
+                });
             }
+        }
+        if self
+            .hidden
+            .iter()
+            .filter(|effect| effect.is_shaft())
+            .count()
+            > 1
+        {
+            return Err(EmulatorConfigError::TwoShafts {
+                file: file.to_owned(),
+            });
         }
         Ok(())
     }
@@ -315,16 +348,62 @@ mod tests {
 
     const EXAMPLE: &str = include_str!("../../bench-configs/emulators/example.toml");
 
+    /// Every effect of the example, those behind a `#` too, in catalogue order.
+    fn every_hidden_effect() -> Vec<HiddenEffect> {
+        let text = EXAMPLE.replace("\n#[[hidden]]", "\n[[hidden]]");
+        let (head, blocks) = text.split_once("[[hidden]]").unwrap();
+        let mut effects: Vec<HiddenEffect> = blocks
+            .split("[[hidden]]")
+            .map(|block| {
+                let keys: Vec<&str> = block
+                    .lines()
+                    .map(|line| line.strip_prefix('#').unwrap_or(line))
+                    .filter(|line| line.contains(" = ") && !line.starts_with(' '))
+                    .collect();
+                let text = format!("{head}[[hidden]]\n{}", keys.join("\n"));
+                EmulatorConfig::parse("example.toml", &text).unwrap().hidden[0].clone()
+            })
+            .collect();
+        let place =
+            |effect: &HiddenEffect| HiddenEffect::IDS.iter().position(|id| *id == effect.id());
+        effects.sort_by_key(place);
+        effects
+    }
+
+    #[test]
+    fn a_second_inertia_behind_a_second_inertia_is_refused() {
+        let mut config = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
+        config.hidden = every_hidden_effect()
+            .into_iter()
+            .filter(HiddenEffect::is_shaft)
+            .collect();
+        let text = toml::to_string(&config).unwrap();
+        let error = EmulatorConfig::parse("e.toml", &text).unwrap_err();
+        assert!(
+            matches!(error, EmulatorConfigError::TwoShafts { .. }),
+            "{error}"
+        );
+        config.hidden.truncate(1);
+        EmulatorConfig::parse("e.toml", &toml::to_string(&config).unwrap()).unwrap();
+    }
+
     #[test]
     fn the_example_documents_every_key() {
-        let config = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
-        assert_eq!(config.hidden.len(), HiddenEffect::IDS.len());
-        let mut full = config;
+        let mut full = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
+        full.hidden = every_hidden_effect();
+        let ids: Vec<&str> = full.hidden.iter().map(HiddenEffect::id).collect();
+        assert_eq!(ids, HiddenEffect::IDS);
         full.motor.torque_n_m_per_a = Some(0.35);
         full.line.gap_us = Some(1750.0);
         let text = toml::to_string(&full).unwrap();
         for key in text.lines().filter_map(|line| line.split_once(" = ")) {
-            assert!(EXAMPLE.contains(&format!("{} = ", key.0)), "{}", key.0);
+            assert!(
+                EXAMPLE.contains(&format!("\n{} = ", key.0))
+                    || EXAMPLE.contains(&format!("\n#{} = ", key.0))
+                    || EXAMPLE.contains(&format!("\n# {} = ", key.0)),
+                "{}",
+                key.0
+            );
         }
     }
 

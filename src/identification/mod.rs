@@ -16,6 +16,7 @@
 
 pub mod added_inertia;
 pub mod claims;
+pub mod effect_start;
 pub mod escalation;
 pub mod inverse_dynamics;
 pub mod kalman;
@@ -25,6 +26,7 @@ pub mod noise;
 pub mod online;
 pub mod output_error;
 pub mod recursive;
+mod regressor;
 pub mod repeat;
 pub mod sanity;
 pub mod scheme;
@@ -34,7 +36,8 @@ pub mod start;
 pub mod step_response;
 pub mod temperature;
 mod torque_ratio;
-mod verdict;
+pub mod torque_rows;
+pub(crate) mod verdict;
 pub mod voltage_departure;
 pub mod weak_form;
 mod wrapped_angle;

@@ -61,7 +61,7 @@ impl NoiseFloor {
             if at_rest.len() < FEWEST_SAMPLES {
                 return None;
             }
-            let deviation = standard_deviation(&at_rest);
+            let deviation = settled_deviation(&at_rest);
             let level = deviation.max(quantum(values).unwrap_or(0.0) / 12f64.sqrt());
             let mut present = values.iter().filter(|v| v.is_finite());
             let first = present.next()?;
@@ -80,6 +80,29 @@ impl NoiseFloor {
             speed_rad_s: speed.unwrap_or(f64::INFINITY),
             source: FloorSource::Standstill,
             samples: rows.len(),
+        })
+    }
+
+    /// One floor from the standstills of several runs of one machine: each counts with its samples.
+    pub fn pooled(rests: &[Self]) -> Option<Self> {
+        let first = rests.first()?;
+        let mean = |level: fn(&Self) -> f64| {
+            let known = rests.iter().filter(|rest| level(rest).is_finite());
+            let (squares, samples) = known.fold((0.0, 0.0), |(squares, samples), rest| {
+                let n = rest.samples as f64;
+                (squares + n * level(rest).powi(2), samples + n)
+            });
+            if samples > 0.0 {
+                (squares / samples).sqrt()
+            } else {
+                f64::INFINITY
+            }
+        };
+        Some(Self {
+            current_a: mean(|rest| rest.current_a),
+            speed_rad_s: mean(|rest| rest.speed_rad_s),
+            source: first.source,
+            samples: rests.iter().map(|rest| rest.samples).sum(),
         })
     }
 
@@ -108,6 +131,25 @@ impl NoiseFloor {
             source: FloorSource::None,
             samples: 0,
         }
+    }
+}
+
+/// Deviation above that of its later part, from which the first quarter of a rest counts as a transient.
+const TRANSIENT: f64 = 1.15;
+
+/// Standard deviation at rest without what a transient adds: an offset of the drive's voltage builds up its current in
+/// the first moments.
+fn settled_deviation(at_rest: &[f64]) -> f64 {
+    let whole = standard_deviation(at_rest);
+    let later = &at_rest[at_rest.len() / 4..];
+    if later.len() < FEWEST_SAMPLES {
+        return whole;
+    }
+    let settled = standard_deviation(later);
+    if whole > TRANSIENT * settled {
+        settled
+    } else {
+        whole
     }
 }
 

@@ -16,7 +16,7 @@ pub(super) const SETTLED: f64 = 0.02;
 const TWO_SIDED_95: f64 = 1.96;
 
 /// Judges one fitted value by its standard deviation; `None` or not finite: the data leave it undetermined.
-pub(super) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
+pub(crate) fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
     let (key, unit) = (slot.key(), slot.unit());
     let Some(std) = std.filter(|std| std.is_finite()) else {
         return ParameterEstimate::not_observable(

@@ -13,13 +13,17 @@
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
 mod noise_share;
+mod torque_rows;
 mod window;
+
+pub use self::torque_rows::torque_rows;
 
 use nalgebra::{DMatrix, DVector};
 
 use self::noise_share::Noise;
 use self::window::{Window, half_window, held_means, held_values, interpolated, thinned};
 use super::output_error::{BLOCK_S, FitError};
+use super::regressor::{PROPORTIONAL, why_no_regressor};
 use super::verdict::judge;
 use crate::numerics::least_squares;
 use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, Slot};
@@ -68,6 +72,11 @@ pub struct WindowResidual {
 
 /// Fits both balances (the torque balance alone where there is no voltage).
 pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError> {
+    Ok(fit_both(model, scenario).0)
+}
+
+/// The balances, and the model with what the voltage balance found, which the torque balance was fitted with.
+fn fit_both(model: &Model, scenario: &Scenario) -> (Vec<Balanced>, Model) {
     let mut balances = Vec::new();
     let mut model = model.clone();
     let given = model.motor.get(MotorKey::TorqueConstant).is_some();
@@ -86,7 +95,56 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Result<Vec<Balanced>, FitError
         balances.push(voltage);
     }
     balances.push(balance(&model, scenario, Balance::Torque, doubt_of_torque));
-    Ok(balances)
+    (balances, model)
+}
+
+/// Both balances as linear systems, for those who try columns of their own in them.
+pub fn regressions(model: &Model, scenario: &Scenario) -> Vec<Regression> {
+    let (balances, model) = fit_both(model, scenario);
+    balances
+        .into_iter()
+        .map(|balanced| {
+            let equation = balanced.equation;
+            let half = half_window(scenario, equation);
+            let system = System::new(&model, scenario, equation, half, &Noise::of(scenario));
+            Regression {
+                blocks: system.blocks(scenario.sample_time_s[0]),
+                matrix: system.matrix,
+                right: system.right,
+                time_s: system.windows.iter().map(|window| window.time_s).collect(),
+                averages: system.averages,
+                noise_floor: balanced.noise_floor,
+                equation,
+                model: model.clone(),
+            }
+        })
+        .collect()
+}
+
+/// One balance as a linear system: a row for each usable window.
+pub struct Regression {
+    pub equation: Balance,
+    /// What one unit of each free parameter contributes.
+    pub matrix: DMatrix<f64>,
+    /// Left-hand side, V or N.m.
+    pub right: DVector<f64>,
+    /// Block of time that each window belongs to, for clustered covariances.
+    pub blocks: Vec<usize>,
+    /// Middle of each window.
+    pub time_s: Vec<f64>,
+    /// As in [`Balanced`].
+    pub noise_floor: Option<f64>,
+    /// The model with the torque constant that the left-hand side was made with.
+    pub model: Model,
+    averages: Vec<Window>,
+}
+
+impl Regression {
+    /// Average over each window of a value that every sample has.
+    pub fn means(&self, value: impl Fn(usize) -> f64) -> DVector<f64> {
+        let rows = self.averages.iter().map(|window| window.mean_of(&value));
+        DVector::from_iterator(self.averages.len(), rows)
+    }
 }
 
 /// Why a balance has too few windows to be solved.
@@ -223,6 +281,7 @@ struct System {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
     windows: Vec<WindowResidual>,
+    averages: Vec<Window>,
     dropped: usize,
     /// Norms of a window's weights, and of its weights for a rate: what noise makes of a mean.
     gain: f64,
@@ -243,6 +302,7 @@ impl System {
             .filter(|index| unknowns[*index].fixed.is_none())
             .collect();
         let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
+        let mut averages = Vec::new();
         let (mut dropped, mut gain, mut rate_gain) = (0, 0.0, 0.0);
         for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
             let end = begin + 2 * half;
@@ -274,6 +334,7 @@ impl System {
                 current_a: window.mean(&scenario.current_a),
                 angle_rad: window.mean(&signals.angle),
             });
+            averages.push(window);
         }
         Self {
             equation,
@@ -281,6 +342,7 @@ impl System {
             right: DVector::from_vec(right),
             unknowns,
             windows,
+            averages,
             dropped,
             gain,
             rate_gain,
@@ -292,10 +354,13 @@ impl System {
         clippy::cast_sign_loss,
         reason = "blocks are counted from the begin of the run"
     )]
-    fn solve(&self, begin_s: f64) -> Option<least_squares::Solution> {
+    fn blocks(&self, begin_s: f64) -> Vec<usize> {
         let block = |window: &WindowResidual| ((window.time_s - begin_s) / BLOCK_S) as usize;
-        let blocks: Vec<usize> = self.windows.iter().map(block).collect();
-        least_squares::solve(&self.matrix, &self.right, &blocks)
+        self.windows.iter().map(block).collect()
+    }
+
+    fn solve(&self, begin_s: f64) -> Option<least_squares::Solution> {
+        least_squares::solve(&self.matrix, &self.right, &self.blocks(begin_s))
     }
 
     fn doubts(
@@ -382,6 +447,7 @@ fn unknowns(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<Unknow
         Balance::Torque => &[MotorKey::Inertia, MotorKey::LoadTorque],
     };
     let motor = keys.iter().map(|key| Slot::Motor(*key));
+    let electrical = scenario.input == Input::Voltage;
     let effects = model.slots().into_iter().filter(|slot| match slot {
         Slot::Effect { index, spec, .. } => {
             let enters = model.effects[*index]
@@ -391,7 +457,8 @@ fn unknowns(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<Unknow
                 .includes(equation);
             enters
                 && spec.is_coefficient()
-                && (equation == Balance::Torque || scenario.input == Input::Voltage)
+                && why_no_regressor(&model.effects[*index], &model.motor, electrical).is_none()
+                && (equation == Balance::Torque || electrical)
         }
         Slot::Motor(_) => false,
     });
@@ -414,10 +481,20 @@ struct Signals<'a> {
     scenario: &'a Scenario,
     /// Left-hand side: voltage, or motor torque.
     left: Vec<f64>,
+    /// Input at the samples: the voltage, where the run has one.
+    voltage: Vec<f64>,
     sign: Vec<f64>,
     equation: Balance,
-    /// Measured angle at the samples; NaN where there is none.
+    /// Angle of the shaft at the samples, measured or the integral of the speed; NaN where there is none.
     angle: Vec<f64>,
+    supply_v: f64,
+}
+
+/// Angle of the shaft at every sample, measured or the integral of the speed; NaN where there is none.
+pub fn angles(scenario: &Scenario) -> Vec<f64> {
+    let shaft = scenario.shaft_angle();
+    let times = scenario.sample_time_s.iter();
+    times.map(|time_s| interpolated(&shaft, *time_s)).collect()
 }
 
 impl<'a> Signals<'a> {
@@ -445,13 +522,14 @@ impl<'a> Signals<'a> {
             model,
             scenario,
             equation,
+            voltage: match equation {
+                Balance::Voltage => left.clone(),
+                Balance::Torque => held_means(scenario),
+            },
             left,
             sign,
-            angle: scenario
-                .sample_time_s
-                .iter()
-                .map(|time_s| interpolated(&scenario.angle, *time_s))
-                .collect(),
+            supply_v: scenario.supply_v(),
+            angle: angles(scenario),
         }
     }
 
@@ -471,31 +549,34 @@ impl<'a> Signals<'a> {
         }
     }
 
-    /// What the effect's coefficient adds per unit at one sample.
+    /// What the effect's coefficient adds per unit, of a size so small that the effect is proportional to it, at one sample.
     fn effect(&self, index: usize, parameter: usize, sample: usize) -> f64 {
         let active = &self.model.effects[index];
         let mut values = active.values_or_guess();
+        let size = PROPORTIONAL * active.effect.parameters()[parameter].scale;
         for (other, spec) in active.effect.parameters().iter().enumerate() {
             if spec.is_coefficient() {
-                values[other] = if other == parameter { 1.0 } else { 0.0 };
+                values[other] = if other == parameter { size } else { 0.0 };
             }
         }
         let terms = active.effect.terms(&values);
         let at = Instant {
             time_s: self.scenario.sample_time_s[sample] - self.scenario.begin_s(),
-            voltage_v: self.left[sample],
+            voltage_v: self.voltage[sample],
+            supply_v: self.supply_v,
             current_a: self.scenario.current_a[sample],
             speed_rad_s: self.scenario.speed_rad_s[sample],
             angle_rad: self.angle[sample],
             ..Instant::of(&self.model.motor)
         };
         let own = vec![0.0; terms.states()];
-        match self.equation {
+        let added = match self.equation {
             Balance::Voltage => terms.voltage_v(&at, &own),
             Balance::Torque => {
                 terms.torque_n_m(&at, &own) + self.sign[sample] * terms.friction_n_m(&at)
             }
-        }
+        };
+        added / size
     }
 }
 

@@ -15,6 +15,7 @@ mod model_file;
 mod motor;
 pub(crate) mod propagator;
 mod scenario;
+mod shaft_angle;
 mod simulate;
 #[cfg(test)]
 pub(crate) mod testing;

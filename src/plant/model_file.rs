@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-use super::effect;
+use super::effect::{self, DefinitionError, Layout};
 use super::model::{ActiveEffect, Model, Slot};
 use super::motor::{Motor, MotorKey};
 use crate::config_text::{ConfigError, help_for_unknown, nearest};
@@ -95,24 +95,7 @@ impl ModelFile {
             let _ = writeln!(text, "fixed = [{}]", quoted.join(", "));
         }
         for (index, active) in self.model.effects.iter().enumerate() {
-            let _ = write!(text, "\n[[effect]]\nid = {:?}\n", active.id());
-            for (parameter, spec) in active.effect.parameters().iter().enumerate() {
-                if let Some(value) = active.values[parameter] {
-                    let slot = Slot::Effect {
-                        index,
-                        parameter,
-                        spec,
-                        id: active.id(),
-                    };
-                    let _ = writeln!(
-                        text,
-                        "{} = {}{}",
-                        spec.key,
-                        number(value),
-                        self.comment(&slot)
-                    );
-                }
-            }
+            self.write_effect(&mut text, index, active);
         }
         if self.history != FileHistory::default() {
             let table =
@@ -121,6 +104,47 @@ impl ModelFile {
             let _ = write!(text, "\n{root}");
         }
         text
+    }
+
+    fn write_effect(&self, text: &mut String, index: usize, active: &ActiveEffect) {
+        let _ = write!(text, "\n[[effect]]\nid = {:?}\n", active.id());
+        for (key, value) in active.effect.settings() {
+            let _ = writeln!(text, "{key} = {value}");
+        }
+        let layout = active.effect.layout();
+        match layout {
+            Layout::List(key) if active.values.iter().all(Option::is_some) => {
+                let values: Vec<String> = active
+                    .values
+                    .iter()
+                    .flatten()
+                    .copied()
+                    .map(number)
+                    .collect();
+                let _ = writeln!(text, "{key} = [{}]", values.join(", "));
+                return;
+            }
+            Layout::Table(name) => {
+                let _ = writeln!(text, "\n[effect.{name}]");
+            }
+            Layout::List(_) | Layout::Keys => {}
+        }
+        for (parameter, spec) in active.effect.parameters().iter().enumerate() {
+            if let Some(value) = active.effect.written(parameter, active.values[parameter]) {
+                let id = active.id();
+                let slot = Slot::Effect {
+                    index,
+                    parameter,
+                    spec,
+                    id,
+                };
+                let value = match value {
+                    toml::Value::Float(value) => number(value),
+                    other => other.to_string(),
+                };
+                let _ = writeln!(text, "{} = {value}{}", spec.key, self.comment(&slot));
+            }
+        }
     }
 
     /// The standard deviation and unit beside a value, for the human reader.
@@ -260,35 +284,73 @@ impl Reader<'_> {
                     "an effect needs an id, as id = \"viscous_friction\"",
                 ));
             };
-            let Some(found) = effect::find(id) else {
-                let known = effect::CATALOGUE.iter().map(|effect| effect.card().id);
-                let mut error = self.error(
-                    from,
-                    "id",
-                    &format!("effect {id:?} is not in the catalogue"),
-                );
-                error.help = nearest(id, known).map_or_else(
-                    || "`drivebench effects` lists the catalogue".to_owned(),
-                    |name| format!("did you mean {name:?}?"),
-                );
-                return Err(error);
-            };
             if model.has(id) {
                 return Err(self.error(from, "id", &format!("effect {id:?} stands twice")));
             }
-            let mut active = ActiveEffect::new(found);
-            for (key, value) in table.iter().filter(|(key, _)| *key != "id") {
-                let Some(at) = found.parameters().iter().position(|spec| spec.key == key) else {
-                    let mut allowed: Vec<&str> =
-                        found.parameters().iter().map(|spec| spec.key).collect();
-                    allowed.push("id");
-                    return Err(self.unknown(from, key, &allowed));
-                };
-                active.values[at] = Some(self.number(from, key, value)?);
-            }
+            let active = if effect::family(id).is_some() {
+                let (effect, values) =
+                    effect::define(id, table).map_err(|error| self.misdefined(from, &error))?;
+                ActiveEffect { effect, values }
+            } else {
+                self.of_catalogue(from, id, table)?
+            };
             model.effects.push(active);
         }
         Ok(())
+    }
+
+    fn of_catalogue(
+        &self,
+        from: usize,
+        id: &str,
+        table: &toml::Table,
+    ) -> Result<ActiveEffect, ConfigError> {
+        let Some(found) = effect::find(id) else {
+            let known = effect::CATALOGUE
+                .iter()
+                .map(|effect| effect.card().id)
+                .chain(effect::FAMILIES.iter().map(|card| card.id));
+            let mut error = self.error(
+                from,
+                "id",
+                &format!("effect {id:?} is not in the catalogue"),
+            );
+            error.help = nearest(id, known).map_or_else(
+                || "`drivebench effects` lists the catalogue".to_owned(),
+                |name| format!("did you mean {name:?}?"),
+            );
+            return Err(error);
+        };
+        let mut active = ActiveEffect::new(found);
+        for (key, value) in table.iter().filter(|(key, _)| *key != "id") {
+            let Some(at) = found.parameters().iter().position(|spec| spec.key == key) else {
+                let mut allowed: Vec<&str> =
+                    found.parameters().iter().map(|spec| spec.key).collect();
+                allowed.push("id");
+                return Err(self.unknown(from, key, &allowed));
+            };
+            active.values[at] = Some(self.number(from, key, value)?);
+        }
+        Ok(active)
+    }
+
+    /// An error in the settings of an effect, at the place within the text of a setting where it has one.
+    fn misdefined(&self, from: usize, error: &DefinitionError) -> ConfigError {
+        // A parameter may stand within `parameters = { .. }`, on no line of its own.
+        let mut at = self.find(from, &error.key);
+        if at == from {
+            at = self.find(from, "parameters");
+        }
+        let line = self.text[at..].lines().next().unwrap_or_default();
+        let begin = line.find(['"', '\'']).map_or(0, |quote| quote + 1);
+        at += error.offset.map_or(0, |offset| begin + offset);
+        ConfigError::at(
+            self.file,
+            self.text,
+            at,
+            error.message.clone(),
+            error.help.clone(),
+        )
     }
 }
 
@@ -350,6 +412,81 @@ stribeck_n_m = 0.2
             (error.line, error.help.as_str()),
             (11, "did you mean \"viscous_friction\"?")
         );
+    }
+
+    const DEFINED: &str = r#"[motor]
+name = "ZK-22FC"
+
+[[effect]]
+id = "custom"
+equation = "torque"
+expression = "a*abs(w)*w + b*exp(-(w/ws)^2)*sgn(w)"
+parameters = { a = 1e-6, b = {}, ws = { value = 9.0, guess = 8.0, unit = "rad/s" } }
+
+[[effect]]
+id = "custom_drop"
+equation = "voltage"
+expression = "d*tanh(i/0.1)"
+parameters = ["d"]
+
+[[effect]]
+id = "table"
+equation = "torque"
+axis = "speed_rad_s"
+knots = [-100.0, 0.0, 100.0]
+values = [0.1, 0.0, 0.2]
+
+[[effect]]
+id = "table_time"
+equation = "voltage"
+axis = "time_s"
+knots = [0.0, 5.0]
+value_2 = 1.5
+"#;
+
+    #[test]
+    fn effects_that_the_user_defines_read_back_to_the_same_effects() {
+        let mut file = ModelFile::parse("m.toml", DEFINED).unwrap();
+        file.history.fitted.push(FittedValue {
+            key: "custom.a".into(),
+            std: 1e-8,
+        });
+        let text = file.to_toml();
+        let again = ModelFile::parse("m.toml", &text).unwrap();
+        assert_eq!(again.model.effect_ids(), file.model.effect_ids());
+        for (one, other) in file.model.effects.iter().zip(&again.model.effects) {
+            assert!(std::ptr::addr_eq(one.effect, other.effect), "{text}");
+            assert_eq!(one.values, other.values);
+        }
+        assert_eq!(again.to_toml(), text);
+        assert_eq!(
+            again.model.effects[0].values,
+            [Some(1e-6), None, Some(9.0)],
+            "coefficients first"
+        );
+        assert!(text.contains("a = 1e-6  # +- 1e-8"), "{text}");
+        assert!(text.contains("values = [0.1, 0.0, 0.2]"), "{text}");
+        assert!(text.contains("\nvalue_2 = 1.5"), "{text}");
+    }
+
+    #[test]
+    fn a_mistake_in_an_expression_is_named_with_its_line_and_column() {
+        for (from, to, line, column) in [
+            ("abs(w)*w", "abs(w)*ww", 7, 24),
+            ("tanh(i/0.1)", "tanh(i/0.1", 13, 21),
+            ("[\"d\"]", "[\"d\", \"e\"]", 14, 1),
+            ("ws = { value", "ws = { valeu", 8, 1),
+            ("a = 1e-6", "a = \"x\"", 8, 1),
+            ("equation = \"voltage\"\nexpression", "expression", 11, 1),
+            ("0.0, 100.0]", "0.0, -1.0]", 20, 1),
+            ("value_2", "value_3", 28, 1),
+            ("\"custom_drop\"", "\"custom\"", 11, 1),
+            ("\"custom_drop\"", "\"custom-drop\"", 11, 1),
+        ] {
+            let error = ModelFile::parse("m.toml", &DEFINED.replace(from, to)).unwrap_err();
+            assert_eq!((error.line, error.column), (line, column), "{to}: {error}");
+            assert!(!error.help.is_empty());
+        }
     }
 
     #[test]

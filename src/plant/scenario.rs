@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
+use super::shaft_angle::continuous;
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
@@ -74,11 +75,14 @@ pub struct Scenario {
     pub current_a: Vec<f64>,
     /// Measured speed at the sample times, NaN where missing.
     pub speed_rad_s: Vec<f64>,
-    /// Measured angle `(time, angle)`; an exogenous input of effects of position. Empty: the speed is integrated.
+    /// Measured angle `(time, angle)`, continuous over turns; an exogenous input of effects of position. Empty: the speed is integrated.
     pub angle: Vec<(f64, f64)>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
 }
+
+/// Supply to which a sag is referred, V.
+const REFERENCE_SUPPLY_V: f64 = 110.0;
 
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
@@ -104,7 +108,10 @@ impl Scenario {
             sample_time_s: Vec::with_capacity(run.rows()),
             current_a: Vec::with_capacity(run.rows()),
             speed_rad_s: Vec::with_capacity(run.rows()),
-            angle: run.points(Channel::Angle).collect(),
+            angle: continuous(
+                run.points(Channel::Angle).collect(),
+                &run.points(Channel::Speed).collect::<Vec<_>>(),
+            ),
             scored: 0..0,
         };
         for (row, &time_s) in run.time_s().iter().enumerate() {
@@ -165,6 +172,17 @@ impl Scenario {
     pub fn input_at(&self, time_s: f64) -> f64 {
         let next = self.events.partition_point(|event| event.0 <= time_s);
         self.events[next.saturating_sub(1)].1
+    }
+
+    /// Full voltage of the supply that effects of the duty refer to. A run does not tell it, and what one run happened
+    /// to reach would give the same machine another number in the next: a fixed reference.
+    /// Zero where the run is not driven by a voltage.
+    pub fn supply_v(&self) -> f64 {
+        if self.input == Input::Voltage {
+            REFERENCE_SUPPLY_V
+        } else {
+            0.0
+        }
     }
 
     /// Angle of the shaft `(time, angle)`: the measured one, else the integral of the measured speed, which starts
@@ -319,6 +337,21 @@ mod tests {
                 Err(ScenarioError::Gap { .. })
             ));
         }
+    }
+
+    #[test]
+    fn an_angle_within_one_turn_is_made_continuous() {
+        let mut wrapped = run(Origin::Commanded);
+        let turns = |k: u16| 0.2 * f64::from(k);
+        let cells = (0..40)
+            .map(|k| turns(k).fract() * std::f64::consts::TAU)
+            .collect();
+        wrapped
+            .set_column(Channel::Angle, cells, Origin::Measured)
+            .unwrap();
+        let angle = Scenario::from_run(&wrapped).unwrap();
+        let angle = angle.shaft_angle();
+        assert!((angle[39].1 - turns(39) * std::f64::consts::TAU).abs() < 1e-9);
     }
 
     #[test]

@@ -11,8 +11,10 @@ mod angle_track;
 mod commands;
 mod equations;
 mod sensors;
+mod shaft_flow;
 mod state;
 mod steps;
+mod two_mass;
 
 use std::borrow::Cow;
 
@@ -22,6 +24,7 @@ use sensors::{Reading, Sensors};
 use state::Mode;
 pub use state::State;
 use steps::Steps;
+use two_mass::TwoMass;
 
 use super::effect::Instant;
 use super::model::{Model, ModelError};
@@ -32,6 +35,8 @@ use crate::numerics::count::whole;
 const LONGEST_STEP_WITH_EFFECTS_S: f64 = 5e-4;
 /// Longest sub-step of the bare baseline, s: exact within, but a reversal must not hide inside.
 const LONGEST_STEP_S: f64 = 5e-3;
+/// Longest sub-step with a second inertia and no other effect, s: exact within, but a load that rings turns often.
+const LONGEST_RINGING_STEP_S: f64 = 1e-3;
 
 /// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,6 +52,8 @@ pub struct Plant {
     moving: Steps,
     /// While stuck: the current alone.
     stuck: Steps,
+    /// Where the load is a second inertia behind a shaft.
+    two_mass: Option<Box<TwoMass>>,
     /// Where something lies between the motion and its measurement.
     sensors: Option<Sensors>,
     /// Start of the run that is being simulated, s.
@@ -68,13 +75,18 @@ impl Plant {
         let still = [[equations.a[0][0], 0.0], [0.0, 0.0]];
         let linear = equations.is_linear();
         Ok(Self {
-            longest_step_s: if linear {
-                LONGEST_STEP_S
-            } else {
-                LONGEST_STEP_WITH_EFFECTS_S
+            longest_step_s: match (linear, &equations.coupling) {
+                (false, _) => LONGEST_STEP_WITH_EFFECTS_S,
+                (true, None) => LONGEST_STEP_S,
+                // The sensors take the motion between two steps for a straight line: they need them short.
+                (true, Some(_)) if equations.path.measures_directly() => LONGEST_RINGING_STEP_S,
+                (true, Some(_)) => LONGEST_STEP_WITH_EFFECTS_S,
             },
             moving: Steps::new(&equations.a, !linear),
             stuck: Steps::new(&still, !linear),
+            two_mass: equations
+                .coupling
+                .map(|coupling| Box::new(TwoMass::new(&coupling, &equations))),
             sensors: None,
             begin_s: 0.0,
             equations,
@@ -128,9 +140,13 @@ impl Plant {
         self.moving.clear();
         self.stuck.clear();
         let mut state = start;
+        if let Some(two_mass) = &mut self.two_mass {
+            two_mass.start(&state);
+        }
         let mut event = 0;
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
+        self.equations.set_supply(scenario.supply_v());
         let mut now_s = self.begin_s;
         let angles = if self.equations.needs_angle {
             scenario.shaft_angle()
@@ -169,9 +185,13 @@ impl Plant {
             out.speed_rad_s.push(speed_rad_s);
             if restarts.is_some_and(|(horizon, first)| sample % horizon == first) {
                 // What lies between motion and reading (a filter, an offset) stays between them.
+                let jump_rad_s = scenario.speed_rad_s[sample] - speed_rad_s;
+                if let Some(two_mass) = &mut self.two_mass {
+                    two_mass.anchor(jump_rad_s);
+                }
                 state.anchor(
                     state.current_a + (scenario.current_a[sample] - current_a),
-                    state.speed_rad_s + (scenario.speed_rad_s[sample] - speed_rad_s),
+                    state.speed_rad_s + jump_rad_s,
                 );
             }
         }
@@ -224,6 +244,10 @@ impl Plant {
     fn sub_step(&mut self, state: &mut State, mut at: Instant, h: f64) {
         if self.equations.input != Input::Voltage {
             state.current_a = at.voltage_v;
+        }
+        if let Some(two_mass) = &mut self.two_mass {
+            two_mass.sub_step(&self.equations, state, at, h);
+            return;
         }
         if state.mode == Mode::Undecided {
             state.mode = self.equations.mode_at(state, &at);

@@ -42,6 +42,7 @@ pub fn typical_size(
     let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
     // States of effects gather what the current leaves behind: by the end of the run as much as this.
     let own = vec![mean_square * duration_s; terms.states()];
+    let supply_v = scenario.supply_v();
     let stride = times.len().div_ceil(LOOKS);
     let largest_input = events
         .iter()
@@ -61,6 +62,7 @@ pub fn typical_size(
                 current_a: scenario.current_a[sample],
                 speed_rad_s: scenario.speed_rad_s[sample],
                 voltage_v: scenario.input_at(times[sample]),
+                supply_v,
                 // Any angles will do, as long as they are many.
                 angle_rad: sample as f64,
                 ..Instant::of(&model.motor)
@@ -72,6 +74,13 @@ pub fn typical_size(
                 .max(torque / largest_torque)
                 .max(terms.current_rate_gain(&at).abs())
         });
+    let largest_speed = finite(&scenario.speed_rad_s)
+        .iter()
+        .fold(0.0_f64, |most, w| most.max(w.abs()));
+    let path = terms.path();
+    let reached = reached
+        .max(path.current_offset_a.abs() / largest_current)
+        .max(path.speed_offset_rad_s.abs() / largest_speed);
     let size = SHARE * specs[parameter].scale / reached;
     if size.is_finite() && size > 0.0 {
         size

@@ -50,9 +50,21 @@ impl Reproduction {
         self.page().text()
     }
 
+    /// The text as a page of the documentation: the title first, the answer as its first section.
+    pub fn markdown(&self) -> String {
+        let mut page = Page::new(&self.title, &self.subtitle);
+        page.section(&self.lead.0);
+        page.paragraph(&self.lead.1);
+        self.fill(page).text()
+    }
+
     fn page(&self) -> Page {
         let mut page = Page::new(&self.title, &self.subtitle);
         page.lead(Tone::Plain, &self.lead.0, &self.lead.1);
+        self.fill(page)
+    }
+
+    fn fill(&self, mut page: Page) -> Page {
         for section in &self.sections {
             page.section(&section.heading);
             for paragraph in &section.paragraphs {
@@ -125,6 +137,13 @@ mod tests {
         let svg = content("figure-2.svg");
         assert!(svg.starts_with("<?xml") && svg.contains("xmlns=") && svg.contains("<style>"));
         assert_eq!(svg.matches("<style>").count(), 1);
+        assert!(
+            report
+                .markdown()
+                .starts_with("# paper\n\nof 1980\n\n## Met\n\nnearly\n"),
+            "{}",
+            report.markdown()
+        );
         assert!(report.text().contains("Figure 2") && content("report.html").contains("<svg"));
     }
 }

@@ -1,15 +1,13 @@
 //! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
 
-use nalgebra::DMatrix;
-
 use super::*;
 use crate::diagnosis::{
-    Comparison, Diagnosis, DiagnosisVerdict, Evidence, HoldoutFrom, Rung, Score, compare, diagnose,
+    Comparison, Diagnosis, DiagnosisVerdict, Evidence, Fitted, HoldoutFrom, Rung, Score, compare,
+    diagnose,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::identification::output_error::{self, Fit};
-use crate::numerics::levenberg_marquardt::Minimum;
-use crate::plant::{Model, Motor, Scenario, State, Trajectory, testing};
+use crate::identification::output_error;
+use crate::plant::{Model, Motor, Scenario, Trajectory, testing};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
 
 /// Where to write the demonstration pages, to be looked at.
@@ -68,8 +66,8 @@ fn estimate(
 }
 
 /// A fit that holds no more than a report needs.
-fn no_fit() -> Fit {
-    Fit {
+fn no_fit() -> Fitted {
+    Fitted {
         model: Model::baseline(Motor::zk_22fc()),
         noise: NoiseFloor {
             current_a: 0.03,
@@ -79,17 +77,6 @@ fn no_fit() -> Fit {
         },
         parameters: Vec::new(),
         nrms: 1.0,
-        start: State::default(),
-        iterations: 1,
-        minimum: Minimum {
-            x: vec![],
-            cost: 0.0,
-            residual: vec![],
-            jacobian: DMatrix::zeros(0, 0),
-            iterations: 1,
-            converged: true,
-        },
-        free: vec![],
     }
 }
 
@@ -160,7 +147,7 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         holdout_before: 5.1,
         holdout_after: after,
         explained_percent: 100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0)),
-        minimum_detectable: 0.004,
+        minimum_detectable: Some(0.004),
         evidence: format!(
             "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
         ),

@@ -4,10 +4,12 @@
 //! command block --> [ state machine ] --> [ output stage: loops, limits ] --> terminals --> [ truth ]
 //! watchdog, trips --^                                                                         |
 //! telemetry, capture <------------------------- sensors <-------------------------------------+
+//! latecomer.rs holds set-points back where a hidden delay is at work
 //! registers.rs and stream.rs show all of it on the two protocols
 //! ```
 
 mod capture;
+mod latecomer;
 mod output;
 mod registers;
 mod stream;
@@ -20,7 +22,7 @@ use firmware_protocol::{
 use self::capture::Capture;
 use self::output::{Output, OutputStage};
 use super::config::EmulatorConfig;
-use super::truth::effect::TrueParameter;
+use super::truth::effect::{Site, TrueParameter};
 use super::truth::{MotorTruth, Plant, Reading, Sensors};
 
 pub(super) use self::stream::answer as answer_stream;
@@ -77,15 +79,23 @@ impl SoftDrive {
                     .map(|parameter| (effect.id(), parameter))
             })
             .collect();
+        let site = Site {
+            motor: specimen.clone(),
+            bus_v: config.limits.bus_v,
+            seed,
+        };
+        let plant = Plant::on_site(site, &config.hidden)
+            .broken(config.faults.locked_rotor, config.faults.open_phase);
+        let path = *plant.path();
         Self {
             identity: identity(config, seed),
             winding_limit_c: config.limits.winding_limit_c,
             hidden,
-            plant: Plant::new(specimen.clone(), &config.hidden)
-                .broken(config.faults.locked_rotor, config.faults.open_phase),
+            plant,
             specimen,
-            sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), seed),
-            output_stage: OutputStage::new(&config.limits, &config.motor),
+            sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), seed)
+                .behind(path, TICK_S),
+            output_stage: OutputStage::new(&config.limits, &config.motor, &path),
             output: Output::off(config.limits.output_off, config.limits.bus_v),
             output_fresh: false,
             capture: Capture::default(),
@@ -155,7 +165,7 @@ impl SoftDrive {
             bus_v: reading.bus_v,
             // This drive has no sensor in its output stage.
             temperature_c: f64::NAN,
-            voltage_cmd_v: self.output.volts(),
+            voltage_cmd_v: self.output.volts,
             protocol_version: PROTOCOL_VERSION,
         }
     }
@@ -204,6 +214,8 @@ impl SoftDrive {
         }
         self.plant.advance(self.output.terminals, TICK_S);
         self.tick += 1;
+        self.sensors
+            .follow(self.plant.current_a(), self.plant.speed_rad_s());
         self.record();
     }
 
@@ -259,6 +271,9 @@ impl SoftDrive {
                 self.control = set_point;
             }
         }
+        if before.0 != State::Running && self.state == State::Running {
+            self.plant.start();
+        }
         if before != (self.state, self.control.code()) {
             self.output_stage.restart(&self.plant);
         }
@@ -276,7 +291,7 @@ impl SoftDrive {
 
     fn refresh_output(&mut self) {
         let control = (self.state == State::Running).then_some(self.control);
-        self.output = self.output_stage.output(control, &self.plant);
+        self.output = self.output_stage.output(control, &self.plant, self.tick);
     }
 
     fn record(&mut self) {
@@ -292,7 +307,7 @@ impl SoftDrive {
             current_a: self.plant.current_a(),
             speed_rad_s: self.plant.speed_rad_s(),
             angle_rad: self.plant.angle_rad(),
-            bus_v: self.identity.voltage_limit_v,
+            bus_v: self.plant.bus_v(),
         };
         self.sensors.read(self.tick, truth)
     }
@@ -329,5 +344,7 @@ fn identity(config: &EmulatorConfig, seed: u64) -> Identity {
     }
 }
 
+#[cfg(test)]
+mod form_tests;
 #[cfg(test)]
 mod tests;

@@ -1,10 +1,11 @@
-//! The output stage: inner loops, supply limit and current limit.
+//! The output stage: inner loops, supply limit and current limit, and what hides between set-point and voltage.
 
 use firmware_protocol::Control;
 
 use super::TICK_S;
+use super::latecomer::Latecomer;
 use crate::emulator::config::{LimitsConfig, OutputOff};
-use crate::emulator::truth::{MotorTruth, Plant, Terminals};
+use crate::emulator::truth::{MotorTruth, Path, Plant, Terminals};
 
 /// Bandwidth of the inner current loop, rad/s (200 Hz).
 const CURRENT_BANDWIDTH: f64 = 1257.0;
@@ -15,6 +16,8 @@ const SPEED_BANDWIDTH: f64 = 31.4;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Output {
     pub(super) terminals: Terminals,
+    /// What the drive believes to put out, V; 0 while the terminals are open.
+    pub(super) volts: f64,
     pub(super) current_limited: bool,
     pub(super) voltage_limited: bool,
 }
@@ -26,16 +29,9 @@ impl Output {
                 OutputOff::ZeroVolt => Terminals::Voltage(0.0),
                 OutputOff::Open => Terminals::Open { bus_v },
             },
+            volts: 0.0,
             current_limited: false,
             voltage_limited: false,
-        }
-    }
-
-    /// Voltage put out, V; 0 while the terminals are open.
-    pub(super) const fn volts(&self) -> f64 {
-        match self.terminals {
-            Terminals::Voltage(volts) => volts,
-            Terminals::Open { .. } => 0.0,
         }
     }
 }
@@ -46,6 +42,8 @@ pub(super) struct OutputStage {
     bus_v: f64,
     speed_limit_rad_s: f64,
     output_off: OutputOff,
+    late: Latecomer,
+    offset_v: f64,
     current_gain: f64,
     current_integral_gain: f64,
     speed_gain: f64,
@@ -57,13 +55,15 @@ pub(super) struct OutputStage {
 }
 
 impl OutputStage {
-    pub(super) fn new(limits: &LimitsConfig, nameplate: &MotorTruth) -> Self {
+    pub(super) fn new(limits: &LimitsConfig, nameplate: &MotorTruth, path: &Path) -> Self {
         let speed_gain = SPEED_BANDWIDTH * nameplate.inertia_kg_m2 / nameplate.torque_constant();
         Self {
             current_limit_a: limits.current_limit_a,
             bus_v: limits.bus_v,
             speed_limit_rad_s: limits.speed_limit_rad_s,
             output_off: limits.output_off,
+            late: Latecomer::new(path),
+            offset_v: path.voltage_offset_v,
             current_gain: CURRENT_BANDWIDTH * nameplate.inductance_h,
             current_integral_gain: CURRENT_BANDWIDTH * nameplate.resistance_ohm,
             speed_gain,
@@ -80,23 +80,41 @@ impl OutputStage {
     }
 
     /// The output of this tick; `None`: off.
-    pub(super) fn output(&mut self, control: Option<Control>, plant: &Plant) -> Output {
-        let wanted_v = match control {
-            Some(Control::Voltage(volts)) => volts,
-            Some(Control::Current(amperes)) => self.current_loop(amperes, plant),
-            Some(Control::Speed(speed)) => {
+    pub(super) fn output(&mut self, control: Option<Control>, plant: &Plant, tick: u64) -> Output {
+        let acting = self.late.acting(control, tick);
+        if acting.is_none()
+            && let off = Output::off(self.output_off, self.bus_v)
+            && let Terminals::Open { .. } = off.terminals
+        {
+            return off;
+        }
+        let wanted_v = match acting {
+            Some(acting) => self.wanted_v(acting, plant),
+            None => 0.0,
+        };
+        let mut output = self.limited(wanted_v, plant);
+        // The drive tells the set-point that it was given, unless a limit has the say.
+        if let Some(Control::Voltage(told)) = control
+            && !output.current_limited
+        {
+            output.volts = told.clamp(-self.bus_v, self.bus_v);
+        }
+        if let (Some(_), Terminals::Voltage(volts)) = (control, &mut output.terminals) {
+            *volts += self.offset_v;
+        }
+        output
+    }
+
+    fn wanted_v(&mut self, control: Control, plant: &Plant) -> f64 {
+        match control {
+            Control::Voltage(volts) => volts,
+            Control::Current(amperes) => self.current_loop(amperes, plant),
+            Control::Speed(speed) => {
                 let amperes = self.speed_loop(speed, plant);
                 self.current_loop(amperes, plant)
             }
-            Some(Control::Disable | Control::Stop | Control::ResetFault) | None => {
-                let off = Output::off(self.output_off, self.bus_v);
-                if let Terminals::Open { .. } = off.terminals {
-                    return off;
-                }
-                0.0
-            }
-        };
-        self.limited(wanted_v, plant)
+            Control::Disable | Control::Stop | Control::ResetFault => 0.0,
+        }
     }
 
     /// Supply first, then the chopping current limiter, which cannot ask for more than the supply either.
@@ -105,8 +123,10 @@ impl OutputStage {
         let lowest = plant.voltage_for_current(-self.current_limit_a, TICK_S);
         let highest = plant.voltage_for_current(self.current_limit_a, TICK_S);
         let chopped = supplied.clamp(lowest, highest);
+        let volts = chopped.clamp(-self.bus_v, self.bus_v);
         Output {
-            terminals: Terminals::Voltage(chopped.clamp(-self.bus_v, self.bus_v)),
+            terminals: Terminals::Voltage(volts),
+            volts,
             current_limited: (chopped - supplied).abs() > 0.0,
             voltage_limited: (supplied - wanted_v).abs() > 0.0,
         }

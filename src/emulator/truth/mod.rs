@@ -4,7 +4,9 @@
 //! terminal voltage -> [ armature circuit ] -> current -> [ torque balance ] -> speed -> angle
 //!                        ^ voltage effects                 ^ torque effects, stick-slip
 //!                                   (effect states advance once per step)
-//! true values -> [ noise, quantisation ] -> what the sensors say
+//!       | behind an elastic coupling (shaft.rs) a second inertia
+//! true values -> [ delay, filter, noise, offset, quantisation ] -> what the sensors say
+//! path.rs: what lies between command, machine and measurement, for the drive and its sensors
 //! ```
 //!
 //! The hidden effects have another mathematical form than the host's catalogue, so that a diagnosis is never tested on
@@ -12,9 +14,12 @@
 
 pub mod effect;
 mod motor;
+mod path;
 mod plant;
 mod sensors;
+mod shaft;
 
 pub use motor::MotorTruth;
+pub use path::Path;
 pub use plant::{Motion, Plant, Terminals};
 pub use sensors::{NoiseConfig, QuantisationConfig, Reading, Sensors};

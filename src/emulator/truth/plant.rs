@@ -1,7 +1,8 @@
 //! The true motor in time: armature circuit, torque balance, stick and slip.
 
-use super::MotorTruth;
-use super::effect::{HiddenEffect, Mechanism};
+use super::effect::{HiddenEffect, Mechanism, Moment, Site};
+use super::shaft::Shaft;
+use super::{MotorTruth, Path};
 
 /// Stick, slip and reversal events that one step may hold before it is closed as stuck.
 const EVENTS_PER_STEP: usize = 8;
@@ -11,7 +12,7 @@ const EVENT_ITERATIONS: usize = 48;
 /// What the inverter does at the motor's terminals over one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Terminals {
-    /// Holds this voltage, V.
+    /// Means to hold this voltage, V: the motor gets it where the supply does not give way.
     Voltage(f64),
     /// Switches off: the diodes drive the current to zero against this bus voltage, V; then the circuit is open.
     Open { bus_v: f64 },
@@ -33,14 +34,26 @@ impl Motion {
             Self::Backward => -1.0,
         }
     }
+
+    /// Where a torque that is not zero turns a shaft that does not hold.
+    const fn towards(torque: f64) -> Self {
+        if torque > 0.0 {
+            Self::Forward
+        } else {
+            Self::Backward
+        }
+    }
 }
 
-/// Current, speed and angle; symbols of the literature: i, w, theta.
+/// Current, speed and angle, and behind a coupling the load's speed and the twist; symbols of the literature: i, w, theta,
+/// w2, x. Without a coupling the last two stay zero.
 #[derive(Clone, Copy, Debug, Default)]
 struct State {
     i: f64,
     w: f64,
     theta: f64,
+    w2: f64,
+    x: f64,
 }
 
 impl State {
@@ -49,6 +62,18 @@ impl State {
             i: self.i + h * rate.i,
             w: self.w + h * rate.w,
             theta: self.theta + h * rate.theta,
+            w2: self.w2 + h * rate.w2,
+            x: self.x + h * rate.x,
+        }
+    }
+
+    fn middle(self, other: Self) -> Self {
+        Self {
+            i: 0.5 * (self.i + other.i),
+            w: 0.5 * (self.w + other.w),
+            theta: 0.5 * (self.theta + other.theta),
+            w2: 0.5 * (self.w2 + other.w2),
+            x: 0.5 * (self.x + other.x),
         }
     }
 }
@@ -57,22 +82,42 @@ impl State {
 pub struct Plant {
     motor: MotorTruth,
     effects: Vec<Box<dyn Mechanism>>,
+    shaft: Option<Shaft>,
+    path: Path,
+    bus_v: f64,
     state: State,
+    /// Since the last start, s.
+    time_s: f64,
     motion: Motion,
+    load_motion: Motion,
     terminal_v: f64,
     is_locked: bool,
     is_open: bool,
 }
 
 impl Plant {
-    /// A machine at rest, cold and without current.
+    /// A machine at rest, cold and without current, on a supply of its rated voltage.
     pub fn new(motor: MotorTruth, hidden: &[HiddenEffect]) -> Self {
-        let effects = hidden.iter().map(|effect| effect.build(&motor)).collect();
+        Self::on_site(Site::of(&motor), hidden)
+    }
+
+    /// A machine at rest, cold and without current.
+    pub fn on_site(site: Site, hidden: &[HiddenEffect]) -> Self {
         Self {
-            motor,
-            effects,
+            effects: hidden
+                .iter()
+                .flat_map(|effect| effect.mechanisms(&site))
+                .collect(),
+            shaft: hidden.iter().find_map(|effect| effect.shaft(&site)),
+            path: hidden.iter().fold(Path::default(), |path, effect| {
+                path.plus(effect.path(&site))
+            }),
+            bus_v: site.bus_v,
+            motor: site.motor,
             state: State::default(),
+            time_s: 0.0,
             motion: Motion::Stuck,
+            load_motion: Motion::Stuck,
             terminal_v: 0.0,
             is_locked: false,
             is_open: false,
@@ -84,6 +129,19 @@ impl Plant {
     pub const fn broken(mut self, is_locked: bool, is_open: bool) -> Self {
         (self.is_locked, self.is_open) = (is_locked, is_open);
         self
+    }
+
+    /// The drive has been started: events and drifts count from here.
+    pub fn start(&mut self) {
+        self.time_s = 0.0;
+        for effect in &mut self.effects {
+            effect.started();
+        }
+    }
+
+    /// What lies between the command, this machine and the measurement: for the drive around it.
+    pub const fn path(&self) -> &Path {
+        &self.path
     }
 
     pub const fn current_a(&self) -> f64 {
@@ -104,6 +162,11 @@ impl Plant {
         self.terminal_v
     }
 
+    /// Voltage of the drive's supply, V.
+    pub fn bus_v(&self) -> f64 {
+        self.bus_v * self.supply_factor()
+    }
+
     pub const fn motion(&self) -> Motion {
         self.motion
     }
@@ -116,14 +179,15 @@ impl Plant {
             .sum()
     }
 
-    /// Voltage that brings the current to `target_a` within `step_s`, V: what a fast current limiter chops to.
+    /// Voltage to put out that brings the current to `target_a` within `step_s`, V: what a fast current limiter chops to.
     pub fn voltage_for_current(&self, target_a: f64, step_s: f64) -> f64 {
         let State { i, w, .. } = self.state;
         let mean = 0.5 * (i + target_a);
-        self.motor.inductance_h * (target_a - i) / step_s
+        let needed = self.inductance(mean) * (target_a - i) / step_s
             + self.resistance() * mean
-            + self.motor.back_emf_v_s_per_rad * w
-            + self.voltage_loss(mean)
+            + self.motor.back_emf_v_s_per_rad * self.flux(&self.state) * w
+            + self.voltage_loss(mean);
+        needed / self.supply_factor()
     }
 
     /// Switches the terminals without letting time pass.
@@ -138,10 +202,12 @@ impl Plant {
         let mut left = step_s;
         for event in 0..EVENTS_PER_STEP {
             let last = event + 1 == EVENTS_PER_STEP;
+            let load_before = self.release_load();
             left -= match self.motion {
                 Motion::Stuck => self.advance_stuck(circuit, left, last),
                 Motion::Forward | Motion::Backward => self.advance_sliding(circuit, left),
             };
+            self.hold_load(load_before);
             if left <= 0.0 {
                 break;
             }
@@ -153,19 +219,25 @@ impl Plant {
             self.state.i = 0.0;
         }
         self.terminal_v = self.voltage_at(terminals);
-        let (i, w) = (
-            0.5 * (before.i + self.state.i),
-            0.5 * (before.w + self.state.w),
-        );
-        for effect in &mut self.effects {
-            effect.advance(step_s, i, w);
+        if !self.effects.is_empty() {
+            let middle = self.moment(&before.middle(self.state));
+            let put_out_v = match terminals {
+                Terminals::Voltage(volts) => volts,
+                Terminals::Open { .. } => self.terminal_v,
+            };
+            for effect in &mut self.effects {
+                effect.advance(step_s, &middle, put_out_v);
+            }
         }
+        self.time_s += step_s;
     }
 
     fn voltage_at(&self, terminals: Terminals) -> f64 {
         match (terminals, self.state.i == 0.0) {
-            (Terminals::Voltage(volts), _) => volts,
-            (Terminals::Open { .. }, true) => self.motor.back_emf_v_s_per_rad * self.state.w,
+            (Terminals::Voltage(volts), _) => volts * self.supply_factor(),
+            (Terminals::Open { .. }, true) => {
+                self.motor.back_emf_v_s_per_rad * self.flux(&self.state) * self.state.w
+            }
             (Terminals::Open { bus_v }, false) => -bus_v.copysign(self.state.i),
         }
     }
@@ -174,22 +246,34 @@ impl Plant {
     fn circuit(&self, terminals: Terminals) -> Option<f64> {
         match terminals {
             _ if self.is_open => None,
-            Terminals::Voltage(volts) => Some(volts),
+            Terminals::Voltage(volts) => Some(volts * self.supply_factor()),
             Terminals::Open { .. } if self.state.i == 0.0 => None,
             Terminals::Open { bus_v } => Some(-bus_v.copysign(self.state.i)),
         }
     }
 
+    /// Torque that would turn a shaft at rest, N.m, and what holds it beside the breakaway extra.
+    fn torque_at_rest(&self, state: &State) -> (f64, f64) {
+        let at = self.moment(state);
+        let (load, friction) = self.loads(&at);
+        let coupled = self.coupling_torque(state);
+        (
+            at.torque_n_m - load - coupled,
+            (self.coulomb() + friction).max(0.0),
+        )
+    }
+
     /// At rest the friction balances the drive torque up to the breakaway level. Returns the time used, s.
     fn advance_stuck(&mut self, circuit: Option<f64>, step_s: f64, give_up: bool) -> f64 {
-        let level = self.motor.load_torque_n_m
-            + self
-                .effects
-                .iter()
-                .map(|effect| effect.breakaway_extra_n_m())
-                .sum::<f64>();
-        let kt = self.motor.torque_constant();
-        let excess = |state: State| (kt * state.i).abs() - level;
+        let extra: f64 = self
+            .effects
+            .iter()
+            .map(|effect| effect.breakaway_extra_n_m())
+            .sum();
+        let excess = |state: State| {
+            let (driving, level) = self.torque_at_rest(&state);
+            driving.abs() - level - extra
+        };
         let start = self.state;
         let end = self.rk4(start, circuit, 0.0, step_s);
         if give_up || self.is_locked || (excess(start) <= 0.0 && excess(end) <= 0.0) {
@@ -203,11 +287,7 @@ impl Plant {
             self.state = self.rk4(start, circuit, 0.0, used);
             used
         };
-        self.motion = if self.state.i > 0.0 {
-            Motion::Forward
-        } else {
-            Motion::Backward
-        };
+        self.motion = Motion::towards(self.torque_at_rest(&self.state).0);
         for effect in &mut self.effects {
             effect.broke_away(self.motion.direction());
         }
@@ -238,6 +318,29 @@ impl Plant {
         used
     }
 
+    /// The load behind a coupling breaks away where the coupling pulls harder than its friction holds. Returns its mode
+    /// for the step that follows.
+    fn release_load(&mut self) -> Motion {
+        if let Some(shaft) = &self.shaft
+            && self.load_motion == Motion::Stuck
+        {
+            let pull = self.coupling_torque(&self.state);
+            if pull.abs() > shaft.friction_split * self.motor.load_torque_n_m {
+                self.load_motion = Motion::towards(pull);
+            }
+        }
+        self.load_motion
+    }
+
+    /// The load has come to rest where its speed has changed sign within the step. It is not located further: at 50 us the
+    /// speed that is lost is some mrad/s.
+    fn hold_load(&mut self, moved: Motion) {
+        if self.shaft.is_some() && self.state.w2 * moved.direction() < 0.0 {
+            self.state.w2 = 0.0;
+            self.load_motion = Motion::Stuck;
+        }
+    }
+
     /// One Runge-Kutta step of fourth order in a fixed mode.
     fn rk4(&self, state: State, circuit: Option<f64>, direction: f64, h: f64) -> State {
         let k1 = self.rate(state, circuit, direction);
@@ -251,41 +354,110 @@ impl Plant {
             .moved(k4, h / 6.0)
     }
 
-    /// L di/dt = u - R i - Ke w - losses, J dw/dt = Kt i - Mc s - drag, with s the direction of the mode.
+    /// L di/dt = u - R i - phi Ke w - losses, J dw/dt = phi Kt i - friction s - drag - load, with s the direction of the
+    /// mode. Behind a coupling J is the motor's part, and J2 dw2/dt = T - friction s2, dx/dt = w - w2.
     fn rate(&self, state: State, circuit: Option<f64>, direction: f64) -> State {
-        let State { i, w, .. } = state;
+        let State { i, w, w2, .. } = state;
         let motor = &self.motor;
+        let at = self.moment(&state);
         let di = circuit.map_or(0.0, |u| {
-            (u - self.resistance() * i - motor.back_emf_v_s_per_rad * w - self.voltage_loss(i))
-                / motor.inductance_h
+            let back_emf = motor.back_emf_v_s_per_rad * at.flux_factor * w;
+            (u - self.resistance() * i - back_emf - self.voltage_loss(i)) / self.inductance(i)
         });
-        if direction == 0.0 {
-            return State {
-                i: di,
-                w: 0.0,
-                theta: 0.0,
-            };
+        let coupled = self.coupling_torque(&state);
+        let (dw2, dx) = self.shaft.as_ref().map_or((0.0, 0.0), |shaft| {
+            let s2 = self.load_motion.direction();
+            let level = shaft.friction_split * motor.load_torque_n_m;
+            let torque = (coupled - level * s2) * s2.abs();
+            (torque / (shaft.load_share * motor.inertia_kg_m2), w - w2)
+        });
+        let mut rate = State {
+            i: di,
+            w: 0.0,
+            theta: 0.0,
+            w2: dw2,
+            x: dx,
+        };
+        if direction != 0.0 {
+            let (load, friction) = self.loads(&at);
+            let drag: f64 = self
+                .effects
+                .iter()
+                .map(|effect| effect.drag_torque_n_m(w))
+                .sum();
+            let held = (self.coulomb() + friction).max(0.0) * direction;
+            let share = self.shaft.as_ref().map_or(1.0, |shaft| shaft.motor_share);
+            rate.w = (at.torque_n_m - held - drag - load - coupled) / (share * motor.inertia_kg_m2);
+            rate.theta = w;
         }
-        let drag: f64 = self
+        rate
+    }
+
+    /// What effects see of a state.
+    fn moment(&self, state: &State) -> Moment {
+        let mut at = Moment {
+            time_s: self.time_s,
+            current_a: state.i,
+            speed_rad_s: state.w,
+            angle_rad: state.theta,
+            ..Moment::default()
+        };
+        at.flux_factor = self
             .effects
             .iter()
-            .map(|effect| effect.drag_torque_n_m(w))
-            .sum();
-        let torque = motor.torque_constant() * i - motor.load_torque_n_m * direction - drag;
-        State {
-            i: di,
-            w: torque / motor.inertia_kg_m2,
-            theta: w,
-        }
+            .map(|effect| effect.flux_factor(&at))
+            .product();
+        at.torque_n_m = self.motor.torque_constant() * at.flux_factor * state.i;
+        at
+    }
+
+    /// Torque from outside and friction beyond Coulomb, N.m.
+    fn loads(&self, at: &Moment) -> (f64, f64) {
+        self.effects
+            .iter()
+            .fold((0.0, 0.0), |(load, friction), effect| {
+                (
+                    load + effect.load_torque_n_m(at),
+                    friction + effect.friction_n_m(at),
+                )
+            })
+    }
+
+    /// Coulomb friction at the motor's own shaft, N.m.
+    fn coulomb(&self) -> f64 {
+        let behind = self
+            .shaft
+            .as_ref()
+            .map_or(0.0, |shaft| shaft.friction_split);
+        (1.0 - behind) * self.motor.load_torque_n_m
+    }
+
+    /// Torque that the coupling takes from the motor, N.m.
+    fn coupling_torque(&self, state: &State) -> f64 {
+        self.shaft
+            .as_ref()
+            .map_or(0.0, |shaft| shaft.torque_n_m(state.x, state.w - state.w2))
+    }
+
+    fn flux(&self, state: &State) -> f64 {
+        self.moment(state).flux_factor
     }
 
     fn resistance(&self) -> f64 {
-        self.motor.resistance_ohm
-            * self
-                .effects
-                .iter()
-                .map(|effect| effect.resistance_factor())
-                .product::<f64>()
+        let factor = |effect: &Box<dyn Mechanism>| effect.resistance_factor();
+        self.motor.resistance_ohm * self.effects.iter().map(factor).product::<f64>()
+    }
+
+    fn inductance(&self, i: f64) -> f64 {
+        let factor = |effect: &Box<dyn Mechanism>| effect.inductance_factor(i);
+        self.motor.inductance_h * self.effects.iter().map(factor).product::<f64>()
+    }
+
+    fn supply_factor(&self) -> f64 {
+        self.effects
+            .iter()
+            .map(|effect| effect.supply_factor())
+            .product()
     }
 
     fn voltage_loss(&self, i: f64) -> f64 {

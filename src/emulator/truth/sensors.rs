@@ -1,9 +1,13 @@
-//! What the sensors make of the truth: noise and quantisation.
+//! What the sensors make of the truth: delay, filters, noise, offsets and quantisation.
+
+use std::collections::VecDeque;
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
+
+use super::Path;
 
 const NOISE_STREAM: u64 = 2;
 /// Generator words kept for each tick; the four normal numbers of a tick use eight, seldom a few more.
@@ -45,6 +49,21 @@ pub struct Sensors {
     noise: NoiseConfig,
     quantisation: QuantisationConfig,
     rng: ChaCha8Rng,
+    path: Path,
+    tick_s: f64,
+    /// True speeds, the latest last, back to the one that is shown.
+    past_rad_s: VecDeque<f64>,
+    /// Behind delay and filters; `None` before the first tick.
+    seen: Option<Seen>,
+}
+
+/// Current and speed on their way through the sensors.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    delayed_rad_s: f64,
+    current_a: f64,
+    filtered_a: f64,
+    filtered_rad_s: f64,
 }
 
 impl Sensors {
@@ -55,7 +74,72 @@ impl Sensors {
             noise,
             quantisation,
             rng,
+            path: Path::default(),
+            tick_s: 0.0,
+            past_rad_s: VecDeque::new(),
+            seen: None,
         }
+    }
+
+    /// The same sensors behind delay, filters and offsets, which follow the machine every `tick_s`.
+    #[must_use]
+    pub const fn behind(mut self, path: Path, tick_s: f64) -> Self {
+        (self.path, self.tick_s) = (path, tick_s);
+        self
+    }
+
+    /// A tick has passed and the machine is at `current_a` and `speed_rad_s`.
+    pub fn follow(&mut self, current_a: f64, speed_rad_s: f64) {
+        let delayed_rad_s = self.delayed(speed_rad_s);
+        let seen = self.seen.unwrap_or(Seen {
+            delayed_rad_s,
+            current_a,
+            filtered_a: current_a,
+            filtered_rad_s: delayed_rad_s,
+        });
+        let filter = |output: f64, from: f64, to: f64, time_constant_s: f64| {
+            if time_constant_s <= 0.0 {
+                return to;
+            }
+            // Towards the mean of the tick: exact to the second order of the tick.
+            let kept = (-self.tick_s / time_constant_s).exp();
+            kept * output + (1.0 - kept) * 0.5 * (from + to)
+        };
+        self.seen = Some(Seen {
+            delayed_rad_s,
+            current_a,
+            filtered_a: filter(
+                seen.filtered_a,
+                seen.current_a,
+                current_a,
+                self.path.current_filter_s,
+            ),
+            filtered_rad_s: filter(
+                seen.filtered_rad_s,
+                seen.delayed_rad_s,
+                delayed_rad_s,
+                self.path.speed_filter_s,
+            ),
+        });
+    }
+
+    /// The speed one delay ago, between two ticks on a straight line; before the first tick it was as then.
+    fn delayed(&mut self, speed_rad_s: f64) -> f64 {
+        if self.path.speed_delay_s <= 0.0 {
+            return speed_rad_s;
+        }
+        let ticks = self.path.speed_delay_s / self.tick_s;
+        let (whole, part) = (ticks.floor(), ticks.fract());
+        self.past_rad_s.push_back(speed_rad_s);
+        // The two values about the wanted instant are the oldest ones.
+        while self.past_rad_s.len() as f64 > whole + 2.0 {
+            self.past_rad_s.pop_front();
+        }
+        let oldest = self.past_rad_s[0];
+        if (self.past_rad_s.len() as f64) < whole + 2.0 {
+            return oldest;
+        }
+        oldest + (1.0 - part) * (self.past_rad_s[1] - oldest)
     }
 
     /// What is read at `tick` when `truth` is the case.
@@ -66,8 +150,16 @@ impl Sensors {
             value + std * normal
         };
         let voltage_v = noisy(truth.voltage_v, self.noise.voltage_v);
-        let current_a = noisy(truth.current_a, self.noise.current_a);
-        let speed_rad_s = noisy(truth.speed_rad_s, self.noise.speed_rad_s);
+        let (current_a, speed_rad_s) = self
+            .seen
+            .map_or((truth.current_a, truth.speed_rad_s), |seen| {
+                (seen.filtered_a, seen.filtered_rad_s)
+            });
+        let current_a = noisy(current_a + self.path.current_offset_a, self.noise.current_a);
+        let speed_rad_s = noisy(
+            speed_rad_s + self.path.speed_offset_rad_s,
+            self.noise.speed_rad_s,
+        );
         let bus_v = noisy(truth.bus_v, self.noise.bus_v);
         Reading {
             voltage_v: quantised(voltage_v, self.quantisation.voltage_v),

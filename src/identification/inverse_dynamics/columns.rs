@@ -2,6 +2,7 @@
 
 use super::grid::{Motion, Part};
 use super::processing::{Processing, filter, rate, spanned};
+use crate::identification::regressor::PROPORTIONAL;
 use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, Slot};
 
 /// Rows of one part before decimation.
@@ -46,6 +47,8 @@ pub(super) fn rows(
     };
     let signals = Signals {
         model,
+        supply_v: scenario.supply_v(),
+        begin_s: scenario.begin_s(),
         part,
         equation,
         left: &left,
@@ -75,7 +78,7 @@ pub(super) fn rows(
 
 /// False at rest and within the filter's reach of it: a shaft that sticks is held by less than the Coulomb torque. A
 /// reversal passes through zero speed faster than the filter sees, and stays.
-fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
+pub(super) fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
     let mut moving = vec![true; speed.len()];
     let shortest = (reach / 2).max(3);
     let mut begin = 0;
@@ -95,6 +98,9 @@ fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
 /// Signals of one part as the terms see them.
 struct Signals<'a> {
     model: &'a Model,
+    supply_v: f64,
+    /// When the run's first command came.
+    begin_s: f64,
     part: &'a Part,
     equation: Balance,
     left: &'a [f64],
@@ -120,13 +126,14 @@ impl Signals<'_> {
         }
     }
 
-    /// What the effect's coefficient adds per unit; its shape parameters stay as they are given.
+    /// What the effect's coefficient adds per unit, of a size so small that the effect is proportional to it,; its shape parameters stay as they are given.
     fn effect(&self, index: usize, parameter: usize) -> Vec<f64> {
         let active = &self.model.effects[index];
         let mut values = active.values_or_guess();
+        let size = PROPORTIONAL * active.effect.parameters()[parameter].scale;
         for (other, spec) in active.effect.parameters().iter().enumerate() {
             if spec.is_coefficient() {
-                values[other] = if other == parameter { 1.0 } else { 0.0 };
+                values[other] = if other == parameter { size } else { 0.0 };
             }
         }
         let terms = active.effect.terms(&values);
@@ -134,24 +141,26 @@ impl Signals<'_> {
         (0..self.speed.len())
             .map(|k| {
                 let at = Instant {
-                    time_s: self.part.time_s(k),
+                    time_s: self.part.time_s(k) - self.begin_s,
                     voltage_v: if self.equation == Balance::Voltage {
                         self.left[k]
                     } else {
                         0.0
                     },
+                    supply_v: self.supply_v,
                     current_a: self.current[k],
                     speed_rad_s: self.speed[k],
                     angle_rad: self.part.angle_rad[k],
                     ..Instant::of(&self.model.motor)
                 };
-                match self.equation {
+                let added = match self.equation {
                     Balance::Voltage => terms.voltage_v(&at, &own),
                     Balance::Torque => {
                         terms.torque_n_m(&at, &own)
                             + self.speed[k].signum() * terms.friction_n_m(&at)
                     }
-                }
+                };
+                added / size
             })
             .collect()
     }

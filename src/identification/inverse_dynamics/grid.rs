@@ -76,11 +76,16 @@ pub(super) fn gridded(run: &Run, scenario: &Scenario) -> Option<Gridded> {
         let within = |point: &(f64, f64)| point.0 >= first_s && point.0 <= last_s;
         run.points(channel).filter(within).collect()
     };
-    let (speed, angle) = (points(Channel::Speed), points(Channel::Angle));
+    let speed = points(Channel::Speed);
+    let within = |angle: &[(f64, f64)]| -> Points {
+        let within = |point: &&(f64, f64)| point.0 >= first_s && point.0 <= last_s;
+        angle.iter().filter(within).copied().collect()
+    };
+    let (angle, shaft) = (within(&scenario.angle), within(&scenario.shaft_angle()));
     // A speed that this program derived from the angle is filtered already, by another filter.
     let derived = speed.is_empty() || run.origin(Channel::Speed) == Origin::Derived;
     let (motion, moving) = if derived && !angle.is_empty() {
-        (Motion::Angle, angle.clone())
+        (Motion::Angle, angle)
     } else {
         (Motion::Speed, speed)
     };
@@ -123,7 +128,7 @@ pub(super) fn gridded(run: &Run, scenario: &Scenario) -> Option<Gridded> {
             current_a: carried(&inside(&current), true),
             // A torque may step: no curve is drawn through it.
             torque_n_m: carried(&inside(&torque), false),
-            angle_rad: carried(&inside(&angle), true),
+            angle_rad: carried(&inside(&shaft), true),
         });
     }
     (!gridded.parts.is_empty()).then_some(gridded)

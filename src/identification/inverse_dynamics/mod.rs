@@ -19,11 +19,13 @@
 mod columns;
 mod grid;
 mod processing;
+mod torque_rows;
 
 use nalgebra::{DMatrix, DVector};
 
 pub use self::grid::Motion;
 pub use self::processing::Processing;
+pub use self::torque_rows::torque_rows;
 
 use self::columns::Rows;
 use self::grid::Part;

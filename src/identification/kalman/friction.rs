@@ -26,8 +26,7 @@ pub(super) struct Offsets {
 
 impl KnownEffects {
     /// The effects of `model` that can be subtracted, and the identifiers of those that cannot: a value is missing, or
-    /// they are
-    /// more than terms of a balance in current and speed.
+    /// they are more than terms of a balance in voltage, current and speed.
     pub(super) fn of(model: &Model) -> (Self, Vec<&'static str>) {
         let (mut known, mut left) = (Vec::new(), Vec::new());
         for active in &model.effects {
@@ -38,6 +37,7 @@ impl KnownEffects {
                     && terms.path() == Path::default()
                     && terms.coupling().is_none()
                     && !active.effect.card().needs_angle
+                    && is_of_this_instant(terms.as_ref())
             };
             match terms.filter(simple) {
                 Some(terms) => known.push(terms),
@@ -46,6 +46,11 @@ impl KnownEffects {
         }
         let terms = Arc::new(known);
         (Self { terms }, left)
+    }
+
+    /// The effects of `model` that the filter leaves out.
+    pub(super) fn left_out(model: &Model) -> Vec<&'static str> {
+        Self::of(model).1
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -78,4 +83,30 @@ impl KnownEffects {
             torque_n_m: here - physics.b * at.speed_rad_s,
         }
     }
+}
+
+/// Whether the terms depend on voltage, current and speed alone: a filter that runs along does not know the run's supply
+/// nor its first command, and takes the inductance as constant.
+fn is_of_this_instant(terms: &dyn Terms) -> bool {
+    let here = Instant {
+        voltage_v: 1.0,
+        supply_v: 1.0,
+        current_a: 1.0,
+        speed_rad_s: 1.0,
+        resistance_ohm: 1.0,
+        back_emf_v_s_per_rad: 1.0,
+        torque_n_m_per_a: 1.0,
+        ..Instant::default()
+    };
+    let there = Instant {
+        time_s: 1e9,
+        supply_v: 2.0,
+        ..here
+    };
+    let (here, there) = (terms.sums(&here, &[]), terms.sums(&there, &[]));
+    let same = |one: f64, other: f64| (one - other).abs() <= 1e-12 * one.abs();
+    here.current_rate_gain == 0.0
+        && same(here.voltage_v, there.voltage_v)
+        && same(here.torque_n_m, there.torque_n_m)
+        && same(here.friction_n_m, there.friction_n_m)
 }

@@ -22,6 +22,11 @@ mod sensor;
 mod testbed;
 mod transition;
 
+/// Ids of the effects of `model` that the filters do not subtract.
+pub fn effects_left_out(model: &crate::plant::Model) -> Vec<&'static str> {
+    friction::KnownEffects::left_out(model)
+}
+
 pub use joint::{Kalman, KalmanConfig, identify};
 pub use load::{LoadError, LoadPoint, LoadTracker};
 pub use load_trace::{LoadOptions, LoadTrace, load_torque_trace};

@@ -182,6 +182,11 @@ impl<'a> FreeRun<'a> {
         Ok(self)
     }
 
+    /// Number of unknowns after the model's parameters: the initial state.
+    pub fn starts(&self) -> usize {
+        2 * usize::from(self.start_is_free) + self.effect_states
+    }
+
     pub fn free_slots(&self) -> &[Slot] {
         &self.free
     }

@@ -35,6 +35,12 @@ pub enum FitError {
         "run {run:?}: neither current nor speed can be compared: each is missing or the same throughout"
     )]
     NothingMeasured { run: String },
+    #[error("run {run:?}: {rows} rows of the torque balance, at least {needed} are needed")]
+    NoTorqueBalance {
+        run: String,
+        rows: usize,
+        needed: usize,
+    },
     #[error("run {run:?}: the model cannot be simulated from its starting values")]
     CannotSimulate { run: String },
 }
@@ -47,6 +53,9 @@ impl FitError {
             Self::NothingFree => "take a key out of `fixed` in the model file",
             Self::NothingMeasured { .. } => {
                 "map a column with --map speed_rad_s=HEADER or current_a=HEADER"
+            }
+            Self::NoTorqueBalance { .. } => {
+                "the shaft must turn for some seconds; map torque_n_m (or current_a) and speed_rad_s or angle_rad"
             }
             Self::CannotSimulate { .. } => {
                 "check the units of voltage, current and speed, and the model's values"
@@ -72,12 +81,22 @@ pub struct Fit {
 
 /// Fits the free parameters of each start's model and keeps the better minimum. Every start must have the same effects.
 pub fn fit(starts: &[Model], scenario: &Scenario, noise: &NoiseFloor) -> Result<Fit, FitError> {
+    fit_with(starts, scenario, noise, Options::default())
+}
+
+/// The same with other limits of the search.
+pub fn fit_with(
+    starts: &[Model],
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<Fit, FitError> {
     let mut best: Option<Fit> = None;
     let mut failure = FitError::CannotSimulate {
         run: scenario.name.clone(),
     };
     for start in starts {
-        match fit_from(start, scenario, noise) {
+        match fit_from(start, scenario, noise, options) {
             Ok(found)
                 if best
                     .as_ref()
@@ -92,18 +111,22 @@ pub fn fit(starts: &[Model], scenario: &Scenario, noise: &NoiseFloor) -> Result<
     best.ok_or(failure)
 }
 
-fn fit_from(start: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Fit, FitError> {
+fn fit_from(
+    start: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<Fit, FitError> {
     let mut problem = FreeRun::new(start, scenario, *noise)?;
     if problem.free_slots().is_empty() {
         return Err(FitError::NothingFree);
     }
     let x0 = problem.start();
-    let minimum =
-        levenberg_marquardt::minimise(&mut problem, &x0, Options::default()).ok_or_else(|| {
-            FitError::CannotSimulate {
-                run: scenario.name.clone(),
-            }
-        })?;
+    let minimum = levenberg_marquardt::minimise(&mut problem, &x0, options).ok_or_else(|| {
+        FitError::CannotSimulate {
+            run: scenario.name.clone(),
+        }
+    })?;
     let model = problem.model_at(&minimum.x);
     let parameters = estimates(&model, &problem, &minimum, scenario);
     Ok(Fit {
@@ -176,7 +199,6 @@ pub struct Prediction {
     pub start: State,
     /// The model with its events where they are in this run.
     pub model: Model,
-    cost: f64,
 }
 
 /// Free run of a complete model over a scenario.
@@ -191,26 +213,57 @@ pub fn predict(
     held.fixed = held.slots().iter().map(Slot::key).collect();
     held.fixed
         .retain(|key| !events.iter().any(|event| event.key() == *key));
-    let mut best: Option<Prediction> = None;
-    for start in event_starts(&held, &events, scenario) {
-        let mut problem = FreeRun::new(&start, scenario, *noise)?.with_free_effect_states()?;
-        let x0 = problem.start();
-        let Some(minimum) = levenberg_marquardt::minimise(&mut problem, &x0, Options::default())
-        else {
-            continue;
-        };
-        if best.as_ref().is_none_or(|best| minimum.cost < best.cost) {
-            best = Some(Prediction {
-                trajectory: problem.trajectory(&minimum.x)?,
-                start: problem.initial_state(&minimum.x),
-                model: problem.model_at(&minimum.x),
-                cost: minimum.cost,
-            });
-        }
+    if held.free_slots().is_empty() {
+        let options = Options::default();
+        return predict_from(&held, scenario, noise, options).map(|(prediction, _)| prediction);
     }
-    best.ok_or_else(|| FitError::CannotSimulate {
-        run: scenario.name.clone(),
-    })
+    // Each place costs one simulation; only the best few are worth a search.
+    let placed_only = Options {
+        most_iterations: 0,
+        ..Options::default()
+    };
+    let mut placed: Vec<(f64, Model)> = event_starts(&held, &events, scenario)
+        .into_iter()
+        .filter_map(|start| {
+            let (_, cost) = predict_from(&start, scenario, noise, placed_only).ok()?;
+            Some((cost, start))
+        })
+        .collect();
+    placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+    placed
+        .iter()
+        .take(BEST_PLACES)
+        .filter_map(|(_, start)| predict_from(start, scenario, noise, Options::thrifty()).ok())
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .map(|(prediction, _)| prediction)
+        .ok_or_else(|| FitError::CannotSimulate {
+            run: scenario.name.clone(),
+        })
+}
+
+/// Places of an event from which a search starts.
+const BEST_PLACES: usize = 3;
+
+/// Free run from one start with its cost.
+fn predict_from(
+    held: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<(Prediction, f64), FitError> {
+    let mut problem = FreeRun::new(held, scenario, *noise)?.with_free_effect_states()?;
+    let x0 = problem.start();
+    let minimum = levenberg_marquardt::minimise(&mut problem, &x0, options).ok_or_else(|| {
+        FitError::CannotSimulate {
+            run: scenario.name.clone(),
+        }
+    })?;
+    let prediction = Prediction {
+        trajectory: problem.trajectory(&minimum.x)?,
+        start: problem.initial_state(&minimum.x),
+        model: problem.model_at(&minimum.x),
+    };
+    Ok((prediction, minimum.cost))
 }
 
 /// The model with every event at every place of its grid: an event of another run stands anywhere in this one, and a

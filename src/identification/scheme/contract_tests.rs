@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::plant::testing::record;
-use crate::plant::{Motor, MotorKey};
+use crate::plant::{Motor, MotorKey, effect};
 use crate::sample::{Channel, Origin, Verdict};
 
 /// The run that a scenario was recorded as: voltage as applied, current and speed as measured.
@@ -145,4 +145,86 @@ fn names_are_unique_and_an_unknown_one_is_told_what_is_allowed() {
         panic!("there is no scheme 4")
     };
     assert!(error.to_string().contains("output-error"), "{error}");
+}
+
+#[test]
+fn no_scheme_leaves_an_effect_out_in_silence() {
+    let run = run_of(&record(
+        &Model::baseline(Motor::zk_22fc()),
+        steps(),
+        0.002,
+        6.5,
+        17,
+    ));
+    let scenario = Scenario::from_run(&run).unwrap();
+    let mut model = Model::baseline(Motor::zk_22fc());
+    for effect in effect::CATALOGUE {
+        if let Ok(more) = model.with_effect(effect.card().id) {
+            model = more;
+        }
+    }
+    // The fit of the free run carries whatever can be simulated.
+    for scheme in CATALOGUE.iter().filter(|s| s.id() != "output-error") {
+        let data = Data {
+            run: &run,
+            scenario: &scenario,
+            model: &model,
+        };
+        let found = scheme.identify(&data).unwrap();
+        for id in model.effect_ids() {
+            let estimated = found
+                .parameters
+                .iter()
+                .any(|p| p.key.starts_with(&format!("{id}.")) && p.value.is_some());
+            let told = found.notes.iter().any(|note| note.starts_with(id));
+            assert!(estimated || told, "{} ignores {id}", scheme.id());
+            let twice = |p: &ParameterEstimate| {
+                found.parameters.iter().filter(|q| q.key == p.key).count() > 1
+            };
+            assert!(!found.parameters.iter().any(twice), "{}", scheme.id());
+        }
+    }
+}
+
+#[test]
+fn balances_find_the_effects_that_are_terms_of_them() {
+    let baseline = Model::baseline(Motor::zk_22fc());
+    for (id, values) in [
+        ("asymmetric_viscous", vec![8e-4]),
+        ("cogging", vec![0.1, 0.0, 2.0]),
+        ("torque_ripple", vec![0.2, 0.0, 2.0]),
+        ("eccentric_load", vec![0.1, -0.05]),
+        ("load_dependent_friction", vec![0.2]),
+        ("supply_sag", vec![0.6]),
+        ("field_change", vec![0.02]),
+        ("discontinuous_conduction", vec![2.0, 1.5]),
+        ("voltage_offset", vec![1.5]),
+    ] {
+        let mut truth = baseline.with_effect(id).unwrap();
+        truth.effects[0].values = values.iter().copied().map(Some).collect();
+        let run = run_of(&record(&truth, steps(), 0.001, 6.5, 19));
+        let scenario = Scenario::from_run(&run).unwrap();
+        let mut model = truth.clone();
+        for (value, spec) in model.effects[0]
+            .values
+            .iter_mut()
+            .zip(truth.effects[0].effect.parameters())
+        {
+            if spec.is_coefficient() {
+                *value = None;
+            }
+        }
+        let data = Data {
+            run: &run,
+            scenario: &scenario,
+            model: &model,
+        };
+        for scheme in ["weak-form", "inverse-dynamics"] {
+            let found = super::find(scheme).unwrap().identify(&data).unwrap();
+            let key = format!("{id}.{}", truth.effects[0].effect.parameters()[0].key);
+            let size = found.parameters.iter().find(|p| p.key == key).unwrap();
+            let ratio = size.value.unwrap_or(f64::NAN) / values[0];
+            assert!((ratio - 1.0).abs() < 0.15, "{scheme} {ratio} {size:?}");
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::kalman::{self, KalmanConfig};
-use crate::plant::Input;
+use crate::plant::{ActiveEffect, Input};
 
 pub(super) struct Ekf;
 
@@ -30,6 +30,14 @@ impl Scheme for Ekf {
         };
         let found = kalman::identify(&config, &data.run_as_used());
         let identified = Identified::new(self.id(), data.model, found.estimates());
-        Ok(identified.with_note(found.summary()))
+        let left_out = kalman::effects_left_out(data.model);
+        let why = |active: &ActiveEffect| {
+            left_out.contains(&active.id()).then_some(
+                "the filter subtracts effects whose values are all given, and that depend on voltage, current and speed alone",
+            )
+        };
+        Ok(identified
+            .with_note(found.summary())
+            .leaving_out(data.model, why))
     }
 }

@@ -1,8 +1,9 @@
 //! Inverse dynamics: the field's reference processing.
 
+use super::left_out::{of_balances, once_each};
 use super::{Data, Identified, IdentifyError, Scheme, weak_form};
 use crate::identification::inverse_dynamics;
-use crate::plant::Balance;
+use crate::plant::{Balance, Input};
 use crate::sample::ParameterEstimate;
 
 pub(super) struct InverseDynamics;
@@ -37,15 +38,17 @@ impl Scheme for InverseDynamics {
                 ));
             }
         }
-        let parameters: Vec<ParameterEstimate> = balances
+        let parameters = balances
             .into_iter()
             .flat_map(|balance| balance.parameters)
             .collect();
+        let parameters = once_each(parameters);
         let other = weak_form::parameters(data.model, data.scenario)?;
         notes.extend(compared(&parameters, &other));
         let mut identified = Identified::new(self.id(), data.model, parameters);
         identified.notes = notes;
-        Ok(identified)
+        let electrical = data.scenario.input == Input::Voltage;
+        Ok(identified.leaving_out(data.model, of_balances(data.model, electrical)))
     }
 }
 

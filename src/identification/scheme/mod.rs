@@ -10,6 +10,7 @@ mod contract_tests;
 mod ekf;
 mod error;
 mod inverse_dynamics;
+mod left_out;
 mod online;
 mod output_error;
 mod scheme_1;

@@ -1,5 +1,6 @@
 //! The on-line schemes over a recorded run, wired as the live bench wires them.
 
+use super::left_out::motor_alone;
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::online::{Online, OnlineConfig};
 
@@ -28,7 +29,7 @@ impl Scheme for Scheme2 {
 
     fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
         let found = over_run(data).scheme_2();
-        Ok(Identified::new(self.id(), data.model, found))
+        Ok(Identified::new(self.id(), data.model, found).leaving_out(data.model, motor_alone))
     }
 }
 
@@ -43,6 +44,6 @@ impl Scheme for Scheme3 {
 
     fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
         let found = over_run(data).estimates();
-        Ok(Identified::new(self.id(), data.model, found))
+        Ok(Identified::new(self.id(), data.model, found).leaving_out(data.model, motor_alone))
     }
 }

@@ -2,9 +2,10 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::identification::output_error::{Fit, fit};
-use crate::identification::start;
-use crate::plant::{Input, Model, MotorKey};
+use crate::identification::output_error::{Fit, FitError, fit};
+use crate::identification::{effect_start, start};
+use crate::plant::{Input, Model, MotorKey, Scenario};
+use crate::sample::{ParameterEstimate, Verdict};
 
 pub(super) struct OutputError;
 
@@ -28,13 +29,40 @@ impl Scheme for OutputError {
         }
         let noise = NoiseFloor::from_standstill(data.scenario)
             .unwrap_or_else(|| NoiseFloor::from_spread(data.scenario));
-        let fit = better_of_two_starts(data, &noise)?;
+        let (fit, chosen) = better_of_two_starts(data, &noise)?;
+        let mut parameters = fit.parameters;
+        for (key, doubt) in chosen {
+            tell_choice(&mut parameters, &key, doubt);
+        }
         Ok(Identified {
             scheme: self.id(),
             model: fit.model,
-            parameters: fit.parameters,
+            parameters,
             notes: Vec::new(),
         })
+    }
+}
+
+/// A fit, and what was chosen from grids for it, with a doubt where there is one.
+type Found = (Fit, Vec<(String, Option<String>)>);
+
+/// From one set of motor values, with the grids of effects tried.
+fn from(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Found, FitError> {
+    let starts = effect_start::scan(model, scenario, noise)?;
+    Ok((fit(&starts.models, scenario, noise)?, starts.chosen))
+}
+
+/// What was chosen out of a grid is found, not given: no fit moved it, so it has no scatter.
+fn tell_choice(parameters: &mut [ParameterEstimate], key: &str, doubt: Option<String>) {
+    if let Some(parameter) = parameters.iter_mut().find(|p| p.key == key)
+        && parameter.verdict == Verdict::Fixed
+    {
+        parameter.verdict = if doubt.is_none() {
+            Verdict::Settled
+        } else {
+            Verdict::Searching
+        };
+        parameter.reason = doubt;
     }
 }
 
@@ -43,10 +71,10 @@ const AT_THE_FLOOR: f64 = 1.1;
 
 /// From the values of the model, and where that ends above the floor from the data alone: a nameplate far from the truth,
 /// or one distorted by what the model lacks, must not decide in which valley the fit ends.
-fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Fit, IdentifyError> {
+fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Found, IdentifyError> {
     let given = start::complete(data.model, data.scenario)?;
-    let from_given = fit(std::slice::from_ref(&given), data.scenario, noise);
-    if let Ok(found) = &from_given
+    let from_given = from(&given, data.scenario, noise);
+    if let Ok((found, _)) = &from_given
         && noise.source != FloorSource::None
         && found.nrms < AT_THE_FLOOR
     {
@@ -55,8 +83,8 @@ fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Fit, Iden
     let Ok(fresh) = start::complete(&forget(data.model), data.scenario) else {
         return Ok(from_given?);
     };
-    match (from_given, fit(&[fresh], data.scenario, noise)) {
-        (Ok(given), Ok(fresh)) if fresh.minimum.cost < given.minimum.cost => Ok(fresh),
+    match (from_given, from(&fresh, data.scenario, noise)) {
+        (Ok(given), Ok(fresh)) if fresh.0.minimum.cost < given.0.minimum.cost => Ok(fresh),
         (Ok(given), _) => Ok(given),
         (Err(_), Ok(fresh)) => Ok(fresh),
         (Err(error), Err(_)) => Err(error.into()),
@@ -79,9 +107,9 @@ fn forget(model: &Model) -> Model {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::Motor;
     use crate::plant::testing::record;
-    use crate::plant::{Motor, Scenario};
-    use crate::sample::Run;
+    use crate::sample::{Channel, Origin, Run};
 
     fn identified(start: &Model, scenario: &Scenario) -> Model {
         let run = Run::new("r", scenario.sample_time_s.clone()).unwrap();
@@ -125,5 +153,54 @@ mod tests {
                 assert!((ratio - 1.0).abs() < 0.03, "{factors:?} {key:?} {ratio}");
             }
         }
+    }
+
+    #[test]
+    fn the_order_of_cogging_is_found_from_an_angle_that_starts_again_each_turn() {
+        let start = Model::baseline(Motor::zk_22fc())
+            .with_effect("cogging")
+            .unwrap();
+        let mut truth = start.clone();
+        truth.effects[0].values = vec![Some(0.06), Some(-0.05), Some(9.0)];
+        let events = vec![
+            (0.0, 0.0),
+            (0.2, 7.0),
+            (1.2, 15.0),
+            (2.0, -6.0),
+            (3.0, -20.0),
+            (3.5, 0.0),
+        ];
+        let recorded = record(&truth, events, 0.002, 4.0, 5);
+        let mut run = Run::new("r", recorded.sample_time_s.clone()).unwrap();
+        let (mut angle, mut last) = (0.0, 0.0);
+        let wrapped = recorded.speed_rad_s.iter().map(|speed| {
+            angle += 0.5 * (speed + last) * 0.002;
+            last = *speed;
+            f64::rem_euclid(angle, std::f64::consts::TAU)
+        });
+        for (channel, cells) in [
+            (Channel::Angle, wrapped.collect()),
+            (
+                Channel::Voltage,
+                (recorded.sample_time_s.iter())
+                    .map(|time_s| recorded.input_at(*time_s))
+                    .collect(),
+            ),
+            (Channel::Current, recorded.current_a.clone()),
+            (Channel::Speed, recorded.speed_rad_s.clone()),
+        ] {
+            run.set_column(channel, cells, Origin::Measured).unwrap();
+        }
+        let data = Data {
+            run: &run,
+            scenario: &Scenario::from_run(&run).unwrap(),
+            model: &start,
+        };
+        let found = OutputError.identify(&data).unwrap();
+        let of = |key: &str| found.parameters.iter().find(|p| p.key == key).unwrap();
+        let order = of("cogging.order");
+        assert_eq!((order.value, order.verdict), (Some(9.0), Verdict::Settled));
+        let sin = of("cogging.sin_n_m").value.unwrap();
+        assert!((sin - 0.06).abs() < 0.01, "{sin}");
     }
 }

@@ -1,5 +1,6 @@
 //! Scheme 1 over a recorded run, in its three forms.
 
+use super::left_out::motor_alone;
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::recursive::Direction;
@@ -152,7 +153,7 @@ fn finish(id: &'static str, model: &Model, mut parameters: Vec<ParameterEstimate
             *parameter = fixed(key, value);
         }
     }
-    Identified::new(id, model, parameters)
+    Identified::new(id, model, parameters).leaving_out(model, motor_alone)
 }
 
 /// Root mean square deviation of a step between samples from the period that still counts as equidistant.

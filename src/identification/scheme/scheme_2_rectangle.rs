@@ -1,5 +1,6 @@
 //! Paper A's scheme 2 as printed: the left rectangle on every pair of samples.
 
+use super::left_out::motor_alone;
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::recursive::{CurrentIntegral, Scheme2};
@@ -48,9 +49,10 @@ impl Scheme for Rectangle {
         for (parameter, better) in parameters.iter_mut().zip(trapezoid.estimates(known)) {
             doubt(parameter, &better);
         }
-        Ok(Identified::new(self.id(), data.model, parameters).with_note(
+        let found = Identified::new(self.id(), data.model, parameters).with_note(
             "left rectangle as printed: it lags the current by half a period; scheme 2 takes the trapezoid",
-        ))
+        );
+        Ok(found.leaving_out(data.model, motor_alone))
     }
 }
 

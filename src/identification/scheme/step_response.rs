@@ -1,5 +1,6 @@
 //! Readings from one step of voltage: the plain baseline.
 
+use super::left_out::motor_alone;
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::step_response;
 
@@ -18,6 +19,6 @@ impl Scheme for StepResponse {
         let (parameters, notes) = step_response::estimates(data.model, data.scenario);
         let mut identified = Identified::new(self.id(), data.model, parameters);
         identified.notes = notes;
-        Ok(identified)
+        Ok(identified.leaving_out(data.model, motor_alone))
     }
 }

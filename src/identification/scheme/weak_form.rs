@@ -1,5 +1,6 @@
 //! Weak form of both balances.
 
+use super::left_out::{of_balances, once_each};
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::{missing_cells, torque_ratio, weak_form};
 use crate::numerics::statistics::median;
@@ -20,9 +21,11 @@ impl Scheme for WeakForm {
     fn identify(&self, data: &Data<'_>) -> Result<Identified, IdentifyError> {
         let mut parameters = parameters(data.model, data.scenario)?;
         doubt_coarse_sampling(&mut parameters, data.scenario);
-        Ok(Identified::new(self.id(), data.model, parameters).with_note(
+        let electrical = data.scenario.input == Input::Voltage;
+        let found = Identified::new(self.id(), data.model, parameters).with_note(
             "weak form: windows without standstill; friction values depend on the method by some per cent",
-        ))
+        );
+        Ok(found.leaving_out(data.model, of_balances(data.model, electrical)))
     }
 }
 
@@ -78,11 +81,11 @@ pub(super) fn parameters(
         _ if relative => torque_ratio::told(found),
         _ => found,
     };
-    Ok(balances
+    let found = balances
         .into_iter()
         .flat_map(|balance| balance.parameters)
-        .map(told)
-        .collect())
+        .map(told);
+    Ok(once_each(found.collect()))
 }
 
 #[cfg(test)]

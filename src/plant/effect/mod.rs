@@ -7,20 +7,44 @@
 //!     the path of command and measurement (Path)      a second inertia behind a shaft (Coupling)
 //! ```
 
+mod asymmetric_viscous;
+mod backlash;
+mod cogging;
+mod command_delay;
 mod constant_load;
+mod current_filter;
+mod current_offset;
+mod custom;
+mod defined;
+mod discontinuous_conduction;
+mod eccentric_load;
+mod elastic_coupling;
+mod field_change;
+mod flux_saturation;
+mod inductance_saturation;
+mod load_dependent_friction;
 mod load_step;
 mod parameter;
 mod path;
 mod quadratic_load;
+mod speed_delay;
 mod speed_filter;
+mod speed_offset;
+mod start_delay;
 mod stribeck_friction;
+mod supply_sag;
+mod table;
 mod terms;
+mod torque_ripple;
 mod viscous_friction;
 mod voltage_drop;
+mod voltage_offset;
 mod winding_heating;
 
+pub use defined::{DefinitionError, FAMILIES, Layout, define, family};
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use path::{Coupling, Path};
+pub use table::{Axis, weights as table_weights};
 pub use terms::{Instant, Sums, Terms};
 
 /// Every effect that the program can name, add and remove.
@@ -29,10 +53,29 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &quadratic_load::QuadraticLoad,
     &stribeck_friction::StribeckFriction,
     &constant_load::ConstantLoad,
-    &voltage_drop::VoltageDrop,
-    &winding_heating::WindingHeating,
+    &asymmetric_viscous::AsymmetricViscous,
+    &cogging::Cogging,
+    &eccentric_load::EccentricLoad,
+    &torque_ripple::TorqueRipple,
+    &load_dependent_friction::LoadDependentFriction,
     &load_step::LoadStep,
+    &voltage_drop::VoltageDrop,
+    &supply_sag::SupplySag,
+    &winding_heating::WindingHeating,
+    &flux_saturation::FluxSaturation,
+    &inductance_saturation::InductanceSaturation,
+    &field_change::FieldChange,
+    &discontinuous_conduction::DiscontinuousConduction,
+    &command_delay::CommandDelay,
+    &start_delay::StartDelay,
+    &speed_delay::SpeedDelay,
     &speed_filter::SpeedFilter,
+    &current_filter::CurrentFilter,
+    &current_offset::CurrentOffset,
+    &speed_offset::SpeedOffset,
+    &voltage_offset::VoltageOffset,
+    &elastic_coupling::ElasticCoupling,
+    &backlash::Backlash,
 ];
 
 /// The effect with this id.
@@ -94,6 +137,21 @@ pub trait Effect: Sync {
     fn parameters(&self) -> &'static [ParameterSpec];
     /// `values` in the order of [`Effect::parameters`].
     fn terms(&self, values: &[f64]) -> Box<dyn Terms>;
+
+    /// What defines the effect beside its parameters, as a model file keeps it: nothing for those of the catalogue.
+    fn settings(&self) -> Vec<(&'static str, toml::Value)> {
+        Vec::new()
+    }
+
+    /// How a model file holds its parameters.
+    fn layout(&self) -> Layout {
+        Layout::Keys
+    }
+
+    /// One parameter in a model file; `None` where nothing is written.
+    fn written(&self, _parameter: usize, value: Option<f64>) -> Option<toml::Value> {
+        value.map(toml::Value::Float)
+    }
 }
 
 #[cfg(test)]

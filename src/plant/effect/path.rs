@@ -53,7 +53,9 @@ impl Path {
 /// The load as a second inertia behind an elastic shaft, with or without play (DISCOVERY.md 2.1).
 ///
 /// `J1 = (1 - r) J` carries the motor and its speed sensor, `J2 = r J` the load; `k = (2 pi f)^2 J r (1 - r)`,
-/// `d = 2 zeta sqrt(k J r (1 - r))`.
+/// `d = 2 zeta sqrt(k J r (1 - r))`. The shaft's torque is `T = k z + d (w - w2)`, where `z` is the twist beyond half the
+/// play to either side and zero within. The damping acts within the play too, as that of oil or grease between the
+/// flanks: so the torque has no jump at contact, and the play closes on a film instead of on nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coupling {
     /// f: natural frequency of the two inertias against each other.

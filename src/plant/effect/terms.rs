@@ -9,6 +9,8 @@ pub struct Instant {
     /// Since the run's first command.
     pub time_s: f64,
     pub voltage_v: f64,
+    /// Full voltage of the supply in this run, see [`Scenario::supply_v`](crate::plant::Scenario::supply_v).
+    pub supply_v: f64,
     pub current_a: f64,
     pub speed_rad_s: f64,
     pub angle_rad: f64,

@@ -11,8 +11,10 @@ use crate::plant::scenario::Input;
 pub(super) struct Equations {
     /// The motor's constants, in every instant that effects are asked about.
     motor: Instant,
-    inverse_inertia: f64,
+    pub(super) inverse_inertia: f64,
     coulomb: f64,
+    /// Friction of the load behind an elastic shaft.
+    pub(super) coulomb_behind: f64,
     pub(super) input: Input,
     /// Linear part: `d/dt [i, w] = A [i, w] + forcing`.
     pub(super) a: M2,
@@ -33,7 +35,21 @@ impl Equations {
                 key: key.key().to_owned(),
             })
         };
-        let inertia = value(MotorKey::Inertia)?;
+        let effects: Vec<Box<dyn Terms>> = model
+            .effects
+            .iter()
+            .map(|active| active.effect.terms(&active.values_or_guess()))
+            .collect();
+        let path = effects
+            .iter()
+            .fold(Path::default(), |path, terms| path.plus(terms.path()));
+        let coupling = effects.iter().find_map(|terms| terms.coupling());
+        // With a second inertia these are the motor's equations: the load has its share of inertia and friction.
+        let (behind, friction_behind) = coupling.map_or((0.0, 0.0), |coupling| {
+            (coupling.inertia_ratio, coupling.friction_split)
+        });
+        let inertia = value(MotorKey::Inertia)? * (1.0 - behind);
+        let coulomb = value(MotorKey::LoadTorque)?;
         let mut motor = Instant::of(&model.motor);
         let (torque_constant, a, per_volt) = match input {
             Input::Voltage => {
@@ -57,36 +73,36 @@ impl Equations {
             Input::Torque => (1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
         };
         motor.torque_n_m_per_a = torque_constant;
-        let terms: Vec<(Box<dyn Terms>, usize)> = model
-            .effects
-            .iter()
-            .map(|active| active.effect.terms(&active.values_or_guess()))
+        let terms: Vec<(Box<dyn Terms>, usize)> = effects
+            .into_iter()
+            .filter(|terms| terms.coupling().is_none())
             .map(|terms| {
                 let states = terms.states();
                 (terms, states)
             })
             .collect();
-        let each = |terms: &[(Box<dyn Terms>, usize)]| -> Path {
-            terms
-                .iter()
-                .fold(Path::default(), |path, (terms, _)| path.plus(terms.path()))
-        };
         Ok(Self {
             motor,
-            path: each(&terms),
-            coupling: terms.iter().find_map(|(terms, _)| terms.coupling()),
+            path,
+            coupling,
             needs_angle: model
                 .effects
                 .iter()
                 .any(|active| active.effect.card().needs_angle),
             inverse_inertia: 1.0 / inertia,
-            coulomb: value(MotorKey::LoadTorque)?,
+            coulomb: coulomb * (1.0 - friction_behind),
+            coulomb_behind: coulomb * friction_behind,
             input,
             a,
             per_volt,
             states: terms.iter().map(|(_, states)| states).sum(),
             terms,
         })
+    }
+
+    /// Tells effects the supply of the run that is simulated next.
+    pub(super) const fn set_supply(&mut self, supply_v: f64) {
+        self.motor.supply_v = supply_v;
     }
 
     /// Whether the equations are linear between mode changes.
@@ -133,6 +149,10 @@ impl Equations {
                 -(sums.torque_n_m + moving.sign() * level) * self.inverse_inertia
             }
         };
+        // The current is given, and what the motor leaves out would make it no number.
+        if self.input != Input::Voltage {
+            return [0.0, acceleration];
+        }
         let mut voltage_v = at.voltage_v - sums.voltage_v;
         if sums.current_rate_gain != 0.0 {
             let inductive_v = voltage_v
@@ -157,14 +177,22 @@ impl Equations {
 
     /// Torque that would move the shaft, friction left out.
     pub(super) fn driving_torque(&self, state: &State, at: &Instant) -> f64 {
-        self.motor.torque_n_m_per_a * state.current_a - self.sums(state, at).torque_n_m
+        self.drive_and_level(state, at).0
+    }
+
+    /// Torque that would move the shaft, friction left out, and the friction level against it.
+    pub(super) fn drive_and_level(&self, state: &State, at: &Instant) -> (f64, f64) {
+        let sums = self.sums(state, at);
+        (
+            self.motor.torque_n_m_per_a * state.current_a - sums.torque_n_m,
+            (self.coulomb + sums.friction_n_m).max(0.0),
+        )
     }
 
     /// How far friction exceeds the driving torque: negative where a shaft at rest breaks away.
     pub(super) fn hold(&self, state: &State, at: &Instant) -> f64 {
-        let sums = self.sums(state, at);
-        let driving = self.motor.torque_n_m_per_a * state.current_a - sums.torque_n_m;
-        (self.coulomb + sums.friction_n_m).max(0.0) - driving.abs()
+        let (driving, level) = self.drive_and_level(state, at);
+        level - driving.abs()
     }
 
     pub(super) fn mode_at(&self, state: &State, at: &Instant) -> Mode {

@@ -1,7 +1,7 @@
 use super::*;
 use crate::plant::{Model, Motor};
 
-fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -> Scenario {
+pub(super) fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -> Scenario {
     Scenario {
         name: "test".into(),
         input: Input::Voltage,
@@ -15,7 +15,7 @@ fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -> Scenario 
     }
 }
 
-fn model(effects: &[(&str, &[f64])]) -> Model {
+pub(super) fn model(effects: &[(&str, &[f64])]) -> Model {
     let mut model = Model::baseline(Motor::zk_22fc());
     for (id, values) in effects {
         model = model.with_effect(id).unwrap();

@@ -9,6 +9,7 @@
 //! Pure computation from stated seeds: the same program gives the same numbers. Where a paper does not say what it
 //! did (motor, excitation, what S/N is a ratio of), the result says what was chosen.
 
+pub mod discovery;
 mod figure_2;
 mod figure_3;
 mod figure_4;

@@ -1,94 +1,159 @@
 //! Hidden effects: one file each, one line each in the catalogue.
 //!
 //! ```text
-//! speed   -> drag torque, breakaway torque --> torque balance
-//! current -> voltage loss, R(T) -----------> voltage balance
+//! configuration --mechanism()--> Mechanism: what it does inside the machine
+//!     put-out voltage -> supply -> resistance, inductance, voltage loss --> voltage balance
+//!     flux -----------------------------------------------------------> both balances
+//!     drag (moving only), load (also at rest), friction (holds at rest) -> torque balance, stick-slip
+//!     shaft: a second inertia
+//!               --path()------> Path: what lies between command, machine and measurement (path.rs)
+//!               --parts()-----> other effects, where it is made of several
 //! ```
+//!
+//! Under `foreign/` are effects that no catalogue of the host has: for them the right answer is that nothing known
+//! explains the run.
 
+mod asymmetric_viscous;
+mod backlash;
+mod cogging;
+mod command_delay;
+mod constant_load;
+mod current_filter;
+mod current_offset;
+mod discontinuous_conduction;
+mod eccentric_load;
+mod elastic_coupling;
+mod field_change;
+mod flux_saturation;
+mod foreign;
+mod inductance_saturation;
+mod load_dependent_friction;
+mod load_step;
+mod mechanism;
+mod parameter;
 mod quadratic_load;
+mod speed_delay;
+mod speed_filter;
+mod speed_offset;
+mod start_delay;
 mod stribeck_friction;
+mod supply_sag;
+mod torque_ripple;
 mod viscous_friction;
 mod voltage_drop;
+mod voltage_offset;
 mod winding_heating;
 
 use serde::{Deserialize, Serialize};
 
+pub use asymmetric_viscous::AsymmetricViscous;
+pub use backlash::Backlash;
+pub use cogging::Cogging;
+pub use command_delay::CommandDelay;
+pub use constant_load::ConstantLoad;
+pub use current_filter::CurrentFilter;
+pub use current_offset::CurrentOffset;
+pub use discontinuous_conduction::DiscontinuousConduction;
+pub use eccentric_load::EccentricLoad;
+pub use elastic_coupling::ElasticCoupling;
+pub use field_change::FieldChange;
+pub use flux_saturation::FluxSaturation;
+pub use foreign::{
+    ExponentialStribeck, FanThreeHalves, HarmonicCogging, LoadRamp, Messy, RandomLoad, Shaker,
+    SoftDrop, TorqueBump,
+};
+pub use inductance_saturation::InductanceSaturation;
+pub use load_dependent_friction::LoadDependentFriction;
+pub use load_step::LoadStep;
+pub use mechanism::{Mechanism, Moment, Site};
+pub use parameter::{Refused, TrueParameter};
 pub use quadratic_load::QuadraticLoad;
+pub use speed_delay::SpeedDelay;
+pub use speed_filter::SpeedFilter;
+pub use speed_offset::SpeedOffset;
+pub use start_delay::StartDelay;
 pub use stribeck_friction::StribeckFriction;
+pub use supply_sag::SupplySag;
+pub use torque_ripple::TorqueRipple;
 pub use viscous_friction::ViscousFriction;
 pub use voltage_drop::VoltageDrop;
+pub use voltage_offset::VoltageOffset;
 pub use winding_heating::WindingHeating;
 
-use super::MotorTruth;
+use super::Path;
+pub(super) use super::shaft::Shaft;
 
-/// One parameter of the truth: key as in the model file, value, unit.
-pub type TrueParameter = (&'static str, f64, &'static str);
-
-/// One physical effect at work in the true machine. Every hook defaults to "no effect there".
-pub trait Mechanism: Send {
-    /// Torque against the shaft, N.m; positive against positive speed. A function of speed and own state.
-    fn drag_torque_n_m(&self, _speed_rad_s: f64) -> f64 {
-        0.0
-    }
-
-    /// Torque beyond Coulomb friction that a shaft at rest holds before it breaks away, N.m.
-    fn breakaway_extra_n_m(&self) -> f64 {
-        0.0
-    }
-
-    /// The shaft has just broken away in `direction` (+1 or -1).
-    fn broke_away(&mut self, _direction: f64) {}
-
-    /// Voltage lost inside the motor, V, with the sign of the current.
-    fn voltage_loss_v(&self, _current_a: f64) -> f64 {
-        0.0
-    }
-
-    /// Resistance now, as a multiple of the one at 25 C.
-    fn resistance_factor(&self) -> f64 {
-        1.0
-    }
-
-    /// Rise of the winding over ambient, K, where the effect knows it.
-    fn winding_rise_k(&self) -> Option<f64> {
+/// What a configuration stands for in the machine. Every part defaults to "nothing there".
+trait Hidden {
+    /// What it does inside the machine on this site, from rest and cold.
+    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
         None
     }
 
-    /// Advances own states by one step with current and speed in its middle.
-    fn advance(&mut self, _step_s: f64, _current_a: f64, _speed_rad_s: f64) {}
+    /// What it does between command, machine and measurement.
+    fn path(&self) -> Path {
+        Path::default()
+    }
+
+    /// The second inertia that it puts behind the shaft.
+    fn shaft(&self, _site: &Site) -> Option<Shaft> {
+        None
+    }
+
+    /// The effects that it is made of.
+    fn parts(&self, _site: &Site) -> Vec<HiddenEffect> {
+        Vec::new()
+    }
 }
 
-/// The catalogue: `Variant(Config)` per effect; the ids are those of the model file.
+/// The catalogue: `Variant(Config)` per effect. The ids of `known` are those of the model file.
 macro_rules! catalogue {
-    ($($variant:ident($config:ident) = $id:literal),+ $(,)?) => {
+    (
+        known { $($known:ident = $known_id:literal),+ $(,)? }
+        foreign { $($foreign:ident = $foreign_id:literal),+ $(,)? }
+    ) => {
         /// One hidden effect as it stands in the emulator's configuration.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(tag = "id")]
         pub enum HiddenEffect {
-            $(#[serde(rename = $id)] $variant($config),)+
+            $(#[serde(rename = $known_id)] $known($known),)+
+            $(#[serde(rename = $foreign_id)] $foreign($foreign),)+
         }
 
         impl HiddenEffect {
             /// Every id, in catalogue order.
-            pub const IDS: &'static [&'static str] = &[$($id),+];
+            pub const IDS: &'static [&'static str] = &[$($known_id,)+ $($foreign_id),+];
+
+            /// Ids of what no catalogue of the host has.
+            pub const FOREIGN: &'static [&'static str] = &[$($foreign_id),+];
 
             pub const fn id(&self) -> &'static str {
                 match self {
-                    $(Self::$variant(_) => $id,)+
+                    $(Self::$known(_) => $known_id,)+
+                    $(Self::$foreign(_) => $foreign_id,)+
                 }
             }
 
             /// The true parameters, under the keys of the model file.
             pub fn parameters(&self) -> Vec<TrueParameter> {
                 match self {
-                    $(Self::$variant(config) => config.parameters(),)+
+                    $(Self::$known(config) => config.parameters(),)+
+                    $(Self::$foreign(config) => config.parameters(),)+
                 }
             }
 
-            /// The mechanism at work in `motor`, from rest and cold.
-            pub fn build(&self, motor: &MotorTruth) -> Box<dyn Mechanism> {
+            /// The first value that this effect cannot have.
+            pub fn refused(&self) -> Option<Refused> {
                 match self {
-                    $(Self::$variant(config) => config.build(motor),)+
+                    $(Self::$known(config) => config.refused(),)+
+                    $(Self::$foreign(config) => config.refused(),)+
+                }
+            }
+
+            fn hidden(&self) -> &dyn Hidden {
+                match self {
+                    $(Self::$known(config) => config,)+
+                    $(Self::$foreign(config) => config,)+
                 }
             }
         }
@@ -96,64 +161,88 @@ macro_rules! catalogue {
 }
 
 catalogue! {
-    ViscousFriction(ViscousFriction) = "viscous_friction",
-    QuadraticLoad(QuadraticLoad) = "quadratic_load",
-    StribeckFriction(StribeckFriction) = "stribeck_friction",
-    VoltageDrop(VoltageDrop) = "voltage_drop",
-    WindingHeating(WindingHeating) = "winding_heating",
+    known {
+        ViscousFriction = "viscous_friction",
+        QuadraticLoad = "quadratic_load",
+        StribeckFriction = "stribeck_friction",
+        ConstantLoad = "constant_load",
+        AsymmetricViscous = "asymmetric_viscous",
+        Cogging = "cogging",
+        TorqueRipple = "torque_ripple",
+        EccentricLoad = "eccentric_load",
+        LoadDependentFriction = "load_dependent_friction",
+        LoadStep = "load_step",
+        ElasticCoupling = "elastic_coupling",
+        Backlash = "backlash",
+        VoltageDrop = "voltage_drop",
+        SupplySag = "supply_sag",
+        WindingHeating = "winding_heating",
+        FluxSaturation = "flux_saturation",
+        InductanceSaturation = "inductance_saturation",
+        FieldChange = "field_change",
+        DiscontinuousConduction = "discontinuous_conduction",
+        CommandDelay = "command_delay",
+        StartDelay = "start_delay",
+        SpeedDelay = "speed_delay",
+        SpeedFilter = "speed_filter",
+        CurrentFilter = "current_filter",
+        CurrentOffset = "current_offset",
+        SpeedOffset = "speed_offset",
+        VoltageOffset = "voltage_offset",
+    }
+    foreign {
+        Shaker = "shaker",
+        TorqueBump = "torque_bump",
+        RandomLoad = "random_load",
+        SoftDrop = "soft_drop",
+        FanThreeHalves = "fan_three_halves",
+        ExponentialStribeck = "exponential_stribeck",
+        HarmonicCogging = "harmonic_cogging",
+        LoadRamp = "load_ramp",
+        Messy = "messy",
+    }
+}
+
+impl HiddenEffect {
+    /// Whether no catalogue of the host has it.
+    pub fn is_foreign(&self) -> bool {
+        Self::FOREIGN.contains(&self.id())
+    }
+
+    /// The mechanism at work on this site, from rest and cold; `None` for what is only in the path or a second inertia.
+    pub fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+        self.hidden().mechanism(site)
+    }
+
+    /// What it does between command, machine and measurement, its parts included.
+    pub fn path(&self, site: &Site) -> Path {
+        self.hidden()
+            .parts(site)
+            .iter()
+            .fold(self.hidden().path(), |path, part| {
+                path.plus(part.path(site))
+            })
+    }
+
+    /// The second inertia that it puts behind the shaft.
+    pub(super) fn shaft(&self, site: &Site) -> Option<Shaft> {
+        self.hidden().shaft(site)
+    }
+
+    /// Whether it is a second inertia; a machine can have one.
+    pub const fn is_shaft(&self) -> bool {
+        matches!(self, Self::ElasticCoupling(_) | Self::Backlash(_))
+    }
+
+    /// All mechanisms at work, those of its parts included.
+    pub(super) fn mechanisms(&self, site: &Site) -> Vec<Box<dyn Mechanism>> {
+        let parts = self.hidden().parts(site);
+        let of_parts = parts.iter().flat_map(|part| part.mechanisms(site));
+        self.mechanism(site).into_iter().chain(of_parts).collect()
+    }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::motor::zk_22fc;
-    use super::*;
-
-    /// One of each, with the default sizes of the example configurations.
-    fn one_of_each() -> Vec<HiddenEffect> {
-        vec![
-            HiddenEffect::ViscousFriction(ViscousFriction {
-                viscous_n_m_s_per_rad: 4e-4,
-            }),
-            HiddenEffect::QuadraticLoad(QuadraticLoad {
-                quadratic_n_m_s2_per_rad2: 1.8e-6,
-            }),
-            HiddenEffect::StribeckFriction(StribeckFriction {
-                stribeck_n_m: 0.16,
-                stribeck_speed_rad_s: 10.0,
-            }),
-            HiddenEffect::VoltageDrop(VoltageDrop { drop_v: 1.2 }),
-            HiddenEffect::WindingHeating(WindingHeating {
-                gain_per_a2_s: 2e-3,
-                time_constant_s: 20.0,
-            }),
-        ]
-    }
-
-    #[test]
-    fn contract_of_every_effect() {
-        let effects = one_of_each();
-        let ids: Vec<&str> = effects.iter().map(HiddenEffect::id).collect();
-        assert_eq!(
-            ids,
-            HiddenEffect::IDS,
-            "the test covers the whole catalogue"
-        );
-        let motor = zk_22fc();
-        for effect in effects {
-            let mut mechanism = effect.build(&motor);
-            assert!(!effect.parameters().is_empty());
-            for step in 0..4000 {
-                let speed = 300.0 * (f64::from(step) * 0.01).sin();
-                let current = 6.0 * (f64::from(step) * 0.017).cos();
-                mechanism.advance(50e-6, current, speed);
-                // A drag never drives (a bristle may give back what it stored, but never beyond its size), a loss
-                // never feeds.
-                assert!(mechanism.drag_torque_n_m(speed).is_finite());
-                assert!(mechanism.voltage_loss_v(current) * current >= 0.0);
-                assert!(mechanism.resistance_factor() >= 1.0);
-                assert!(mechanism.breakaway_extra_n_m() >= 0.0);
-            }
-            assert!(mechanism.voltage_loss_v(0.0).abs() < 1e-12);
-        }
-    }
-}
+pub(in crate::emulator) mod samples;
+#[cfg(test)]
+mod tests;

@@ -1,33 +1,25 @@
 //! A fan or pump on the shaft.
 
-use serde::{Deserialize, Serialize};
-
-use super::{Mechanism, MotorTruth, TrueParameter};
+use super::parameter::hidden_effect;
+use super::{Hidden, Mechanism, Site};
 
 /// Measured fans follow a power of the speed a little below two.
 const FAN_EXPONENT: f64 = 1.95;
 
-/// Load of `quadratic_n_m_s2_per_rad2` times rated speed squared at rated speed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct QuadraticLoad {
-    pub quadratic_n_m_s2_per_rad2: f64,
+hidden_effect! {
+    /// Load of `quadratic_n_m_s2_per_rad2` times rated speed squared at rated speed.
+    QuadraticLoad {
+        quadratic_n_m_s2_per_rad2: NotNegative in "N.m.s2/rad2",
+    }
 }
 
-impl QuadraticLoad {
-    pub(super) fn parameters(&self) -> Vec<TrueParameter> {
-        vec![(
-            "quadratic_n_m_s2_per_rad2",
-            self.quadratic_n_m_s2_per_rad2,
-            "N.m.s2/rad2",
-        )]
-    }
-
-    pub(super) fn build(&self, motor: &MotorTruth) -> Box<dyn Mechanism> {
-        Box::new(Fan {
-            torque_at_rated_n_m: self.quadratic_n_m_s2_per_rad2 * motor.rated_speed_rad_s.powi(2),
-            rated_speed_rad_s: motor.rated_speed_rad_s,
-        })
+impl Hidden for QuadraticLoad {
+    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+        Some(Box::new(Fan {
+            torque_at_rated_n_m: self.quadratic_n_m_s2_per_rad2
+                * site.motor.rated_speed_rad_s.powi(2),
+            rated_speed_rad_s: site.motor.rated_speed_rad_s,
+        }))
     }
 }
 
@@ -54,7 +46,8 @@ mod tests {
         let fan = QuadraticLoad {
             quadratic_n_m_s2_per_rad2: 1.8e-6,
         }
-        .build(&zk_22fc());
+        .mechanism(&Site::of(&zk_22fc()))
+        .unwrap();
         let square = |speed: f64| 1.8e-6 * speed * speed.abs();
         assert!((fan.drag_torque_n_m(-293.2) - square(-293.2)).abs() < 1e-12);
         assert!(fan.drag_torque_n_m(100.0) > 1.04 * square(100.0));

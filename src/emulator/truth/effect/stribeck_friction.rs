@@ -1,34 +1,26 @@
 //! Stribeck friction with memory: a bristle that stretches, slips and relaxes.
 
-use serde::{Deserialize, Serialize};
-
-use super::{Mechanism, MotorTruth, TrueParameter};
+use super::parameter::hidden_effect;
+use super::{Hidden, Mechanism, Moment, Site};
 
 /// Shaft angle over which the bristle stretches to its full torque, rad: it sets the memory of the friction.
 const STRETCH_RAD: f64 = 0.01;
 
-/// Friction beyond Coulomb that is `stribeck_n_m` at rest and vanishes beyond a few `stribeck_speed_rad_s`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StribeckFriction {
-    pub stribeck_n_m: f64,
-    pub stribeck_speed_rad_s: f64,
+hidden_effect! {
+    /// Friction beyond Coulomb that is `stribeck_n_m` at rest and vanishes beyond a few `stribeck_speed_rad_s`.
+    StribeckFriction {
+        stribeck_n_m: NotNegative in "N.m",
+        stribeck_speed_rad_s: Positive in "rad/s",
+    }
 }
 
-impl StribeckFriction {
-    pub(super) fn parameters(&self) -> Vec<TrueParameter> {
-        vec![
-            ("stribeck_n_m", self.stribeck_n_m, "N.m"),
-            ("stribeck_speed_rad_s", self.stribeck_speed_rad_s, "rad/s"),
-        ]
-    }
-
-    pub(super) fn build(&self, _motor: &MotorTruth) -> Box<dyn Mechanism> {
-        Box::new(Bristle {
+impl Hidden for StribeckFriction {
+    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
+        Some(Box::new(Bristle {
             torque_n_m: self.stribeck_n_m,
             speed_scale_rad_s: self.stribeck_speed_rad_s,
             stretch: 0.0,
-        })
+        }))
     }
 }
 
@@ -56,8 +48,8 @@ impl Mechanism for Bristle {
     }
 
     /// Exact for constant speed over the step: the relaxation is far faster than the step at high speed.
-    fn advance(&mut self, step_s: f64, _current_a: f64, speed_rad_s: f64) {
-        let w = speed_rad_s;
+    fn advance(&mut self, step_s: f64, at: &Moment, _put_out_v: f64) {
+        let w = at.speed_rad_s;
         if w == 0.0 {
             return;
         }
@@ -74,12 +66,20 @@ mod tests {
     use super::super::super::motor::zk_22fc;
     use super::*;
 
+    fn turning(speed_rad_s: f64) -> Moment {
+        Moment {
+            speed_rad_s,
+            ..Moment::default()
+        }
+    }
+
     fn bristle() -> Box<dyn Mechanism> {
         StribeckFriction {
             stribeck_n_m: 0.16,
             stribeck_speed_rad_s: 10.0,
         }
-        .build(&zk_22fc())
+        .mechanism(&Site::of(&zk_22fc()))
+        .unwrap()
     }
 
     #[test]
@@ -87,7 +87,7 @@ mod tests {
         let mut friction = bristle();
         for speed in [2.0, 10.0, -5.0, 300.0] {
             for _ in 0..4000 {
-                friction.advance(50e-6, 0.0, speed);
+                friction.advance(50e-6, &turning(speed), 0.0);
             }
             let curve = 0.16 * (-(speed / 10.0_f64).powi(2)).exp() * f64::signum(speed);
             assert!((friction.drag_torque_n_m(speed) - curve).abs() < 1e-9);
@@ -100,7 +100,7 @@ mod tests {
         friction.broke_away(1.0);
         // 2 rad/s backwards for 1 ms: 0.002 rad, a fifth of the stretch.
         for _ in 0..20 {
-            friction.advance(50e-6, 0.0, -2.0);
+            friction.advance(50e-6, &turning(-2.0), 0.0);
         }
         assert!(friction.drag_torque_n_m(-2.0) > 0.0, "not yet turned over");
     }

@@ -1,33 +1,24 @@
 //! Viscous drag of a lubricant that thins with shear.
 
-use serde::{Deserialize, Serialize};
-
-use super::{Mechanism, MotorTruth, TrueParameter};
+use super::parameter::hidden_effect;
+use super::{Hidden, Mechanism, Site};
 
 /// Speed scale of the thinning as a multiple of rated speed: 4 % less drag than linear at rated speed.
 const THINNING_SPEED_RATIO: f64 = 2.0;
 
-/// Drag with the slope `viscous_n_m_s_per_rad` at low speed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ViscousFriction {
-    pub viscous_n_m_s_per_rad: f64,
+hidden_effect! {
+    /// Drag with the slope `viscous_n_m_s_per_rad` at low speed.
+    ViscousFriction {
+        viscous_n_m_s_per_rad: NotNegative in "N.m.s/rad",
+    }
 }
 
-impl ViscousFriction {
-    pub(super) fn parameters(&self) -> Vec<TrueParameter> {
-        vec![(
-            "viscous_n_m_s_per_rad",
-            self.viscous_n_m_s_per_rad,
-            "N.m.s/rad",
-        )]
-    }
-
-    pub(super) fn build(&self, motor: &MotorTruth) -> Box<dyn Mechanism> {
-        Box::new(EyringDrag {
+impl Hidden for ViscousFriction {
+    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+        Some(Box::new(EyringDrag {
             viscous_n_m_s_per_rad: self.viscous_n_m_s_per_rad,
-            thinning_speed_rad_s: THINNING_SPEED_RATIO * motor.rated_speed_rad_s,
-        })
+            thinning_speed_rad_s: THINNING_SPEED_RATIO * site.motor.rated_speed_rad_s,
+        }))
     }
 }
 
@@ -54,7 +45,8 @@ mod tests {
         let drag = ViscousFriction {
             viscous_n_m_s_per_rad: 4e-4,
         }
-        .build(&zk_22fc());
+        .mechanism(&Site::of(&zk_22fc()))
+        .unwrap();
         assert!((drag.drag_torque_n_m(1.0) / 4e-4 - 1.0).abs() < 1e-5);
         let ratio = drag.drag_torque_n_m(-293.2) / (-293.2 * 4e-4);
         assert!((0.95..0.97).contains(&ratio), "{ratio}");

@@ -1,28 +1,23 @@
 //! Contact drop of the brushes.
 
-use serde::{Deserialize, Serialize};
-
-use super::{Mechanism, MotorTruth, TrueParameter};
+use super::parameter::hidden_effect;
+use super::{Hidden, Mechanism, Site};
 
 /// Current at which the contact film carries 71 % of its full drop, A.
 const FILM_CURRENT_A: f64 = 0.1;
 
-/// A drop that saturates at `drop_v`, with the sign of the current.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct VoltageDrop {
-    pub drop_v: f64,
+hidden_effect! {
+    /// A drop that saturates at `drop_v`, with the sign of the current.
+    VoltageDrop {
+        drop_v: NotNegative in "V",
+    }
 }
 
-impl VoltageDrop {
-    pub(super) fn parameters(&self) -> Vec<TrueParameter> {
-        vec![("drop_v", self.drop_v, "V")]
-    }
-
-    pub(super) fn build(&self, _motor: &MotorTruth) -> Box<dyn Mechanism> {
-        Box::new(BrushFilm {
+impl Hidden for VoltageDrop {
+    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
+        Some(Box::new(BrushFilm {
             drop_v: self.drop_v,
-        })
+        }))
     }
 }
 
@@ -44,7 +39,9 @@ mod tests {
 
     #[test]
     fn odd_and_saturating() {
-        let film = VoltageDrop { drop_v: 1.2 }.build(&zk_22fc());
+        let film = VoltageDrop { drop_v: 1.2 }
+            .mechanism(&Site::of(&zk_22fc()))
+            .unwrap();
         assert!((film.voltage_loss_v(5.7) - 1.2).abs() < 1e-3);
         assert!((film.voltage_loss_v(-0.1) + 1.2 / 2.0_f64.sqrt()).abs() < 1e-12);
     }

@@ -1,8 +1,7 @@
 //! Copper that warms up: winding and frame as two heat stores.
 
-use serde::{Deserialize, Serialize};
-
-use super::{Mechanism, MotorTruth, TrueParameter};
+use super::parameter::hidden_effect;
+use super::{Hidden, Mechanism, Moment, Site};
 
 /// Temperature coefficient of copper at 25 C, 1/K.
 const COPPER_PER_K: f64 = 0.00393;
@@ -11,29 +10,22 @@ const FRAME_CAPACITY_RATIO: f64 = 30.0;
 /// Thermal resistance frame to ambient as a share of winding to frame.
 const FRAME_RESISTANCE_RATIO: f64 = 0.1;
 
-/// Resistance that rises by `gain_per_a2_s` per A^2 s of load and forgets with `time_constant_s`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WindingHeating {
-    pub gain_per_a2_s: f64,
-    pub time_constant_s: f64,
+hidden_effect! {
+    /// Resistance that rises by `gain_per_a2_s` per A^2 s of load and forgets with `time_constant_s`.
+    WindingHeating {
+        gain_per_a2_s: NotNegative in "1/(A2.s)",
+        time_constant_s: Positive in "s",
+    }
 }
 
-impl WindingHeating {
-    pub(super) fn parameters(&self) -> Vec<TrueParameter> {
-        vec![
-            ("gain_per_a2_s", self.gain_per_a2_s, "1/(A2.s)"),
-            ("time_constant_s", self.time_constant_s, "s"),
-        ]
-    }
-
-    pub(super) fn build(&self, _motor: &MotorTruth) -> Box<dyn Mechanism> {
-        Box::new(CopperAndFrame {
+impl Hidden for WindingHeating {
+    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
+        Some(Box::new(CopperAndFrame {
             rise_per_a2_s: self.gain_per_a2_s / COPPER_PER_K,
             time_constant_s: self.time_constant_s,
             winding_k: 0.0,
             frame_k: 0.0,
-        })
+        }))
     }
 }
 
@@ -57,8 +49,8 @@ impl Mechanism for CopperAndFrame {
         Some(self.winding_k)
     }
 
-    fn advance(&mut self, step_s: f64, current_a: f64, _speed_rad_s: f64) {
-        let heat = self.rise_per_a2_s * self.resistance_factor() * current_a * current_a;
+    fn advance(&mut self, step_s: f64, at: &Moment, _put_out_v: f64) {
+        let heat = self.rise_per_a2_s * self.resistance_factor() * at.current_a * at.current_a;
         let across = self.winding_k - self.frame_k;
         let frame_rate = (across - self.frame_k / FRAME_RESISTANCE_RATIO)
             / (FRAME_CAPACITY_RATIO * self.time_constant_s);
@@ -72,20 +64,28 @@ mod tests {
     use super::super::super::motor::zk_22fc;
     use super::*;
 
+    fn carrying(current_a: f64) -> Moment {
+        Moment {
+            current_a,
+            ..Moment::default()
+        }
+    }
+
     #[test]
     fn warms_with_the_stated_gain_and_cools_again() {
         let mut winding = WindingHeating {
             gain_per_a2_s: 2e-3,
             time_constant_s: 20.0,
         }
-        .build(&zk_22fc());
+        .mechanism(&Site::of(&zk_22fc()))
+        .unwrap();
         for _ in 0..2_000 {
-            winding.advance(50e-6, 5.0, 0.0);
+            winding.advance(50e-6, &carrying(5.0), 0.0);
         }
         // 0.1 s at 25 A^2: 2e-3 * 2.5 = 0.5 %
         assert!((winding.resistance_factor() - 1.005).abs() < 3e-5);
         for _ in 0..400_000 {
-            winding.advance(50e-6, 0.0, 0.0);
+            winding.advance(50e-6, &carrying(0.0), 0.0);
         }
         let left = (winding.resistance_factor() - 1.0) / 0.005;
         assert!((0.3..0.45).contains(&left), "one time constant: {left}");
@@ -97,9 +97,10 @@ mod tests {
             gain_per_a2_s: 2e-3,
             time_constant_s: 20.0,
         }
-        .build(&zk_22fc());
+        .mechanism(&Site::of(&zk_22fc()))
+        .unwrap();
         for _ in 0..400_000 {
-            winding.advance(50e-6, 5.0, 0.0);
+            winding.advance(50e-6, &carrying(5.0), 0.0);
         }
         // At 5 A gain i^2 = 1/tau: hot loss and cooling grow alike and the rise is gain i^2 t = 1 (the cold copper's
         // would be 0.63), a little more with a frame that warms up.

@@ -5,6 +5,7 @@
 //! ```
 
 mod beyond;
+mod discovery;
 mod figure_2;
 mod figure_3;
 mod table_1;

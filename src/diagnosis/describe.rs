@@ -1,0 +1,130 @@
+//! Findings in words and figures for a person.
+
+use super::candidates::{Candidate, Refit, Status};
+use super::decide::{SIGNIFICANT, explained, first_rank_shares, pays, z};
+use super::diagnose::{Diagnosis, DiagnosisVerdict};
+use super::evidence::Evidence;
+use super::score::Score;
+use super::screen::DETECTION_SIGMA;
+use super::search::Found;
+use crate::identification::noise::FloorSource;
+use crate::plant::Effect;
+
+/// Every candidate as it stood when nothing had been added yet, those of the answer first.
+pub(super) fn describe(
+    base: &Score,
+    error_before: f64,
+    evidence: &Evidence,
+    found: &Found,
+) -> Vec<Candidate> {
+    let (refits, set) = (&found.first_round, &found.first_set);
+    let floor = evidence.floor();
+    let shares = first_rank_shares(refits);
+    let mut order: Vec<usize> = (0..refits.len()).collect();
+    order.sort_by(|&a, &b| {
+        let place = |index: usize| {
+            set.iter()
+                .position(|member| *member == index)
+                .unwrap_or(usize::MAX)
+        };
+        let error = |index: usize| refits[index].holdout.nrms;
+        place(a).cmp(&place(b)).then(error(a).total_cmp(&error(b)))
+    });
+    order
+        .into_iter()
+        .enumerate()
+        .map(|(rank, index)| {
+            let refit = &refits[index];
+            let (pays, against_base) = (pays(base, &refit.holdout), z(base, &refit.holdout));
+            let in_answer = found
+                .accepted
+                .iter()
+                .any(|accepted| accepted.id == refit.id());
+            let status = if in_answer {
+                Status::Supported
+            } else if pays {
+                Status::Possible
+            } else if refit.visible < DETECTION_SIGMA {
+                Status::NotExcited
+            } else {
+                Status::RuledOut
+            };
+            let share = explained(base.nrms, refit.holdout.nrms, floor);
+            Candidate {
+                effect: refit.id(),
+                rank: rank + 1,
+                status,
+                probability: shares[index],
+                parameters: refit.parameters(),
+                error_before,
+                error_after: refit.fit.nrms,
+                holdout_before: base.nrms,
+                holdout_after: refit.holdout.nrms,
+                explained_percent: 100.0 * share,
+                minimum_detectable: Some(refit.minimum_detectable).filter(|size| size.is_finite()),
+                evidence: evidence_sentence(refit, base, against_base, share, status),
+            }
+        })
+        .collect()
+}
+
+fn evidence_sentence(refit: &Refit, base: &Score, z: f64, share: f64, status: Status) -> String {
+    let card = refit.effect.card();
+    let (before, after) = (base.nrms, refit.holdout.nrms);
+    let unit = unit_of_size(refit.effect);
+    match status {
+        Status::NotExcited if !refit.minimum_detectable.is_finite() => format!(
+            "{} touches nothing that this run measures: {}",
+            card.name, card.excite
+        ),
+        Status::NotExcited => format!(
+            "{} of less than {:.2e} {} would not show in this run: {}",
+            card.name, refit.minimum_detectable, unit, card.excite
+        ),
+        Status::RuledOut => format!(
+            "{} leaves the held-out error at {after:.2} of {before:.2} times the noise (z {z:.1}, {SIGNIFICANT} is \
+             asked); more than {:.2e} {} would have shown",
+            card.name, refit.minimum_detectable, unit
+        ),
+        Status::Supported | Status::Possible => format!(
+            "{} takes the held-out error from {before:.2} to {after:.2} times the noise (z {z:.1}) and explains \
+             {:.0} % of what can be explained",
+            card.name,
+            100.0 * share
+        ),
+    }
+}
+
+pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
+    let names = diagnosis.effects.join(" and ");
+    let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
+    match diagnosis.verdict {
+        DiagnosisVerdict::None if diagnosis.noise_floor_from == FloorSource::None => {
+            "nothing in the catalogue pays on the hold-out; without a noise floor it cannot be said whether anything \
+             is missing"
+                .to_owned()
+        }
+        DiagnosisVerdict::None if !diagnosis.sufficient => {
+            "this run would not show any effect of the catalogue: nothing can be said".to_owned()
+        }
+        DiagnosisVerdict::None => format!("nothing is missing: held-out error {before:.2} times the noise floor"),
+        DiagnosisVerdict::Unexplained => {
+            format!("held-out error {before:.2} times the noise floor, and no effect of the catalogue explains it")
+        }
+        DiagnosisVerdict::Ambiguous => format!(
+            "behaves like {names}, which this run cannot tell from {}",
+            diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", ")
+        ),
+        DiagnosisVerdict::Effect => format!(
+            "missing: {names}; held-out error {before:.2} -> {after:.2} times the noise floor, {:.0} % explained",
+            diagnosis.explained_percent
+        ),
+    }
+}
+
+/// Unit of the parameter that gives the effect its size.
+fn unit_of_size(effect: &dyn Effect) -> &'static str {
+    let specs = effect.parameters();
+    let size = specs.iter().find(|spec| spec.is_coefficient());
+    size.unwrap_or(&specs[0]).unit
+}

@@ -1,0 +1,28 @@
+//! A fitted model as the diagnosis hands it on, whatever method fitted it.
+
+use crate::identification::noise::NoiseFloor;
+use crate::identification::output_error::Fit;
+use crate::plant::Model;
+use crate::sample::ParameterEstimate;
+
+/// A model with what is known about its parameters.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    pub model: Model,
+    /// Every parameter of the model, in the order of its slots.
+    pub parameters: Vec<ParameterEstimate>,
+    /// Training error in units of the noise.
+    pub nrms: f64,
+    pub noise: NoiseFloor,
+}
+
+impl From<&Fit> for Fitted {
+    fn from(fit: &Fit) -> Self {
+        Self {
+            model: fit.model.clone(),
+            parameters: fit.parameters.clone(),
+            nrms: fit.nrms,
+            noise: fit.noise,
+        }
+    }
+}

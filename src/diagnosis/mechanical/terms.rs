@@ -1,0 +1,190 @@
+//! What an effect, or any other term, contributes to the torque balance at each sample.
+
+use crate::identification::torque_rows::TorqueRows;
+use crate::plant::{Effect, Enters, Input, Instant, ParameterRole};
+
+/// Share of a period that the angle must cover before an effect of position is judged.
+const LEAST_TRAVEL: f64 = 0.5;
+
+/// Samples at which the direction of a term's power is looked at.
+const LOOKS: usize = 500;
+
+/// A term that is not in the catalogue: a placebo, a dose, an idea. Judged like an effect with one coefficient.
+pub struct Extra {
+    pub id: &'static str,
+    /// Torque against positive motion per unit of its coefficient at each sample, N.m.
+    pub values: Box<dyn Fn(&[Instant]) -> Vec<f64> + Send + Sync>,
+}
+
+impl std::fmt::Debug for Extra {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Extra")
+            .field("id", &self.id)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Torque of the effect with these parameter values at every sample, N.m.
+pub(super) fn torque(effect: &dyn Effect, values: &[f64], at: &[Instant]) -> Vec<f64> {
+    let terms = effect.terms(values);
+    let own = vec![0.0; terms.states()];
+    at.iter()
+        .map(|at| terms.torque_n_m(at, &own) + at.speed_rad_s.signum() * terms.friction_n_m(at))
+        .collect()
+}
+
+/// Column of one coefficient, per unit, evaluated at the size `probe` because some effects are only nearly proportional.
+pub(super) fn column(
+    effect: &dyn Effect,
+    values: &[f64],
+    coefficient: usize,
+    probe: f64,
+    rows: &TorqueRows,
+) -> Vec<f64> {
+    let mut column = rows.column(&torque(
+        effect,
+        &alone(effect, values, coefficient, probe),
+        &rows.at,
+    ));
+    for cell in &mut column {
+        *cell /= probe;
+    }
+    column
+}
+
+/// The values with one coefficient at `size` and every other coefficient at zero.
+pub(super) fn alone(
+    effect: &dyn Effect,
+    values: &[f64],
+    coefficient: usize,
+    size: f64,
+) -> Vec<f64> {
+    let specs = effect.parameters();
+    let of =
+        |(index, value): (usize, &f64)| match (specs[index].is_coefficient(), index == coefficient)
+        {
+            (true, true) => size,
+            (true, false) => 0.0,
+            (false, _) => *value,
+        };
+    values.iter().enumerate().map(of).collect()
+}
+
+/// Why the torque balance of a run cannot judge an effect at all; `None` where it can.
+pub(super) fn why_not_judged(effect: &dyn Effect, input: Input) -> Option<String> {
+    let card = effect.card();
+    match card.enters {
+        Enters::Voltage => {
+            return Some("the run has no voltage, and it acts in the voltage balance".to_owned());
+        }
+        Enters::Path => {
+            return Some(
+                "it lies between motor and measurement, which a run without a voltage does not tell apart".to_owned(),
+            );
+        }
+        Enters::Both if input == Input::Torque => {
+            return Some("it acts through the current, which the run does not have".to_owned());
+        }
+        Enters::Both | Enters::Torque => {}
+    }
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(crate::plant::ParameterSpec::guess)
+        .collect();
+    let terms = effect.terms(&guess);
+    if terms.coupling().is_some() || terms.states() > 0 {
+        return Some(
+            "a second inertia is no term of the torque balance: record the voltage too".to_owned(),
+        );
+    }
+    (effect.parameters().is_empty()).then(|| "it has no parameter of its own".to_owned())
+}
+
+/// Whether the angle moved far enough to tell an effect of position with this many periods per turn.
+pub(super) fn travels(rows: &TorqueRows, periods_per_turn: f64) -> bool {
+    let (least, most) = rows
+        .at
+        .iter()
+        .map(|at| at.angle_rad)
+        .filter(|angle| angle.is_finite())
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), angle| {
+            (a.min(angle), b.max(angle))
+        });
+    (most - least) * periods_per_turn >= LEAST_TRAVEL * std::f64::consts::TAU
+}
+
+/// Whether a term that takes power wherever the shaft moves: physics allows it no negative coefficient.
+pub(super) fn only_takes_power(
+    effect: &dyn Effect,
+    values: &[f64],
+    coefficient: usize,
+    at: &[Instant],
+) -> bool {
+    let specs = effect.parameters();
+    if specs
+        .iter()
+        .any(|spec| spec.role == ParameterRole::EventTime)
+    {
+        return false;
+    }
+    let unit = alone(effect, values, coefficient, specs[coefficient].scale.abs());
+    let some: Vec<Instant> = at
+        .iter()
+        .step_by(at.len().div_ceil(LOOKS).max(1))
+        .copied()
+        .collect();
+    let torque = torque(effect, &unit, &some);
+    let mut moves = false;
+    for (torque, at) in torque.iter().zip(&some) {
+        let power = torque * at.speed_rad_s;
+        if power < 0.0 {
+            return false;
+        }
+        moves |= power > 0.0;
+    }
+    moves
+}
+
+/// Values that are tried for the parameters which give the effect its form, `(parameter, values)`; times of events as
+/// shares of the run's length.
+pub(super) fn shape_grid(effect: &dyn Effect, rows: &TorqueRows) -> Vec<Vec<f64>> {
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(crate::plant::ParameterSpec::guess)
+        .collect();
+    let mut grid = vec![guess];
+    for (index, spec) in effect.parameters().iter().enumerate() {
+        if spec.is_coefficient() {
+            continue;
+        }
+        let tried: Vec<f64> = if spec.role == ParameterRole::EventTime {
+            event_times(spec.shapes, rows)
+        } else {
+            spec.shapes.to_vec()
+        };
+        grid = grid
+            .iter()
+            .flat_map(|values| {
+                tried.iter().map(move |shape| {
+                    let mut values = values.clone();
+                    values[index] = *shape;
+                    values
+                })
+            })
+            .collect();
+    }
+    grid
+}
+
+/// Shares of the rows' span as times since the run's first command.
+pub(super) fn event_times(shares: &[f64], rows: &TorqueRows) -> Vec<f64> {
+    let (Some(first), Some(last)) = (rows.time_s.first(), rows.time_s.last()) else {
+        return Vec::new();
+    };
+    shares
+        .iter()
+        .map(|share| first - rows.begin_s + share * (last - first))
+        .collect()
+}

@@ -1,0 +1,239 @@
+//! Refits of the candidates with everything else free, as few as an honest answer needs.
+//!
+//! ```text
+//! screen --(gain)--> promising: refit from the screen's start --(none at the floor)--> the rest too, and all of them
+//!          else      one linear step, scored as it is               from a second start
+//! ```
+
+use rayon::prelude::*;
+
+use super::candidates::Refit;
+use super::decide::AT_THE_FLOOR;
+use super::evidence::Evidence;
+use super::family::related;
+use super::progress::{Event, Progress};
+use super::score::Score;
+use super::screen::{Screen, Screened};
+use crate::identification::output_error::{self, Fit, FitError};
+use crate::numerics::levenberg_marquardt::Options;
+use crate::plant::{ActiveEffect, Effect, Model, effect};
+
+/// Candidates that the screen puts first and that are refitted whatever their gain.
+const MOST_PROMISING: usize = 8;
+/// Share of the best gain from which a candidate is refitted too.
+const WORTH_A_REFIT: f64 = 0.2;
+
+/// How many candidates are refitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Thoroughness {
+    /// Those that the screen does not rule out; all of them where none of those explains the run to its noise.
+    Promising,
+    /// Every candidate, from two starts each.
+    Everything,
+}
+
+/// Screens every effect that `baseline` does not have and refits what may be the answer. `original` is the model before
+/// any fit: a second start, because a missing effect distorts the baseline's fit (DISCOVERY.md, pitfall 7).
+pub(super) fn refit_all(
+    evidence: &Evidence,
+    baseline: &Fit,
+    original: &Model,
+    thoroughness: Thoroughness,
+    progress: Progress<'_>,
+) -> Result<Vec<Refit>, FitError> {
+    let effects: Vec<&'static dyn Effect> = effect::CATALOGUE
+        .iter()
+        .copied()
+        .filter(|effect| {
+            let id = effect.card().id;
+            let mut present = baseline.model.effects.iter();
+            !present.any(|active| active.id() == id || related(active.id(), id))
+        })
+        .collect();
+    let screen = Screen::new(baseline, &evidence.training);
+    let mut screened = screen.all(&effects, progress);
+    screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    let best_gain = screened.first().map_or(0.0, |first| first.gain);
+    let promising = |rank: usize, candidate: &Screened| {
+        thoroughness == Thoroughness::Everything
+            || rank < MOST_PROMISING
+            || candidate.gain > WORTH_A_REFIT * best_gain
+    };
+    let first: Vec<Result<Refit, FitError>> = screened
+        .par_iter()
+        .enumerate()
+        .map(|(rank, candidate)| {
+            if promising(rank, candidate) {
+                refit(
+                    evidence,
+                    candidate,
+                    &candidate.start,
+                    Options::thrifty(),
+                    progress,
+                )
+            } else {
+                refit(evidence, candidate, &candidate.start, AS_SCREENED, progress)
+            }
+        })
+        .collect();
+    let at_floor = evidence.noise.tolerance(AT_THE_FLOOR) * evidence.floor();
+    let solved = first
+        .iter()
+        .flatten()
+        .any(|refit| refit.fit.nrms < at_floor);
+    if solved && thoroughness == Thoroughness::Promising {
+        return finished(first);
+    }
+    let second: Vec<Result<Refit, FitError>> = screened
+        .par_iter()
+        .zip(first)
+        .enumerate()
+        .map(|(rank, (candidate, first))| {
+            if first.as_ref().is_ok_and(|refit| refit.fit.nrms < at_floor) {
+                return first;
+            }
+            let first = if promising(rank, candidate) {
+                first
+            } else {
+                refit(
+                    evidence,
+                    candidate,
+                    &candidate.start,
+                    Options::thrifty(),
+                    progress,
+                )
+            };
+            let Some(start) = second_start(candidate, baseline, original) else {
+                return first;
+            };
+            better(
+                first,
+                refit(evidence, candidate, &start, Options::thrifty(), progress),
+            )
+        })
+        .collect();
+    finished(second)
+}
+
+/// One effect from both starts, to the full.
+pub(super) fn refit_one(
+    evidence: &Evidence,
+    baseline: &Fit,
+    original: &Model,
+    effect: &'static dyn Effect,
+) -> Result<Refit, FitError> {
+    let candidate = Screen::new(baseline, &evidence.training).effect(effect)?;
+    let quiet = &super::progress::silent;
+    let first = refit(
+        evidence,
+        &candidate,
+        &candidate.start,
+        Options::default(),
+        quiet,
+    );
+    match second_start(&candidate, baseline, original) {
+        Some(start) => better(
+            first,
+            refit(evidence, &candidate, &start, Options::default(), quiet),
+        ),
+        None => first,
+    }
+}
+
+/// The same candidate fitted to the end, for its uncertainties.
+pub(super) fn polished(evidence: &Evidence, refit: &Refit) -> Result<Refit, FitError> {
+    let fit = output_error::fit(
+        std::slice::from_ref(&refit.fit.model),
+        &evidence.training,
+        &evidence.noise,
+    )?;
+    Ok(Refit {
+        holdout: Score::of(&fit.model, &evidence.holdout, &evidence.noise)?,
+        fit,
+        ..refit.clone()
+    })
+}
+
+/// The screen's linear step as it is.
+const AS_SCREENED: Options = Options {
+    most_iterations: 0,
+    relative_cost: 0.0,
+    longest_step: 0.0,
+    carry_jacobian: false,
+};
+
+/// The model as it was given, with what has been accepted since and the effect as the screen found its shape.
+fn second_start(candidate: &Screened, baseline: &Fit, original: &Model) -> Option<Model> {
+    original.require_complete().ok()?;
+    let mut start = original.clone();
+    for active in &baseline.model.effects {
+        if !start.has(active.id()) {
+            start.effects.push(active.clone());
+        }
+    }
+    let screened = candidate.start.effects.last()?;
+    let specs = candidate.effect.parameters();
+    let values = screened
+        .values
+        .iter()
+        .zip(specs)
+        .map(|(value, spec)| if spec.is_coefficient() { None } else { *value })
+        .collect();
+    start.effects.push(ActiveEffect {
+        effect: candidate.effect,
+        values,
+    });
+    Some(start)
+}
+
+fn refit(
+    evidence: &Evidence,
+    candidate: &Screened,
+    start: &Model,
+    options: Options,
+    progress: Progress<'_>,
+) -> Result<Refit, FitError> {
+    let fit = output_error::fit_with(
+        std::slice::from_ref(start),
+        &evidence.training,
+        &evidence.noise,
+        options,
+    )?;
+    progress(Event::Refitted {
+        effect: candidate.effect.card().id,
+        error: fit.nrms,
+    });
+    let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+    Ok(Refit {
+        effect: candidate.effect,
+        holdout,
+        minimum_detectable: candidate.minimum_detectable,
+        visible: candidate.visible,
+        free_parameters: fit.free.len(),
+        fit,
+    })
+}
+
+fn better(a: Result<Refit, FitError>, b: Result<Refit, FitError>) -> Result<Refit, FitError> {
+    match (a, b) {
+        (Ok(a), Ok(b)) if b.fit.minimum.cost < a.fit.minimum.cost => Ok(b),
+        (Ok(a), _) => Ok(a),
+        (Err(_), b) => b,
+    }
+}
+
+/// One effect that cannot be simulated on this motor must not hide the others; if none can, that is the answer.
+fn finished(refits: Vec<Result<Refit, FitError>>) -> Result<Vec<Refit>, FitError> {
+    let mut failure = None;
+    let mut done = Vec::new();
+    for refit in refits {
+        match refit {
+            Ok(refit) => done.push(refit),
+            Err(error) => failure = Some(error),
+        }
+    }
+    match failure {
+        Some(error) if done.is_empty() => Err(error),
+        _ => Ok(done),
+    }
+}

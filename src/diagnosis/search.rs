@@ -1,0 +1,216 @@
+//! Greedy search: the best effect that pays joins the model, until nothing more pays; then each is put to the test again.
+//!
+//! ```text
+//! round: refit all -> best that pays, with those that cannot be told from it -> joins -> next round
+//! then:  twins     each effect is replaced by what it could not be told from: the better one stays (an early choice was
+//!                  made while the others were still missing)
+//!        removal   an effect that the others have made superfluous goes
+//! ```
+
+use super::candidates::Refit;
+use super::decide::{self, not_told_apart, pays};
+use super::evidence::Evidence;
+use super::ladder::Rung;
+use super::progress::{Event, Progress};
+use super::refit::{Thoroughness, polished, refit_all, refit_one};
+use super::score::Score;
+use crate::identification::output_error::{self, Fit, FitError};
+use crate::plant::{Model, effect};
+
+/// Effects that one search adds at most.
+const MOST_EFFECTS: usize = 4;
+/// Rivals of one effect that are tried in its place.
+const MOST_RIVALS: usize = 3;
+/// Rise of the held-out error below which an effect is superfluous.
+const SUPERFLUOUS: f64 = 1.01;
+
+/// How far a search goes and who watches it.
+#[derive(Clone, Copy)]
+pub(super) struct Limits<'a> {
+    pub(super) until_floor: bool,
+    pub(super) thoroughness: Thoroughness,
+    pub(super) progress: Progress<'a>,
+}
+
+/// An effect of the answer and those that it could not be told from.
+#[derive(Clone, Debug)]
+pub(super) struct Accepted {
+    pub(super) id: &'static str,
+    pub(super) rivals: Vec<&'static str>,
+}
+
+/// A model on the way.
+#[derive(Clone)]
+pub(super) struct Standing {
+    pub(super) fit: Fit,
+    pub(super) score: Score,
+}
+
+/// What a search has found.
+pub(super) struct Found {
+    pub(super) baseline: Standing,
+    pub(super) best: Standing,
+    pub(super) accepted: Vec<Accepted>,
+    pub(super) ladder: Vec<Rung>,
+    /// How the candidates stood when nothing had been added yet, and which of them were in the answer.
+    pub(super) first_round: Vec<Refit>,
+    pub(super) first_set: Vec<usize>,
+}
+
+/// Searches from `baseline`; `original` is the model before any fit.
+pub(super) fn search(
+    evidence: &Evidence,
+    baseline: Fit,
+    original: &Model,
+    limits: Limits<'_>,
+) -> Result<Found, FitError> {
+    let score = Score::of(&baseline.model, &evidence.holdout, &evidence.noise)?;
+    let baseline = Standing {
+        fit: baseline,
+        score,
+    };
+    let mut now = baseline.clone();
+    let mut found = Found {
+        ladder: vec![rung(&baseline)],
+        baseline: baseline.clone(),
+        best: baseline,
+        accepted: Vec::new(),
+        first_round: Vec::new(),
+        first_set: Vec::new(),
+    };
+    while found.accepted.len() < MOST_EFFECTS {
+        let first = found.accepted.is_empty();
+        let mut refits = refit_all(
+            evidence,
+            &now.fit,
+            original,
+            limits.thoroughness,
+            limits.progress,
+        )?;
+        let set = in_the_answer(&now.score, &refits);
+        for &member in set.iter().take(1 + MOST_RIVALS) {
+            refits[member] = polished(evidence, &refits[member])?;
+        }
+        let chosen = set.first().map(|&index| refits[index].clone());
+        let rivals = set
+            .iter()
+            .skip(1)
+            .map(|&index| refits[index].id())
+            .collect();
+        if first {
+            (found.first_round, found.first_set) = (refits, set);
+        }
+        let Some(chosen) = chosen else { break };
+        (limits.progress)(Event::Accepted {
+            effect: chosen.id(),
+            holdout: chosen.holdout.nrms,
+        });
+        found.accepted.push(Accepted {
+            id: chosen.id(),
+            rivals,
+        });
+        now = Standing {
+            fit: chosen.fit,
+            score: chosen.holdout,
+        };
+        found.ladder.push(rung(&now));
+        if decide::enough(
+            evidence,
+            &found.baseline.score,
+            &now.score,
+            limits.until_floor,
+        ) {
+            break;
+        }
+    }
+    found.best = now;
+    if found.accepted.len() > 1 {
+        let before: Vec<&str> = found.accepted.iter().map(|accepted| accepted.id).collect();
+        settle_twins(evidence, original, &mut found)?;
+        drop_superfluous(evidence, &mut found)?;
+        let after: Vec<&str> = found.accepted.iter().map(|accepted| accepted.id).collect();
+        if before != after {
+            // The rungs on the way led through an effect that is not in the answer.
+            found.ladder.truncate(1);
+            found.ladder.push(rung(&found.best));
+        }
+    }
+    Ok(found)
+}
+
+/// The best candidate that pays and those that cannot be told from it, the preferred one first; none where none pays.
+fn in_the_answer(base: &Score, refits: &[Refit]) -> Vec<usize> {
+    (0..refits.len())
+        .filter(|&index| pays(base, &refits[index].holdout))
+        .min_by(|&a, &b| refits[a].holdout.nrms.total_cmp(&refits[b].holdout.nrms))
+        .map_or_else(Vec::new, |best| not_told_apart(base, refits, best))
+}
+
+/// Puts each effect's rivals in its place, now that the others are there. A better one takes the place; one that does as
+/// well stays a rival.
+fn settle_twins(evidence: &Evidence, original: &Model, found: &mut Found) -> Result<(), FitError> {
+    for place in 0..found.accepted.len() {
+        let accepted = found.accepted[place].clone();
+        let Ok(without) = found.best.fit.model.without_effect(accepted.id) else {
+            continue;
+        };
+        if accepted.rivals.is_empty() {
+            continue;
+        }
+        let base = standing(evidence, &without)?;
+        let mut remaining = Vec::new();
+        for id in accepted.rivals.into_iter().take(MOST_RIVALS) {
+            let Some(rival) = effect::find(id).filter(|_| !found.best.fit.model.has(id)) else {
+                continue;
+            };
+            let refit = refit_one(evidence, &base.fit, original, rival)?;
+            let there = Standing {
+                fit: refit.fit,
+                score: refit.holdout,
+            };
+            if decide::beats(&there.score, &found.best.score) {
+                found.best = there;
+                remaining = vec![found.accepted[place].id];
+                found.accepted[place].id = id;
+            } else if !decide::beats(&found.best.score, &there.score) {
+                remaining.push(id);
+            }
+        }
+        found.accepted[place].rivals = remaining;
+    }
+    Ok(())
+}
+
+/// Backward check: an effect whose removal, with everything refitted, costs less than a hundredth is superfluous.
+fn drop_superfluous(evidence: &Evidence, found: &mut Found) -> Result<(), FitError> {
+    for accepted in found.accepted.clone() {
+        let Ok(without) = found.best.fit.model.without_effect(accepted.id) else {
+            continue;
+        };
+        let there = standing(evidence, &without)?;
+        if there.score.nrms < SUPERFLUOUS * found.best.score.nrms && found.accepted.len() > 1 {
+            found.accepted.retain(|other| other.id != accepted.id);
+            found.best = there;
+        }
+    }
+    Ok(())
+}
+
+fn standing(evidence: &Evidence, model: &Model) -> Result<Standing, FitError> {
+    let fit = output_error::fit(
+        std::slice::from_ref(model),
+        &evidence.training,
+        &evidence.noise,
+    )?;
+    Ok(Standing {
+        score: Score::of(&fit.model, &evidence.holdout, &evidence.noise)?,
+        fit,
+    })
+}
+
+fn rung(standing: &Standing) -> Rung {
+    Rung {
+        effects: standing.fit.model.effect_ids(),
+        holdout_rmse: standing.score.nrms,
+    }
+}

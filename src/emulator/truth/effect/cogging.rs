@@ -1,0 +1,91 @@
+//! Cogging: magnets against slots, as a harmonic series.
+
+use super::parameter::hidden_effect;
+use super::{Hidden, Mechanism, Moment, Site};
+
+/// Second harmonic as a share of the first: 1 % of the torque's power, so that one sine explains 99 % of it.
+pub(super) const SECOND_HARMONIC: f64 = 0.1;
+
+hidden_effect! {
+    /// Torque `sin_n_m sin(N th) + cos_n_m cos(N th)`, with or without current.
+    Cogging {
+        /// N, periods per turn.
+        order: Order in "-",
+        sin_n_m: Signed in "N.m",
+        cos_n_m: Signed in "N.m",
+    }
+}
+
+impl Hidden for Cogging {
+    fn mechanism(&self, _site: &Site) -> Option<Box<dyn Mechanism>> {
+        Some(Box::new(Slots(Harmonics::new(
+            self.order,
+            (self.sin_n_m, self.cos_n_m),
+            SECOND_HARMONIC,
+        ))))
+    }
+}
+
+/// `A sin(x + p) + share A sin(2 (x + p))` with `x = N th`: the shape of a magnet edge that passes a slot, steeper on one
+/// side. A first-order sine is what the host's catalogue has.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Harmonics {
+    order: f64,
+    amplitude: f64,
+    phase_rad: f64,
+    second: f64,
+}
+
+impl Harmonics {
+    /// The series whose first harmonic is `sin sin(N th) + cos cos(N th)`.
+    pub(super) fn new(order: f64, (sin, cos): (f64, f64), second: f64) -> Self {
+        Self {
+            order,
+            amplitude: sin.hypot(cos),
+            phase_rad: cos.atan2(sin),
+            second,
+        }
+    }
+
+    pub(super) fn at(&self, angle_rad: f64) -> f64 {
+        let (sin, cos) = (self.order * angle_rad + self.phase_rad).sin_cos();
+        // sin 2x = 2 sin x cos x
+        self.amplitude * sin * (1.0 + 2.0 * self.second * cos)
+    }
+}
+
+pub(super) struct Slots(pub(super) Harmonics);
+
+impl Mechanism for Slots {
+    fn load_torque_n_m(&self, at: &Moment) -> f64 {
+        self.0.at(at.angle_rad)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fourier coefficients of the order `k N` over one turn.
+    fn coefficients(series: &Harmonics, k: f64) -> (f64, f64) {
+        let n = 720_u32;
+        let sums = (0..n).fold((0.0, 0.0), |(sin, cos), step| {
+            let angle = std::f64::consts::TAU * f64::from(step) / f64::from(n);
+            let torque = series.at(angle);
+            (
+                sin + torque * (k * angle).sin(),
+                cos + torque * (k * angle).cos(),
+            )
+        });
+        (2.0 * sums.0 / f64::from(n), 2.0 * sums.1 / f64::from(n))
+    }
+
+    #[test]
+    fn the_first_harmonic_is_that_of_the_keys_and_the_second_a_tenth() {
+        let series = Harmonics::new(7.0, (0.06, -0.08), SECOND_HARMONIC);
+        let (sin, cos) = coefficients(&series, 7.0);
+        assert!((sin - 0.06).abs() < 1e-12 && (cos + 0.08).abs() < 1e-12);
+        let (sin, cos) = coefficients(&series, 14.0);
+        assert!((sin.hypot(cos) - 0.01).abs() < 1e-12);
+    }
+}

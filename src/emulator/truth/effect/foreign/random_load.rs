@@ -1,0 +1,87 @@
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::{Hidden, Mechanism, Moment, Site, hidden_effect};
+
+/// Stream of the generator: sensor noise and tolerances have their own.
+const LOAD_STREAM: u64 = 3;
+
+hidden_effect! {
+    /// A torque that wanders at random: a process that is not even.
+    RandomLoad {
+        /// Standard deviation.
+        std_n_m: NotNegative in "N.m",
+        /// Time over which it forgets.
+        correlation_s: Positive in "s",
+    }
+}
+
+impl Hidden for RandomLoad {
+    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+        let mut rng = ChaCha8Rng::seed_from_u64(site.seed);
+        rng.set_stream(LOAD_STREAM);
+        Some(Box::new(Wander {
+            std_n_m: self.std_n_m,
+            correlation_s: self.correlation_s,
+            torque_n_m: 0.0,
+            rng,
+        }))
+    }
+}
+
+/// Ornstein-Uhlenbeck process, exact from step to step.
+struct Wander {
+    std_n_m: f64,
+    correlation_s: f64,
+    torque_n_m: f64,
+    rng: ChaCha8Rng,
+}
+
+impl Mechanism for Wander {
+    fn load_torque_n_m(&self, _at: &Moment) -> f64 {
+        self.torque_n_m
+    }
+
+    fn advance(&mut self, step_s: f64, _at: &Moment, _put_out_v: f64) {
+        let kept = (-step_s / self.correlation_s).exp();
+        let normal: f64 = self.rng.sample(StandardNormal);
+        self.torque_n_m =
+            kept * self.torque_n_m + self.std_n_m * (1.0 - kept * kept).sqrt() * normal;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::super::motor::zk_22fc;
+    use super::*;
+
+    #[test]
+    fn has_the_stated_spread_and_memory() {
+        let mut load = RandomLoad {
+            std_n_m: 0.02,
+            correlation_s: 0.05,
+        }
+        .mechanism(&Site::of(&zk_22fc()))
+        .unwrap();
+        let step = 1e-3;
+        let torque: Vec<f64> = (0..400_000)
+            .map(|_| {
+                load.advance(step, &Moment::default(), 0.0);
+                load.load_torque_n_m(&Moment::default())
+            })
+            .collect();
+        let n = torque.len() as f64;
+        let mean_square = torque.iter().map(|t| t * t).sum::<f64>() / n;
+        let lag = 50;
+        let product = torque
+            .iter()
+            .zip(&torque[lag..])
+            .map(|(a, b)| a * b)
+            .sum::<f64>()
+            / n;
+        // 400 s hold 4000 independent values of the square: 1 of 45 is its standard error.
+        assert!((mean_square.sqrt() / 0.02 - 1.0).abs() < 0.05);
+        assert!((product / mean_square - (-1.0_f64).exp()).abs() < 0.1);
+    }
+}

@@ -1,0 +1,70 @@
+//! A supply that gives way under load: source resistance and the capacitor of the intermediate circuit.
+
+use super::parameter::hidden_effect;
+use super::{Hidden, Mechanism, Moment, Site};
+
+/// Time constant of source resistance and capacitor, s. It is a smoothing that samples at 1 kHz hardly see.
+const BUS_TIME_CONSTANT_S: f64 = 2e-3;
+
+hidden_effect! {
+    /// Resistance of the drive's supply; the motor sees it through the duty cycle, twice.
+    SupplySag {
+        sag_ohm: NotNegative in "ohm",
+    }
+}
+
+impl Hidden for SupplySag {
+    fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+        Some(Box::new(Bus {
+            source_ohm: self.sag_ohm,
+            open_circuit_v: site.bus_v,
+            bus_v: site.bus_v,
+        }))
+    }
+}
+
+/// C dv/dt = (V0 - v)/Rs - D i with the duty cycle D = u/V0, and the motor gets D v. Settled: u - Rs D^2 i, which is the
+/// host's form; the capacitor makes the sag lag. The battery takes back what braking returns.
+struct Bus {
+    source_ohm: f64,
+    open_circuit_v: f64,
+    bus_v: f64,
+}
+
+impl Mechanism for Bus {
+    fn supply_factor(&self) -> f64 {
+        self.bus_v / self.open_circuit_v
+    }
+
+    fn advance(&mut self, step_s: f64, at: &Moment, put_out_v: f64) {
+        let duty = put_out_v / self.open_circuit_v;
+        let settled = self.open_circuit_v - self.source_ohm * duty * at.current_a;
+        self.bus_v += (settled - self.bus_v) * -(-step_s / BUS_TIME_CONSTANT_S).exp_m1();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::motor::zk_22fc;
+    use super::*;
+
+    #[test]
+    fn settles_on_the_duty_cycle_law_and_lags() {
+        let mut bus = SupplySag { sag_ohm: 0.4 }
+            .mechanism(&Site::of(&zk_22fc()))
+            .unwrap();
+        let at = Moment {
+            current_a: 6.0,
+            ..Moment::default()
+        };
+        bus.advance(BUS_TIME_CONSTANT_S, &at, 55.0);
+        // Half the voltage: the bus falls by Rs i/2, the motor's voltage by a quarter of Rs i.
+        let full = 0.4 * 0.25 * 6.0;
+        let lost = |bus: &dyn Mechanism| 55.0 * (1.0 - bus.supply_factor());
+        assert!((lost(bus.as_ref()) / full - 0.632).abs() < 1e-3);
+        for _ in 0..1000 {
+            bus.advance(50e-6, &at, 55.0);
+        }
+        assert!((lost(bus.as_ref()) - full).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,303 @@
+use super::super::motor::zk_22fc;
+use super::super::{Plant, Sensors, Terminals};
+use super::samples::one_of_each;
+use super::*;
+
+#[test]
+fn the_list_of_the_tests_is_the_catalogue() {
+    let ids: Vec<&str> = one_of_each().iter().map(HiddenEffect::id).collect();
+    assert_eq!(ids, HiddenEffect::IDS);
+    for effect in one_of_each() {
+        assert!(!effect.parameters().is_empty(), "{}", effect.id());
+        assert_eq!(effect.refused(), None, "{}", effect.id());
+    }
+}
+
+#[test]
+fn a_mechanism_is_finite_and_a_loss_never_feeds() {
+    let site = Site::of(&zk_22fc());
+    for effect in one_of_each() {
+        for mut mechanism in effect.mechanisms(&site) {
+            for step in 0..4000 {
+                let time_s = f64::from(step) * 1e-3;
+                let at = Moment {
+                    time_s,
+                    current_a: 6.0 * (17.0 * time_s).cos(),
+                    speed_rad_s: 300.0 * (10.0 * time_s).sin(),
+                    angle_rad: 30.0 * (10.0 * time_s).cos(),
+                    flux_factor: 1.0,
+                    torque_n_m: 2.0 * (17.0 * time_s).cos(),
+                };
+                mechanism.advance(50e-6, &at, 60.0);
+                assert!(mechanism.drag_torque_n_m(at.speed_rad_s).is_finite());
+                assert!(mechanism.load_torque_n_m(&at).is_finite());
+                assert!(mechanism.voltage_loss_v(at.current_a) * at.current_a >= 0.0);
+                assert!(mechanism.friction_n_m(&at) >= 0.0);
+                assert!(mechanism.resistance_factor() >= 1.0);
+                assert!(mechanism.breakaway_extra_n_m() >= 0.0);
+                for factor in [
+                    mechanism.flux_factor(&at),
+                    mechanism.inductance_factor(at.current_a),
+                    mechanism.supply_factor(),
+                ] {
+                    assert!((0.5..=1.1).contains(&factor), "{}: {factor}", effect.id());
+                }
+            }
+            assert!(mechanism.voltage_loss_v(0.0).abs() < 1e-12);
+        }
+    }
+}
+
+/// A machine after `levels`, each held for 0.25 s; the number of the steps in which it moved.
+fn driven(hidden: &[HiddenEffect], levels: &[f64]) -> (Plant, usize) {
+    let mut plant = Plant::new(zk_22fc(), hidden);
+    let mut moved = 0;
+    for &volts in levels {
+        for _ in 0..5000 {
+            plant.advance(Terminals::Voltage(volts), 50e-6);
+            moved += usize::from(plant.speed_rad_s() != 0.0);
+        }
+    }
+    (plant, moved)
+}
+
+#[test]
+fn no_effect_moves_a_machine_that_is_at_rest_without_voltage() {
+    // Each torque here is below the Coulomb friction. (A shaker or a weight beyond it does move it, and a voltage offset
+    // drives a current: the drive's tests.)
+    for effect in one_of_each() {
+        let id = effect.id();
+        let (plant, moved) = driven(&[effect], &[0.0; 4]);
+        assert_eq!(moved, 0, "{id}");
+        assert!(plant.current_a() == 0.0 && plant.angle_rad() == 0.0, "{id}");
+    }
+}
+
+#[test]
+fn a_weight_beyond_friction_turns_the_machine_and_one_below_helps_it_break_away() {
+    let weight = |constant_n_m| [HiddenEffect::ConstantLoad(ConstantLoad { constant_n_m })];
+    let (plant, _) = driven(&weight(0.6), &[0.0; 2]);
+    assert!(plant.speed_rad_s() < -1.0, "against positive speed");
+    // 1.0 V drive 0.32 N.m, Coulomb holds 0.455: 0.2 N.m more turn it backwards, none forwards.
+    assert_eq!(driven(&weight(0.2), &[1.0, 1.0]).1, 0);
+    assert!(driven(&weight(0.2), &[-1.0, -1.0]).1 > 0);
+}
+
+#[test]
+fn every_mechanism_changes_the_motion_and_every_path_does_not() {
+    let levels = [30.0, -12.0, 60.0, -50.0, 4.0];
+    let (plain, _) = driven(&[], &levels);
+    for effect in one_of_each() {
+        let id = effect.id();
+        let site = Site::of(&zk_22fc());
+        let (plant, _) = driven(std::slice::from_ref(&effect), &levels);
+        let differs = plant.angle_rad().to_bits() != plain.angle_rad().to_bits();
+        let inside = !effect.mechanisms(&site).is_empty() || effect.is_shaft();
+        assert_eq!(differs, inside, "{id}");
+        assert!(
+            inside || effect.path(&site) != Path::default(),
+            "{id} does nothing"
+        );
+        assert!(plant.speed_rad_s().is_finite(), "{id}");
+    }
+}
+
+#[test]
+fn the_mirrored_command_gives_the_mirrored_motion_where_the_effect_has_no_direction() {
+    // Those of one direction, of time, and of the shaft angle where they are not odd about the start are not symmetric.
+    let skewed = [
+        "constant_load",
+        "asymmetric_viscous",
+        "torque_ripple",
+        "eccentric_load",
+        "shaker",
+        "random_load",
+        "messy",
+    ];
+    for effect in one_of_each() {
+        let id = effect.id();
+        let (plus, _) = driven(std::slice::from_ref(&effect), &[30.0, -12.0]);
+        let (minus, _) = driven(&[effect], &[-30.0, 12.0]);
+        let same = (plus.speed_rad_s() + minus.speed_rad_s()).abs() < 1e-9;
+        assert_eq!(same, !skewed.contains(&id), "{id}");
+    }
+}
+
+/// At a probe point each effect does what its key says, to the share by which its form differs from the host's.
+#[test]
+fn at_a_probe_point_the_size_is_that_of_the_key() {
+    let motor = zk_22fc();
+    let site = Site::of(&motor);
+    let (amps, speed) = (motor.rated_current_a, motor.rated_speed_rad_s);
+    let at = Moment {
+        time_s: 10.0,
+        current_a: amps,
+        speed_rad_s: speed,
+        angle_rad: std::f64::consts::FRAC_PI_2 / 7.0,
+        flux_factor: 1.0,
+        torque_n_m: 2.0,
+    };
+    let torque =
+        |m: &dyn Mechanism| m.drag_torque_n_m(speed) + m.load_torque_n_m(&at) + m.friction_n_m(&at);
+    let settled = |m: &mut dyn Mechanism| {
+        for _ in 0..2000 {
+            m.advance(50e-6, &at, 110.0);
+        }
+    };
+    for effect in one_of_each() {
+        let Some(mut mechanism) = effect.mechanism(&site) else {
+            continue;
+        };
+        settled(mechanism.as_mut());
+        let m = mechanism.as_ref();
+        let (found, stated, within) = match effect.id() {
+            "viscous_friction" => (torque(m), 4e-4 * speed, 0.05),
+            "quadratic_load" => (torque(m), 1.8e-6 * speed * speed, 1e-9),
+            "stribeck_friction" | "exponential_stribeck" => {
+                // At rest.
+                let still = Moment {
+                    speed_rad_s: 0.0,
+                    ..at
+                };
+                (m.breakaway_extra_n_m() + m.friction_n_m(&still), 0.16, 1e-9)
+            }
+            "constant_load" => (torque(m), 0.1, 1e-9),
+            "asymmetric_viscous" => (torque(m), 1e-4 * speed, 0.011),
+            "cogging" | "harmonic_cogging" => (torque(m), 0.1, 1e-9),
+            "torque_ripple" => (torque(m), 0.05 * 2.0, 1e-9),
+            "eccentric_load" => {
+                let x = at.angle_rad;
+                (torque(m), 0.1 * x.sin() + 0.05 * x.cos(), 0.25)
+            }
+            "load_dependent_friction" => (torque(m), 0.08 * 2.0, 1e-9),
+            "load_step" => (torque(m), 0.12, 1e-9),
+            "voltage_drop" => (m.voltage_loss_v(amps), 1.2, 1e-3),
+            "supply_sag" => (110.0 * (1.0 - m.supply_factor()), 0.4 * amps, 1e-6),
+            "winding_heating" => (m.resistance_factor() - 1.0, 2e-3 * amps * amps * 0.1, 0.01),
+            "flux_saturation" => (m.flux_factor(&at), 1.0 / (1.0 + 1e-3 * amps * amps), 1e-9),
+            "inductance_saturation" => (
+                m.inductance_factor(amps),
+                1.0 / (1.0 + 5e-3 * amps * amps),
+                1e-9,
+            ),
+            "field_change" => (m.flux_factor(&at) - 1.0, -5e-3 * 10.0, 0.085),
+            "discontinuous_conduction" => (m.voltage_loss_v(0.5), 0.5, 0.01),
+            "shaker" => (torque(m), 0.1 * (std::f64::consts::TAU * 46.0).sin(), 1e-9),
+            "torque_bump" => {
+                let there = Moment {
+                    speed_rad_s: -95.0,
+                    ..at
+                };
+                (m.friction_n_m(&there), 0.12, 1e-9)
+            }
+            "random_load" => (torque(m).abs().min(0.24).max(1e-9), 0.12, 1.0),
+            "soft_drop" => (m.voltage_loss_v(0.6), 3.0 * 1.0_f64.tanh(), 1e-9),
+            "fan_three_halves" => (torque(m), 3e-5 * speed.powf(1.5), 1e-9),
+            "load_ramp" => (torque(m), 0.16, 1e-9),
+            other => (f64::NAN, 0.0, other.len() as f64),
+        };
+        let error = (found - stated).abs();
+        assert!(
+            error <= within * stated.abs().max(1e-12),
+            "{}: {found} instead of {stated}",
+            effect.id()
+        );
+    }
+}
+
+#[test]
+fn a_machine_with_a_second_inertia_rings_at_its_frequency_and_turns_as_one_in_the_end() {
+    for effect in one_of_each().into_iter().filter(HiddenEffect::is_shaft) {
+        let (plant, _) = driven(&[effect], &[60.0; 12]);
+        let (plain, _) = driven(&[], &[60.0; 12]);
+        assert!((plant.speed_rad_s() - plain.speed_rad_s()).abs() < 1e-3);
+        assert!((plant.current_a() - plain.current_a()).abs() < 1e-3);
+    }
+    // Locked electrically out of the way: the motor's side rings after a step of the torque.
+    let mut motor = zk_22fc();
+    (motor.load_torque_n_m, motor.back_emf_v_s_per_rad) = (0.0, 1e-6);
+    motor.torque_n_m_per_a = Some(0.3538);
+    let effect = HiddenEffect::ElasticCoupling(ElasticCoupling {
+        frequency_hz: 22.0,
+        inertia_ratio: 0.4,
+        damping_ratio: 0.0,
+        friction_split: 0.5,
+    });
+    let mut plant = Plant::new(motor, &[effect]);
+    let mut acceleration = Vec::new();
+    for _ in 0..40_000 {
+        let before = plant.speed_rad_s();
+        plant.advance(Terminals::Voltage(1.0), 50e-6);
+        acceleration.push(plant.speed_rad_s() - before);
+    }
+    // After the current has settled: mean crossings of a swing about a constant.
+    let tail = &acceleration[4000..];
+    let mean = tail.iter().sum::<f64>() / tail.len() as f64;
+    let rising: Vec<usize> = (1..tail.len())
+        .filter(|&k| tail[k - 1] < mean && tail[k] >= mean)
+        .collect();
+    let (first, last) = (rising[0], rising[rising.len() - 1]);
+    let frequency = (rising.len() - 1) as f64 / ((last - first) as f64 * 50e-6);
+    assert!((frequency - 22.0).abs() < 0.1, "{frequency}");
+}
+
+#[test]
+fn sensors_show_delay_filter_and_offset() {
+    let tick_s = 50e-6;
+    let sensors = |path: Path| {
+        let mut sensors = Sensors::new(
+            super::super::NoiseConfig::default(),
+            super::super::QuantisationConfig::default(),
+            0,
+        )
+        .behind(path, tick_s);
+        for tick in 0..=4000_u32 {
+            // A ramp of 100 rad/s and 10 A in a second.
+            let time_s = f64::from(tick) * tick_s;
+            sensors.follow(10.0 * time_s, 100.0 * time_s);
+        }
+        sensors.read(4000, super::super::Reading::default())
+    };
+    let site = Site::of(&zk_22fc());
+    let mut seen = 0;
+    for effect in one_of_each() {
+        let path = effect.path(&site);
+        let read = sensors(path);
+        let (amps, speed) = match effect.id() {
+            // On a ramp a filter lags by its time constant.
+            "speed_delay" => (2.0, 20.0 - 100.0 * 4e-3),
+            "speed_filter" => (2.0, 20.0 - 100.0 * 5e-3),
+            "current_filter" => (2.0 - 10.0 * 4e-3, 20.0),
+            "current_offset" => (2.2, 20.0),
+            "speed_offset" => (2.0, 21.0),
+            _ => (2.0, 20.0),
+        };
+        seen += usize::from(path != Path::default());
+        assert!(
+            (read.current_a - amps).abs() < 1e-5,
+            "{}: {read:?}",
+            effect.id()
+        );
+        assert!(
+            (read.speed_rad_s - speed).abs() < 1e-5,
+            "{}: {read:?}",
+            effect.id()
+        );
+    }
+    assert_eq!(seen, 9, "five in the sensors, three in the drive, messy");
+}
+
+#[test]
+fn a_value_that_an_effect_cannot_have_is_named() {
+    let refused = HiddenEffect::Cogging(Cogging {
+        order: 6.5,
+        sin_n_m: 0.1,
+        cos_n_m: 0.0,
+    })
+    .refused();
+    assert_eq!(refused, Some(("order", 6.5, "a whole number, 1 to 400")));
+    let late = HiddenEffect::CommandDelay(CommandDelay { delay_s: 2.0 });
+    assert_eq!(late.refused().map(|(key, ..)| key), Some("delay_s"));
+    let negative = HiddenEffect::ConstantLoad(ConstantLoad { constant_n_m: -0.1 });
+    assert_eq!(negative.refused(), None);
+}

@@ -1,0 +1,221 @@
+//! Rows of the reference processing with room for any term.
+
+use super::columns::moving;
+use super::grid::{self, Motion};
+use super::processing::{Processing, filter, rate, spanned};
+use crate::identification::speed_from_angle;
+use crate::identification::torque_rows::{Method, TorqueRows};
+use crate::numerics::filter::Butterworth;
+use crate::plant::{Input, Instant, Model, Scenario};
+use crate::sample::{Channel, Origin, Run};
+
+/// Relative difference up to which a speed is the one that this program derives from the angle.
+const SAME: f64 = 1e-9;
+
+/// One part of the run without gaps.
+struct Stretch {
+    filter: Butterworth,
+    /// Its samples among all.
+    from: usize,
+    to: usize,
+    /// Rows that the balance holds in, counted from `from`.
+    valid: Vec<usize>,
+}
+
+impl Stretch {
+    /// Both sides go through the filter again; beside a central difference everything is averaged over its span.
+    fn averaged(&self, values: &[f64]) -> Vec<f64> {
+        let filtered = self
+            .filter
+            .zero_phase(&spanned(&values[self.from..self.to]));
+        self.valid.iter().map(|row| filtered[*row]).collect()
+    }
+}
+
+/// The torque balance of the scored part of `scenario`; every row, none left out by decimation. `stretch` divides the
+/// cut-off. `None` where nothing can be processed.
+pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<TorqueRows> {
+    let run = as_run(scenario)?;
+    let gridded = grid::gridded(&run, scenario)?;
+    let mut processing = Processing::choose(&gridded);
+    processing.cut_off_hz /= stretch;
+    let scored_from_s = *scenario.sample_time_s.get(scenario.scored.start)?;
+    let scored_to_s = *scenario
+        .sample_time_s
+        .get(scenario.scored.end.checked_sub(1)?)?;
+    let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
+    let constants = Instant::of(&model.motor);
+    let angles = scenario.shaft_angle();
+    let (mut at, mut stretches) = (Vec::new(), Vec::new());
+    let (mut time_s, mut left, mut inertia) = (Vec::new(), Vec::new(), Vec::new());
+    for part in &gridded.parts {
+        let Some(filter) = filter(processing.cut_off_hz, part.period_s) else {
+            continue;
+        };
+        let angular = processing.motion == Motion::Angle;
+        let beside = |values: Vec<f64>| if angular { spanned(&values) } else { values };
+        let filtered = filter.zero_phase(&part.motion);
+        let speed = if angular {
+            rate(&filtered, part.period_s)
+        } else {
+            filtered
+        };
+        let by_torque = scenario.input == Input::Torque;
+        let driving = beside(filter.zero_phase(if by_torque {
+            &part.torque_n_m
+        } else {
+            &part.current_a
+        }));
+        let per_unit = if by_torque { 1.0 } else { kt };
+        let reach = processing.reach(part.period_s);
+        let mut valid = moving(&speed, processing.dead_zone_rad_s, reach);
+        let ends = reach.min(valid.len());
+        valid[..ends].fill(false);
+        let tail = valid.len() - ends;
+        valid[tail..].fill(false);
+        let within = |k: usize| (scored_from_s..=scored_to_s).contains(&part.time_s(k));
+        let one = Stretch {
+            filter,
+            from: at.len(),
+            to: at.len() + speed.len(),
+            valid: (0..speed.len())
+                .filter(|k| valid[*k] && within(*k))
+                .collect(),
+        };
+        for (k, (&speed_rad_s, &drives)) in speed.iter().zip(&driving).enumerate() {
+            let angle_rad = if part.angle_rad[k].is_finite() {
+                part.angle_rad[k]
+            } else {
+                let after = angles.partition_point(|point| point.0 < part.time_s(k));
+                angles
+                    .get(after.min(angles.len().saturating_sub(1)))
+                    .map_or(f64::NAN, |point| point.1)
+            };
+            at.push(Instant {
+                time_s: part.time_s(k) - scenario.begin_s(),
+                voltage_v: f64::NAN,
+                current_a: drives,
+                speed_rad_s,
+                angle_rad,
+                torque_n_m_per_a: per_unit,
+                ..constants
+            });
+        }
+        let kept = |values: &[f64]| -> Vec<f64> {
+            let filtered = one.filter.zero_phase(values);
+            one.valid.iter().map(|row| filtered[*row]).collect()
+        };
+        let torque: Vec<f64> = driving.iter().map(|value| per_unit * value).collect();
+        left.extend(kept(&spanned(&torque)));
+        inertia.extend(kept(&rate(&speed, part.period_s)));
+        time_s.extend(one.valid.iter().map(|row| part.time_s(*row)));
+        stretches.push(one);
+    }
+    if left.is_empty() || left.iter().chain(&inertia).any(|cell| !cell.is_finite()) {
+        return None;
+    }
+    let averaging = move |values: &[f64]| -> Vec<f64> {
+        stretches
+            .iter()
+            .flat_map(|stretch| stretch.averaged(values))
+            .collect()
+    };
+    let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
+    let currents: Vec<f64> = at.iter().map(|at| at.current_a).collect();
+    Some(TorqueRows {
+        method: Method::InverseDynamics,
+        sentence: processing.sentence_with("every row in motion"),
+        speed_rad_s: averaging(&speeds),
+        current_a: averaging(&currents),
+        at,
+        begin_s: scenario.begin_s(),
+        time_s,
+        left,
+        inertia,
+        gain: f64::NAN,
+        rate_gain: f64::NAN,
+        span_s: 1.0 / processing.cut_off_hz,
+        averaging: Box::new(averaging),
+    })
+}
+
+/// The scenario as a recorded run: the processing filters the angle before it differentiates it, so it has to know
+/// whether the speed was measured or derived from the angle.
+fn as_run(scenario: &Scenario) -> Option<Run> {
+    let driving = if scenario.input == Input::Torque {
+        scenario.events.clone()
+    } else {
+        let samples = scenario.sample_time_s.iter().copied();
+        samples
+            .zip(scenario.current_a.iter().copied())
+            .filter(|point| point.1.is_finite())
+            .collect()
+    };
+    let speed: Vec<(f64, f64)> = scenario
+        .sample_time_s
+        .iter()
+        .copied()
+        .zip(scenario.speed_rad_s.iter().copied())
+        .filter(|point| point.1.is_finite())
+        .collect();
+    let mut times: Vec<f64> = [&driving, &speed, &scenario.angle]
+        .into_iter()
+        .flat_map(|points| points.iter().map(|point| point.0))
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let spread = |points: &[(f64, f64)]| -> Vec<f64> {
+        let mut next = points.iter().peekable();
+        times
+            .iter()
+            .map(|time_s| {
+                next.next_if(|point| point.0 <= *time_s)
+                    .map_or(f64::NAN, |point| point.1)
+            })
+            .collect()
+    };
+    let mut run = Run::new(scenario.name.clone(), times.clone()).ok()?;
+    if !scenario.angle.is_empty() {
+        let angle = spread(&scenario.angle);
+        run.set_column(Channel::Angle, angle, Origin::Measured)
+            .ok()?;
+    }
+    let is_derived = !scenario.angle.is_empty() && is_derived(&run, &speed);
+    let drives = if scenario.input == Input::Torque {
+        Channel::Torque
+    } else {
+        Channel::Current
+    };
+    let origin = if is_derived {
+        Origin::Derived
+    } else {
+        Origin::Measured
+    };
+    run.set_column(drives, spread(&driving), Origin::Measured)
+        .ok()?;
+    run.set_column(Channel::Speed, spread(&speed), origin)
+        .ok()?;
+    Some(run)
+}
+
+/// Whether the speed is the one that this program derives from the angle.
+fn is_derived(angle_alone: &Run, speed: &[(f64, f64)]) -> bool {
+    let Ok(completed) = speed_from_angle::complete(angle_alone) else {
+        return false;
+    };
+    let derived: Vec<(f64, f64)> = completed.points(Channel::Speed).collect();
+    let fastest = speed
+        .iter()
+        .fold(0.0, |most, point| f64::max(most, point.1.abs()));
+    let mut compared = 0_usize;
+    let mut same = true;
+    for point in speed {
+        let at = derived.partition_point(|other| other.0 < point.0);
+        #[expect(clippy::float_cmp, reason = "a stamp of the same row")]
+        if let Some(other) = derived.get(at).filter(|other| other.0 == point.0) {
+            compared += 1;
+            same &= (other.1 - point.1).abs() <= SAME * fastest;
+        }
+    }
+    same && compared > 0
+}

@@ -1,0 +1,348 @@
+//! Reads an expression as a person means it, names the place of a mistake, and writes it for the evaluator.
+//!
+//! The evaluator binds a sign tighter than a power (`-w^2` is `(-w)^2` there), a division tighter than a product, knows
+//! no `1e-6`, and tells of a mistake without its place. So the usual rules are kept here, and what is handed on carries
+//! all its parentheses:
+//!
+//! ```text
+//! sum     = product {("+" | "-") product}
+//! product = signed {("*" | "/") signed}
+//! signed  = ("+" | "-") signed | power
+//! power   = atom ["^" signed]                       so -w^2 = -(w^2) and 2^3^2 = 2^(3^2)
+//! atom    = number | name | function "(" sum ")" | "(" sum ")"
+//! ```
+
+/// Functions of one argument.
+pub(super) const FUNCTIONS: [&str; 17] = [
+    "abs", "sgn", "signum", "sqrt", "exp", "ln", "log10", "sin", "cos", "tan", "asin", "acos",
+    "atan", "sinh", "cosh", "tanh", "sign",
+];
+/// The only constant.
+pub(super) const PI: &str = "pi";
+
+/// A mistake in an expression.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Mistake {
+    /// Byte at which it was noticed.
+    pub(super) offset: usize,
+    pub(super) message: String,
+    pub(super) help: String,
+}
+
+/// An expression in the evaluator's notation.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Written {
+    pub(super) value: String,
+    /// The same with `abs` and `sgn` in terms of a root, whose derivatives the evaluator knows.
+    pub(super) smooth: String,
+}
+
+impl Written {
+    fn plain(text: String) -> Self {
+        Self {
+            smooth: text.clone(),
+            value: text,
+        }
+    }
+
+    fn both(self, other: &Self, operator: char) -> Self {
+        Self {
+            value: format!("({}{operator}{})", self.value, other.value),
+            smooth: format!("({}{operator}{})", self.smooth, other.smooth),
+        }
+    }
+
+    fn call(self, function: &str) -> Self {
+        let Self { value, smooth } = self;
+        match function {
+            "abs" => Self {
+                value: format!("abs({value})"),
+                smooth: format!("sqrt(({smooth})^2)"),
+            },
+            "sgn" | "sign" | "signum" => Self {
+                value: format!("sgn({value})"),
+                smooth: format!("(({smooth})/sqrt(({smooth})^2))"),
+            },
+            other => Self {
+                value: format!("{other}({value})"),
+                smooth: format!("{other}({smooth})"),
+            },
+        }
+    }
+}
+
+/// The name under which the evaluator knows the variable with this index; they sort as the indices do.
+pub(super) fn variable(index: usize) -> String {
+    format!("v{index:04}")
+}
+
+/// Writes `text` for the evaluator. `names` gives the index of a variable; `direction` is the index under which the
+/// sign of the speed, written `sgn(w)`, is handed on as a variable of its own.
+pub(super) fn read(
+    text: &str,
+    names: &dyn Fn(&str) -> Result<usize, String>,
+    direction: usize,
+) -> Result<Written, Mistake> {
+    let mut reader = Reader {
+        text,
+        at: 0,
+        depth: 0,
+        names,
+        direction,
+    };
+    let written = reader.sum()?;
+    match reader.peek() {
+        None => Ok(written),
+        Some(')') => Err(reader.mistake(
+            "`)` closes nothing",
+            "take it out, or open a parenthesis before it",
+        )),
+        Some(other) => Err(reader.mistake(
+            &format!("an operator is missing before {other:?}"),
+            "a product needs its sign: a*w",
+        )),
+    }
+}
+
+/// Parentheses within parentheses that are read: none is written by hand as deep, and each costs stack.
+const DEEPEST: usize = 64;
+
+struct Reader<'a> {
+    text: &'a str,
+    at: usize,
+    depth: usize,
+    names: &'a dyn Fn(&str) -> Result<usize, String>,
+    direction: usize,
+}
+
+impl Reader<'_> {
+    fn mistake(&self, message: &str, help: &str) -> Mistake {
+        Mistake {
+            offset: self.at,
+            message: message.to_owned(),
+            help: help.to_owned(),
+        }
+    }
+
+    /// The next character that is not a space.
+    fn peek(&mut self) -> Option<char> {
+        let rest = &self.text[self.at..];
+        self.at += rest.len() - rest.trim_start().len();
+        self.text[self.at..].chars().next()
+    }
+
+    fn take(&mut self, wanted: &[char]) -> Option<char> {
+        let next = self.peek().filter(|next| wanted.contains(next))?;
+        self.at += next.len_utf8();
+        Some(next)
+    }
+
+    fn sum(&mut self) -> Result<Written, Mistake> {
+        self.depth += 1;
+        if self.depth > DEEPEST {
+            return Err(self.mistake("too many parentheses within each other", "simplify it"));
+        }
+        let mut left = self.product()?;
+        while let Some(operator) = self.take(&['+', '-']) {
+            left = left.both(&self.product()?, operator);
+        }
+        self.depth -= 1;
+        Ok(left)
+    }
+
+    fn product(&mut self) -> Result<Written, Mistake> {
+        let mut left = self.signed()?;
+        while let Some(operator) = self.take(&['*', '/']) {
+            left = left.both(&self.signed()?, operator);
+        }
+        Ok(left)
+    }
+
+    fn signed(&mut self) -> Result<Written, Mistake> {
+        let mut negative = false;
+        while let Some(sign) = self.take(&['+', '-']) {
+            negative ^= sign == '-';
+        }
+        let power = self.power()?;
+        Ok(if negative {
+            Written::plain("0".to_owned()).both(&power, '-')
+        } else {
+            power
+        })
+    }
+
+    fn power(&mut self) -> Result<Written, Mistake> {
+        let base = self.atom()?;
+        if self.take(&['^']).is_none() {
+            return Ok(base);
+        }
+        self.depth += 1;
+        if self.depth > DEEPEST {
+            return Err(self.mistake("too many powers of powers", "simplify it"));
+        }
+        let exponent = self.signed()?;
+        self.depth -= 1;
+        Ok(base.both(&exponent, '^'))
+    }
+
+    fn atom(&mut self) -> Result<Written, Mistake> {
+        match self.peek() {
+            None => Err(self.mistake(
+                "the expression ends where a value is expected",
+                "a value is a number, a variable, a parameter or a function of one",
+            )),
+            Some('(') => self.parenthesis(),
+            Some(c) if c.is_ascii_digit() || c == '.' => self.number(),
+            Some(c) if c.is_alphabetic() || c == '_' => self.name(),
+            Some(other) => Err(self.mistake(
+                &format!("{other:?} stands where a value is expected"),
+                "allowed: numbers, names, + - * / ^ and parentheses",
+            )),
+        }
+    }
+
+    fn parenthesis(&mut self) -> Result<Written, Mistake> {
+        let open = self.at;
+        self.at += 1;
+        let inside = self.sum()?;
+        if self.take(&[')']).is_some() {
+            return Ok(inside);
+        }
+        match self.peek() {
+            None => Err(Mistake {
+                offset: open,
+                message: "`(` is never closed".to_owned(),
+                help: "add `)`".to_owned(),
+            }),
+            Some(',') => Err(self.mistake(
+                "a function of two arguments is not known",
+                &format!("functions of one argument: {}", FUNCTIONS.join(", ")),
+            )),
+            Some(other) => Err(self.mistake(
+                &format!("an operator is missing before {other:?}"),
+                "a product needs its sign: a*w",
+            )),
+        }
+    }
+
+    fn number(&mut self) -> Result<Written, Mistake> {
+        let rest = self.text[self.at..].as_bytes();
+        let digits = |from: usize| {
+            from + rest[from..]
+                .iter()
+                .take_while(|byte| byte.is_ascii_digit() || **byte == b'.')
+                .count()
+        };
+        let mut end = digits(0);
+        if matches!(rest.get(end), Some(b'e' | b'E')) {
+            let sign = usize::from(matches!(rest.get(end + 1), Some(b'+' | b'-')));
+            if rest.get(end + 1 + sign).is_some_and(u8::is_ascii_digit) {
+                end = digits(end + 1 + sign);
+            }
+        }
+        let number = &self.text[self.at..self.at + end];
+        match number.parse::<f64>() {
+            // Written without an exponent, which the evaluator would not read.
+            Ok(value) if value.is_finite() => {
+                self.at += end;
+                Ok(Written::plain(format!("{value}")))
+            }
+            _ => Err(self.mistake(&format!("{number:?} is not a number"), "as 12, 0.5 or 1e-6")),
+        }
+    }
+
+    fn name(&mut self) -> Result<Written, Mistake> {
+        let begin = self.at;
+        let rest = &self.text[begin..];
+        let length = rest
+            .find(|c: char| !(c.is_alphanumeric() || c == '_'))
+            .unwrap_or(rest.len());
+        let name = &rest[..length];
+        if FUNCTIONS.contains(&name) {
+            self.at += length;
+            if self.peek() != Some('(') {
+                return Err(self.mistake(
+                    &format!("the function `{name}` needs its argument in parentheses"),
+                    &format!("as {name}(w)"),
+                ));
+            }
+            let open = self.at;
+            let argument = self.parenthesis()?;
+            let is_sign = matches!(name, "sgn" | "sign" | "signum");
+            let inside = self.text[open + 1..self.at - 1].trim();
+            return Ok(if is_sign && inside == "w" {
+                Written::plain(format!("{{{}}}", variable(self.direction)))
+            } else {
+                argument.call(name)
+            });
+        }
+        if name == PI {
+            self.at += length;
+            return Ok(Written::plain(format!("{}", std::f64::consts::PI)));
+        }
+        match (self.names)(name) {
+            Ok(index) => {
+                self.at += length;
+                if self.peek() == Some('(') {
+                    self.at = begin;
+                    return Err(self.mistake(
+                        &format!("`{name}` is not a function"),
+                        &format!("functions: {}", FUNCTIONS.join(", ")),
+                    ));
+                }
+                Ok(Written::plain(format!("{{{}}}", variable(index))))
+            }
+            Err(help) => Err(self.mistake(&format!("unknown name `{name}`"), &help)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(name: &str) -> Result<usize, String> {
+        ["w", "a"]
+            .iter()
+            .position(|known| *known == name)
+            .ok_or_else(|| "w or a".to_owned())
+    }
+
+    #[test]
+    fn mistakes_are_found_at_their_place() {
+        for (text, offset, part) in [
+            ("a*ww", 2, "unknown name `ww`"),
+            ("a*(w+1", 2, "never closed"),
+            ("a*w)", 3, "closes nothing"),
+            ("a*", 2, "ends"),
+            ("", 0, "ends"),
+            ("2 w", 2, "operator is missing"),
+            ("a w", 2, "operator is missing"),
+            ("(a w)", 3, "operator is missing"),
+            ("a*/w", 2, "'/'"),
+            ("abs w", 4, "parentheses"),
+            ("a*max(w, 2)", 2, "unknown name `max`"),
+            ("abs(w, 2)", 5, "two arguments"),
+            ("w(2)", 0, "not a function"),
+            ("1.2.3*w", 0, "not a number"),
+            ("a*1e999", 2, "not a number"),
+            ("a*w\u{b2}", 2, "unknown name"),
+            ("{a}", 0, "'{'"),
+        ] {
+            let mistake = read(text, &names, 9).unwrap_err();
+            assert_eq!(mistake.offset, offset, "{text}: {mistake:?}");
+            assert!(mistake.message.contains(part), "{text}: {mistake:?}");
+        }
+    }
+
+    #[test]
+    fn any_text_is_answered_without_a_panic() {
+        use proptest::prelude::*;
+        proptest!(|(text in "[a-w0-9.e+*/^() -]{0,40}|\\PC{0,20}")| {
+            let _ = read(&text, &names, 9);
+        });
+        assert!(read(&"(".repeat(10_000), &names, 9).is_err());
+        assert!(read(&"w^".repeat(10_000), &names, 9).is_err());
+        assert!(read(&"-".repeat(10_000), &names, 9).is_err());
+    }
+}

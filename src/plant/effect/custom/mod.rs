@@ -1,0 +1,268 @@
+//! `custom`: the user's own expression in the voltage or the torque balance.
+//!
+//! ```text
+//! text --grammar--> fully parenthesised --exmex--> Expression (value, symbolic derivatives)
+//!                                                       |
+//! parameters {value, guess, min, max, unit} --roles-----+--> coefficient (linear in it) or shape (not)
+//!                                                       '--> sgn(w) in a torque: friction level, with true stiction
+//! ```
+//!
+//! In a torque that is linear in `sgn(w)`, what stands with `sgn(w)` joins the Coulomb level: it is always against the
+//! motion and holds the shaft at rest. Any other jump at standstill, as of `tanh(1000*w)`, is an explicit torque that a
+//! simulation can only chatter about; the card says so.
+
+mod expression;
+mod grammar;
+mod parameters;
+
+use expression::{ANGLE, DIRECTION, Expression, MOST_NAMES, PARAMETERS, VARIABLES, sign};
+use parameters::Declared;
+
+use super::defined::{DefinitionError, Layout, balance_of, interned, leaked, text_of, unknown_key};
+use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Sums, Terms};
+
+/// The family's card: what `effects custom` shows.
+pub(super) const CARD: Card = Card {
+    id: "custom",
+    name: "own expression",
+    enters: Enters::Torque,
+    equation: "T or U = expression in u, i, w, theta, t and named parameters",
+    causes: "what the user knows of the machine and the catalogue does not hold",
+    looks_like: "as the expression says; a parameter in which it is linear is a coefficient, another a shape that \
+                 needs a guess; sgn(w) in a torque is friction with true stiction, another jump at standstill chatters",
+    excite: "over the range of the variables that stand in it",
+    remedy: "as the expression says",
+    needs_angle: false,
+};
+
+/// Characters of an expression; longer ones are data rather than an equation.
+const LONGEST: usize = 500;
+
+/// Builds the effect from its settings; gives the values that stand in `parameters`, too.
+pub(super) fn define(
+    id: &str,
+    settings: &toml::Table,
+) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+    let allowed = ["id", "equation", "expression", "parameters"];
+    if let Some(key) = settings.keys().find(|key| !allowed.contains(&key.as_str())) {
+        return Err(unknown_key(key, &allowed));
+    }
+    let balance = balance_of(settings)?;
+    let text = text_of(settings, "expression", "a*abs(w)*w")?;
+    if text.len() > LONGEST {
+        return Err(DefinitionError::new(
+            "expression",
+            format!(
+                "expression has {} characters, at most {LONGEST} are allowed",
+                text.len()
+            ),
+            "split it into two effects, custom_one and custom_two",
+        ));
+    }
+    let mut declared = parameters::read(settings.get("parameters"))?;
+    let most = MOST_NAMES - PARAMETERS;
+    if declared.len() > most {
+        return Err(DefinitionError::new(
+            "parameters",
+            format!("{} parameters, at most {most} are allowed", declared.len()),
+            "a model with as many cannot be identified from one run",
+        ));
+    }
+    let compile = |declared: &[Declared]| {
+        let names: Vec<&str> = declared.iter().map(|one| one.name.as_str()).collect();
+        Expression::new(text, &names).map_err(|mistake| DefinitionError {
+            offset: Some(mistake.offset),
+            ..DefinitionError::new("expression", mistake.message, mistake.help)
+        })
+    };
+    let expression = compile(&declared)?;
+    for (index, one) in declared.iter().enumerate() {
+        if !expression.has(PARAMETERS + index) {
+            return Err(DefinitionError::new(
+                "parameters",
+                format!("parameter `{}` does not stand in the expression", one.name),
+                "take it out, or use it in the expression",
+            ));
+        }
+    }
+    // Parameters become coefficients one after the other, as long as the expression is linear in all of them together.
+    let mut linear: Vec<usize> = Vec::new();
+    for index in 0..declared.len() {
+        linear.push(PARAMETERS + index);
+        let is_coefficient = expression.is_linear_in(&linear);
+        declared[index].is_coefficient = is_coefficient;
+        if !is_coefficient {
+            linear.pop();
+        }
+    }
+    if linear.is_empty() {
+        return Err(DefinitionError::new(
+            "expression",
+            "the expression is linear in none of its parameters, so that nothing gives it a size",
+            format!("write size*({text}) with a parameter `size`"),
+        ));
+    }
+    // The first parameter gives the size.
+    declared.sort_by_key(|one| !one.is_coefficient);
+    let values: Vec<Option<f64>> = declared.iter().map(|one| one.value).collect();
+    let mut key = format!("{id}|{balance:?}|{text}");
+    for one in &mut declared {
+        one.complete()?;
+        key.push_str(&one.key());
+    }
+    let expression = compile(&declared)?;
+    let effect = interned(&key, || {
+        let splits = balance == Balance::Torque
+            && expression.has(DIRECTION)
+            && expression.is_linear_in(&[DIRECTION]);
+        let needs_angle = expression.has(ANGLE);
+        Box::new(Custom {
+            card: Box::leak(Box::new(Card {
+                id: leaked(id),
+                name: leaked(if id == CARD.id { CARD.name } else { id }),
+                enters: match balance {
+                    Balance::Torque => Enters::Torque,
+                    Balance::Voltage => Enters::Voltage,
+                },
+                equation: leaked(text),
+                needs_angle,
+                ..CARD
+            })),
+            specs: declared
+                .iter()
+                .map(Declared::spec)
+                .collect::<Vec<_>>()
+                .leak(),
+            body: Box::leak(Box::new(Body {
+                expression,
+                balance,
+                splits,
+            })),
+            declared,
+        })
+    });
+    Ok((effect, values))
+}
+
+struct Custom {
+    card: &'static Card,
+    specs: &'static [ParameterSpec],
+    body: &'static Body,
+    declared: Vec<Declared>,
+}
+
+struct Body {
+    expression: Expression,
+    balance: Balance,
+    /// Whether what stands with `sgn(w)` is a friction level.
+    splits: bool,
+}
+
+impl Effect for Custom {
+    fn card(&self) -> &'static Card {
+        self.card
+    }
+
+    fn parameters(&self) -> &'static [ParameterSpec] {
+        self.specs
+    }
+
+    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
+        let mut all = [0.0; MOST_NAMES];
+        all[PARAMETERS..PARAMETERS + values.len()].copy_from_slice(values);
+        Box::new(Evaluated {
+            body: self.body,
+            all,
+        })
+    }
+
+    fn settings(&self) -> Vec<(&'static str, toml::Value)> {
+        let equation = match self.body.balance {
+            Balance::Torque => "torque",
+            Balance::Voltage => "voltage",
+        };
+        vec![
+            ("equation", equation.into()),
+            ("expression", self.card.equation.into()),
+        ]
+    }
+
+    fn layout(&self) -> Layout {
+        Layout::Table("parameters")
+    }
+
+    fn written(&self, parameter: usize, value: Option<f64>) -> Option<toml::Value> {
+        Some(self.declared[parameter].written(value))
+    }
+}
+
+struct Evaluated {
+    body: &'static Body,
+    /// Variables, `sgn(w)`, parameters.
+    all: [f64; MOST_NAMES],
+}
+
+impl Evaluated {
+    fn value(&self, at: &Instant, direction: f64) -> f64 {
+        let mut all = self.all;
+        all[..VARIABLES.len()].copy_from_slice(&[
+            at.voltage_v,
+            at.current_a,
+            at.speed_rad_s,
+            at.angle_rad,
+            at.time_s,
+        ]);
+        all[DIRECTION] = direction;
+        self.body.expression.value(&all)
+    }
+
+    /// `(torque, friction level)`.
+    fn split(&self, at: &Instant) -> (f64, f64) {
+        if !self.body.splits {
+            return (self.value(at, sign(at.speed_rad_s)), 0.0);
+        }
+        let without = self.value(at, 0.0);
+        (without, self.value(at, 1.0) - without)
+    }
+}
+
+impl Terms for Evaluated {
+    fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
+        match self.body.balance {
+            Balance::Voltage => self.value(at, sign(at.speed_rad_s)),
+            Balance::Torque => 0.0,
+        }
+    }
+
+    fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
+        match self.body.balance {
+            Balance::Voltage => 0.0,
+            Balance::Torque => self.split(at).0,
+        }
+    }
+
+    fn friction_n_m(&self, at: &Instant) -> f64 {
+        match self.body.balance {
+            Balance::Voltage => 0.0,
+            Balance::Torque => self.split(at).1,
+        }
+    }
+
+    fn sums(&self, at: &Instant, own: &[f64]) -> Sums {
+        if self.body.balance == Balance::Voltage {
+            return Sums {
+                voltage_v: self.voltage_v(at, own),
+                ..Sums::default()
+            };
+        }
+        let (torque_n_m, friction_n_m) = self.split(at);
+        Sums {
+            torque_n_m,
+            friction_n_m,
+            ..Sums::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,256 @@
+//! The `parameters` of a custom effect, as they are declared in a file or on the command line.
+//!
+//! `a = 1e-6` a value; `a = {}` to be fitted; `b = { value = 9.0, guess = 10.0, min = 1.0, max = 40.0, unit = "rad/s" }`
+//! whatever is known; `["a", "b"]` a list of names to be fitted.
+
+use super::expression::VARIABLES;
+use super::grammar::{FUNCTIONS, PI};
+use crate::plant::effect::defined::{DefinitionError, leaked, number_of, unknown_key};
+use crate::plant::effect::{ParameterRole, ParameterSpec};
+
+/// Unit of a parameter that is declared without one.
+const NO_UNIT: &str = "-";
+/// Share of the guess, and multiple of it, between which a shape is sought that has no bounds of its own.
+const WIDE: f64 = 100.0;
+
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Declared {
+    pub(super) name: String,
+    pub(super) value: Option<f64>,
+    pub(super) is_coefficient: bool,
+    guess: Option<f64>,
+    min: Option<f64>,
+    max: Option<f64>,
+    unit: Option<String>,
+}
+
+/// Reads the declarations, in the order of their names.
+pub(super) fn read(value: Option<&toml::Value>) -> Result<Vec<Declared>, DefinitionError> {
+    let declared = match value {
+        None => Vec::new(),
+        Some(toml::Value::Array(names)) => names
+            .iter()
+            .map(|name| match name.as_str() {
+                Some(name) => one(name, &toml::Value::Table(toml::Table::new())),
+                None => Err(wrong_form()),
+            })
+            .collect::<Result<Vec<Declared>, _>>()?,
+        Some(toml::Value::Table(table)) => table
+            .iter()
+            .map(|(name, value)| one(name, value))
+            .collect::<Result<Vec<Declared>, _>>()?,
+        Some(_) => return Err(wrong_form()),
+    };
+    for (index, one) in declared.iter().enumerate() {
+        if declared[..index].iter().any(|other| other.name == one.name) {
+            return Err(DefinitionError::new(
+                "parameters",
+                format!("parameter `{}` stands twice", one.name),
+                "each name once",
+            ));
+        }
+    }
+    Ok(declared)
+}
+
+fn wrong_form() -> DefinitionError {
+    DefinitionError::new(
+        "parameters",
+        "parameters must be a table or a list of names",
+        "as parameters = { a = 1e-6, b = {} } or parameters = [\"a\", \"b\"]",
+    )
+}
+
+fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
+    let is_name = name
+        .chars()
+        .enumerate()
+        .all(|(place, c)| c == '_' || c.is_alphabetic() || (place > 0 && c.is_alphanumeric()));
+    if !is_name || name.is_empty() {
+        return Err(DefinitionError::new(
+            name,
+            format!("{name:?} is not a name for a parameter"),
+            "letters, digits and _, the first not a digit",
+        ));
+    }
+    if VARIABLES.contains(&name) || FUNCTIONS.contains(&name) || name == PI {
+        return Err(DefinitionError::new(
+            name,
+            format!("`{name}` has a meaning already and cannot name a parameter"),
+            format!(
+                "taken: {}, {PI}, {}",
+                VARIABLES.join(", "),
+                FUNCTIONS.join(", ")
+            ),
+        ));
+    }
+    let mut declared = Declared {
+        name: name.to_owned(),
+        value: None,
+        is_coefficient: false,
+        guess: None,
+        min: None,
+        max: None,
+        unit: None,
+    };
+    let toml::Value::Table(table) = value else {
+        declared.value = Some(number_of(name, value)?);
+        return Ok(declared);
+    };
+    for (key, value) in table {
+        match key.as_str() {
+            "value" => declared.value = Some(number_of(name, value)?),
+            "guess" => declared.guess = Some(number_of(name, value)?),
+            "min" => declared.min = Some(number_of(name, value)?),
+            "max" => declared.max = Some(number_of(name, value)?),
+            "unit" => {
+                let unit = value.as_str().ok_or_else(|| {
+                    DefinitionError::new(
+                        name,
+                        format!("unit of `{name}` is not a text"),
+                        "as \"N.m\"",
+                    )
+                })?;
+                declared.unit = Some(unit.to_owned());
+            }
+            other => {
+                let error = unknown_key(other, &["value", "guess", "min", "max", "unit"]);
+                return Err(DefinitionError {
+                    key: name.to_owned(),
+                    ..error
+                });
+            }
+        }
+    }
+    Ok(declared)
+}
+
+impl Declared {
+    /// Fills in what a shape needs: a guess and bounds around it.
+    pub(super) fn complete(&mut self) -> Result<(), DefinitionError> {
+        let name = &self.name;
+        if !self.is_coefficient {
+            let middle = || Some(0.5 * (self.min? + self.max?));
+            let Some(guess) = self.guess.or(self.value).or_else(middle) else {
+                return Err(DefinitionError::new(
+                    name,
+                    format!("the expression is not linear in `{name}`, so it needs a guess"),
+                    format!("as {name} = {{ guess = 10.0, min = 1.0, max = 40.0 }}"),
+                ));
+            };
+            if guess == 0.0 && (self.min.is_none() || self.max.is_none()) {
+                return Err(DefinitionError::new(
+                    name,
+                    format!("`{name}` is guessed as 0, which says nothing of its size"),
+                    "give min and max",
+                ));
+            }
+            let ends = (guess / WIDE, guess * WIDE);
+            self.min.get_or_insert(f64::min(ends.0, ends.1));
+            self.max.get_or_insert(f64::max(ends.0, ends.1));
+            self.guess = Some(guess);
+        }
+        let (min, max) = self.bounds();
+        for (what, value) in [("value", self.value), ("guess", self.guess)] {
+            if let Some(value) = value.filter(|value| !(min..=max).contains(value)) {
+                return Err(DefinitionError::new(
+                    name,
+                    format!("{what} of `{name}` is {value}, outside of {min} to {max}"),
+                    "widen min and max",
+                ));
+            }
+        }
+        if min < max {
+            Ok(())
+        } else {
+            Err(DefinitionError::new(
+                name,
+                format!("min of `{name}` is {min} and max {max}"),
+                "min must be below max",
+            ))
+        }
+    }
+
+    fn bounds(&self) -> (f64, f64) {
+        (self.min.unwrap_or(-f64::MAX), self.max.unwrap_or(f64::MAX))
+    }
+
+    /// What tells two definitions apart; the value does not.
+    pub(super) fn key(&self) -> String {
+        let Self {
+            name,
+            guess,
+            min,
+            max,
+            unit,
+            ..
+        } = self;
+        format!("|{name} {guess:?} {min:?} {max:?} {unit:?}")
+    }
+
+    pub(super) fn spec(&self) -> ParameterSpec {
+        let (min, max) = self.bounds();
+        let key = leaked(&self.name);
+        let unit = leaked(self.unit.as_deref().unwrap_or(NO_UNIT));
+        if self.is_coefficient {
+            return ParameterSpec {
+                key,
+                unit,
+                min,
+                max,
+                scale: self
+                    .guess
+                    .filter(|guess| *guess != 0.0)
+                    .map_or(1.0, f64::abs),
+                role: ParameterRole::Coefficient,
+                logarithmic: false,
+                shapes: &[],
+            };
+        }
+        let guess = self.guess.unwrap_or(0.5 * (min + max));
+        let logarithmic = min > 0.0;
+        let grid = if logarithmic {
+            [guess / 3.0, guess, guess * 3.0]
+        } else {
+            [0.5 * (guess + min), guess, 0.5 * (guess + max)]
+        };
+        let grid: Vec<f64> = grid.iter().map(|shape| shape.clamp(min, max)).collect();
+        ParameterSpec {
+            key,
+            unit,
+            min,
+            max,
+            scale: if logarithmic {
+                guess
+            } else {
+                0.1 * (max - min).min(10.0 * guess.abs().max(1e-9))
+            },
+            role: ParameterRole::Shape,
+            logarithmic,
+            shapes: grid.leak(),
+        }
+    }
+
+    /// The declaration with a value, as a file holds it.
+    pub(super) fn written(&self, value: Option<f64>) -> toml::Value {
+        let known = [
+            ("value", value),
+            ("guess", self.guess),
+            ("min", self.min),
+            ("max", self.max),
+        ];
+        let mut table = toml::Table::new();
+        for (key, value) in known {
+            if let Some(value) = value {
+                table.insert(key.to_owned(), value.into());
+            }
+        }
+        if let Some(unit) = &self.unit {
+            table.insert("unit".to_owned(), unit.clone().into());
+        }
+        match value {
+            Some(value) if table.len() == 1 => value.into(),
+            _ => toml::Value::Table(table),
+        }
+    }
+}

@@ -1,0 +1,140 @@
+use super::*;
+use crate::plant::{ActiveEffect, Input, Model, Motor, ParameterRole, Plant, Scenario, State};
+use crate::sample::Channel;
+
+fn defined(text: &str) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+    define("custom", &text.parse::<toml::Table>().unwrap())
+}
+
+fn torque(expression: &str, parameters: &str) -> &'static dyn Effect {
+    defined(&format!(
+        "equation = \"torque\"\nexpression = \"{expression}\"\nparameters = {parameters}"
+    ))
+    .unwrap()
+    .0
+}
+
+#[test]
+fn a_parameter_that_enters_linearly_is_a_coefficient_and_comes_first() {
+    let effect = torque("z*exp(-(w/b)^2)*sgn(w)", "{ b = 9.0, z = {} }");
+    let [size, shape] = effect.parameters() else {
+        panic!("two parameters");
+    };
+    assert_eq!((size.key, size.role), ("z", ParameterRole::Coefficient));
+    assert_eq!((shape.key, shape.role), ("b", ParameterRole::Shape));
+    assert!((shape.guess() - 9.0).abs() < 1e-12 && shape.logarithmic);
+    // Either could be the coefficient of a product; both at once could not.
+    let product = torque("a*(w + b*w^2)", "{ a = {}, b = 0.01 }");
+    let roles: Vec<ParameterRole> = product.parameters().iter().map(|spec| spec.role).collect();
+    assert_eq!(roles, [ParameterRole::Coefficient, ParameterRole::Shape]);
+}
+
+#[test]
+fn what_stands_with_the_sign_of_the_speed_is_friction() {
+    let effect = torque(
+        "a*w + b*sgn(w)*(1 + c*abs(i))",
+        "{ a = {}, b = {}, c = 0.5 }",
+    );
+    let values: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(|spec| match spec.key {
+            "a" => 0.01,
+            "b" => 0.2,
+            _ => 0.5,
+        })
+        .collect();
+    let at = Instant {
+        speed_rad_s: -3.0,
+        current_a: -2.0,
+        ..Instant::default()
+    };
+    let sums = effect.terms(&values).sums(&at, &[]);
+    assert!((sums.torque_n_m + 0.03).abs() < 1e-12, "{sums:?}");
+    assert!((sums.friction_n_m - 0.4).abs() < 1e-12, "{sums:?}");
+    // In the voltage balance it is a voltage.
+    let drop = "equation = \"voltage\"\nexpression = \"a*sgn(w)\"\nparameters = [\"a\"]";
+    let sums = defined(drop).unwrap().0.terms(&[0.5]).sums(&at, &[]);
+    assert!((sums.voltage_v + 0.5).abs() < 1e-12 && sums.friction_n_m.abs() < 1e-300);
+}
+
+#[test]
+fn its_own_coulomb_friction_holds_the_shaft_as_the_baseline_does() {
+    let scenario = Scenario {
+        name: "r".into(),
+        input: Input::Voltage,
+        input_channel: Channel::Voltage,
+        // 0.3 N.m holds against 0.8 A times 0.3538, and not against 4 A.
+        events: vec![(0.0, 0.8 * 1.1), (1.0, 12.0), (2.0, 0.5)],
+        sample_time_s: (0..3000).map(|k| f64::from(k) * 0.001).collect(),
+        current_a: vec![0.0; 3000],
+        speed_rad_s: vec![0.0; 3000],
+        angle: vec![],
+        scored: 0..3000,
+    };
+    let run = |level: f64, own: f64| {
+        let motor = Motor::zk_22fc().with(crate::plant::MotorKey::LoadTorque, level);
+        let mut model = Model::baseline(motor);
+        model.effects.push(ActiveEffect {
+            effect: torque("level*sgn(w)", "[\"level\"]"),
+            values: vec![Some(own)],
+        });
+        Plant::new(&model, Input::Voltage)
+            .unwrap()
+            .simulate(&scenario, State::default())
+    };
+    let (baseline, own) = (run(0.3, 0.0), run(0.0, 0.3));
+    for (a, b) in baseline.speed_rad_s.iter().zip(&own.speed_rad_s) {
+        assert!((a - b).abs() < 1e-9, "{a} {b}");
+    }
+    assert!(
+        own.speed_rad_s[..1000]
+            .iter()
+            .all(|speed| speed.abs() < 1e-12)
+    );
+    assert!(own.speed_rad_s[1900] > 10.0);
+}
+
+#[test]
+fn a_definition_is_kept_once_whatever_its_values() {
+    let (one, _) =
+        defined("equation = \"torque\"\nexpression = \"a*w\"\nparameters = { a = 1 }").unwrap();
+    let (same, values) =
+        defined("equation = \"torque\"\nexpression = \"a*w\"\nparameters = { a = 2.5 }").unwrap();
+    assert!(std::ptr::addr_eq(one, same));
+    assert_eq!(values, [Some(2.5)]);
+    let (other, _) =
+        defined("equation = \"voltage\"\nexpression = \"a*w\"\nparameters = [\"a\"]").unwrap();
+    assert!(!std::ptr::addr_eq(one, other));
+}
+
+#[test]
+fn wrong_definitions_are_named() {
+    let good = "equation = \"torque\"\nexpression = \"a*w\"\nparameters = { a = 1.0 }";
+    for (from, to, key, part) in [
+        ("a*w", "a*q", "expression", "unknown name `q`"),
+        ("a*w", "w", "parameters", "does not stand in"),
+        ("a*w", "exp(a*w)", "expression", "linear in none"),
+        ("a = 1.0", "w = 1.0", "w", "meaning already"),
+        ("a = 1.0", "a = true", "a", "expected a number"),
+        ("a = 1.0", "a = nan", "a", "not allowed"),
+        ("a = 1.0", "a = { size = 2.0 }", "a", "unknown key"),
+        ("a = 1.0", "a = { value = 3.0, max = 2.0 }", "a", "outside"),
+        ("{ a = 1.0 }", "[\"a\", \"a\"]", "parameters", "twice"),
+        ("{ a = 1.0 }", "7", "parameters", "a table or a list"),
+        ("{ a = 1.0 }", "{ \"1a\" = 1.0 }", "1a", "not a name"),
+        ("torque", "power", "equation", "power"),
+        ("equation", "equatoin", "equatoin", "unknown key"),
+    ] {
+        let error = defined(&good.replace(from, to)).err().unwrap();
+        assert_eq!(error.key, key, "{error}");
+        assert!(error.message.contains(part), "{error}");
+        assert!(!error.help.is_empty());
+    }
+    let two = "equation = \"torque\"\nexpression = \"a*sin(b*t)\"\nparameters = [\"a\", \"b\"]";
+    let error = defined(two).err().unwrap();
+    assert!(
+        error.key == "b" && error.message.contains("needs a guess"),
+        "{error}"
+    );
+}

@@ -1,0 +1,403 @@
+//! `table`: a learned curve over one axis, for an effect whose name is still unknown.
+
+use std::f64::consts::TAU;
+
+use super::defined::{
+    DefinitionError, Layout, balance_of, interned, leaked, number_of, text_of, unknown_key,
+};
+use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Terms};
+
+/// The family's card: what `effects table` shows.
+pub(super) const CARD: Card = Card {
+    id: "table",
+    name: "learned curve",
+    enters: Enters::Torque,
+    equation: "T or U = piecewise linear over speed, current, angle or time, constant beyond the ends",
+    causes: "not known yet: the curve holds what the data show until the effect has a name",
+    looks_like: "the error follows one axis, and no effect of the catalogue has this form",
+    excite: "slowly over the whole range of the axis, both ways",
+    remedy: "look at the curve: its form is the way to its cause; compensate by feed-forward from the table",
+    needs_angle: false,
+};
+
+const FEWEST_KNOTS: usize = 2;
+const MOST_KNOTS: usize = 64;
+
+/// What a curve runs over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axis {
+    Speed,
+    Current,
+    Angle,
+    Time,
+    Voltage,
+}
+
+impl Axis {
+    pub const ALL: [Self; 5] = [
+        Self::Speed,
+        Self::Current,
+        Self::Angle,
+        Self::Time,
+        Self::Voltage,
+    ];
+
+    /// As it stands in a model file.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Speed => "speed_rad_s",
+            Self::Current => "current_a",
+            Self::Angle => "angle_rad",
+            Self::Time => "time_s",
+            Self::Voltage => "voltage_v",
+        }
+    }
+
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Speed => "rad/s",
+            Self::Current => "A",
+            Self::Angle => "rad",
+            Self::Time => "s",
+            Self::Voltage => "V",
+        }
+    }
+
+    pub fn from_key(key: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|axis| axis.key() == key)
+    }
+
+    /// Whether the curve goes on from its last knot to its first: a turn of the shaft.
+    pub const fn is_periodic(self) -> bool {
+        matches!(self, Self::Angle)
+    }
+
+    const fn of(self, at: &Instant) -> f64 {
+        match self {
+            Self::Speed => at.speed_rad_s,
+            Self::Current => at.current_a,
+            Self::Angle => at.angle_rad,
+            Self::Time => at.time_s,
+            Self::Voltage => at.voltage_v,
+        }
+    }
+}
+
+/// Builds the effect from its settings; gives the values that stand there, too.
+pub(super) fn define(
+    id: &str,
+    settings: &toml::Table,
+) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+    let balance = balance_of(settings)?;
+    let axis = text_of(settings, "axis", Axis::Speed.key())?;
+    let axis = Axis::from_key(axis).ok_or_else(|| {
+        let known: Vec<&str> = Axis::ALL.into_iter().map(Axis::key).collect();
+        DefinitionError::new(
+            "axis",
+            format!("axis {axis:?} is not known"),
+            known.join(", "),
+        )
+    })?;
+    let knots = list(settings, "knots")?.ok_or_else(|| {
+        DefinitionError::new("id", "knots are missing", "as knots = [-100.0, 0.0, 100.0]")
+    })?;
+    check(axis, &knots)?;
+    let mut values = vec![None; knots.len()];
+    if let Some(given) = list(settings, "values")? {
+        if given.len() != knots.len() {
+            return Err(DefinitionError::new(
+                "values",
+                format!("{} values for {} knots", given.len(), knots.len()),
+                "one value for each knot, or none at all: they are fitted then",
+            ));
+        }
+        values = given.into_iter().map(Some).collect();
+    }
+    for (key, value) in settings {
+        if ["id", "equation", "axis", "knots", "values"].contains(&key.as_str()) {
+            continue;
+        }
+        let place = key
+            .strip_prefix("value_")
+            .and_then(|number| number.parse::<usize>().ok())
+            .filter(|number| (1..=knots.len()).contains(number));
+        let Some(place) = place else {
+            return Err(unknown_key(
+                key,
+                &["id", "equation", "axis", "knots", "values", "value_1"],
+            ));
+        };
+        values[place - 1] = Some(number_of(key, value)?);
+    }
+    let key = format!("{id}|{balance:?}|{axis:?}|{knots:?}");
+    let effect = interned(&key, || {
+        let unit = match balance {
+            Balance::Torque => "N.m",
+            Balance::Voltage => "V",
+        };
+        let card = Card {
+            id: leaked(id),
+            name: leaked(&format!("{} over {}", CARD.name, axis.key())),
+            enters: match balance {
+                Balance::Torque => Enters::Torque,
+                Balance::Voltage => Enters::Voltage,
+            },
+            needs_angle: axis == Axis::Angle,
+            ..CARD
+        };
+        let specs: Vec<ParameterSpec> = (1..=knots.len())
+            .map(|number| {
+                let key = leaked(&format!("value_{number}"));
+                ParameterSpec::coefficient(key, unit, f64::MAX, 0.1)
+            })
+            .collect();
+        Box::new(Table {
+            card: Box::leak(Box::new(card)),
+            specs: specs.leak(),
+            balance,
+            axis,
+            knots: knots.leak(),
+        })
+    });
+    Ok((effect, values))
+}
+
+fn list(settings: &toml::Table, key: &str) -> Result<Option<Vec<f64>>, DefinitionError> {
+    let Some(value) = settings.get(key) else {
+        return Ok(None);
+    };
+    let items = value.as_array().ok_or_else(|| {
+        let message = format!("{key} is a {}, expected a list", value.type_str());
+        DefinitionError::new(key, message, "a list of numbers, as [-100.0, 0.0, 100.0]")
+    })?;
+    items
+        .iter()
+        .map(|item| number_of(key, item))
+        .collect::<Result<_, _>>()
+        .map(Some)
+}
+
+fn check(axis: Axis, knots: &[f64]) -> Result<(), DefinitionError> {
+    if !(FEWEST_KNOTS..=MOST_KNOTS).contains(&knots.len()) {
+        let message = format!("{} knots", knots.len());
+        let help = format!("{FEWEST_KNOTS} to {MOST_KNOTS} are allowed");
+        return Err(DefinitionError::new("knots", message, help));
+    }
+    if let Some(pair) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
+        let message = format!("knot {} follows {}", pair[1], pair[0]);
+        return Err(DefinitionError::new(
+            "knots",
+            message,
+            "knots must rise from one to the next",
+        ));
+    }
+    if axis.is_periodic() && !(knots[0] >= 0.0 && knots[knots.len() - 1] < TAU) {
+        let message = format!("knots from {} to {} rad", knots[0], knots[knots.len() - 1]);
+        return Err(DefinitionError::new(
+            "knots",
+            message,
+            "angles lie from 0 to below 2 pi",
+        ));
+    }
+    Ok(())
+}
+
+struct Table {
+    card: &'static Card,
+    specs: &'static [ParameterSpec],
+    balance: Balance,
+    axis: Axis,
+    knots: &'static [f64],
+}
+
+impl Effect for Table {
+    fn card(&self) -> &'static Card {
+        self.card
+    }
+
+    fn parameters(&self) -> &'static [ParameterSpec] {
+        self.specs
+    }
+
+    fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
+        Box::new(Curve {
+            balance: self.balance,
+            axis: self.axis,
+            knots: self.knots,
+            values: values.to_vec(),
+        })
+    }
+
+    fn settings(&self) -> Vec<(&'static str, toml::Value)> {
+        let equation = match self.balance {
+            Balance::Torque => "torque",
+            Balance::Voltage => "voltage",
+        };
+        let knots = self.knots.iter().copied().map(toml::Value::from).collect();
+        vec![
+            ("equation", equation.into()),
+            ("axis", self.axis.key().into()),
+            ("knots", toml::Value::Array(knots)),
+        ]
+    }
+
+    fn layout(&self) -> Layout {
+        Layout::List("values")
+    }
+}
+
+struct Curve {
+    balance: Balance,
+    axis: Axis,
+    knots: &'static [f64],
+    values: Vec<f64>,
+}
+
+impl Curve {
+    fn at(&self, at: &Instant) -> f64 {
+        weights(self.axis, self.knots, self.axis.of(at))
+            .iter()
+            .map(|(knot, weight)| weight * self.values[*knot])
+            .sum()
+    }
+}
+
+/// The two knots beside a place and their weights: the hat functions that are not zero there.
+pub fn weights(axis: Axis, knots: &[f64], place: f64) -> [(usize, f64); 2] {
+    let last = knots.len() - 1;
+    let place = if axis.is_periodic() {
+        place.rem_euclid(TAU)
+    } else {
+        place
+    };
+    let after = knots.partition_point(|knot| *knot <= place);
+    let (low, high, share) = if after > 0 && after <= last {
+        let (low, high) = (knots[after - 1], knots[after]);
+        (after - 1, after, (place - low) / (high - low))
+    } else if axis.is_periodic() {
+        // Beyond the last knot or before the first: on the way from the one to the other, one turn on.
+        let gap = knots[0] + TAU - knots[last];
+        let beyond = (place - knots[last]).rem_euclid(TAU);
+        (last, 0, beyond / gap)
+    } else if after == 0 {
+        (0, 0, 0.0)
+    } else {
+        (last, last, 0.0)
+    };
+    // A place that is not known has no value.
+    let share = if place.is_nan() { f64::NAN } else { share };
+    [(low, 1.0 - share), (high, share)]
+}
+
+impl Terms for Curve {
+    fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
+        match self.balance {
+            Balance::Voltage => self.at(at),
+            Balance::Torque => 0.0,
+        }
+    }
+
+    fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
+        match self.balance {
+            Balance::Voltage => 0.0,
+            Balance::Torque => self.at(at),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(text: &str) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+        define("table", &text.parse::<toml::Table>().unwrap())
+    }
+
+    const SPEED: &str = "equation = \"torque\"\naxis = \"speed_rad_s\"\nknots = [-10.0, 0.0, 20]\n";
+
+    #[test]
+    fn it_is_linear_between_knots_and_constant_beyond() {
+        let (effect, values) = table(&format!("{SPEED}values = [1.0, 0.0, 4]")).unwrap();
+        let values: Vec<f64> = values.into_iter().flatten().collect();
+        let terms = effect.terms(&values);
+        for (speed_rad_s, expected) in [
+            (-50.0, 1.0),
+            (-10.0, 1.0),
+            (-5.0, 0.5),
+            (0.0, 0.0),
+            (5.0, 1.0),
+            (20.0, 4.0),
+            (30.0, 4.0),
+        ] {
+            let at = Instant {
+                speed_rad_s,
+                ..Instant::default()
+            };
+            assert!(
+                (terms.torque_n_m(&at, &[]) - expected).abs() < 1e-12,
+                "{speed_rad_s}"
+            );
+            assert!(terms.voltage_v(&at, &[]).abs() < 1e-300);
+        }
+    }
+
+    #[test]
+    fn over_the_angle_it_closes_the_turn() {
+        let knots = [1.0, 2.0, 5.0];
+        let value = |angle: f64| -> f64 {
+            weights(Axis::Angle, &knots, angle)
+                .iter()
+                .map(|(knot, weight)| weight * [10.0, 20.0, 50.0][*knot])
+                .sum()
+        };
+        // From 5 to 1 + 2 pi the curve falls from 50 to 10.
+        let gap = 1.0 + TAU - 5.0;
+        for (angle, expected) in [
+            (1.5, 15.0),
+            (5.0 + 0.25 * gap, 40.0),
+            (1.0 - 0.25 * gap, 20.0),
+            (1.0 + 3.0 * TAU, 10.0),
+            (1.5 - 2.0 * TAU, 15.0),
+        ] {
+            assert!(
+                (value(angle) - expected).abs() < 1e-9,
+                "{angle}: {}",
+                value(angle)
+            );
+        }
+        assert!(value(f64::NAN).is_nan());
+    }
+
+    #[test]
+    fn the_same_settings_are_the_same_effect_and_other_knots_another() {
+        let (one, _) = table(SPEED).unwrap();
+        let (same, values) = table(&format!("{SPEED}value_2 = 0.5")).unwrap();
+        let (other, _) = table(&SPEED.replace("20", "21")).unwrap();
+        assert!(std::ptr::addr_eq(one, same) && !std::ptr::addr_eq(one, other));
+        assert_eq!(values, vec![None, Some(0.5), None]);
+    }
+
+    #[test]
+    fn wrong_settings_are_named() {
+        for (from, to, key, part) in [
+            ("torque", "force", "equation", "force"),
+            ("speed_rad_s", "speed", "axis", "speed"),
+            ("[-10.0, 0.0, 20]", "[0.0]", "knots", "1 knots"),
+            ("[-10.0, 0.0, 20]", "[0.0, 0.0]", "knots", "follows"),
+            ("[-10.0, 0.0, 20]", "[0.0, nan]", "knots", "not allowed"),
+            ("[-10.0, 0.0, 20]", "7", "knots", "expected a list"),
+            ("axis =", "value_4 = 1.0\naxis =", "value_4", "unknown key"),
+            (
+                "axis =",
+                "values = [1.0]\naxis =",
+                "values",
+                "1 values for 3 knots",
+            ),
+            ("speed_rad_s", "angle_rad", "knots", "rad"),
+        ] {
+            let error = table(&SPEED.replace(from, to)).err().unwrap();
+            assert_eq!(error.key, key, "{error}");
+            assert!(error.message.contains(part), "{error}");
+        }
+    }
+}

@@ -1,0 +1,529 @@
+//! Two inertias on an elastic shaft, with or without play: motor and speed sensor before it, the load behind.
+//!
+//! ```text
+//! current -> J1: w, stiction, effects  --T = k z(twist) + d (w - w2)-->  J2: w2, stiction
+//! ```
+//!
+//! DISCOVERY.md 2.1. Each side sticks or slides in a direction, the shaft is in contact on one side or within its play:
+//! between changes of these the equations are linear and propagated exactly. A change within a step is located and
+//! the step is cut there, so that the result moves smoothly with the parameters.
+
+use super::equations::Equations;
+use super::shaft_flow::{Flow, Sparse, X};
+use super::state::{Mode, State};
+use crate::plant::effect::{Coupling, Instant};
+
+/// Changes of mode within one sub-step beyond which both sides are taken as coming to rest.
+const MOST_EVENTS: usize = 8;
+
+/// Margins within are at the edge of their mode: what a located crossing and rounding leave, rad/s or N.m.
+const EDGE: f64 = 1e-11;
+
+/// Passages of zero that are no deeper are rounding, rad/s.
+const SHALLOW_RAD_S: f64 = 1e-9;
+
+/// The load side.
+#[derive(Clone, Copy, Debug, Default)]
+struct Load {
+    speed_rad_s: f64,
+    /// Natural frequency times the angle by which the motor is ahead, rad/s: all mechanical states have one unit.
+    twist_rad_s: f64,
+    mode: Mode,
+    contact: Contact,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Contact {
+    /// Within the play.
+    #[default]
+    Open,
+    /// The motor pushes the load forward, or is braked by it.
+    Ahead,
+    /// The motor pushes the load backward.
+    Behind,
+}
+
+impl Contact {
+    const fn sign(self) -> f64 {
+        match self {
+            Self::Open => 0.0,
+            Self::Ahead => 1.0,
+            Self::Behind => -1.0,
+        }
+    }
+}
+
+/// What ends a mode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Side {
+    Motor,
+    Load,
+    Play,
+}
+
+const SIDES: [Side; 3] = [Side::Motor, Side::Load, Side::Play];
+
+/// Where a step begins.
+struct Begin {
+    motor: State,
+    load: Load,
+    forcing: [f64; 3],
+    at: Instant,
+}
+
+impl Begin {
+    /// Which of the linear modes holds.
+    fn index(&self) -> usize {
+        usize::from(self.motor.mode == Mode::Stuck)
+            + 2 * usize::from(self.load.mode == Mode::Stuck)
+            + 4 * usize::from(self.load.contact == Contact::Open)
+    }
+}
+
+/// Shaft and load of a model made ready for simulation.
+pub(super) struct TwoMass {
+    /// k over the natural frequency, and d: shaft torque per twist and per difference of the speeds.
+    stiffness: f64,
+    damping: f64,
+    inverse_motor: f64,
+    inverse_load: f64,
+    coulomb_n_m: f64,
+    /// Half the play, in the unit of the twist.
+    half_play_rad_s: f64,
+    /// By motor stuck, load stuck, contact.
+    flows: [Flow; 8],
+    load: Load,
+}
+
+impl TwoMass {
+    pub(super) fn new(coupling: &Coupling, equations: &Equations) -> Self {
+        // f, r, zeta: as in `Coupling`. With the twist times the natural frequency w0, k/(J1 w0) = w0 r,
+        // d/J1 = 2 zeta w0 r, and with 1 - r for the load.
+        let w0 = std::f64::consts::TAU * coupling.frequency_hz;
+        let r = coupling.inertia_ratio;
+        let zeta = coupling.damping_ratio;
+        let inverse_motor = equations.inverse_inertia;
+        let motor_inertia = 1.0 / inverse_motor;
+        let flow = |index: usize| {
+            let moves = |stuck: bool| f64::from(u8::from(!stuck));
+            let (motor, load) = (moves(index & 1 != 0), moves(index & 2 != 0));
+            let spring = moves(index & 4 != 0);
+            Flow::new(
+                Sparse {
+                    current: [equations.a[0][0], motor * equations.a[0][1]],
+                    motor: [
+                        equations.a[1][0],
+                        -2.0 * zeta * w0 * r,
+                        load * 2.0 * zeta * w0 * r,
+                        -spring * w0 * r,
+                    ]
+                    .map(|rate| motor * rate),
+                    load: [
+                        motor * 2.0 * zeta * w0 * (1.0 - r),
+                        -2.0 * zeta * w0 * (1.0 - r),
+                        spring * w0 * (1.0 - r),
+                    ]
+                    .map(|rate| load * rate),
+                    twist: [motor * w0, -load * w0],
+                },
+                !equations.is_linear(),
+            )
+        };
+        Self {
+            stiffness: w0 * r * motor_inertia,
+            damping: 2.0 * zeta * w0 * r * motor_inertia,
+            inverse_motor,
+            inverse_load: (1.0 - r) / r * inverse_motor,
+            coulomb_n_m: equations.coulomb_behind,
+            half_play_rad_s: 0.5 * coupling.gap_rad * w0,
+            flows: std::array::from_fn(flow),
+            load: Load::default(),
+        }
+    }
+
+    /// Puts the load where it is if nothing has changed for long: as fast as the motor, the shaft loaded with the load's
+    /// friction.
+    pub(super) fn start(&mut self, state: &State) {
+        for flow in &mut self.flows {
+            flow.clear();
+        }
+        let speed_rad_s = state.speed_rad_s;
+        let ahead = if speed_rad_s == 0.0 {
+            0.0
+        } else {
+            speed_rad_s.signum()
+        };
+        self.load = Load {
+            speed_rad_s,
+            twist_rad_s: ahead * (self.half_play_rad_s + self.coulomb_n_m / self.stiffness),
+            ..Load::default()
+        };
+        self.load.contact = self.contact_of(self.load.twist_rad_s);
+    }
+
+    /// The motor's speed is set to a measured one, `change_rad_s` away from the simulated. The load goes along, so that
+    /// the shaft's torque stays; a load at rest stays at rest.
+    pub(super) fn anchor(&mut self, change_rad_s: f64) {
+        if self.load.mode != Mode::Stuck && change_rad_s.is_finite() {
+            self.load.speed_rad_s += change_rad_s;
+            self.load.mode = Mode::Undecided;
+        }
+    }
+
+    /// One sub-step with its changes of mode.
+    #[inline(never)]
+    pub(super) fn sub_step(
+        &mut self,
+        equations: &Equations,
+        state: &mut State,
+        mut at: Instant,
+        h: f64,
+    ) {
+        if state.mode == Mode::Undecided {
+            state.mode = self.motor_mode(equations, state, &at);
+        }
+        if self.load.mode == Mode::Undecided {
+            self.load.mode = self.load_mode(state);
+        }
+        let mut left = h;
+        for _ in 0..MOST_EVENTS {
+            let from = Begin {
+                forcing: self.forcing(equations, state, &self.load, &at),
+                motor: *state,
+                load: self.load,
+                at,
+            };
+            self.flows[from.index()].ready(left);
+            let next = self.trial(equations, &from, left);
+            let Some((cut, first)) = self.first_end(equations, &from, &next, left) else {
+                (*state, self.load) = next;
+                return;
+            };
+            (*state, self.load) = self.trial(equations, &from, cut);
+            left -= cut;
+            at.time_s += cut;
+            self.change(equations, state, &at, first, &next);
+            if left <= 1e-9 * h {
+                return;
+            }
+        }
+        let from = Begin {
+            forcing: self.forcing(equations, state, &self.load, &at),
+            motor: *state,
+            load: self.load,
+            at,
+        };
+        (*state, self.load) = self.trial(equations, &from, left);
+        state.mode = Mode::Undecided;
+        self.load.mode = Mode::Undecided;
+        self.load.contact = self.contact_of(self.load.twist_rad_s);
+    }
+
+    /// When, within `h`, a mode ends, and which first.
+    #[inline]
+    fn first_end(
+        &self,
+        equations: &Equations,
+        from: &Begin,
+        next: &(State, Load),
+        h: f64,
+    ) -> Option<(f64, Side)> {
+        let ends = SIDES.map(|side| {
+            if self.margin(equations, next, from, side) < 0.0 {
+                Some(h)
+            } else {
+                self.turned_within(from, next, h, side)
+            }
+        });
+        if ends == [None; 3] {
+            return None;
+        }
+        let mut first = None;
+        for (side, end) in SIDES.into_iter().zip(ends) {
+            let Some(within) = end else { continue };
+            if let Some(when) = self.locate(equations, from, within, side)
+                && first.is_none_or(|(before, _)| when < before)
+            {
+                first = Some((when, side));
+            }
+        }
+        first
+    }
+
+    /// The instant at which a speed turned back, if it may have passed zero and come back within the step: its friction
+    /// would have changed its direction, or held it.
+    #[inline]
+    fn turned_within(
+        &self,
+        from: &Begin,
+        (motor, load): &(State, Load),
+        h: f64,
+        side: Side,
+    ) -> Option<f64> {
+        let (mode, before, after) = match side {
+            Side::Motor => (from.motor.mode, from.motor.speed_rad_s, motor.speed_rad_s),
+            Side::Load => (from.load.mode, from.load.speed_rad_s, load.speed_rad_s),
+            Side::Play => return None,
+        };
+        let sign = mode.sign();
+        let flow = &self.flows[from.index()];
+        let rate = |x: X| {
+            let rates = flow.rates(x, from.forcing);
+            sign * if side == Side::Motor {
+                rates[1]
+            } else {
+                rates[2]
+            }
+        };
+        let falling = rate(together(&from.motor, &from.load));
+        // A straight fall would not reach zero: no turn does.
+        if falling >= 0.0 || sign * before + falling * h > 0.0 {
+            return None;
+        }
+        let rising = rate(together(motor, load));
+        if rising <= 0.0 || sign * after <= 0.0 {
+            return None;
+        }
+        let turn = h * falling / (falling - rising);
+        (sign * before + 0.5 * falling * turn < -SHALLOW_RAD_S).then_some(turn)
+    }
+
+    /// The mode of `side` has come to its end; without it `beyond` would have come.
+    fn change(
+        &mut self,
+        equations: &Equations,
+        state: &mut State,
+        at: &Instant,
+        side: Side,
+        beyond: &(State, Load),
+    ) {
+        match side {
+            Side::Motor => {
+                state.speed_rad_s = 0.0;
+                state.mode = if state.mode == Mode::Stuck {
+                    let driving = equations.driving_torque(&beyond.0, at);
+                    direction(driving - self.shaft_torque(&beyond.0, &beyond.1))
+                } else {
+                    self.motor_mode(equations, state, at)
+                };
+            }
+            Side::Load => {
+                self.load.speed_rad_s = 0.0;
+                self.load.mode = if self.load.mode == Mode::Stuck {
+                    direction(self.shaft_torque(&beyond.0, &beyond.1))
+                } else {
+                    self.load_mode(state)
+                };
+            }
+            Side::Play => {
+                if self.load.contact == Contact::Open {
+                    self.load.contact = if self.load.twist_rad_s > 0.0 {
+                        Contact::Ahead
+                    } else {
+                        Contact::Behind
+                    };
+                    self.load.twist_rad_s = self.load.contact.sign() * self.half_play_rad_s;
+                } else {
+                    self.load.twist_rad_s = self.load.contact.sign() * self.half_play_rad_s;
+                    // Without play the shaft goes from one contact straight into the other.
+                    self.load.contact = Contact::Open;
+                }
+            }
+        }
+    }
+
+    fn contact_of(&self, twist_rad_s: f64) -> Contact {
+        // Without play the shaft is always in contact, on whichever side.
+        if twist_rad_s > self.half_play_rad_s || self.half_play_rad_s == 0.0 {
+            Contact::Ahead
+        } else if twist_rad_s < -self.half_play_rad_s {
+            Contact::Behind
+        } else {
+            Contact::Open
+        }
+    }
+
+    /// Torque that the shaft takes from the motor and gives to the load, N.m.
+    #[inline]
+    fn shaft_torque(&self, motor: &State, load: &Load) -> f64 {
+        let twist = match load.contact {
+            Contact::Open => 0.0,
+            contact => load.twist_rad_s - contact.sign() * self.half_play_rad_s,
+        };
+        self.stiffness * twist + self.damping * (motor.speed_rad_s - load.speed_rad_s)
+    }
+
+    fn motor_mode(&self, equations: &Equations, state: &State, at: &Instant) -> Mode {
+        if state.speed_rad_s != 0.0 {
+            return direction(state.speed_rad_s);
+        }
+        let (driving, level) = equations.drive_and_level(state, at);
+        stuck_or_moving(driving - self.shaft_torque(state, &self.load), level)
+    }
+
+    fn load_mode(&self, state: &State) -> Mode {
+        if self.load.speed_rad_s != 0.0 || self.coulomb_n_m == 0.0 {
+            return direction(self.load.speed_rad_s);
+        }
+        stuck_or_moving(self.shaft_torque(state, &self.load), self.coulomb_n_m)
+    }
+
+    /// How far a state is from the end of the mode that `from` is in; negative beyond.
+    #[inline]
+    fn margin(
+        &self,
+        equations: &Equations,
+        (motor, load): &(State, Load),
+        from: &Begin,
+        side: Side,
+    ) -> f64 {
+        match side {
+            Side::Motor if from.motor.mode == Mode::Stuck => {
+                let (driving, level) = equations.drive_and_level(motor, &from.at);
+                level - (driving - self.shaft_torque(motor, load)).abs()
+            }
+            Side::Motor => motor.speed_rad_s * from.motor.mode.sign(),
+            // Without friction nothing changes when it turns.
+            Side::Load if self.coulomb_n_m == 0.0 => 1.0,
+            Side::Load if from.load.mode == Mode::Stuck => {
+                self.coulomb_n_m - self.shaft_torque(motor, load).abs()
+            }
+            Side::Load => load.speed_rad_s * from.load.mode.sign(),
+            Side::Play if self.half_play_rad_s == 0.0 => 1.0,
+            Side::Play if from.load.contact == Contact::Open => {
+                self.half_play_rad_s - load.twist_rad_s.abs()
+            }
+            Side::Play => load.twist_rad_s * from.load.contact.sign() - self.half_play_rad_s,
+        }
+    }
+
+    /// Time within `[0, h]` at which the mode of `side` ends, if it does. Bisection guarded secant (Illinois).
+    #[inline(never)]
+    fn locate(&self, equations: &Equations, from: &Begin, h: f64, side: Side) -> Option<f64> {
+        let margin = |t: f64| {
+            let there = self.trial(equations, from, t);
+            self.margin(equations, &there, from, side)
+        };
+        let (mut low, mut at_low) = (0.0, margin(0.0));
+        let (mut high, mut at_high) = (h, margin(h));
+        if at_high >= 0.0 {
+            return None;
+        }
+        if at_low < -EDGE {
+            return Some(0.0);
+        }
+        if at_low <= EDGE {
+            // The mode has just begun at its own edge: it lasts from there until it comes back to it.
+            low = h;
+            while at_low <= EDGE {
+                low *= 0.5;
+                if low < 1e-3 * h {
+                    return Some(0.0);
+                }
+                at_low = margin(low);
+                if at_low < -EDGE {
+                    (high, at_high) = (low, at_low);
+                }
+            }
+        }
+        let mut last_was_low = None;
+        for _ in 0..30 {
+            let t = (low * at_high - high * at_low) / (at_high - at_low);
+            let there = margin(t);
+            if there.abs() < 1e-12 || high - low < 1e-9 * h {
+                return Some(t);
+            }
+            // An end that stays twice in a row is weighted down, else the secant would creep.
+            let is_low = there > 0.0;
+            if is_low {
+                (low, at_low) = (t, there);
+            } else {
+                (high, at_high) = (t, there);
+            }
+            if last_was_low == Some(is_low) {
+                if is_low {
+                    at_high *= 0.5;
+                } else {
+                    at_low *= 0.5;
+                }
+            }
+            last_was_low = Some(is_low);
+        }
+        Some(high)
+    }
+
+    /// State after `h` if no mode changes.
+    #[inline]
+    fn trial(&self, equations: &Equations, from: &Begin, h: f64) -> (State, Load) {
+        let mut next = (from.motor, from.load);
+        if h <= 0.0 {
+            return next;
+        }
+        let flow = &self.flows[from.index()];
+        let x = together(&from.motor, &from.load);
+        let mut forcing = from.forcing;
+        if !equations.is_linear() {
+            let mut middle = next;
+            place(&mut middle, flow.half(x, forcing, h));
+            equations.advance_own(&from.motor, &from.at, 0.5 * h, &mut middle.0.own);
+            let centred = Instant {
+                time_s: from.at.time_s + 0.5 * h,
+                ..from.at
+            };
+            forcing = self.forcing(equations, &middle.0, &from.load, &centred);
+            equations.advance_own(&middle.0, &centred, h, &mut next.0.own);
+        }
+        place(&mut next, flow.whole(x, forcing, h));
+        next
+    }
+
+    /// Input, effects, friction and the offset of the play, in A/s and rad/s2.
+    #[inline]
+    fn forcing(&self, equations: &Equations, state: &State, load: &Load, at: &Instant) -> [f64; 3] {
+        let [current, mut motor] = equations.forcing(state, at);
+        let offset = self.stiffness * load.contact.sign() * self.half_play_rad_s;
+        if state.mode != Mode::Stuck {
+            motor += offset * self.inverse_motor;
+        }
+        let behind = match load.mode {
+            Mode::Stuck | Mode::Undecided => 0.0,
+            moving => -(offset + moving.sign() * self.coulomb_n_m) * self.inverse_load,
+        };
+        [current, motor, behind]
+    }
+}
+
+fn together(state: &State, load: &Load) -> X {
+    [
+        state.current_a,
+        state.speed_rad_s,
+        load.speed_rad_s,
+        load.twist_rad_s,
+    ]
+}
+
+fn place((state, load): &mut (State, Load), x: X) {
+    state.current_a = x[0];
+    state.speed_rad_s = x[1];
+    load.speed_rad_s = x[2];
+    load.twist_rad_s = x[3];
+}
+
+fn direction(of: f64) -> Mode {
+    if of > 0.0 {
+        Mode::Forward
+    } else {
+        Mode::Backward
+    }
+}
+
+fn stuck_or_moving(driving: f64, level: f64) -> Mode {
+    if driving.abs() <= level {
+        Mode::Stuck
+    } else {
+        direction(driving)
+    }
+}
+
+#[cfg(test)]
+mod tests;

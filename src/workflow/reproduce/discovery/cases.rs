@@ -1,0 +1,173 @@
+//! The sets of the study: what is hidden, how it is excited, which names are right.
+
+use serde::Serialize;
+
+use super::Size;
+use super::record::Excitation;
+use super::sizes::{KNOWN, PAIRS, UNKNOWN, WRONG_FORM};
+
+/// Levels of unmodelled background, as multiples of the emulator's `messy`; level 0 is the single effects themselves.
+const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
+/// Nulls in each excitation for each set of a cell: false alarms are rare, so they need counting.
+const NULLS_PER_SET: u64 = 6;
+/// Length of each run, s.
+const SECONDS: f64 = 12.0;
+
+/// What a set asks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "group")]
+pub enum Group {
+    /// One effect of the catalogue.
+    Single,
+    /// Nothing is hidden.
+    Null,
+    /// Something that no catalogue has.
+    Unknown,
+    /// An effect in another shape than anybody's textbook.
+    WrongForm,
+    Pair,
+    /// One effect among small unmodelled ones.
+    Background {
+        level: f64,
+    },
+}
+
+impl Group {
+    pub fn name(self) -> String {
+        match self {
+            Self::Single => "one effect".to_owned(),
+            Self::Null => "nothing hidden".to_owned(),
+            Self::Unknown => "in no catalogue".to_owned(),
+            Self::WrongForm => "another shape".to_owned(),
+            Self::Pair => "two effects".to_owned(),
+            Self::Background { level } => format!("background {level}"),
+        }
+    }
+}
+
+/// One set.
+#[derive(Clone, Debug)]
+pub struct Case {
+    pub group: Group,
+    pub excitation: Excitation,
+    /// Ids of what is hidden, in the emulator's words.
+    pub hidden: Vec<&'static str>,
+    /// For each hidden effect the names that are right.
+    pub right: Vec<Vec<&'static str>>,
+    /// Draws motor, sizes, excitation and noise.
+    pub seed: u64,
+    /// Length of each run, s; that of the rich sequence is its own.
+    pub seconds: f64,
+}
+
+impl Case {
+    fn new(
+        group: Group,
+        excitation: Excitation,
+        hidden: &[&'static str],
+        set: u64,
+        size: Size,
+    ) -> Self {
+        let right_names = |id: &'static str| -> Vec<&'static str> {
+            let foreign = WRONG_FORM.iter().find(|(foreign, ..)| *foreign == id);
+            foreign.map_or_else(|| vec![id], |(_, _, names)| names.to_vec())
+        };
+        let right = match group {
+            Group::Unknown => vec![],
+            _ => hidden.iter().map(|id| right_names(id)).collect(),
+        };
+        let cell = format!(
+            "{}/{}/{}",
+            group.name(),
+            excitation.name(),
+            hidden.join("+")
+        );
+        Self {
+            group,
+            excitation,
+            hidden: hidden.to_vec(),
+            right,
+            seed: seed_of(&cell, size.seed.wrapping_add(set)),
+            seconds: SECONDS,
+        }
+    }
+
+    /// The class in tables: what is hidden, in words of the emulator.
+    pub fn class(&self) -> String {
+        if self.hidden.is_empty() {
+            "nothing".to_owned()
+        } else {
+            self.hidden.join(" + ")
+        }
+    }
+}
+
+/// FNV-1a of the cell's name with the seed behind it: a cell keeps its sets when others are added to the study.
+fn seed_of(cell: &str, seed: u64) -> u64 {
+    let bytes = cell.bytes().chain(seed.to_le_bytes());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
+}
+
+/// Every set of the study, in the order of its tables.
+pub(super) fn all(size: Size) -> Vec<Case> {
+    if size.reduced {
+        return reduced(size);
+    }
+    let mut cases = Vec::new();
+    let mut add = |group, excitation, hidden: &[&'static str], sets: u64| {
+        cases.extend((0..sets).map(|set| Case::new(group, excitation, hidden, set, size)));
+    };
+    for excitation in Excitation::ALL {
+        for (id, _) in KNOWN {
+            add(Group::Single, excitation, &[id], size.sets);
+        }
+    }
+    for excitation in Excitation::ALL {
+        add(Group::Null, excitation, &[], NULLS_PER_SET * size.sets);
+    }
+    for excitation in Excitation::ALL {
+        for (id, _) in UNKNOWN {
+            add(Group::Unknown, excitation, &[id], size.sets);
+        }
+    }
+    for excitation in [Excitation::Rich, Excitation::Steps] {
+        for (id, ..) in WRONG_FORM {
+            add(Group::WrongForm, excitation, &[id], size.sets);
+        }
+    }
+    for pair in PAIRS {
+        add(Group::Pair, Excitation::Rich, pair, size.sets);
+    }
+    for level in BACKGROUND_LEVELS {
+        for (id, _) in KNOWN {
+            add(
+                Group::Background { level },
+                Excitation::Rich,
+                &[id],
+                size.sets,
+            );
+        }
+    }
+    cases
+}
+
+/// A dozen sets that between them ask every question of the study.
+fn reduced(size: Size) -> Vec<Case> {
+    let rich = Excitation::Rich100Hz;
+    let single = [
+        "viscous_friction",
+        "quadratic_load",
+        "stribeck_friction",
+        "voltage_drop",
+        "winding_heating",
+    ];
+    let mut cases: Vec<Case> = single
+        .iter()
+        .map(|id| Case::new(Group::Single, rich, &[id], 0, size))
+        .collect();
+    cases.extend((0..4).map(|set| Case::new(Group::Null, rich, &[], set, size)));
+    cases.push(Case::new(Group::Pair, rich, &PAIRS[0], 0, size));
+    cases
+}

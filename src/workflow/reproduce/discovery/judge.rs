@@ -1,0 +1,266 @@
+//! What an answer is worth.
+
+use serde::Serialize;
+
+use super::sizes::{self, BACKGROUND};
+use super::{Case, Group};
+use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
+
+/// Two names for what is the same to first order, and in most runs to the noise: either is told apart only by a quick
+/// dither (DISCOVERY.md 2.11).
+const TWINS: [[&str; 2]; 1] = [["speed_delay", "speed_filter"]];
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// Every hidden effect is named, nothing else is. Where nothing known is hidden: it is said.
+    Right,
+    /// The twin of the hidden effect is named.
+    Twin,
+    /// The answer is a set that cannot be told apart, and what is hidden is in it.
+    Ambiguous,
+    /// One of two is named, and nothing that is not there.
+    Partial,
+    /// Nothing is named, and the run is said not to excite the effect.
+    NotExcited,
+    /// Nothing is named: no missing effect is visible, or none that is known explains the error.
+    Abstained,
+    /// Something is named that is not there.
+    Wrong,
+    /// No answer: the fit or the study failed.
+    Failed,
+}
+
+/// The answer to one set.
+#[derive(Clone, Debug, Serialize)]
+pub struct Answer {
+    pub group: Group,
+    pub excitation: &'static str,
+    pub class: String,
+    pub seed: u64,
+    pub outcome: Outcome,
+    pub verdict: Option<DiagnosisVerdict>,
+    pub effects: Vec<&'static str>,
+    pub sufficient: bool,
+    pub holdout_before: Option<f64>,
+    pub holdout_after: Option<f64>,
+    /// The diagnosis' own sentence, or why there is none.
+    pub sentence: String,
+}
+
+impl Answer {
+    pub(super) fn of(case: &Case, diagnosis: &Diagnosis) -> Self {
+        Self {
+            group: case.group,
+            excitation: case.excitation.name(),
+            class: case.class(),
+            seed: case.seed,
+            outcome: outcome(case, &Said::of(diagnosis)),
+            verdict: Some(diagnosis.verdict),
+            effects: diagnosis.effects.clone(),
+            sufficient: diagnosis.sufficient,
+            holdout_before: Some(diagnosis.holdout_before),
+            holdout_after: Some(diagnosis.holdout_after),
+            sentence: diagnosis.sentence.clone(),
+        }
+    }
+
+    pub(super) fn failed(case: &Case, reason: String) -> Self {
+        Self {
+            group: case.group,
+            excitation: case.excitation.name(),
+            class: case.class(),
+            seed: case.seed,
+            outcome: Outcome::Failed,
+            verdict: None,
+            effects: vec![],
+            sufficient: false,
+            holdout_before: None,
+            holdout_after: None,
+            sentence: reason,
+        }
+    }
+
+    /// What the answer is called in the confusion matrix.
+    pub fn column(&self) -> &'static str {
+        match (self.verdict, self.effects.first()) {
+            (Some(DiagnosisVerdict::Effect), Some(first)) => first,
+            (Some(DiagnosisVerdict::Ambiguous), _) => "(ambiguous)",
+            (Some(DiagnosisVerdict::None), _) => "(none)",
+            (Some(_), _) => "(unexplained)",
+            (None, _) => "(failed)",
+        }
+    }
+}
+
+/// What counts of a diagnosis.
+struct Said<'a> {
+    verdict: DiagnosisVerdict,
+    effects: &'a [&'static str],
+    /// Named, or said not to be told from what is named.
+    pool: Vec<&'static str>,
+    not_excited: Vec<&'static str>,
+}
+
+impl<'a> Said<'a> {
+    fn of(diagnosis: &'a Diagnosis) -> Self {
+        let rivals = diagnosis.confusable.iter().flatten().copied();
+        Self {
+            verdict: diagnosis.verdict,
+            effects: &diagnosis.effects,
+            pool: diagnosis.effects.iter().copied().chain(rivals).collect(),
+            not_excited: diagnosis
+                .candidates
+                .iter()
+                .filter(|candidate| candidate.status == Status::NotExcited)
+                .map(|candidate| candidate.effect)
+                .collect(),
+        }
+    }
+}
+
+fn outcome(case: &Case, said: &Said<'_>) -> Outcome {
+    let nothing_known = case.right.is_empty();
+    match said.verdict {
+        DiagnosisVerdict::None | DiagnosisVerdict::Unexplained if nothing_known => {
+            let expected = match case.group {
+                Group::Unknown => DiagnosisVerdict::Unexplained,
+                _ => DiagnosisVerdict::None,
+            };
+            if said.verdict == expected {
+                Outcome::Right
+            } else {
+                Outcome::Abstained
+            }
+        }
+        DiagnosisVerdict::Unexplained => Outcome::Abstained,
+        DiagnosisVerdict::None => {
+            let excused = |names: &Vec<&str>| names.iter().all(|id| said.not_excited.contains(id));
+            if case.right.iter().all(excused) {
+                Outcome::NotExcited
+            } else {
+                Outcome::Abstained
+            }
+        }
+        DiagnosisVerdict::Ambiguous => {
+            let inside = |names: &Vec<&str>| names.iter().any(|id| said.pool.contains(id));
+            if case.right.iter().any(inside) {
+                Outcome::Ambiguous
+            } else {
+                Outcome::Wrong
+            }
+        }
+        DiagnosisVerdict::Effect => named(case, said.effects),
+    }
+}
+
+fn named(case: &Case, effects: &[&'static str]) -> Outcome {
+    let belongs = |id: &str| {
+        let background = matches!(case.group, Group::Background { .. }) && BACKGROUND.contains(&id);
+        background || case.right.iter().flatten().any(|right| *right == id)
+    };
+    let strangers: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();
+    let found = case
+        .right
+        .iter()
+        .filter(|names| names.iter().any(|id| effects.contains(id)))
+        .count();
+    let missed: Vec<&str> = case
+        .right
+        .iter()
+        .filter(|names| !names.iter().any(|id| effects.contains(id)))
+        .flatten()
+        .copied()
+        .collect();
+    let is_twin = |id: &&str| {
+        TWINS.iter().any(|twins| {
+            twins.contains(id) && twins.iter().any(|twin| twin != id && missed.contains(twin))
+        })
+    };
+    match (strangers.is_empty(), found) {
+        (true, all) if all == case.right.len() && all > 0 => Outcome::Right,
+        (true, 1..) => Outcome::Partial,
+        (true, 0) => Outcome::Abstained,
+        (false, _) if strangers.iter().all(is_twin) => Outcome::Twin,
+        (false, _) => Outcome::Wrong,
+    }
+}
+
+/// Classes in the order of the tables.
+pub(super) fn known() -> impl Iterator<Item = &'static str> {
+    sizes::KNOWN.iter().map(|(id, _)| *id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::workflow::reproduce::discovery::Excitation;
+
+    fn case(group: Group, right: &[&[&'static str]]) -> Case {
+        Case {
+            group,
+            excitation: Excitation::Rich,
+            hidden: right.iter().map(|names| names[0]).collect(),
+            right: right.iter().map(|names| names.to_vec()).collect(),
+            seed: 1,
+            seconds: 12.0,
+        }
+    }
+
+    fn said<'a>(verdict: DiagnosisVerdict, effects: &'a [&'static str]) -> Said<'a> {
+        Said {
+            verdict,
+            effects,
+            pool: effects.to_vec(),
+            not_excited: vec!["constant_load"],
+        }
+    }
+
+    #[test]
+    fn a_name_is_right_only_if_it_is_all_that_is_named() {
+        let effect = |case: &Case, effects: &[&'static str]| {
+            outcome(case, &said(DiagnosisVerdict::Effect, effects))
+        };
+        let one = case(Group::Single, &[&["cogging"]]);
+        assert_eq!(effect(&one, &["cogging"]), Outcome::Right);
+        assert_eq!(effect(&one, &["cogging", "backlash"]), Outcome::Wrong);
+        assert_eq!(effect(&one, &["backlash"]), Outcome::Wrong);
+        let two = case(Group::Pair, &[&["cogging"], &["backlash"]]);
+        assert_eq!(effect(&two, &["backlash", "cogging"]), Outcome::Right);
+        assert_eq!(effect(&two, &["backlash"]), Outcome::Partial);
+        assert_eq!(effect(&two, &["backlash", "supply_sag"]), Outcome::Wrong);
+        let late = case(Group::Single, &[&["speed_delay"]]);
+        assert_eq!(effect(&late, &["speed_filter"]), Outcome::Twin);
+        let nothing = case(Group::Null, &[]);
+        assert_eq!(effect(&nothing, &["cogging"]), Outcome::Wrong);
+    }
+
+    #[test]
+    fn on_a_messy_bench_the_background_may_be_named_but_is_not_the_answer() {
+        let messy = case(Group::Background { level: 1.0 }, &[&["voltage_drop"]]);
+        let effect =
+            |effects: &[&'static str]| outcome(&messy, &said(DiagnosisVerdict::Effect, effects));
+        assert_eq!(effect(&["voltage_drop", "cogging"]), Outcome::Right);
+        assert_eq!(effect(&["cogging"]), Outcome::Abstained);
+        assert_eq!(effect(&["backlash"]), Outcome::Wrong);
+    }
+
+    #[test]
+    fn silence_is_right_only_where_nothing_known_is_hidden() {
+        let (none, unexplained) = (DiagnosisVerdict::None, DiagnosisVerdict::Unexplained);
+        let verdict = |case: &Case, verdict| outcome(case, &said(verdict, &[]));
+        let null = case(Group::Null, &[]);
+        assert_eq!(verdict(&null, none), Outcome::Right);
+        assert_eq!(verdict(&null, unexplained), Outcome::Abstained);
+        let unknown = case(Group::Unknown, &[]);
+        assert_eq!(verdict(&unknown, unexplained), Outcome::Right);
+        assert_eq!(verdict(&unknown, none), Outcome::Abstained);
+        let hidden = case(Group::Single, &[&["cogging"]]);
+        assert_eq!(verdict(&hidden, none), Outcome::Abstained);
+        let invisible = case(Group::Single, &[&["constant_load"]]);
+        assert_eq!(verdict(&invisible, none), Outcome::NotExcited);
+        let tie = said(DiagnosisVerdict::Ambiguous, &["cogging", "backlash"]);
+        assert_eq!(outcome(&hidden, &tie), Outcome::Ambiguous);
+        assert_eq!(outcome(&invisible, &tie), Outcome::Wrong);
+    }
+}

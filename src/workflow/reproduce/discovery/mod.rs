@@ -1,0 +1,114 @@
+//! How often the diagnosis names the hidden effect: a study on machines whose truth is known.
+//!
+//! ```text
+//! catalogue of sizes (sizes) -> Case (cases) -> emulated machine, excited and recorded (record) -> diagnose -> Outcome (judge)
+//!                                                             all outcomes -> counts with bounds, matrix (tally) -> pages
+//! ```
+//!
+//! Virtual time and stated seeds: the same program gives the same page. The emulator's effects have other mathematical
+//! forms than the catalogue's, and each set has a motor of its own.
+
+mod cases;
+mod judge;
+mod record;
+mod sizes;
+mod tally;
+#[cfg(test)]
+mod tests;
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+pub use cases::{Case, Group};
+pub use judge::{Answer, Outcome};
+pub use record::Excitation;
+pub use tally::{Bounded, Matrix, Tally, matrix, median_errors};
+
+use crate::bench::BenchFile;
+use crate::diagnosis::{Evidence, diagnose};
+use crate::plant::Model;
+
+/// How large the study is.
+#[derive(Clone, Copy, Debug)]
+pub struct Size {
+    /// Sets in each cell (effect and excitation); the groups beside the single effects follow it.
+    pub sets: u64,
+    pub seed: u64,
+    /// A few sets at 100 Hz instead: for a test.
+    pub reduced: bool,
+}
+
+impl Size {
+    /// How many machines that makes.
+    pub fn machines(self) -> usize {
+        cases::all(self).len()
+    }
+}
+
+/// The study.
+#[derive(Clone, Debug, Serialize)]
+pub struct Discovery {
+    pub study: &'static str,
+    pub seed: u64,
+    pub sets_in_each_cell: u64,
+    pub counts: Vec<GroupCount>,
+    pub matrix: Matrix,
+    pub answers: Vec<Answer>,
+}
+
+/// Counts of one group, for one excitation.
+#[derive(Clone, Debug, Serialize)]
+pub struct GroupCount {
+    pub group: Group,
+    pub excitation: &'static str,
+    pub tally: Tally,
+}
+
+/// Runs the study on all cores; `after` hears of each set when it is done, in no order. `None` where it was
+/// interrupted: a part of a study would not be the study.
+pub fn discovery(
+    size: Size,
+    interrupted: &AtomicBool,
+    after: impl Fn(usize, usize, &Answer) + Sync,
+) -> Option<Discovery> {
+    let cases = cases::all(size);
+    let done = AtomicUsize::new(0);
+    let answers: Vec<Option<Answer>> = cases
+        .par_iter()
+        .map(|case| {
+            if interrupted.load(Ordering::Acquire) {
+                return None;
+            }
+            let answer = answer(case);
+            let number = 1 + done.fetch_add(1, Ordering::AcqRel);
+            after(number, cases.len(), &answer);
+            Some(answer)
+        })
+        .collect();
+    let answers: Vec<Answer> = answers.into_iter().collect::<Option<_>>()?;
+    Some(Discovery {
+        study: "discovery",
+        seed: size.seed,
+        sets_in_each_cell: size.sets,
+        counts: tally::counts(&answers),
+        matrix: tally::matrix(&answers),
+        answers,
+    })
+}
+
+/// One set from the machine to the verdict. The diagnosis starts from the nameplate and gets the rows of two runs,
+/// nothing else.
+fn answer(case: &Case) -> Answer {
+    let runs = match record::runs(case) {
+        Ok(runs) => runs,
+        Err(error) => return Answer::failed(case, error.to_string()),
+    };
+    let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
+    let evidence = Evidence::new(runs.fit, Some(runs.holdout), None);
+    match diagnose(&nameplate, evidence, false) {
+        Ok(diagnosis) => Answer::of(case, &diagnosis),
+        Err(error) => Answer::failed(case, error.to_string()),
+    }
+}

@@ -1,0 +1,67 @@
+//! The study in small: a dozen sets from the emulator to the verdict.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use super::*;
+
+const REDUCED: Size = Size {
+    sets: 1,
+    seed: 7,
+    reduced: true,
+};
+
+#[test]
+fn a_dozen_sets_name_what_is_hidden_and_nothing_else() {
+    let heard = AtomicUsize::new(0);
+    let study = discovery(REDUCED, &AtomicBool::new(false), |_, _, _| {
+        heard.fetch_add(1, Ordering::AcqRel);
+    })
+    .unwrap();
+    assert_eq!(heard.load(Ordering::Acquire), study.answers.len());
+    let whole = Tally::of(&study.answers);
+    assert_eq!((whole.wrong, whole.failed), (0, 0), "{:#?}", study.answers);
+    let nulls = Tally::of(study.answers.iter().filter(|a| a.group == Group::Null));
+    assert_eq!(nulls.right, nulls.sets);
+    assert!(whole.right + 1 >= whole.sets, "{:#?}", study.answers);
+}
+
+#[test]
+fn an_interrupted_study_is_none() {
+    assert!(discovery(REDUCED, &AtomicBool::new(true), |_, _, _| {}).is_none());
+}
+
+#[test]
+fn every_case_of_the_full_study_can_be_recorded_and_has_seeds_of_its_own() {
+    let size = Size {
+        sets: 2,
+        seed: 1,
+        reduced: false,
+    };
+    let cases = cases::all(size);
+    let mut seeds: Vec<u64> = cases.iter().map(|case| case.seed).collect();
+    seeds.sort_unstable();
+    seeds.dedup();
+    assert_eq!(seeds.len(), cases.len());
+    let mut seen: Vec<String> = vec![];
+    for mut case in cases {
+        let class = case.class();
+        if seen.contains(&class) {
+            continue;
+        }
+        seen.push(class);
+        case.seconds = 1.5;
+        case.excitation = Excitation::Steps;
+        let runs = record::runs(&case).unwrap_or_else(|error| panic!("{}: {error}", case.class()));
+        assert!(runs.fit.samples() > 500 && runs.holdout.samples() > 500);
+        assert_ne!(runs.fit.current_a, runs.holdout.current_a);
+    }
+    assert!(seen.len() > 30);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_runs_to_the_bit() {
+    let case = &cases::all(REDUCED)[0];
+    let (one, two) = (record::runs(case).unwrap(), record::runs(case).unwrap());
+    assert_eq!(one.fit.speed_rad_s, two.fit.speed_rad_s);
+    assert_eq!(one.holdout.current_a, two.holdout.current_a);
+}
