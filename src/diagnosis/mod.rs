@@ -22,6 +22,7 @@ mod family;
 mod fingerprint;
 mod fitted;
 mod ladder;
+mod linear_response;
 mod location;
 pub mod mechanical;
 mod progress;
