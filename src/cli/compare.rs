@@ -120,7 +120,9 @@ pub(super) fn text(comparison: &Comparison) -> String {
         }
     }
     for balance in &comparison.balances {
-        let _ = writeln!(text, "balance  {}", balance.sentence);
+        // What it follows stands above.
+        let told = balance.sentence.split("; ").next().unwrap_or_default();
+        let _ = writeln!(text, "balance  {told}");
     }
     for limit in &comparison.limits {
         let _ = writeln!(text, "note     {limit}");

@@ -448,7 +448,7 @@ impl Search<'_> {
             |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, window.current_a, row);
         // Friction acts against the motion: a load that changes does so too.
         let of_friction = |window: &Window, row: &mut [f64]| {
-            hat(&knots, window.time_s, window.speed_rad_s.signum(), row)
+            hat(&knots, window.time_s, window.speed_rad_s.signum(), row);
         };
         let own = self.own_columns();
         let plain = self.fit(knots.len(), of_itself);

@@ -57,7 +57,7 @@ impl Window {
 
 /// All windows of a run, with what they were taken from.
 pub(super) struct Windows<'a> {
-    pub windows: Vec<Window>,
+    pub each: Vec<Window>,
     pub scenario: &'a Scenario,
     pub half: usize,
     pub dead_zone_rad_s: f64,
@@ -141,7 +141,7 @@ impl<'a> Windows<'a> {
             _ => model.motor.torque_constant().unwrap_or(f64::NAN),
         };
         let mut found = Self {
-            windows: Vec::new(),
+            each: Vec::new(),
             scenario,
             half,
             dead_zone_rad_s,
@@ -173,7 +173,7 @@ impl<'a> Windows<'a> {
                 {
                     event += 1;
                 }
-                found.windows.push(window(
+                found.each.push(window(
                     scenario,
                     begin,
                     &weights,
@@ -184,7 +184,7 @@ impl<'a> Windows<'a> {
                 ));
             }
         }
-        found.windows.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        found.each.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         Ok(found)
     }
 
@@ -196,7 +196,7 @@ impl<'a> Windows<'a> {
 
     /// Windows whose error is known.
     pub(super) fn of(&self, equation: Equation) -> impl Iterator<Item = &Window> {
-        self.windows
+        self.each
             .iter()
             .filter(move |window| window.error(equation).is_finite())
     }
