@@ -118,11 +118,7 @@ pub fn judge_extras(
         .iter()
         .map(|extra| trial::of_extra(extra, &start.baseline, sides, &evidence.training))
         .collect();
-    let paying: Vec<&str> = trials
-        .iter()
-        .filter(|trial| trial.pays(&base, sides))
-        .map(|trial| trial.of.id())
-        .collect();
+    let paying = |trial: &Trial<'_>| trial.pays(&base, sides);
     let trials: Vec<&Trial<'_>> = trials.iter().collect();
     let before = start.baseline.rms() / scale.unit_n_m;
     Ok(of_trials(&trials, &paying, &base, before, scale, sides))

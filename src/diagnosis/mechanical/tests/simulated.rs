@@ -85,10 +85,10 @@ fn evidence(truth: &Model, seed: u64) -> Evidence {
 }
 
 const KNOWN: [(&str, &[f64]); 4] = [
-    ("quadratic_load", &[1.2e-5]),
-    ("asymmetric_viscous", &[6e-4]),
-    ("constant_load", &[0.06]),
-    ("stribeck_friction", &[0.2, 12.0]),
+    ("quadratic_load", &[4e-5]),
+    ("asymmetric_viscous", &[1.5e-3]),
+    ("constant_load", &[0.08]),
+    ("stribeck_friction", &[0.25, 12.0]),
 ];
 
 #[test]
@@ -230,7 +230,7 @@ fn add_and_remove_tell_both_processings_and_refuse_what_does_not_pay() {
 
 #[test]
 fn a_run_in_one_direction_does_not_name_what_only_two_would_show() {
-    let mut data = evidence(&truth("constant_load", &[0.06]), 9);
+    let mut data = evidence(&truth("constant_load", &[0.08]), 9);
     for run in [&mut data.training, &mut data.holdout] {
         // What lies below zero is cut out of the record.
         for speed in &mut run.speed_rad_s {
