@@ -493,7 +493,7 @@ impl Search<'_> {
         Some(self.axis(
             variable,
             Shape::Offset { by },
-            everywhere(by, by),
+            everywhere(by.min(0.0), by.max(0.0)),
             &fitted,
             PARSIMONY,
         ))
