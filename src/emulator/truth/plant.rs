@@ -444,13 +444,16 @@ impl Plant {
     }
 
     fn resistance(&self) -> f64 {
-        let factor = |effect: &Box<dyn Mechanism>| effect.resistance_factor();
-        self.motor.resistance_ohm * self.effects.iter().map(factor).product::<f64>()
+        let factors = self.effects.iter().map(|effect| effect.resistance_factor());
+        self.motor.resistance_ohm * factors.product::<f64>()
     }
 
     fn inductance(&self, i: f64) -> f64 {
-        let factor = |effect: &Box<dyn Mechanism>| effect.inductance_factor(i);
-        self.motor.inductance_h * self.effects.iter().map(factor).product::<f64>()
+        let factors = self
+            .effects
+            .iter()
+            .map(|effect| effect.inductance_factor(i));
+        self.motor.inductance_h * factors.product::<f64>()
     }
 
     fn supply_factor(&self) -> f64 {

@@ -1,6 +1,6 @@
 use super::super::motor::zk_22fc;
 use super::super::{Plant, Sensors, Terminals};
-use super::samples::one_of_each;
+use super::test_samples::one_of_each;
 use super::*;
 
 #[test]
@@ -174,7 +174,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             "voltage_drop" => (m.voltage_loss_v(amps), 1.2, 1e-3),
             "supply_sag" => (110.0 * (1.0 - m.supply_factor()), 0.4 * amps, 1e-6),
             "winding_heating" => (m.resistance_factor() - 1.0, 2e-3 * amps * amps * 0.1, 0.01),
-            "flux_saturation" => (m.flux_factor(&at), 1.0 / (1.0 + 1e-3 * amps * amps), 1e-9),
+            "flux_saturation" => (m.flux_factor(&at), 1.0 / (1.0 + 4e-4 * amps * amps), 1e-9),
             "inductance_saturation" => (
                 m.inductance_factor(amps),
                 1.0 / (1.0 + 5e-3 * amps * amps),
