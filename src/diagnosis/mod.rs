@@ -23,6 +23,7 @@ mod family;
 mod fingerprint;
 mod fitted;
 mod ladder;
+mod linear_response;
 mod location;
 pub mod mechanical;
 pub mod next_experiment;
