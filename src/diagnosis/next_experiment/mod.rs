@@ -27,7 +27,7 @@ pub use equivalence::equivalences;
 pub use limits::ExperimentLimits;
 pub use menu::Recipe;
 pub use planned::Peaks;
-pub use recommend::{next_experiment, recommend};
+pub use recommend::{menu_within, next_experiment, recommend};
 
 /// Difference of the squared errors, in units of the noise, below which a run tells nothing apart.
 pub const SEPARATED: f64 = 20.0;

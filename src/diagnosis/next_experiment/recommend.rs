@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::limits::ExperimentLimits;
-use super::menu::COUNT;
+use super::menu::{COUNT, Recipe};
 use super::planned::{Planned, planned};
 use super::reveal::reveal;
 use super::rival::Rival;
@@ -98,6 +98,14 @@ pub fn next_experiment(
     let names = [own(rivals[0], rivals[1]), own(rivals[1], rivals[0])];
     let pair = pair(names, rivals, evidence)?;
     Ok(tell_apart(&[pair], evidence, limits))
+}
+
+/// Every recipe of the menu that this model can run within the limits.
+pub fn menu_within(model: &Model, evidence: &Evidence, limits: &ExperimentLimits) -> Vec<Recipe> {
+    (0..COUNT)
+        .filter_map(|index| planned(index, &[model], &evidence.training, limits))
+        .map(|plan| plan.recipe)
+        .collect()
 }
 
 fn pair<'a>(
