@@ -18,6 +18,7 @@ mod identify;
 mod live;
 mod load_torque;
 mod model_output;
+mod next_experiment;
 mod output;
 mod pages;
 mod plan;

@@ -8,6 +8,7 @@ use super::search::{EXPLAINS_SOMETHING, Found, SUFFICIENT, explained, search};
 use super::sides::{Scale, Sides};
 use super::terms::Extra;
 use super::trial::{self, Trial};
+use crate::diagnosis::equivalences;
 use crate::diagnosis::candidates::{Candidate, Status};
 use crate::diagnosis::diagnose::{Diagnosis, DiagnosisVerdict};
 use crate::diagnosis::evidence::Evidence;
@@ -96,6 +97,13 @@ pub(super) fn diagnose_with(
             })
             .collect(),
         sentence: String::new(),
+        equivalences: found
+            .accepted
+            .iter()
+            .flat_map(|id| equivalences(id))
+            .copied()
+            .collect(),
+        next_experiment: None,
         baseline: fitted(baseline),
         model: fitted(&found.fit),
     };
