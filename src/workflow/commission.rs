@@ -5,9 +5,7 @@ use super::named_estimate::NamedEstimate;
 use super::progress::{Progress, StepState, StepView};
 use super::result::{CommissionResult, RunRecord, Truth};
 use crate::bench::{BenchFile, CheckReport, Plan, experiment_limits, next_bench};
-use crate::diagnosis::{
-    Diagnosis, ErrorOf, Evidence, Rung, Score, compare, diagnose, recommend,
-};
+use crate::diagnosis::{Diagnosis, ErrorOf, Evidence, Rung, Score, compare, diagnose, recommend};
 use crate::identification::output_error::FitError;
 use crate::identification::start;
 use crate::plant::{Model, Motor, Scenario};

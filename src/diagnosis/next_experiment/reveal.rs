@@ -124,14 +124,7 @@ fn shown(
 fn with_typical(baseline: &Model, id: &str, evidence: &Evidence) -> Option<Model> {
     let effect = effect::find(id)?;
     let values = (0..effect.parameters().len())
-        .map(|index| {
-            Some(typical_size(
-                effect,
-                index,
-                baseline,
-                &evidence.training,
-            ))
-        })
+        .map(|index| Some(typical_size(effect, index, baseline, &evidence.training)))
         .collect();
     let mut model = baseline.clone();
     model.effects.push(ActiveEffect { effect, values });
