@@ -104,6 +104,7 @@ pub(super) fn diagnose_with(
             .copied()
             .collect(),
         next_experiment: None,
+        axis_map: Vec::new(),
         baseline: fitted(baseline),
         model: fitted(&found.fit),
     };
