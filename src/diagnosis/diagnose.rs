@@ -9,6 +9,7 @@ use super::evidence::{Evidence, HoldoutFrom};
 use super::fitted::Fitted;
 use super::ladder::Rung;
 use super::mechanical;
+use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Progress, silent};
 use super::refit::Thoroughness;
 use super::search::{Accepted, Found, Limits, search};
@@ -44,6 +45,10 @@ pub struct Diagnosis {
     pub ladder: Vec<Rung>,
     /// One sentence for a person.
     pub sentence: String,
+    /// What the named effects cannot be told from by any run.
+    pub equivalences: Vec<&'static str>,
+    /// The run that would tell more; left to those who know the bench ([`recommend`](super::recommend)).
+    pub next_experiment: Option<NextExperiment>,
     /// The refitted baseline and the model with every accepted effect.
     #[serde(skip)]
     pub baseline: Fitted,
@@ -144,10 +149,14 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
             found.ladder.into_iter().take(1).collect()
         },
         sentence: String::new(),
+        equivalences: Vec::new(),
+        next_experiment: None,
         baseline: Fitted::from(&found.baseline.fit),
         model: Fitted::from(&best.fit),
     };
     diagnosis.sentence = sentence(&diagnosis);
+    let named = diagnosis.effects.iter();
+    diagnosis.equivalences = named.flat_map(|id| equivalences(id)).copied().collect();
     diagnosis
 }
 

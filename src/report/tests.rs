@@ -197,6 +197,8 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         confusable: vec![],
         ladder: vec![],
         sentence: sentence.to_owned(),
+        equivalences: vec![],
+        next_experiment: None,
         baseline: no_fit(),
         model: no_fit(),
     }

@@ -425,7 +425,10 @@ impl Search<'_> {
         })?;
         let own = self.own_columns();
         let amplitude = fitted.coefficients[own].hypot(fitted.coefficients[own + 1]);
-        let mut region = everywhere(frequency_hz, frequency_hz);
+        // As sharp as the length of the run allows.
+        let times = &self.windows.scenario.sample_time_s;
+        let half_hz = 0.5 / (times[times.len() - 1] - times[0]);
+        let mut region = everywhere(frequency_hz - half_hz, frequency_hz + half_hz);
         region.share_of_error = fitted.follows;
         Some(self.axis(
             "frequency_hz",
@@ -445,7 +448,7 @@ impl Search<'_> {
             |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, window.current_a, row);
         // Friction acts against the motion: a load that changes does so too.
         let of_friction = |window: &Window, row: &mut [f64]| {
-            hat(&knots, window.time_s, window.speed_rad_s.signum(), row)
+            hat(&knots, window.time_s, window.speed_rad_s.signum(), row);
         };
         let own = self.own_columns();
         let plain = self.fit(knots.len(), of_itself);
@@ -490,7 +493,7 @@ impl Search<'_> {
         Some(self.axis(
             variable,
             Shape::Offset { by },
-            everywhere(by, by),
+            everywhere(by.min(0.0), by.max(0.0)),
             &fitted,
             PARSIMONY,
         ))

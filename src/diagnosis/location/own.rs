@@ -84,7 +84,7 @@ pub(super) fn changes(windows: &Windows<'_>, equation: Equation) -> Option<Vec<f
 
 /// Takes the changes out of the balance's error.
 pub(super) fn take_out(windows: &mut Windows<'_>, equation: Equation, changes: &[f64]) {
-    for window in &mut windows.windows {
+    for window in &mut windows.each {
         let row = columns(window, equation);
         let explained: f64 = row.iter().zip(changes).map(|(value, by)| value * by).sum();
         match equation {

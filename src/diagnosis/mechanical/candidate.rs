@@ -31,13 +31,14 @@ pub(super) fn describe(
         .iter()
         .map(|index| &found.first_round[*index])
         .collect();
-    of_trials(&ordered, &found.accepted, base, error_before, scale, sides)
+    let accepted = |trial: &Trial<'_>| found.accepted.contains(&trial.of.id());
+    of_trials(&ordered, &accepted, base, error_before, scale, sides)
 }
 
-/// The same for any trials, in their order.
+/// The same for any trials, in their order; `accepted` says which are supported.
 pub(super) fn of_trials(
     trials: &[&Trial<'_>],
-    accepted: &[&str],
+    accepted: &dyn Fn(&Trial<'_>) -> bool,
     base: &Score,
     error_before: f64,
     scale: &Scale,
@@ -54,7 +55,7 @@ pub(super) fn of_trials(
         } else {
             0.0
         };
-        let status = status(trial, accepted, base, sides);
+        let status = status(trial, accepted(trial), base, sides);
         let judged = trial.found.as_ref().ok();
         let share = judged.map_or(0.0, |judged| {
             explained(base, &judged.holdout, scale.floor() * scale.unit_n_m)
@@ -79,11 +80,11 @@ pub(super) fn of_trials(
     trials.iter().enumerate().map(one).collect()
 }
 
-fn status(trial: &Trial<'_>, accepted: &[&str], base: &Score, sides: &Sides) -> Status {
+fn status(trial: &Trial<'_>, accepted: bool, base: &Score, sides: &Sides) -> Status {
     let Ok(judged) = &trial.found else {
         return Status::NotExcited;
     };
-    if accepted.contains(&trial.of.id()) {
+    if accepted {
         Status::Supported
     } else if trial.pays(base, sides) {
         Status::Possible
@@ -107,6 +108,10 @@ fn evidence(trial: &Trial<'_>, status: Status, base: &Score, share: f64, sides: 
         Status::Supported | Status::Possible => format!(
             "{name}: {change}, explains {:.0} % of what can be explained",
             100.0 * share
+        ),
+        Status::NotExcited if !judged.minimum_detectable.is_finite() => format!(
+            "{name} cannot be told from the rest of the model in this run: {}",
+            excite(trial.of)
         ),
         Status::NotExcited => format!(
             "{name} {} would not show in this run: {}",

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::Settings;
-use super::regression;
+use super::regression::{self, OnTrial};
 use super::score::Score;
 use super::sides::{Scale, Sides};
 use crate::diagnosis::compare::{Comparison, HoldoutFigures, SignalComparison, Signals};
@@ -12,7 +12,7 @@ use crate::diagnosis::location::{ErrorOf, locate};
 use crate::diagnosis::residual::ResidualLights;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
-use crate::identification::torque_rows::Method;
+use crate::identification::torque_rows::{Method, TorqueRows};
 use crate::numerics::count::whole;
 use crate::plant::{Model, Plant, Scenario, State};
 
@@ -41,6 +41,9 @@ pub struct ProcessingError {
     /// confirming run.
     pub relative_error_percent: f64,
     pub holdout_relative_error_percent: f64,
+    /// On the whole run where it was split, fitted to the whole of it where `fitted`: what published figures are of.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub whole_run_relative_error_percent: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub confirm_relative_error_percent: Option<f64>,
     /// Whether the parameters were fitted under this processing, or taken as they are.
@@ -69,7 +72,7 @@ pub fn compare(
         Settings::default(),
     )
     .ok();
-    let baseline = sides.fit(model, None);
+    let baseline = sides.fit(model);
     let scale = baseline.map(|fit| Scale::of(model, &evidence.training, &sides.training, &fit));
     let mut processing = vec![processing_error(&sides, model, false)];
     processing.extend(reference.map(|sides| processing_error(&sides, model, false)));
@@ -80,11 +83,20 @@ pub fn compare(
 
 /// Errors of a model under one processing.
 pub(super) fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> ProcessingError {
-    let relative = |rows| {
+    let relative = |rows: &TorqueRows| {
         let model = super::trial::with_events_of(model, rows);
         Score::of(&regression::predicted(&model, None, rows), rows).relative_percent
     };
+    let of_the_whole = |rows: &TorqueRows| {
+        if fitted {
+            let fit = regression::fit(model, OnTrial::default(), rows)?;
+            Some(Sides::score(&fit, None, rows).relative_percent)
+        } else {
+            Some(relative(rows))
+        }
+    };
     ProcessingError {
+        whole_run_relative_error_percent: sides.whole.as_ref().and_then(of_the_whole),
         method: sides.training.method,
         relative_error_percent: relative(&sides.training),
         holdout_relative_error_percent: relative(&sides.holdout),

@@ -10,6 +10,7 @@ use super::terms::Extra;
 use super::trial::{self, Trial};
 use crate::diagnosis::candidates::{Candidate, Status};
 use crate::diagnosis::diagnose::{Diagnosis, DiagnosisVerdict};
+use crate::diagnosis::equivalences;
 use crate::diagnosis::evidence::Evidence;
 use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::ladder::Rung;
@@ -96,6 +97,13 @@ pub(super) fn diagnose_with(
             })
             .collect(),
         sentence: String::new(),
+        equivalences: found
+            .accepted
+            .iter()
+            .flat_map(|id| equivalences(id))
+            .copied()
+            .collect(),
+        next_experiment: None,
         baseline: fitted(baseline),
         model: fitted(&found.fit),
     };
@@ -118,11 +126,7 @@ pub fn judge_extras(
         .iter()
         .map(|extra| trial::of_extra(extra, &start.baseline, sides, &evidence.training))
         .collect();
-    let paying: Vec<&str> = trials
-        .iter()
-        .filter(|trial| trial.pays(&base, sides))
-        .map(|trial| trial.of.id())
-        .collect();
+    let paying = |trial: &Trial<'_>| trial.pays(&base, sides);
     let trials: Vec<&Trial<'_>> = trials.iter().collect();
     let before = start.baseline.rms() / scale.unit_n_m;
     Ok(of_trials(&trials, &paying, &base, before, scale, sides))
@@ -142,11 +146,9 @@ impl Start {
         settings: Settings,
     ) -> Result<Self, FitError> {
         let sides = Sides::weak_form(model, evidence, settings)?;
-        let baseline = sides
-            .fit(model, None)
-            .ok_or_else(|| FitError::CannotSimulate {
-                run: evidence.training.name.clone(),
-            })?;
+        let baseline = sides.fit(model).ok_or_else(|| FitError::CannotSimulate {
+            run: evidence.training.name.clone(),
+        })?;
         let scale = Scale::of(model, &evidence.training, &sides.training, &baseline);
         Ok(Self {
             sides,

@@ -54,7 +54,7 @@ pub fn remove(
     let without = before.model.without_effect(effect.card().id)?;
     let after = start
         .sides
-        .fit(&without, None)
+        .fit(&without)
         .ok_or_else(|| FitError::CannotSimulate {
             run: evidence.training.name.clone(),
         })?;
@@ -114,7 +114,7 @@ fn change(
     let figures = |fit: &BalanceFit| -> Vec<ProcessingError> {
         let mut figures = vec![processing_error(sides, &fit.model, true)];
         figures.extend(reference.as_ref().and_then(|sides| {
-            let own = sides.fit(&fit.model, None)?;
+            let own = sides.fit(&fit.model)?;
             Some(processing_error(sides, &own.model, true))
         }));
         figures
@@ -155,16 +155,21 @@ fn both_processings(result: &AddResult) -> String {
         .iter()
         .zip(&after.processing)
         .map(|(before, after)| {
+            let whole = before
+                .whole_run_relative_error_percent
+                .zip(after.whole_run_relative_error_percent)
+                .map_or_else(String::new, |(before, after)| {
+                    format!(", {before:.2} -> {after:.2} % over the whole run")
+                });
             format!(
-                "torque error {:.2} -> {:.2} % held out, {:.2} -> {:.2} % fitted ({})",
+                "torque error {:.2} -> {:.2} % held out{whole} ({})",
                 before.holdout_relative_error_percent,
                 after.holdout_relative_error_percent,
-                before.relative_error_percent,
-                after.relative_error_percent,
                 match before.method {
                     Method::WeakForm => "weak form",
-                    Method::InverseDynamics =>
-                        "reference processing: inverse dynamics, zero-phase low pass",
+                    Method::InverseDynamics => {
+                        "reference processing: inverse dynamics, zero-phase low pass"
+                    }
                 }
             )
         })

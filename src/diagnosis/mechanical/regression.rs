@@ -7,7 +7,7 @@ use super::terms::{self, Extra};
 use crate::identification::torque_rows::TorqueRows;
 use crate::identification::verdict::judge;
 use crate::numerics::count::whole;
-use crate::numerics::least_squares;
+use crate::numerics::{least_squares, statistics};
 use crate::plant::{Balance, Model, MotorKey, ParameterRole, Slot};
 use crate::sample::{ParameterEstimate, Verdict};
 
@@ -135,9 +135,17 @@ pub(super) fn predicted(
     sum
 }
 
-/// Fits every free parameter of the model to the rows; forms of effects start where the model has them. `None` where a
-/// term is not known in these rows, or there are too few of them.
-pub(super) fn fit(model: &Model, extra: Option<&Extra>, rows: &TorqueRows) -> Option<BalanceFit> {
+/// A term beside the model, and the effect whose sign is open because it is on trial.
+#[derive(Clone, Copy, Default)]
+pub(super) struct OnTrial<'a> {
+    pub(super) extra: Option<&'a Extra>,
+    pub(super) effect: Option<&'a str>,
+}
+
+/// Fits every free parameter of the model to the rows; forms of effects start where the model has them. What can only
+/// take power from the shaft is not let below zero, but for the effect on trial. `None` where a term is not known in
+/// these rows, or there are too few of them.
+pub(super) fn fit(model: &Model, extra: OnTrial<'_>, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut model = model.clone();
     let forms: Vec<Slot> = model
         .free_slots()
@@ -161,12 +169,12 @@ pub(super) fn fit(model: &Model, extra: Option<&Extra>, rows: &TorqueRows) -> Op
 }
 
 /// Sum of squares that the model leaves with its forms as they are.
-pub(super) fn cost(model: &Model, extra: Option<&Extra>, rows: &TorqueRows) -> f64 {
+pub(super) fn cost(model: &Model, extra: OnTrial<'_>, rows: &TorqueRows) -> f64 {
     System::new(model, extra, rows).map_or(f64::INFINITY, |system| system.cost())
 }
 
 /// Coordinate search with halving steps.
-fn search(model: &mut Model, forms: &[Slot], extra: Option<&Extra>, rows: &TorqueRows) {
+fn search(model: &mut Model, forms: &[Slot], extra: OnTrial<'_>, rows: &TorqueRows) {
     let span_s = rows.time_s.last().unwrap_or(&0.0) - rows.time_s.first().unwrap_or(&0.0);
     for slot in forms {
         if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
@@ -210,48 +218,58 @@ fn search(model: &mut Model, forms: &[Slot], extra: Option<&Extra>, rows: &Torqu
     }
 }
 
-fn finish(mut model: Model, extra: Option<&Extra>, rows: &TorqueRows) -> Option<BalanceFit> {
-    let mut system = System::new(&model, extra, rows)?;
-    let mut x = system.solve_plain()?;
+fn finish(mut model: Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<BalanceFit> {
+    let mut system = System::new(&model, on_trial, rows)?;
+    let mut x = system.solve_bounded()?;
     for _ in 0..PASSES {
         let before = system.matrix.clone();
         system.put(&mut model, &x);
-        let again = System::new(&model, extra, rows)?;
+        let again = System::new(&model, on_trial, rows)?;
         let moved = (&again.matrix - &before).norm();
         system = again;
         if moved <= PROPORTIONAL * before.norm() {
             break;
         }
-        x = system.solve_plain()?;
+        x = system.solve_bounded()?;
     }
+    system.put(&mut model, &x);
     let residual = &system.right - &system.matrix * &x;
+    // Intervals of what is not held at its bound.
+    let inside: Vec<usize> = (0..x.len())
+        .filter(|place| !system.at_bound(&x, *place))
+        .collect();
     let solution = least_squares::solve(
-        &system.matrix,
+        &system.matrix.select_columns(&inside),
         &system.right,
         &blocks(rows, residual.as_slice()),
     )?;
-    system.put(&mut model, &solution.x);
-    let whiteness = crate::numerics::statistics::autocorrelation(solution.residual.as_slice(), 2)
+    let white = statistics::autocorrelation(residual.as_slice(), 2)
         .get(1)
-        .copied()
-        .unwrap_or(0.0);
-    let factor = if whiteness > NOT_WHITE { WIDENED } else { 1.0 };
+        .is_none_or(|rho| *rho <= NOT_WHITE);
     let std = |place: usize| {
-        let variance = solution.covariance[(place, place)];
+        let at = inside.iter().position(|inside| *inside == place)?;
+        let variance = solution.covariance[(at, at)];
         variance.is_finite().then(|| variance.max(0.0).sqrt())
     };
-    let period_s = rows.span_s;
     let mut certainty = Vec::new();
     let judged: Vec<ParameterEstimate> = system
         .free
         .iter()
         .enumerate()
         .map(|(place, slot)| {
-            let value = solution.x[place];
-            if let Some(std) = std(place).filter(|std| *std > 0.0) {
-                certainty.push((slot.key(), value.abs() / std));
+            if !inside.contains(&place) {
+                return at_its_bound(slot);
             }
-            judge(slot, value, std(place).map(|std| factor * std), period_s)
+            if let Some(std) = std(place).filter(|std| *std > 0.0) {
+                certainty.push((slot.key(), x[place].abs() / std));
+            }
+            let widened = if white { 1.0 } else { WIDENED };
+            judge(
+                slot,
+                x[place],
+                std(place).map(|std| widened * std),
+                rows.span_s,
+            )
         })
         .collect();
     let parameters = model
@@ -269,12 +287,25 @@ fn finish(mut model: Model, extra: Option<&Extra>, rows: &TorqueRows) -> Option<
     let last = system.free.len();
     Some(BalanceFit {
         parameters,
-        extra: extra.map(|_| (solution.x[last], std(last).unwrap_or(f64::NAN))),
+        extra: on_trial
+            .extra
+            .map(|_| (x[last], std(last).unwrap_or(f64::NAN))),
         certainty,
-        residual: solution.residual.as_slice().to_vec(),
-        free: system.matrix.ncols(),
+        residual: residual.as_slice().to_vec(),
+        free: inside.len(),
         model,
     })
+}
+
+fn at_its_bound(slot: &Slot) -> ParameterEstimate {
+    ParameterEstimate {
+        key: slot.key(),
+        value: Some(0.0),
+        std: None,
+        unit: slot.unit(),
+        verdict: Verdict::Searching,
+        reason: Some("held at zero: the data ask for less, and friction drives nothing".to_owned()),
+    }
 }
 
 fn not_in_the_balance(model: &Model, slot: &Slot) -> ParameterEstimate {
@@ -328,44 +359,71 @@ fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
 /// The linear system for given forms.
 struct System {
     free: Vec<Slot>,
+    /// Whether the column's coefficient may not be negative.
+    takes_power: Vec<bool>,
     matrix: DMatrix<f64>,
     right: DVector<f64>,
 }
 
 impl System {
-    fn new(model: &Model, extra: Option<&Extra>, rows: &TorqueRows) -> Option<Self> {
+    fn new(model: &Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<Self> {
         let mut right = DVector::from_column_slice(&rows.left);
-        let (mut free, mut cells) = (Vec::new(), Vec::new());
+        let (mut free, mut cells, mut takes_power) = (Vec::new(), Vec::new(), Vec::new());
         for slot in unknowns(model) {
             let column = column(model, &slot, rows);
             if is_fixed(model, &slot) {
                 let value = model.get(&slot).unwrap_or(0.0);
                 right.axpy(-value, &DVector::from_vec(column), 1.0);
             } else {
+                takes_power.push(takes_power_only(model, &slot, on_trial, rows));
                 cells.extend(column);
                 free.push(slot);
             }
         }
-        if let Some(extra) = extra {
+        if let Some(extra) = on_trial.extra {
             cells.extend(rows.column(&(extra.values)(&rows.at)));
+            takes_power.push(false);
         }
         let known = right.iter().chain(&cells).all(|cell| cell.is_finite());
         let columns = cells.len() / rows.rows().max(1);
         (known && rows.rows() > columns).then(|| Self {
             free,
+            takes_power,
             matrix: DMatrix::from_vec(rows.rows(), columns, cells),
             right,
         })
     }
 
-    fn solve_plain(&self) -> Option<DVector<f64>> {
-        let (bread, _) = least_squares::inverse_where_determined(&self.matrix);
-        let x = bread * self.matrix.tr_mul(&self.right);
-        x.iter().all(|value| value.is_finite()).then_some(x)
+    /// Least squares with nothing that takes power below zero: the most negative is held at zero until none is left.
+    fn solve_bounded(&self) -> Option<DVector<f64>> {
+        let columns = self.matrix.ncols();
+        let mut inside: Vec<usize> = (0..columns).collect();
+        loop {
+            let matrix = self.matrix.select_columns(&inside);
+            let (bread, _) = least_squares::inverse_where_determined(&matrix);
+            let found = bread * matrix.tr_mul(&self.right);
+            let share = |place: usize| found[place] * matrix.column(place).norm();
+            let most_negative = (0..inside.len())
+                .filter(|place| self.takes_power[inside[*place]] && found[*place] < 0.0)
+                .min_by(|a, b| share(*a).total_cmp(&share(*b)));
+            if let Some(place) = most_negative {
+                inside.remove(place);
+                continue;
+            }
+            let mut x = DVector::zeros(columns);
+            for (place, column) in inside.iter().enumerate() {
+                x[*column] = found[place];
+            }
+            return x.iter().all(|value| value.is_finite()).then_some(x);
+        }
+    }
+
+    fn at_bound(&self, x: &DVector<f64>, place: usize) -> bool {
+        self.takes_power[place] && x[place] == 0.0
     }
 
     fn cost(&self) -> f64 {
-        self.solve_plain().map_or(f64::INFINITY, |x| {
+        self.solve_bounded().map_or(f64::INFINITY, |x| {
             (&self.right - &self.matrix * x).norm_squared()
         })
     }
@@ -373,6 +431,28 @@ impl System {
     fn put(&self, model: &mut Model, x: &DVector<f64>) {
         for (slot, value) in self.free.iter().zip(x.iter()) {
             model.set(slot, *value);
+        }
+    }
+}
+
+/// Whether a coefficient below zero would drive the shaft.
+fn takes_power_only(model: &Model, slot: &Slot, on_trial: OnTrial<'_>, rows: &TorqueRows) -> bool {
+    match *slot {
+        Slot::Motor(key) => key == MotorKey::LoadTorque,
+        Slot::Effect {
+            index,
+            parameter,
+            id,
+            ..
+        } => {
+            let active = &model.effects[index];
+            on_trial.effect != Some(id)
+                && terms::only_takes_power(
+                    active.effect,
+                    &active.values_or_guess(),
+                    parameter,
+                    &rows.at,
+                )
         }
     }
 }

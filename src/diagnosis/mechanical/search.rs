@@ -138,7 +138,7 @@ fn not_told_apart(base: &Score, trials: &[Trial<'_>], sides: &Sides) -> Vec<usiz
 
 /// The model without the effect, fitted again; `None` where it cannot be.
 fn without(model: &Model, id: &str, sides: &Sides) -> Option<(BalanceFit, Score)> {
-    let fit = sides.fit(&model.without_effect(id).ok()?, None)?;
+    let fit = sides.fit(&model.without_effect(id).ok()?)?;
     let score = sides.held_out(&fit, None);
     Some((fit, score))
 }

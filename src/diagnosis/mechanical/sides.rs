@@ -1,10 +1,10 @@
 //! The rows of training, hold-out and confirming run, and the scale of the errors.
 
 use super::Settings;
-use super::regression::{self, BalanceFit};
+use super::regression::{self, BalanceFit, OnTrial};
 use super::score::Score;
 use super::terms::Extra;
-use crate::diagnosis::evidence::Evidence;
+use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::torque_rows::{Method, TorqueRows};
@@ -19,7 +19,8 @@ pub(super) struct Sides {
     pub(super) training: TorqueRows,
     pub(super) holdout: TorqueRows,
     pub(super) confirm: Option<TorqueRows>,
-    /// Whole of the run that is fitted, where the hold-out is a part of it.
+    /// The whole run where it was split: what figures in the literature are of.
+    pub(super) whole: Option<TorqueRows>,
     pub(super) settings: Settings,
 }
 
@@ -59,7 +60,12 @@ impl Sides {
                     needed: FEWEST_ROWS,
                 })
         };
+        let whole = (evidence.holdout_from == HoldoutFrom::Split).then(|| Scenario {
+            scored: 0..evidence.holdout.samples(),
+            ..evidence.holdout.clone()
+        });
         Ok(Self {
+            whole: whole.as_ref().map(rows).transpose()?,
             training: rows(&evidence.training)?,
             holdout: rows(&evidence.holdout)?,
             confirm: evidence.confirm.as_ref().map(rows).transpose()?,
@@ -67,8 +73,8 @@ impl Sides {
         })
     }
 
-    pub(super) fn fit(&self, model: &Model, extra: Option<&Extra>) -> Option<BalanceFit> {
-        regression::fit(model, extra, &self.training)
+    pub(super) fn fit(&self, model: &Model) -> Option<BalanceFit> {
+        regression::fit(model, OnTrial::default(), &self.training)
     }
 
     /// The fitted balance on the hold-out; only times of events are found anew.

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::regression::{self, BalanceFit};
+use super::regression::{self, BalanceFit, OnTrial};
 use super::score::{Score, z};
 use super::sides::Sides;
 use super::terms::{self, Extra};
@@ -39,6 +39,13 @@ impl Of<'_> {
         match self {
             Self::Effect(effect) => effect.card().name,
             Self::Extra(extra) => extra.id,
+        }
+    }
+
+    fn on_trial(&self) -> OnTrial<'_> {
+        OnTrial {
+            extra: self.extra(),
+            effect: Some(self.id()),
         }
     }
 
@@ -180,7 +187,7 @@ fn best_form(
             }
         }
         with.effects.push(active);
-        let cost = regression::cost(&with, None, rows);
+        let cost = regression::cost(&with, Of::Effect(effect).on_trial(), rows);
         if cost.is_finite() && best.as_ref().is_none_or(|best| cost < best.0) {
             best = Some((cost, with));
         }
@@ -203,8 +210,7 @@ fn judged(
     sides: &Sides,
     scenario: &Scenario,
 ) -> Result<Judged, String> {
-    let fit = sides
-        .fit(&start, of.extra())
+    let fit = regression::fit(&start, of.on_trial(), &sides.training)
         .ok_or_else(|| "its terms are not known at the samples of this run".to_owned())?;
     let holdout = sides.held_out(&fit, of.extra());
     if !holdout.rmse.is_finite() {

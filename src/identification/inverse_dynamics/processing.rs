@@ -100,6 +100,14 @@ impl Processing {
 
     /// What was done, for the reader.
     pub fn sentence(&self) -> String {
+        self.sentence_with(&format!(
+            "one row in {} (the new Nyquist frequency is the cut-off), mean over all {} offsets",
+            self.decimation, self.decimation
+        ))
+    }
+
+    /// The same with another choice of rows.
+    pub(super) fn sentence_with(&self, rows: &str) -> String {
         let speed = match self.motion {
             Motion::Speed => "measured speed",
             Motion::Angle => "speed and acceleration as central differences of the filtered angle",
@@ -121,9 +129,8 @@ impl Processing {
         };
         format!(
             "inverse dynamics: {speed}; both sides of the balance through a zero-phase Butterworth low pass of order {} \
-             at {:.3} Hz ({why}; rate {:.1} Hz); one row in {} (the new Nyquist frequency is the cut-off), mean over \
-             all {} offsets{carried}{parts}",
-            self.order, self.cut_off_hz, self.rate_hz, self.decimation, self.decimation
+             at {:.3} Hz ({why}; rate {:.1} Hz); {rows}{carried}{parts}",
+            self.order, self.cut_off_hz, self.rate_hz
         )
     }
 }

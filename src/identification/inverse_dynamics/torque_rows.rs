@@ -124,7 +124,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
     let currents: Vec<f64> = at.iter().map(|at| at.current_a).collect();
     Some(TorqueRows {
         method: Method::InverseDynamics,
-        sentence: processing.sentence(),
+        sentence: processing.sentence_with("every row in motion"),
         speed_rad_s: averaging(&speeds),
         current_a: averaging(&currents),
         at,

@@ -93,7 +93,7 @@ fn roughness(values: &[f64]) -> f64 {
 }
 
 /// Largest value but for one sample in two hundred: a single bad cell must not set the scale.
-fn largest(values: &[f64]) -> f64 {
+pub(super) fn largest(values: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = values
         .iter()
         .filter(|value| value.is_finite())

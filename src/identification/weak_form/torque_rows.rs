@@ -1,6 +1,6 @@
 //! Windows of the torque balance with room for any term.
 
-use super::noise_share::Noise;
+use super::noise_share::{Noise, largest};
 use super::window::Window;
 use super::{FEWEST_HALF, TORQUE_HALF_S};
 use crate::identification::torque_rows::{Method, TorqueRows, between, median_gap_s};
@@ -9,6 +9,8 @@ use crate::plant::{Input, Instant, Model, Scenario};
 
 /// Periods without a measured torque across which it is not interpolated.
 const LONGEST_GAP: f64 = 5.0;
+/// Share of the largest speed below which friction is not yet developed: a reversal runs through presliding first.
+const REVERSAL: f64 = 0.015;
 /// Multiple of its nominal length beyond which a window spans a hole in the data.
 const LONGEST_WINDOW: f64 = 2.0;
 
@@ -33,13 +35,14 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
     grid.sample_time_s.clone_from(&times);
     let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
     let currents: Vec<f64> = at.iter().map(|at| at.current_a).collect();
+    let dead_zone_rad_s = noise.dead_zone_rad_s.max(REVERSAL * largest(&speeds));
     let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut gain, mut rate_gain) = (0.0, 0.0);
     for begin in (0..times.len().saturating_sub(2 * half)).step_by(half) {
         let end = begin + 2 * half;
         let resting = speeds[begin..=end]
             .iter()
-            .any(|speed| speed.abs() <= noise.dead_zone_rad_s);
+            .any(|speed| speed.abs() <= dead_zone_rad_s);
         let whole_window = times[end] - times[begin] <= LONGEST_WINDOW * nominal_s;
         let scored = times[begin] >= *scored_from_s && times[end] <= *scored_to_s;
         if resting || !whole_window || !scored {
@@ -65,9 +68,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
         method: Method::WeakForm,
         sentence: format!(
             "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, nothing differentiated; windows that \
-             touch speeds below {:.3} rad/s left out",
+             touch speeds below {dead_zone_rad_s:.3} rad/s left out",
             1e3 * nominal_s,
-            noise.dead_zone_rad_s
         ),
         begin_s: scenario.begin_s(),
         time_s: windows.iter().map(|window| window.middle_s).collect(),

@@ -1,0 +1,172 @@
+//! The same on records of real machines, where the environment variable `DRIVEBENCH_DATA` names their folder. They are
+//! not part of the project.
+
+use super::*;
+use crate::identification::speed_from_angle;
+use crate::identification::torque_rows::Method;
+use crate::plant::{Motor, MotorKey};
+use crate::recording::{ColumnMap, open_run};
+use std::path::PathBuf;
+
+/// `None`, and said so, where the record is not at hand.
+fn real(file: &str, map: &str) -> Option<Evidence> {
+    let path = std::env::var_os("DRIVEBENCH_DATA").map(|folder| PathBuf::from(folder).join(file));
+    let Some(path) = path.filter(|path| path.exists()) else {
+        eprintln!("skipped: DRIVEBENCH_DATA does not name a folder with {file}");
+        return None;
+    };
+    let map: ColumnMap = map.parse().unwrap();
+    let loaded = open_run(&path, Some(&map)).unwrap();
+    let run = speed_from_angle::complete(&loaded.run).unwrap();
+    Some(Evidence::new(Scenario::from_run(&run).unwrap(), None, None))
+}
+
+/// Direct-current motor with ball screw and carriage in a closed position loop; force in, position out.
+fn emps() -> Option<(Evidence, Model)> {
+    let data = real(
+        "emps/DATA_EMPS.csv",
+        "time_s=t_s,torque_n_m=force_N,angle_rad=qm_m",
+    )?;
+    let model = start(95.0, 20.0, &["viscous_friction", "constant_load"]);
+    Some((data, model))
+}
+
+/// Propeller on a thrust stand; torque in, optical speed out.
+fn propeller() -> Option<(Evidence, Model)> {
+    let data = real(
+        "sar_bldc/time_constant_2023-12-16.csv",
+        "time_s=Time (s),torque_n_m=Torque (N·m),speed_rad_s=Motor Optical Speed (rad/s)",
+    )?;
+    Some((data, start(1e-5, 0.001, &["viscous_friction"])))
+}
+
+fn start(inertia: f64, load: f64, effects: &[&str]) -> Model {
+    let motor = Motor::new("machine")
+        .with(MotorKey::Inertia, inertia)
+        .with(MotorKey::LoadTorque, load);
+    with_effects(Model::baseline(motor), effects)
+}
+
+#[test]
+fn the_axis_misses_direction_dependent_viscous_friction() {
+    let Some((data, model)) = emps() else { return };
+    let diagnosis = diagnose(&model, &data, false).unwrap();
+    assert_eq!(
+        diagnosis.effect,
+        Some("asymmetric_viscous"),
+        "{}",
+        diagnosis.sentence
+    );
+    assert_eq!(diagnosis.verdict, DiagnosisVerdict::Effect);
+    assert!(!diagnosis.sufficient);
+    assert!(diagnosis.sentence.contains("constant_load is superfluous"));
+    assert_ne!(status(&diagnosis, "stribeck_friction"), Status::Supported);
+    let added = add(effect::find("asymmetric_viscous").unwrap(), &model, &data).unwrap();
+    let error = |side: &crate::diagnosis::Comparison, method| {
+        let torque = side.signals.torque_n_m.as_ref().unwrap();
+        torque
+            .under(method)
+            .unwrap()
+            .whole_run_relative_error_percent
+            .unwrap()
+    };
+    for (method, share) in [(Method::InverseDynamics, 0.8), (Method::WeakForm, 0.6)] {
+        let (before, after) = (error(&added.before, method), error(&added.after, method));
+        eprintln!("{method:?}: {before:.2} -> {after:.2} %");
+        assert!(after < share * before, "{method:?}: {before} -> {after}");
+    }
+    let stribeck = add(effect::find("stribeck_friction").unwrap(), &model, &data).unwrap();
+    assert!(!stribeck.accepted, "{}", stribeck.reason);
+}
+
+#[test]
+fn the_propeller_is_a_quadratic_load() {
+    let Some((data, model)) = propeller() else {
+        return;
+    };
+    let diagnosis = diagnose(&model, &data, false).unwrap();
+    assert_eq!(
+        diagnosis.effect,
+        Some("quadratic_load"),
+        "{}",
+        diagnosis.sentence
+    );
+}
+
+#[test]
+fn real_records_pass_the_tests_that_a_simulation_cannot_cheat() {
+    let records = [
+        (emps(), "asymmetric_viscous", 40.0, "quadratic_load", 400.0),
+        (
+            propeller(),
+            "quadratic_load",
+            1.4e-8,
+            "viscous_friction",
+            2e-6,
+        ),
+    ];
+    for (record, name, unit, other, other_unit) in records {
+        let Some((data, model)) = record else {
+            continue;
+        };
+        let swapped = Evidence {
+            training: Scenario {
+                scored: data.holdout.scored.clone(),
+                ..data.holdout.clone()
+            },
+            holdout: data.training.clone(),
+            ..data.clone()
+        };
+        assert_eq!(
+            diagnose(&model, &swapped, false).unwrap().effect,
+            Some(name),
+            "{name}: halves"
+        );
+        for settings in turned() {
+            let named = diagnose_with(&model, &data, false, settings).unwrap();
+            assert_eq!(named.effect, Some(name), "{settings:?}: {}", named.sentence);
+        }
+        let explained = add(effect::find(name).unwrap(), &model, &data)
+            .unwrap()
+            .fit
+            .model;
+        for (id, unit, base) in [(name, unit, &model), (other, other_unit, &explained)] {
+            doses(&data, base, id, unit);
+        }
+        let (mut judged, mut passed) = (0, 0);
+        for model in [&model, &explained] {
+            for seed in 0..2 {
+                let found =
+                    judge_extras(model, &data, &placebos(100, seed), Settings::default()).unwrap();
+                judged += found.len();
+                passed += supported(&found);
+            }
+        }
+        eprintln!("{name}: placebos supported: {passed} of {judged}");
+        assert!(passed * 100 < judged, "{passed} of {judged}");
+    }
+}
+
+fn doses(data: &Evidence, model: &Model, id: &str, unit: f64) {
+    if model.has(id) {
+        return;
+    }
+    let effect = effect::find(id).unwrap();
+    let (natural, _) = size(model, data, effect);
+    let mut before = f64::NEG_INFINITY;
+    for dose in [0.0, 0.5, 1.0, 2.0] {
+        let mut dosed_data = data.clone();
+        for run in [&mut dosed_data.training, &mut dosed_data.holdout] {
+            *run = dosed(run, effect, &[dose * unit]);
+        }
+        let (found, std) = size(model, &dosed_data, effect);
+        let expected = natural + dose * unit;
+        eprintln!("{id} x {dose}: {found:.4e} +- {std:.1e}, expected {expected:.4e}");
+        assert!(
+            (found - expected).abs() < 3.0 * std,
+            "{id} x {dose}: {found} +- {std}, {expected}"
+        );
+        assert!(found > before, "{id} x {dose}: {found} after {before}");
+        before = found;
+    }
+}
