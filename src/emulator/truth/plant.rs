@@ -98,7 +98,12 @@ pub struct Plant {
 impl Plant {
     /// A machine at rest, cold and without current, on a supply of its rated voltage.
     pub fn new(motor: MotorTruth, hidden: &[HiddenEffect]) -> Self {
-        Self::on_site(Site::of(&motor), hidden)
+        let site = Site {
+            bus_v: motor.rated_voltage_v,
+            motor,
+            seed: 0,
+        };
+        Self::on_site(site, hidden)
     }
 
     /// A machine at rest, cold and without current.

@@ -3,6 +3,7 @@
 use super::*;
 
 /// One of each in the sizes of the example configuration.
+#[expect(clippy::too_many_lines, reason = "one entry per effect: a table")]
 pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
     use HiddenEffect as H;
     let coupling = ElasticCoupling {
