@@ -130,6 +130,9 @@ fn card_text((card, parameters): Entry) -> String {
     let enters = match card.enters {
         Enters::Voltage => "the voltage balance, subtracted from the voltage applied",
         Enters::Torque => "the torque balance, subtracted from the torque of the motor",
+        Enters::Both if effect::family(card.id).is_some() => {
+            "the voltage or the torque balance, as its settings say"
+        }
         Enters::Both => "the voltage and the torque balance",
         Enters::Path => {
             "neither balance: it lies between what is commanded or measured and the motor"
