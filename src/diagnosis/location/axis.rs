@@ -310,7 +310,7 @@ impl Search<'_> {
         }
         let fill = |window: &Window, row: &mut [f64]| {
             row[0] = window.current_a;
-            row[1] = window.current_a.abs() * window.speed_rad_s.signum();
+            row[1] = window.current_a.abs() * window.direction;
         };
         let fitted = self.fit(2, fill)?;
         let points = self.points(&fitted, |window| window.current_a, fill);
@@ -448,7 +448,7 @@ impl Search<'_> {
             |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, window.current_a, row);
         // Friction acts against the motion: a load that changes does so too.
         let of_friction = |window: &Window, row: &mut [f64]| {
-            hat(&knots, window.time_s, window.speed_rad_s.signum(), row);
+            hat(&knots, window.time_s, window.direction, row);
         };
         let own = self.own_columns();
         let plain = self.fit(knots.len(), of_itself);

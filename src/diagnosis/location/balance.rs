@@ -31,6 +31,8 @@ pub(super) struct Window {
     pub torque_floor_n_m: f64,
     pub voltage_floor_v: f64,
     pub speed_rad_s: f64,
+    /// Mean sign of the motion: what friction is multiplied with.
+    pub direction: f64,
     pub current_a: f64,
     /// Mean of the input: V, A or N.m.
     pub input: f64,
@@ -312,15 +314,18 @@ fn window(
     );
     let c = constants;
     let (mut e_i, mut e_i_rate, mut e_w, mut e_w_rate) = (0.0, 0.0, 0.0, 0.0);
-    let mut opposite = 0.0;
+    let (mut opposite, mut direction) = (0.0, 0.0);
     for k in 0..times.len() {
         let (error_i, error_w) = (measured_i[k] - current[k], measured_w[k] - speed[k]);
         e_i += weights.mean[k] * error_i;
         e_i_rate += weights.rate[k] * error_i;
         e_w += weights.mean[k] * error_w;
         e_w_rate += weights.rate[k] * error_w;
-        if measured_w[k].abs() > dead_zone_rad_s && measured_w[k] * speed[k] < 0.0 {
-            opposite += weights.mean[k] * 2.0 * measured_w[k].signum();
+        if measured_w[k].abs() > dead_zone_rad_s {
+            direction += weights.mean[k] * measured_w[k].signum();
+            if measured_w[k] * speed[k] < 0.0 {
+                opposite += weights.mean[k] * 2.0 * measured_w[k].signum();
+            }
         }
     }
     let (mean, rate) = (norm(&weights.mean), norm(&weights.rate));
@@ -358,6 +363,7 @@ fn window(
             .hypot(c.back_emf * c.speed_noise * mean)
             .hypot(c.inductance * c.current_noise * rate),
         speed_rad_s: dot(&weights.mean, measured_w),
+        direction,
         current_a: dot(&weights.mean, measured_i),
         input,
         acceleration_rad_s2: dot(&weights.rate, measured_w),

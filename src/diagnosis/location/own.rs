@@ -18,7 +18,7 @@ pub(super) const fn columns(window: &Window, equation: Equation) -> [f64; 3] {
             window.current_rate_a_s,
             window.speed_rad_s,
         ],
-        Equation::Torque => [window.acceleration_rad_s2, window.speed_rad_s.signum(), 0.0],
+        Equation::Torque => [window.acceleration_rad_s2, window.direction, 0.0],
     }
 }
 
