@@ -43,11 +43,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     )?;
     let place = arguments.next.place(&prepared)?;
     let original = &prepared.model.file.model;
-    let mut diagnosis = diagnose(
-        original,
-        prepared.evidence.clone(),
-        arguments.until_floor,
-    )?;
+    let mut diagnosis = diagnose(original, prepared.evidence.clone(), arguments.until_floor)?;
     place.recommend(&mut diagnosis, original, &prepared.evidence)?;
     arguments.next.write(&diagnosis)?;
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();

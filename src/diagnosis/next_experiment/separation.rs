@@ -24,7 +24,9 @@ pub(super) fn linear(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Op
 /// The rival's difference to the run, in units of the noise.
 pub(super) fn difference(problem: &mut FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
     let mut out = vec![0.0; problem.residual_len()];
-    problem.residual(x, &mut out).then(|| DVector::from_vec(out))
+    problem
+        .residual(x, &mut out)
+        .then(|| DVector::from_vec(out))
 }
 
 /// How a rival can change in a run.

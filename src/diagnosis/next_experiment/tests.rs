@@ -86,7 +86,9 @@ fn chi2_of_both(model: &Model, evidence: &Evidence, new: &Scenario) -> f64 {
     let old = FreeRun::new(model, &evidence.training, evidence.noise).unwrap();
     let start = old.start();
     let mut both = Both { old, new, evidence };
-    minimise(&mut both, &start, Options::default()).unwrap().cost
+    minimise(&mut both, &start, Options::default())
+        .unwrap()
+        .cost
 }
 
 /// A case: what is true, what else it may be, and the run in hand.
@@ -133,8 +135,7 @@ fn answer(case: &Case) -> Answer {
         .clone()
         .unwrap_or_else(|| panic!("{}", next.sentence));
     let new = made(&case.truth, &recipe, 3);
-    let obtained =
-        chi2_of_both(&rival, &evidence, &new) - chi2_of_both(&truth, &evidence, &new);
+    let obtained = chi2_of_both(&rival, &evidence, &new) - chi2_of_both(&truth, &evidence, &new);
     println!(
         "{:?}: {} expected {:.0} obtained {obtained:.0}\n  {}\n  {:?}",
         next.pair, recipe.id, next.expected_separation, next.sentence, next.menu
@@ -160,10 +161,19 @@ fn told_apart(case: &Case) -> NextExperiment {
     let expected = answer.next.expected_separation;
     assert!(expected > SEPARATED, "{}", answer.next.sentence);
     let ratio = answer.obtained / expected;
-    assert!((0.3..30.0).contains(&ratio), "{ratio}: {}", answer.next.sentence);
+    assert!(
+        (0.3..30.0).contains(&ratio),
+        "{ratio}: {}",
+        answer.next.sentence
+    );
     let id = case.truth.effects[0].id();
     let again = &answer.again;
-    assert_eq!(again.verdict, DiagnosisVerdict::Effect, "{}", again.sentence);
+    assert_eq!(
+        again.verdict,
+        DiagnosisVerdict::Effect,
+        "{}",
+        again.sentence
+    );
     assert_eq!(again.effects, [id], "{}", again.sentence);
     assert!(entry(&answer.next, "standstill") < 1.0);
     answer.next
@@ -185,7 +195,12 @@ fn a_drag_law_needs_the_whole_range_of_speeds() {
 #[test]
 fn a_delay_and_a_filter_of_the_speed_need_a_fast_dither() {
     let events = (0..1200)
-        .map(|k| (f64::from(k) * 0.005, (f64::from(k) * 0.005 - 0.5).max(0.0) * 12.0))
+        .map(|k| {
+            (
+                f64::from(k) * 0.005,
+                (f64::from(k) * 0.005 - 0.5).max(0.0) * 12.0,
+            )
+        })
         .collect();
     let case = Case {
         truth: with("speed_delay", &[0.004]),
@@ -241,12 +256,19 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
         .unwrap();
     assert!(next.recipe.is_none() && next.peaks.is_none());
     assert!(next.expected_separation < SEPARATED);
-    assert!(next.sentence.starts_with("no run of this kind"), "{}", next.sentence);
+    assert!(
+        next.sentence.starts_with("no run of this kind"),
+        "{}",
+        next.sentence
+    );
     let seen = ExperimentLimits::seen_in(&evidence);
     let next = next_experiment([&truth, &rival], &evidence, &seen)
         .unwrap()
         .unwrap();
     let peaks = next.peaks.unwrap();
-    assert!(peaks.voltage_v <= 55.0 && peaks.current_a <= seen.current_a, "{peaks:?}");
+    assert!(
+        peaks.voltage_v <= 55.0 && peaks.current_a <= seen.current_a,
+        "{peaks:?}"
+    );
     assert!(peaks.rms_current_a <= seen.rms_current_a, "{peaks:?}");
 }

@@ -18,7 +18,12 @@ pub(super) fn pairs(plan: &Planned, separations: &[([&'static str; 2], f64)]) ->
         let rivals: Vec<String> = told
             .iter()
             .map(|([a, b], value)| {
-                format!("{} from {} (separation {})", name(a), name(b), figure(*value))
+                format!(
+                    "{} from {} (separation {})",
+                    name(a),
+                    name(b),
+                    figure(*value)
+                )
             })
             .collect();
         sentences.push(format!(
