@@ -1,12 +1,14 @@
 //! A recommended run as a bench file that `run` takes as it is.
 
-use super::bench_file::BenchFile;
+use super::bench_file::{BenchFile, Protocol};
 use crate::diagnosis::{ExperimentLimits, Recipe};
 use crate::plant::{Model, MotorKey};
 
 /// Currents in rated currents up to which a run is recommended: what the drive of such a motor gives, whatever the
 /// bench would let pass.
 const CURRENT_IN_RATED: f64 = 2.0;
+/// Exchanges per second that a serial line of Modbus carries (LINKS.md); faster runs came over the stream.
+const FASTEST_MODBUS_HZ: f64 = 120.0;
 /// Separates the name of the bench from that of the recommended run.
 const NEXT: &str = "-next-";
 /// Width of the comment at the head of the file.
@@ -61,6 +63,9 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
     let or = |value: f64, other: f64| if value.is_finite() { value } else { other };
     bench.name = "next".to_owned();
     bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
+    if rate_hz > FASTEST_MODBUS_HZ {
+        bench.link.protocol = Protocol::Stream;
+    }
     let motor = &mut bench.motor;
     if !model.motor.name.is_empty() {
         motor.name.clone_from(&model.motor.name);

@@ -5,7 +5,9 @@ use super::named_estimate::NamedEstimate;
 use super::progress::{Progress, StepState, StepView};
 use super::result::{CommissionResult, RunRecord, Truth};
 use crate::bench::{BenchFile, CheckReport, Plan, experiment_limits, next_bench};
-use crate::diagnosis::{Diagnosis, ErrorOf, Evidence, Rung, Score, compare, diagnose, recommend};
+use crate::diagnosis::{
+    Diagnosis, ErrorOf, Evidence, Recipe, Rung, Score, compare, diagnose, recommend,
+};
 use crate::identification::output_error::FitError;
 use crate::identification::start;
 use crate::plant::{Model, Motor, Scenario};
@@ -273,7 +275,7 @@ impl Commission {
             let mut next = recommend(&diagnosis, &nameplate, &evidence, &limits)?;
             if let Some(next) = &mut next {
                 let model = &diagnosis.model.model;
-                let file = |recipe| next_bench(bench, recipe, model, &next.sentence);
+                let file = |recipe: &Recipe| next_bench(bench, recipe, model, &next.sentence);
                 next.bench = next.recipe.as_ref().map(file);
             }
             diagnosis.next_experiment = next;

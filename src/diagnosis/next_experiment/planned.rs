@@ -60,7 +60,7 @@ pub(super) fn planned(
     let mut share = 1.0;
     for _ in 0..MOST_TRIALS {
         let recipe = recipe(index, &whole_reach.smaller(share));
-        let mut blank = blank(&recipe, training, period_s)?;
+        let mut blank = blank(&recipe, period_s)?;
         let mut peaks = Peaks::default();
         for model in models {
             let mut run = blank.clone();
@@ -94,7 +94,7 @@ fn fill(run: &mut Scenario, model: &Model) -> Option<()> {
     })
 }
 
-fn blank(recipe: &Recipe, training: &Scenario, period_s: f64) -> Option<Scenario> {
+fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
     let program = Program::new(&recipe.segments, recipe.slew_v_per_s).ok()?;
     let rows = whole((program.duration_s() / period_s).ceil());
     let times: Vec<f64> = (0..rows).map(|row| row as f64 * period_s).collect();
@@ -109,7 +109,8 @@ fn blank(recipe: &Recipe, training: &Scenario, period_s: f64) -> Option<Scenario
             clippy::float_cmp,
             reason = "the same command again changes nothing, another one does"
         )]
-        if events.last().is_none_or(|last| last.1 != voltage_v) {
+        let changes = events.last().is_none_or(|last| last.1 != voltage_v);
+        if changes {
             events.push((time_s, voltage_v));
         }
     }
@@ -123,7 +124,6 @@ fn blank(recipe: &Recipe, training: &Scenario, period_s: f64) -> Option<Scenario
         angle: Vec::new(),
         scored: 0..rows,
         sample_time_s: times,
-        ..training.clone()
     })
 }
 

@@ -6,7 +6,7 @@ use super::limits::ExperimentLimits;
 use super::menu::COUNT;
 use super::planned::{Planned, planned};
 use super::rival::Rival;
-use super::separation::{Response, difference};
+use super::separation::{Response, difference, linear};
 use super::{MenuEntry, NextExperiment, SEPARATED, words};
 use crate::diagnosis::Evidence;
 use crate::identification::output_error::{FitError, FreeRun};
@@ -108,9 +108,12 @@ fn shown(
         .map(|(_, truth)| {
             let run = plan.measured(truth)?;
             let mut problem = FreeRun::new(rival.model, &run, evidence.noise).ok()?;
-            // The problems of two runs of one plan have the same coordinates but where a signal vanishes.
-            let difference = difference(&mut problem, &x)?;
-            let separation = response.separation(&difference) / rival.inflation;
+            // An offset does not look like rest: its start is one more unknown.
+            let separation = if problem.start().len() == x.len() {
+                response.separation(&difference(&mut problem, &x)?)
+            } else {
+                linear(&run, rival, evidence.noise)?
+            } / rival.inflation;
             Some(if separation.is_finite() {
                 separation
             } else {
