@@ -61,7 +61,7 @@ pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &
 pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> BenchFile {
     let mut bench = BenchFile::embedded_default();
     let or = |value: f64, other: f64| if value.is_finite() { value } else { other };
-    bench.name = "next".to_owned();
+    "next".clone_into(&mut bench.name);
     bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
     if rate_hz > FASTEST_MODBUS_HZ {
         bench.link.protocol = Protocol::Stream;

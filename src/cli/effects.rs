@@ -170,22 +170,23 @@ fn parameter_text(spec: &ParameterSpec) -> String {
         (None, _) => "any value".to_owned(),
     };
     let tried: Vec<String> = spec.shapes.iter().map(f64::to_string).collect();
-    text += &match spec.role {
-        ParameterRole::Coefficient => format!(": {bounds}"),
-        ParameterRole::Shape => {
-            format!(
-                ": {bounds}; not given, it is fitted from {}",
-                tried.join(", ")
-            )
-        }
-        ParameterRole::Choice => format!(
+    let _ = match spec.role {
+        ParameterRole::Coefficient => write!(text, ": {bounds}"),
+        ParameterRole::Shape => write!(
+            text,
+            ": {bounds}; not given, it is fitted from {}",
+            tried.join(", ")
+        ),
+        ParameterRole::Choice => write!(
+            text,
             ": {bounds}; not given, it is chosen from {} to {}",
             tried[0],
             tried[tried.len() - 1]
         ),
-        ParameterRole::EventTime => {
-            ": since the run's first command; found anew in each run, unless it is fixed".to_owned()
-        }
+        ParameterRole::EventTime => write!(
+            text,
+            ": since the run's first command; found anew in each run, unless it is fixed"
+        ),
     };
     text
 }

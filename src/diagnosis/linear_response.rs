@@ -7,7 +7,7 @@
 use nalgebra::DVector;
 
 use crate::identification::output_error::FreeRun;
-use crate::plant::{Effect, Instant, Linear, Model, Scenario};
+use crate::plant::{Effect, Instant, Linear, Model, Scenario, Terms};
 
 /// Multiple of the speed's noise below which the shaft counts as at rest.
 const AT_REST: f64 = 4.0;
@@ -24,10 +24,10 @@ pub(super) fn responses(
     let linear = Linear::of(model)?;
     let noise = problem.noise();
     let terms: Vec<_> = values.iter().map(|values| effect.terms(values)).collect();
-    let simple = |terms: &Box<dyn crate::plant::Terms>| {
+    let simple = |terms: &dyn Terms| {
         terms.states() == 0 && terms.path().measures_directly() && terms.coupling().is_none()
     };
-    if !terms.iter().all(simple) {
+    if !terms.iter().all(|terms| simple(terms.as_ref())) {
         return None;
     }
     let samples = scenario.samples();

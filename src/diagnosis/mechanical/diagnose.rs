@@ -1,5 +1,7 @@
 //! Which effect the torque balance misses.
 
+use std::fmt::Write as _;
+
 use super::Settings;
 use super::candidate::{describe, of_trials};
 use super::regression::BalanceFit;
@@ -230,7 +232,7 @@ fn sentence(diagnosis: &Diagnosis, base: &Score, found: &Found, sides: &Sides) -
     for id in &found.superfluous {
         text.push_str(&superfluous_sentence(id));
     }
-    text.push_str(&format!(" ({})", sides.training.sentence));
+    let _ = write!(text, " ({})", sides.training.sentence);
     text
 }
 

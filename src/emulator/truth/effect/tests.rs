@@ -162,8 +162,10 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
                 (m.breakaway_extra_n_m() + m.friction_n_m(&still), 0.16, 1e-9)
             }
             "asymmetric_viscous" => (torque(m), 1e-4 * speed, 0.011),
-            "constant_load" | "cogging" | "harmonic_cogging" => (torque(m), 0.1, 1e-9),
-            "torque_ripple" => (torque(m), 0.05 * 2.0, 1e-9),
+            // The ripple is a twentieth of the two newton metres of the motor.
+            "constant_load" | "cogging" | "harmonic_cogging" | "torque_ripple" => {
+                (torque(m), 0.1, 1e-9)
+            }
             "eccentric_load" => {
                 let x = at.angle_rad;
                 (torque(m), 0.1 * x.sin() + 0.05 * x.cos(), 0.25)
