@@ -121,6 +121,35 @@ fn nothing_that_a_run_leaves_behind_tells_what_a_mystery_hides() {
 }
 
 #[test]
+fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let bench = include_str!("../bench-configs/benches/zk-22fc-emulated.toml")
+        .replace("config = \"zk-22fc-hidden\"", "config = \"mystery\"")
+        .replace("\nseed = 1\n", "\nseed = 11\n");
+    let file = out.path().join("bench.toml");
+    fs::write(&file, bench).expect("the folder takes a file");
+    let samples = |text: &str, runs: &str| {
+        let runs = out.path().join(runs);
+        let paths = [file.as_path(), runs.as_path()];
+        let paths = if text.contains("{} ") {
+            &paths[..]
+        } else {
+            &paths[1..]
+        };
+        drivebench(line(text, paths)).expect(0);
+        let sealed = runs.join("mystery-11.sealed.json");
+        fs::remove_file(sealed).expect("the sealed truth is beside the run");
+        fs::read_to_string(only_folder(&runs).join("samples.csv")).expect("samples")
+    };
+    let named = samples("run {} --port sim: --headless --json --out {}", "named");
+    let asked = samples(
+        "run --port sim: --headless --json --mystery 11 --out {}",
+        "asked",
+    );
+    assert_eq!(named, asked);
+}
+
+#[test]
 fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = sealed(seed_of(Some("voltage_drop")), folder.path());

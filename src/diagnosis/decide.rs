@@ -183,7 +183,9 @@ pub(super) fn not_told_apart(base: &Score, refits: &[Refit], best: usize) -> Vec
             let rival = &refits[index].holdout;
             let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);
             index == best
-                || (pays(base, rival) && (close || z(rival, &refits[best].holdout) < SIGNIFICANT))
+                || (pays(base, rival)
+                    && !mends(rival, &refits[best].holdout)
+                    && (close || z(rival, &refits[best].holdout) < SIGNIFICANT))
         })
         .collect();
     set.sort_by(|&a, &b| {
