@@ -11,6 +11,7 @@
 use super::candidates::Refit;
 use super::decide::{self, not_told_apart, pays};
 use super::evidence::Evidence;
+use super::family::related;
 use super::ladder::Rung;
 use super::progress::{Event, Progress};
 use super::refit::{Thoroughness, polished, refit_all, refit_one};
@@ -169,7 +170,10 @@ fn exchange(
         let others: Vec<&'static dyn Effect> = effect::CATALOGUE
             .iter()
             .copied()
-            .filter(|effect| effect.card().id != id && !without.has(effect.card().id))
+            .filter(|effect| {
+                let other = effect.card().id;
+                other != id && !related(other, id) && !without.has(other)
+            })
             .collect();
         let mut screened = screen.all(&others, progress);
         screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
