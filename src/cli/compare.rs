@@ -7,7 +7,7 @@ use super::data::{EvidenceArguments, prepare};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::output;
 use super::sanity_report::Judging;
-use crate::diagnosis::{Comparison, ErrorOf, SignalComparison, compare};
+use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
@@ -49,7 +49,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
     value["model"] = prepared.model.from.into();
-    output::result(&value, arguments.json, |_| text(&comparison))?;
+    output::result(&value, arguments.json, |_| {
+        text(&comparison) + &map(&comparison)
+    })?;
     check_fit(&comparison, arguments.min_fit)
 }
 
@@ -86,21 +88,24 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
     Ok(())
 }
 
-/// The comparison as a small table, the hold-out first.
+/// The comparison as a small table, the hold-out first; then one line of lights, then sentences.
 pub(super) fn text(comparison: &Comparison) -> String {
     let mut text = String::from(
-        "signal   fit held-out   rmse held-out   noise floor   fit training   one-step rmse\n",
+        "signal    held-out fit   held-out rmse   noise floor   times floor | training fit   one-step rmse\n",
     );
     let mut row = |name: &str, unit: &str, signal: Option<SignalComparison>| {
         let Some(signal) = signal else { return };
-        let floor = signal
-            .noise_floor
-            .map_or_else(|| "unknown".to_owned(), |floor| format!("{floor:.3}"));
+        let known = |value: Option<f64>, digits: usize| {
+            value.map_or_else(|| "unknown".to_owned(), |value| format!("{value:.digits$}"))
+        };
+        let times = signal.noise_floor.map(|floor| signal.holdout.rmse / floor);
         let _ = writeln!(
             text,
-            "{name:<8} {:>10.2} % {:>9.3} {unit:<5} {floor:>12} {:>12.2} % {:>15.3}",
+            "{name:<8} {:>11.2} %  {:>8.3} {unit:<5} {:>13} {:>13} | {:>10.2} % {:>15.3}",
             signal.holdout.fit_percent,
             signal.holdout.rmse,
+            known(signal.noise_floor, 3),
+            known(times, 2),
             signal.fit_percent,
             signal.one_step_rmse
         );
@@ -124,17 +129,102 @@ pub(super) fn text(comparison: &Comparison) -> String {
             );
         }
     }
-    let white = if comparison.residual.white {
-        "white: nothing but noise is left"
+    let _ = writeln!(text, "residual {}", lights(&comparison.residual));
+    if comparison.locations.is_empty() && comparison.balances.iter().all(|b| !b.fails) {
+        if !comparison.balances.is_empty() {
+            text.push_str("where    nowhere: no equation fails beyond its noise\n");
+        }
     } else {
-        "not white"
-    };
-    let _ = writeln!(text, "residual {white}");
+        for location in comparison.locations.iter().take(MOST_PLACES) {
+            let _ = writeln!(text, "where    {}", location.sentence);
+        }
+    }
     for balance in &comparison.balances {
-        let _ = writeln!(text, "balance  {}", balance.sentence);
+        // What it follows stands above.
+        let told = balance.sentence.split("; ").next().unwrap_or_default();
+        let _ = writeln!(text, "balance  {told}");
     }
-    for location in comparison.locations.iter().take(3) {
-        let _ = writeln!(text, "where    {}", location.sentence);
+    for limit in &comparison.limits {
+        let _ = writeln!(text, "note     {limit}");
     }
+    text
+}
+
+/// Sentences about places that are shown; all are in the JSON.
+const MOST_PLACES: usize = 3;
+
+/// One line: whether only noise is left, then each correlation in multiples of its 99 % band, `!` where it is outside.
+fn lights(residual: &ResidualLights) -> String {
+    if !residual.enough_samples {
+        return "too few samples to say whether only noise is left".to_owned();
+    }
+    let mut line = match (residual.white, residual.independent_of_input) {
+        (true, true) => "white and independent of the input: nothing but noise is left".to_owned(),
+        (true, false) => "white, but it goes with the input".to_owned(),
+        (false, true) => "not white, but independent of the input".to_owned(),
+        (false, false) => "not white, and it goes with the input".to_owned(),
+    };
+    line.push_str(" (times the 99 % band:");
+    for (name, signal) in [
+        ("speed", residual.speed_rad_s),
+        ("current", residual.current_a),
+    ] {
+        let Some(signal) = signal else { continue };
+        let _ = write!(line, " {name}");
+        for (light, value) in signal.named() {
+            let mark = if value.passes { "" } else { "!" };
+            let _ = write!(line, " {light} {:.1}{mark}", value.largest_over_band);
+        }
+        line.push(';');
+    }
+    line.pop();
+    line.push(')');
+    line
+}
+
+/// The map of the equation that fails worst, ten shades from nothing to its largest error, a dot where the run never was.
+fn map(comparison: &Comparison) -> String {
+    let (Some(map), Some(worst)) = (
+        &comparison.map,
+        comparison.balances.first().filter(|balance| balance.fails),
+    ) else {
+        return String::new();
+    };
+    let cells = if worst.equation == "torque" {
+        &map.torque_rms_n_m
+    } else {
+        &map.voltage_rms_v
+    };
+    let largest = cells
+        .iter()
+        .flatten()
+        .flatten()
+        .fold(0.0, |most: f64, value| most.max(*value));
+    if largest <= 0.0 {
+        return String::new();
+    }
+    let mut text = format!(
+        "\n{} error over speed and current: 9 is {largest:.3} {}, a dot where the run never was\n",
+        worst.equation, worst.unit
+    );
+    for (row, values) in cells.iter().enumerate().rev() {
+        let middle = 0.5 * (map.speed_edges_rad_s[row] + map.speed_edges_rad_s[row + 1]);
+        let _ = write!(text, "{middle:>8.0} rad/s  ");
+        for value in values {
+            let mark = value.map_or_else(
+                || ".".to_owned(),
+                |value| format!("{:.0}", 9.0 * value / largest),
+            );
+            let _ = write!(text, " {mark}");
+        }
+        text.push('\n');
+    }
+    let edges = &map.current_edges_a;
+    let _ = writeln!(
+        text,
+        "                 {:<12.1}{:>12.1} A",
+        edges[0],
+        edges[edges.len() - 1]
+    );
     text
 }

@@ -8,7 +8,7 @@ use super::failure::{Failure, USAGE};
 use super::output;
 use super::provenance::Provenance;
 use super::sanity_report::{self, Judging};
-use crate::diagnosis::Evidence;
+use crate::diagnosis::{Evidence, Fingerprint, Kinship, fingerprint, matches};
 use crate::identification::{speed_from_angle, start};
 use crate::plant::{Model, ModelFile, Motor, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, open_run};
@@ -165,14 +165,43 @@ pub(super) fn prepare(
         output::message("voltage_cmd_v serves as the voltage");
     }
     model.file.model = start::complete(&model.file.model, &fit_run)?;
-    let evidence = Evidence::new(
-        fit_run,
-        other(args.holdout.as_ref())?,
-        other(args.confirm.as_ref())?,
+    let (holdout, confirm) = (other(args.holdout.as_ref())?, other(args.confirm.as_ref())?);
+    warn_of_another_motor(
+        &mut run,
+        &model.file.model,
+        &fit_run,
+        [
+            ("hold-out", holdout.as_ref()),
+            ("confirming run", confirm.as_ref()),
+        ],
     );
+    let evidence = Evidence::new(fit_run, holdout, confirm);
     Ok(Prepared {
         run,
         model,
         evidence,
     })
+}
+
+/// Says where a hold-out is not of the motor of the run, by resistance and back-EMF constant.
+fn warn_of_another_motor(
+    run: &mut LoadedRun,
+    model: &Model,
+    fit_run: &Scenario,
+    others: [(&str, Option<&Scenario>); 2],
+) {
+    let mut first: Option<Option<Fingerprint>> = None;
+    for (name, other) in others {
+        let Some(other) = other else { continue };
+        let here = *first.get_or_insert_with(|| fingerprint(model, fit_run));
+        let (Some(here), Some(there)) = (here, fingerprint(model, other)) else {
+            continue;
+        };
+        let found = matches(here, there);
+        if found.kinship != Kinship::Same {
+            let sentence = format!("{name}: {}", found.sentence);
+            output::warn(std::slice::from_ref(&sentence));
+            run.run.notes.push(sentence);
+        }
+    }
 }

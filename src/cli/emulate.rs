@@ -7,14 +7,17 @@ use std::sync::atomic::AtomicBool;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
+use super::reveal::{seal, sealed_name};
 use super::{live, output};
-use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, ready_line, serve};
+use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, mystery, ready_line, serve};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty drive.pty
-  drivebench run --port ./drive.pty --headless"
+  drivebench run --port ./drive.pty --headless
+  drivebench emulate --mystery 7 --pty drive.pty      a motor whose hidden effect is for you to find
+  drivebench reveal mystery-7.sealed.json --guess cogging"
 )]
 pub(super) struct Arguments {
     /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
@@ -31,6 +34,12 @@ pub(super) struct Arguments {
     /// Draws the specimen within its tolerance, and the sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Hide an effect that this number draws, and its size; the truth goes into a sealed file for `reveal`
+    #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
+    mystery: Option<u64>,
+    /// Where the sealed truth goes; without it mystery-SEED.sealed.json
+    #[arg(long, value_name = "FILE", requires = "mystery")]
+    seal: Option<PathBuf>,
     /// Register map to answer with; only our own so far
     #[arg(long, default_value = "own")]
     profile: String,
@@ -45,8 +54,14 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         let headline = format!("link {:?} is not known", arguments.link);
         Failure::with_help(USAGE, headline, "allowed: modbus-rtu, modbus-tcp, stream")
     })?;
+    let mystery = arguments.mystery.map(mystery::draw);
+    let seed = arguments.mystery.unwrap_or(arguments.seed);
     let config = match &arguments.emulator {
-        None => EmulatorConfig::embedded_default(),
+        None => mystery
+            .as_ref()
+            .map_or_else(EmulatorConfig::embedded_default, |mystery| {
+                mystery.config.clone()
+            }),
         Some(name) if PathBuf::from(name).exists() => {
             EmulatorConfig::parse(name, &read_text(name.as_ref())?)
                 .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?
@@ -61,6 +76,10 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         }
         (None, None) => Endpoint::temporary_pty(),
     };
+    if let Some(mystery) = &mystery {
+        let path = arguments.seal.unwrap_or_else(|| sealed_name(mystery.seed));
+        seal(mystery, &path)?;
+    }
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [
         signal_hook::consts::SIGINT,
@@ -74,7 +93,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
             )
         })?;
     }
-    serve(&config, arguments.seed, link, &endpoint, &stop, |address| {
+    serve(&config, seed, link, &endpoint, &stop, |address| {
         // A caller that does not read the line does not need it.
         let _ = output::line(&ready_line(link, address, &config));
     })

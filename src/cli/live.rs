@@ -15,8 +15,8 @@ use clap::Args;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
-use super::output;
 use super::recorded::Recorded;
+use super::{output, reveal};
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
     LiveOnline, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions,
@@ -25,6 +25,7 @@ use crate::bench::{
 use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
 use crate::emulator::{
     EmulatorConfig, Endpoint, Latency, LinkKind, MemoryLink, ServerHandle, SoftDrive, VirtualClock,
+    mystery,
 };
 use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
@@ -32,6 +33,9 @@ use crate::numerics::count::whole;
 use crate::plant::{Model, Motor};
 use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
 use crate::sample::{Channel, Command, Demand};
+
+/// What stands for the emulator's configuration in a bench file that hides it.
+const MYSTERY: &str = "mystery";
 
 /// Options of every command that may energise a motor.
 #[derive(Args, Clone, Debug)]
@@ -51,6 +55,9 @@ pub(super) struct LiveArguments {
     /// Seed of the emulator: draws the specimen and the sensor noise
     #[arg(long)]
     seed: Option<u64>,
+    /// Hide an effect that this number draws in the emulated motor; the truth is sealed into the folder of runs
+    #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
+    mystery: Option<u64>,
     /// Where run folders are made
     #[arg(long, value_name = "DIR", default_value = "runs")]
     out: PathBuf,
@@ -102,8 +109,11 @@ impl LiveArguments {
         if let Some(emulator) = &self.emulator {
             bench.emulator.config.clone_from(emulator);
         }
-        if let Some(seed) = self.seed {
+        if let Some(seed) = self.seed.or(self.mystery) {
             bench.emulator.seed = seed;
+        }
+        if self.mystery.is_some() {
+            MYSTERY.clone_into(&mut bench.emulator.config);
         }
         Ok(bench)
     }
@@ -176,6 +186,7 @@ pub(super) struct Rig {
     /// What the bench file says about the motor, whatever is found later.
     pub(super) plate: Motor,
     out: PathBuf,
+    /// None where the truth is not to be told.
     pub(super) emulator: Option<EmulatorConfig>,
     /// Dropping it ends the emulator, so it outlives the link.
     _server: Option<ServerHandle>,
@@ -191,10 +202,31 @@ impl Rig {
         profile.link.protocol = link_protocol(bench.link.protocol);
         profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
         let port = bench.port();
-        let emulator = match port {
-            Port::Emulator | Port::Sim => Some(emulator_config(&bench.emulator.config)?),
-            Port::Tcp(_) | Port::Serial(_) => None,
+        let mystery = arguments.mystery.map(mystery::draw);
+        let emulator = match (&port, &mystery) {
+            (Port::Emulator | Port::Sim, Some(mystery)) => Some(mystery.config.clone()),
+            (Port::Emulator | Port::Sim, None) => Some(emulator_config(&bench.emulator.config)?),
+            (Port::Tcp(_) | Port::Serial(_), None) => None,
+            (Port::Tcp(_) | Port::Serial(_), Some(_)) => {
+                return Err(Failure::with_help(
+                    USAGE,
+                    format!(
+                        "--mystery hides an effect in our own emulator, and the port is {}",
+                        bench.link.port
+                    ),
+                    "give --port sim: or --port emulator; for another program's port, `drivebench emulate --mystery SEED`",
+                ));
+            }
         };
+        if let Some(mystery) = &mystery {
+            std::fs::create_dir_all(&arguments.out).map_err(|error| {
+                Failure::new(USAGE, format!("{}: {error}", arguments.out.display()))
+            })?;
+            reveal::seal(
+                mystery,
+                &arguments.out.join(reveal::sealed_name(mystery.seed)),
+            )?;
+        }
         let real = MonotonicClock::start();
         let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
         let link: Box<dyn DriveLink> = match (&port, &emulator) {
@@ -242,7 +274,8 @@ impl Rig {
             escalates: arguments.escalate || bench.motor.is_unknown(),
             plate: bench.motor.motor(),
             out: arguments.out.clone(),
-            emulator,
+            // What a seal is on stays out of manifest, result and report.
+            emulator: emulator.filter(|_| mystery.is_none()),
             _server: server,
             bench,
         })

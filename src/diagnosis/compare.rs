@@ -114,8 +114,26 @@ pub fn compare(
         noise_floor_from: noise.source,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
-        limits: located.notes,
+        limits: limits(evidence, located.notes),
     })
+}
+
+/// What these runs cannot answer.
+fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
+    if evidence.noise.source == FloorSource::None {
+        notes.insert(
+            0,
+            "the run does not begin with a standstill at zero input (20 samples are needed): no noise floor is known, so \
+             that an error cannot be told from noise; errors are shown beside the drive instead"
+                .to_owned(),
+        );
+    }
+    if evidence.holdout_from == HoldoutFrom::Split {
+        notes.push(
+            "no hold-out was given: the last 40 % of the run are held out, which share its day and its excitation".to_owned(),
+        );
+    }
+    notes
 }
 
 /// Each residual with the input that held then; the times ascend.

@@ -7,6 +7,7 @@ use super::candidates::Refit;
 use super::evidence::Evidence;
 use super::family::simple_form;
 use super::score::Score;
+use crate::identification::noise::FloorSource;
 
 /// z above which one model beats another.
 pub(super) const SIGNIFICANT: f64 = 3.0;
@@ -19,7 +20,7 @@ pub(super) const SUFFICIENT: f64 = 0.9;
 pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
 
 /// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
-const NEAR_THE_FLOOR: f64 = 1.5;
+const NEAR_THE_FLOOR: f64 = 1.2;
 
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
@@ -115,7 +116,39 @@ pub(super) fn beats(better: &Score, worse: &Score) -> bool {
 
 /// Whether `candidate` pays on the hold-out.
 pub(super) fn pays(base: &Score, candidate: &Score) -> bool {
-    candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms && z(base, candidate) >= SIGNIFICANT
+    candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms
+        && (z(base, candidate) >= SIGNIFICANT || mends(base, candidate))
+}
+
+/// Standard deviations by which a block must leave the noise to count as failed, and blocks that must be mended.
+const FAILED: f64 = 5.0;
+const FEWEST_MENDED: usize = 3;
+
+/// Whether the candidate explains the run to its noise while the base fails in several blocks, and fails in none that the
+/// base explains. An effect that shows for a short time only, as at a passage through zero, leaves most blocks as they
+/// are; their mean says little however plain the few are. Needs a known noise.
+fn mends(base: &Score, candidate: &Score) -> bool {
+    let noise = candidate.noise();
+    if noise.source == FloorSource::None || candidate.nrms >= noise.tolerance(AT_THE_FLOOR) {
+        return false;
+    }
+    let (mut mended, mut spoilt) = (0, 0);
+    let blocks = base
+        .counted_blocks(BLOCK_S)
+        .into_iter()
+        .zip(candidate.counted_blocks(BLOCK_S));
+    for ((before, count), (after, _)) in blocks {
+        if count == 0 {
+            continue;
+        }
+        let limit = noise.tolerance(1.0).powi(2) + FAILED * (2.0 / count as f64).sqrt();
+        match (before / count as f64 > limit, after / count as f64 > limit) {
+            (true, false) => mended += 1,
+            (false, true) => spoilt += 1,
+            _ => {}
+        }
+    }
+    mended >= FEWEST_MENDED && spoilt == 0
 }
 
 /// Share of what a richer effect explains from which its simple form is the answer.

@@ -3,8 +3,10 @@
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
 //!    |-> compare    free-run fit and error per signal, beside the floor; residual lights
-//!    |-> location   which equation fails, and over which speeds, currents, times
+//!    |-> location   which equation fails, and over which speeds, currents, angles, times
+//!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
+//!    |-> next_experiment  the run that tells what these runs cannot
 //!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
 //! ```
 //!
@@ -18,10 +20,13 @@ mod describe;
 mod diagnose;
 mod evidence;
 mod family;
+mod fingerprint;
 mod fitted;
 mod ladder;
+mod linear_response;
 mod location;
 pub mod mechanical;
+pub mod next_experiment;
 mod progress;
 mod refit;
 mod residual;
@@ -35,10 +40,14 @@ pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
+pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
 pub use fitted::Fitted;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
     EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
+};
+pub use next_experiment::{
+    ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
 };
 pub use progress::{Event, Progress, silent};
 pub use refit::Thoroughness;

@@ -78,23 +78,35 @@ impl Score {
 
     /// Sum of the squared weighted residuals in blocks of `block_s`. Every signal counts with its number of samples.
     pub fn blocks(&self, block_s: f64) -> Vec<f64> {
+        let blocks = self.counted_blocks(block_s);
+        blocks.into_iter().map(|(squares, _)| squares).collect()
+    }
+
+    /// The same with the number of residuals in each block.
+    pub(super) fn counted_blocks(&self, block_s: f64) -> Vec<(f64, usize)> {
         let Some(&begin_s) = self.time_s.first() else {
             return Vec::new();
         };
         let end_s = self.time_s[self.time_s.len() - 1];
-        let mut blocks = vec![0.0; whole((end_s - begin_s) / block_s) + 1];
+        let mut blocks = vec![(0.0, 0); whole((end_s - begin_s) / block_s) + 1];
         for (row, time_s) in self.time_s.iter().enumerate() {
-            let block = &mut blocks[whole((time_s - begin_s) / block_s)];
+            let (block, count) = &mut blocks[whole((time_s - begin_s) / block_s)];
             for (value, level) in [
                 (self.current_a[row], self.noise.current_a),
                 (self.speed_rad_s[row], self.noise.speed_rad_s),
             ] {
                 if value.is_finite() {
                     *block += (value / level).powi(2);
+                    *count += 1;
                 }
             }
         }
         blocks
+    }
+
+    /// The floor that the residuals are scaled by.
+    pub(super) const fn noise(&self) -> &NoiseFloor {
+        &self.noise
     }
 
     pub fn duration_s(&self) -> f64 {

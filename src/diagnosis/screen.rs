@@ -7,6 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use super::linear_response::responses;
 use super::progress::{Event, Progress};
 use super::shapes::shape_grid;
 use crate::identification::noise::NoiseFloor;
@@ -14,6 +15,8 @@ use crate::identification::output_error::{Fit, FitError, FreeRun};
 use crate::numerics::levenberg_marquardt::Problem;
 use crate::plant::{ActiveEffect, Effect, Model, ParameterRole, Scenario, typical_size};
 
+/// Choices of one effect that are simulated.
+const MOST_CHOICES: usize = 3;
 /// Standard deviations at which an effect counts as visible.
 pub(super) const DETECTION_SIGMA: f64 = 5.0;
 /// Longest step of a baseline parameter that the linear solution may suggest.
@@ -68,6 +71,11 @@ impl<'a> Screen<'a> {
         }
     }
 
+    /// Square of what the baseline's parameters leave unexplained.
+    pub(super) fn error(&self) -> f64 {
+        self.unexplained.norm_squared()
+    }
+
     /// Screens every effect, in parallel over effects and shapes; an effect that cannot be simulated is left out.
     pub(super) fn all(
         &self,
@@ -88,7 +96,7 @@ impl<'a> Screen<'a> {
     }
 
     pub(super) fn effect(&self, effect: &'static dyn Effect) -> Result<Screened, FitError> {
-        let shapes = shape_grid(effect, self.training);
+        let shapes = self.worth_a_simulation(effect, shape_grid(effect, self.training));
         let found: Vec<Result<Tried, FitError>> = shapes
             .into_par_iter()
             .map(|shape| self.shape(effect, &shape))
@@ -109,6 +117,54 @@ impl<'a> Screen<'a> {
             (None, Some(error)) => Err(error),
             (None, None) => unreachable!("every effect has at least one shape"),
         }
+    }
+
+    /// Of many choices those few that the linear response puts first; all shapes of other effects.
+    fn worth_a_simulation(
+        &self,
+        effect: &'static dyn Effect,
+        shapes: Vec<Vec<f64>>,
+    ) -> Vec<Vec<f64>> {
+        let specs = effect.parameters();
+        let is_choice = specs.iter().any(|spec| spec.role == ParameterRole::Choice);
+        if !is_choice || shapes.len() <= MOST_CHOICES {
+            return shapes;
+        }
+        let Ok(problem) = FreeRun::new(self.baseline, self.training, self.noise) else {
+            return shapes;
+        };
+        let ones: Vec<usize> = (0..specs.len())
+            .filter(|index| specs[*index].is_coefficient())
+            .collect();
+        let probes: Vec<Vec<f64>> = shapes
+            .iter()
+            .flat_map(|shape| {
+                ones.iter().map(|&index| {
+                    let mut values = shape.clone();
+                    values[index] = 1.0;
+                    values
+                })
+            })
+            .collect();
+        let Some(along) = responses(effect, &probes, self.baseline, self.training, &problem) else {
+            return shapes;
+        };
+        let mut ranked: Vec<(f64, Vec<f64>)> = along
+            .chunks(ones.len())
+            .zip(shapes)
+            .map(|(columns, shape)| {
+                let columns: Vec<DVector<f64>> = columns
+                    .iter()
+                    .map(|column| project(&self.basis, column.clone()))
+                    .collect();
+                let along = DMatrix::from_columns(&columns);
+                let (_, gain) = best_coefficients(&along, &self.unexplained);
+                (gain, shape)
+            })
+            .collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        ranked.truncate(MOST_CHOICES);
+        ranked.into_iter().map(|(_, shape)| shape).collect()
     }
 
     /// One combination of shape parameters: all coefficients by linear least squares.
@@ -152,14 +208,7 @@ impl<'a> Screen<'a> {
         }
         let normal = along.tr_mul(&along);
         let projected = along.tr_mul(&self.unexplained);
-        // Half a hair of damping: a coefficient that does nothing in this run stays at zero.
-        let damped = &normal
-            + DMatrix::identity(normal.nrows(), normal.ncols())
-                * (1e-12 * normal.trace().max(1e-300));
-        let mut solution = damped.cholesky().map_or_else(
-            || projected.clone() * 0.0,
-            |factor| -factor.solve(&projected),
-        );
+        let (mut solution, _) = best_coefficients(&along, &self.unexplained);
         for (column, &index) in coefficients.iter().enumerate() {
             if !(specs[index].min..=specs[index].max).contains(&solution[column]) {
                 solution[column] = 0.0;
@@ -266,6 +315,21 @@ struct Tried {
     gain: f64,
     visible: f64,
     per_unit: f64,
+}
+
+/// Coefficients of the columns that take most from `residual`, and how much of its square that is.
+fn best_coefficients(along: &DMatrix<f64>, residual: &DVector<f64>) -> (DVector<f64>, f64) {
+    let normal = along.tr_mul(along);
+    let projected = along.tr_mul(residual);
+    // Half a hair of damping: a coefficient that does nothing in this run stays at zero.
+    let damped = &normal
+        + DMatrix::identity(normal.nrows(), normal.ncols()) * (1e-12 * normal.trace().max(1e-300));
+    let solution = damped.cholesky().map_or_else(
+        || projected.clone() * 0.0,
+        |factor| -factor.solve(&projected),
+    );
+    let gain = -projected.dot(&solution);
+    (solution, gain)
 }
 
 /// The part of `vector` that is at right angles to `basis`.

@@ -3,6 +3,7 @@
 //! ```text
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
+//!   mystery/   draws a configuration that nobody knows, and seals what it hides
 //!   memory.rs  virtual time --------+
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
@@ -11,6 +12,7 @@ mod config;
 mod dialogue;
 mod drive;
 mod memory;
+pub mod mystery;
 mod pace;
 mod port;
 #[cfg(target_os = "linux")]

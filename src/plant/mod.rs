@@ -10,6 +10,7 @@
 //! An effect is one file under `effect/` and one line in its catalogue.
 
 pub mod effect;
+mod linear;
 mod model;
 mod model_file;
 mod motor;
@@ -25,6 +26,7 @@ pub use effect::{
     Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path, Sums,
     Terms,
 };
+pub use linear::{Linear, LinearStep};
 pub use model::{ActiveEffect, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};

@@ -81,6 +81,9 @@ pub struct Scenario {
     pub scored: Range<usize>,
 }
 
+/// Supply to which a sag is referred, V.
+const REFERENCE_SUPPLY_V: f64 = 110.0;
+
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
 /// Rows below which nothing can be said about a motor.
@@ -171,15 +174,15 @@ impl Scenario {
         self.events[next.saturating_sub(1)].1
     }
 
-    /// Full voltage of the supply: the highest that the run applied, since a run says no more of its supply.
-    /// Zero where it is not driven by a voltage.
+    /// Full voltage of the supply that effects of the duty refer to. A run does not tell it, and what one run happened
+    /// to reach would give the same machine another number in the next: a fixed reference.
+    /// Zero where the run is not driven by a voltage.
     pub fn supply_v(&self) -> f64 {
-        if self.input != Input::Voltage {
-            return 0.0;
+        if self.input == Input::Voltage {
+            REFERENCE_SUPPLY_V
+        } else {
+            0.0
         }
-        self.events
-            .iter()
-            .fold(0.0, |most, event| f64::max(most, event.1.abs()))
     }
 
     /// Angle of the shaft `(time, angle)`: the measured one, else the integral of the measured speed, which starts

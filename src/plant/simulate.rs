@@ -35,6 +35,8 @@ use crate::numerics::count::whole;
 const LONGEST_STEP_WITH_EFFECTS_S: f64 = 5e-4;
 /// Longest sub-step of the bare baseline, s: exact within, but a reversal must not hide inside.
 const LONGEST_STEP_S: f64 = 5e-3;
+/// Longest sub-step with a second inertia and no other effect, s: exact within, but a load that rings turns often.
+const LONGEST_RINGING_STEP_S: f64 = 1e-3;
 
 /// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -51,7 +53,7 @@ pub struct Plant {
     /// While stuck: the current alone.
     stuck: Steps,
     /// Where the load is a second inertia behind a shaft.
-    two_mass: Option<TwoMass>,
+    two_mass: Option<Box<TwoMass>>,
     /// Where something lies between the motion and its measurement.
     sensors: Option<Sensors>,
     /// Start of the run that is being simulated, s.
@@ -73,16 +75,17 @@ impl Plant {
         let still = [[equations.a[0][0], 0.0], [0.0, 0.0]];
         let linear = equations.is_linear();
         Ok(Self {
-            longest_step_s: if linear && equations.coupling.is_none() {
-                LONGEST_STEP_S
-            } else {
-                LONGEST_STEP_WITH_EFFECTS_S
+            longest_step_s: match (linear, &equations.coupling) {
+                (true, None) => LONGEST_STEP_S,
+                (true, Some(_)) if equations.path.measures_directly() => LONGEST_RINGING_STEP_S,
+                // The sensors take the motion between two steps for a straight line: they need them short.
+                _ => LONGEST_STEP_WITH_EFFECTS_S,
             },
             moving: Steps::new(&equations.a, !linear),
             stuck: Steps::new(&still, !linear),
             two_mass: equations
                 .coupling
-                .map(|coupling| TwoMass::new(&coupling, &equations)),
+                .map(|coupling| Box::new(TwoMass::new(&coupling, &equations))),
             sensors: None,
             begin_s: 0.0,
             equations,

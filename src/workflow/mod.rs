@@ -6,6 +6,8 @@
 //!     '------- Done in: what came of it; a failed task ends the loop with its reason
 //! ```
 //!
+//! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
+//!
 //! The driver (`cli`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
 mod commission;
@@ -14,9 +16,11 @@ mod named_estimate;
 mod progress;
 pub mod reproduce;
 mod result;
+mod reveal;
 
 pub use commission::{Commission, Role, Task};
 pub use escalate::{Escalate, EscalationResult, StageRecord, compared, scaled_sentence};
 pub use named_estimate::NamedEstimate;
 pub use progress::{Progress, ProgressCell, StepState, StepView};
 pub use result::{CommissionResult, RunRecord, Truth};
+pub use reveal::{Answer, Outcome, Revelation, reveal};

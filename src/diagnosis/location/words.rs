@@ -79,7 +79,7 @@ pub(super) fn sentence(axis: &Axis) -> String {
         }),
         Shape::Line { amplitude } => format!(
             "{follows} of the {equation} error is a line at {} Hz, with {} {unit}",
-            figure(axis.region.from),
+            figure(0.5 * (axis.region.from + axis.region.to)),
             figure(*amplitude)
         ),
         Shape::Late { delay_s, resolved } => format!(
@@ -92,12 +92,8 @@ pub(super) fn sentence(axis: &Axis) -> String {
             if *delay_s > 0.0 { "late" } else { "early" }
         ),
         Shape::Offset { by } => format!(
-            "{follows} of the {equation} error is the same everywhere: {} {unit} too much in the model's {}",
-            figure(-by),
-            match axis.equation {
-                Equation::Torque => "losses",
-                Equation::Voltage => "drops",
-            }
+            "{follows} of the {equation} error is the same everywhere: {} {unit} are missing in the model",
+            figure(*by)
         ),
         Shape::OneWay { forward } => format!(
             "{} of the {equation} error falls in {} motion ({} of the time in motion)",
@@ -135,7 +131,7 @@ fn range(axis: &Axis) -> Option<String> {
 fn own(key: MotorKey, by: f64, share: f64) -> String {
     let name = name_of(key);
     format!(
-        "as a {name} that is {} too {} in the model would ({} {})",
+        "as {name} {} too {} in the model would make it ({} {})",
         percent(share.abs()),
         if by > 0.0 { "low" } else { "high" },
         figure(by.abs()),

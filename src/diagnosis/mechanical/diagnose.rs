@@ -1,5 +1,7 @@
 //! Which effect the torque balance misses.
 
+use std::fmt::Write as _;
+
 use super::Settings;
 use super::candidate::{describe, of_trials};
 use super::regression::BalanceFit;
@@ -10,6 +12,7 @@ use super::terms::Extra;
 use super::trial::{self, Trial};
 use crate::diagnosis::candidates::{Candidate, Status};
 use crate::diagnosis::diagnose::{Diagnosis, DiagnosisVerdict};
+use crate::diagnosis::equivalences;
 use crate::diagnosis::evidence::Evidence;
 use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::ladder::Rung;
@@ -96,6 +99,14 @@ pub(super) fn diagnose_with(
             })
             .collect(),
         sentence: String::new(),
+        equivalences: found
+            .accepted
+            .iter()
+            .flat_map(|id| equivalences(id))
+            .copied()
+            .collect(),
+        next_experiment: None,
+        axis_map: Vec::new(),
         baseline: fitted(baseline),
         model: fitted(&found.fit),
     };
@@ -221,7 +232,7 @@ fn sentence(diagnosis: &Diagnosis, base: &Score, found: &Found, sides: &Sides) -
     for id in &found.superfluous {
         text.push_str(&superfluous_sentence(id));
     }
-    text.push_str(&format!(" ({})", sides.training.sentence));
+    let _ = write!(text, " ({})", sides.training.sentence);
     text
 }
 

@@ -345,4 +345,6 @@ fn identity(config: &EmulatorConfig, seed: u64) -> Identity {
 }
 
 #[cfg(test)]
+mod form_tests;
+#[cfg(test)]
 mod tests;

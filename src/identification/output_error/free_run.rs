@@ -187,6 +187,11 @@ impl<'a> FreeRun<'a> {
         2 * usize::from(self.start_is_free) + self.effect_states
     }
 
+    /// What the residuals are scaled by.
+    pub const fn noise(&self) -> &NoiseFloor {
+        &self.noise
+    }
+
     pub fn free_slots(&self) -> &[Slot] {
         &self.free
     }

@@ -176,3 +176,42 @@ fn without_a_speed_only_ratios_are_determined_and_nothing_is_invented() {
         assert_eq!(estimate.value.is_some(), electrical, "{estimate:?}");
     }
 }
+
+/// Steps both ways and, before them, a dither about zero speed, which makes a shaft ring.
+fn ringing(model: &Model, seed: u64) -> Scenario {
+    let dither = (0..60_u32).map(|k| {
+        let level_v = if (k * k + k / 3) % 5 < 2 { 9.0 } else { -8.0 };
+        (0.4 + 0.03 * f64::from(k), level_v)
+    });
+    let steps = [(2.2, 30.0), (2.7, -25.0), (3.2, 3.0), (3.6, 0.0)];
+    let events = std::iter::once((0.0, 0.0)).chain(dither).chain(steps);
+    testing::record(model, events.collect(), 0.001, 4.0, seed)
+}
+
+#[test]
+fn a_second_inertia_is_found_from_the_neighbour_on_the_grid() {
+    let with = |motor: &Model, id: &str, values: &[f64]| {
+        let mut model = motor.with_effect(id).unwrap();
+        model.effects[0].values = values.iter().copied().map(Some).collect();
+        model
+    };
+    let motor = Model::baseline(Motor::zk_22fc());
+    let truth = [25.3, 0.47, 0.02, 0.35];
+    let record = ringing(&with(&motor, "elastic_coupling", &truth), 4);
+    // The motor as a fit without the effect leaves it.
+    let start = with(
+        &off_by(&motor, 1.1),
+        "elastic_coupling",
+        &[22.0, 0.55, 0.03, 0.5],
+    );
+    let fit = fit(&[start], &record, &NOISE).unwrap();
+    let found = fit.model.effects[0].values_or_guess();
+    for ((value, truth), tolerance) in found.iter().zip(truth).zip([0.005, 0.02, 0.1, 0.1]) {
+        assert!(
+            (value / truth - 1.0).abs() < tolerance,
+            "{found:?} instead of {truth}, nrms {}",
+            fit.nrms
+        );
+    }
+    assert!((fit.nrms - 1.0).abs() < 0.03, "{}", fit.nrms);
+}

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
     use crate::plant::Motor;
     use crate::plant::testing::record;
-    use crate::sample::Run;
+    use crate::sample::{Channel, Origin, Run};
 
     fn identified(start: &Model, scenario: &Scenario) -> Model {
         let run = Run::new("r", scenario.sample_time_s.clone()).unwrap();
@@ -153,5 +153,54 @@ mod tests {
                 assert!((ratio - 1.0).abs() < 0.03, "{factors:?} {key:?} {ratio}");
             }
         }
+    }
+
+    #[test]
+    fn the_order_of_cogging_is_found_from_an_angle_that_starts_again_each_turn() {
+        let start = Model::baseline(Motor::zk_22fc())
+            .with_effect("cogging")
+            .unwrap();
+        let mut truth = start.clone();
+        truth.effects[0].values = vec![Some(0.06), Some(-0.05), Some(9.0)];
+        let events = vec![
+            (0.0, 0.0),
+            (0.2, 7.0),
+            (1.2, 15.0),
+            (2.0, -6.0),
+            (3.0, -20.0),
+            (3.5, 0.0),
+        ];
+        let recorded = record(&truth, events, 0.002, 4.0, 5);
+        let mut run = Run::new("r", recorded.sample_time_s.clone()).unwrap();
+        let (mut angle, mut last) = (0.0, 0.0);
+        let wrapped = recorded.speed_rad_s.iter().map(|speed| {
+            angle += 0.5 * (speed + last) * 0.002;
+            last = *speed;
+            f64::rem_euclid(angle, std::f64::consts::TAU)
+        });
+        for (channel, cells) in [
+            (Channel::Angle, wrapped.collect()),
+            (
+                Channel::Voltage,
+                (recorded.sample_time_s.iter())
+                    .map(|time_s| recorded.input_at(*time_s))
+                    .collect(),
+            ),
+            (Channel::Current, recorded.current_a.clone()),
+            (Channel::Speed, recorded.speed_rad_s.clone()),
+        ] {
+            run.set_column(channel, cells, Origin::Measured).unwrap();
+        }
+        let data = Data {
+            run: &run,
+            scenario: &Scenario::from_run(&run).unwrap(),
+            model: &start,
+        };
+        let found = OutputError.identify(&data).unwrap();
+        let of = |key: &str| found.parameters.iter().find(|p| p.key == key).unwrap();
+        let order = of("cogging.order");
+        assert_eq!((order.value, order.verdict), (Some(9.0), Verdict::Settled));
+        let sin = of("cogging.sin_n_m").value.unwrap();
+        assert!((sin - 0.06).abs() < 0.01, "{sin}");
     }
 }

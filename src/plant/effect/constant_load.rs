@@ -13,7 +13,9 @@ impl Effect for ConstantLoad {
             enters: Enters::Torque,
             equation: "T = T0, whatever the direction",
             causes: "a weight, a spring, belt tension; Coulomb friction that differs by direction (the same equation \
-                     while it is below the Coulomb level: they cannot be told apart)",
+                     while it is below the Coulomb level: they cannot be told apart by a run). Turn the machine \
+                     round, or take the weight off: a weight changes, a friction stays. An offset of the current \
+                     sensor looks alike in motion, but shows at rest with the bridge off",
             looks_like: "torque error of one sign that turns from driving to braking when the direction changes",
             excite: "the same speeds in both directions",
             remedy: "balance the load, or compensate by a constant feed-forward",

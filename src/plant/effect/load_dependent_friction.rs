@@ -28,7 +28,7 @@ impl Effect for LoadDependentFriction {
     }
 
     fn parameters(&self) -> &'static [ParameterSpec] {
-        const P: &[ParameterSpec] = &[ParameterSpec::coefficient("ratio", "1", f64::MAX, 0.05)];
+        const P: &[ParameterSpec] = &[ParameterSpec::coefficient("ratio", "-", f64::MAX, 0.05)];
         P
     }
 

@@ -18,7 +18,10 @@ impl Effect for LoadStep {
             name: "load step",
             enters: Enters::Torque,
             equation: "T = T1 sgn(w) from the time t1 on, found anew in each run",
-            causes: "a brake, a clutch or a tool that engages; a belt that begins to rub",
+            causes: "a brake, a clutch or a tool that engages; a belt that begins to rub; a seal that runs dry. \
+                     Compare the moment with the machine's log and listen: a brake or tool comes back at the same \
+                     place of the cycle, a rub at the same temperature or angle. What always comes at the same angle \
+                     is a load of position",
             looks_like: "torque error that is zero before a moment and constant after it",
             excite: "let the load come and go within one run, at steady speed",
             remedy: "a load observer; feed-forward where the load announces itself",

@@ -12,7 +12,9 @@ impl Effect for QuadraticLoad {
             name: "quadratic load",
             enters: Enters::Torque,
             equation: "T = k w |w|",
-            causes: "fan, pump, propeller, windage of an open rotor",
+            causes: "fan, pump, propeller, windage of an open rotor. Take the fan or impeller off, or throttle it: \
+                     what changes is its load. Over a narrow range of speed viscous friction looks alike; only a \
+                     wide range tells them apart",
             looks_like: "torque error grows with the square of speed, odd in the direction",
             excite: "holds at five or more speeds up to the highest, both directions",
             remedy: "expected where a fan or pump is coupled; compensate by feed-forward k w |w|",

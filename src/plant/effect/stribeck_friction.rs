@@ -16,7 +16,10 @@ impl Effect for StribeckFriction {
             name: "Stribeck friction",
             enters: Enters::Torque,
             equation: "T = Ts exp(-(w/ws)^2) sgn(w), added to the Coulomb level, stiction included",
-            causes: "boundary lubrication in plain bearings, seals and gears; stiction of a machine that stood still",
+            causes: "boundary lubrication in plain bearings, seals and gears; stiction of a machine that stood \
+                     still. By hand: a breakaway that is harder than the motion after it. It falls after some \
+                     warm-up and after re-greasing; cogging feels alike when turned by hand but stands at fixed \
+                     angles, a compliant drive with backlash jerks only at reversals",
             looks_like: "torque error below a few per cent of speed and at reversals; stick-slip when creeping",
             excite: "repeated slow passages through zero speed in both directions",
             remedy: "lubrication, dither or friction feed-forward at low speed",

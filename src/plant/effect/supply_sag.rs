@@ -11,13 +11,12 @@ impl Effect for SupplySag {
             id: "supply_sag",
             name: "supply sag",
             enters: Enters::Voltage,
-            equation: "U = Rs (u/Us)^2 i, Us the full voltage of the supply",
+            equation: "U = Rs (u/110 V)^2 i",
             causes: "a supply, cable, fuse or battery with inner resistance Rs before the chopper: at duty u/Us it \
                      carries (u/Us) i, sags by Rs times that, and the motor gets the share u/Us of it. Measure the \
                      DC bus under load: if it sags by Rs (u/Us) i it is the supply; if it stands still, a resistance \
                      that grows with the duty is in the drive (a contact, a chopper that loses time under current). \
-                     Us is the highest bus voltage recorded in the run, else the highest voltage applied in it: \
-                     without a recorded bus voltage compare runs of like top voltage",
+                     The size is that of a supply of 110 V: on one of Us volts the resistance is Rs (Us/110 V)^2",
             looks_like: "voltage error at high voltage and high current together; the resistance seems to grow \
                          towards full speed",
             excite: "hard acceleration at low and at high speed, so that the same current is met at small and at \

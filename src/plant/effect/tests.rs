@@ -181,7 +181,7 @@ fn ids_and_keys_are_those_that_files_use_and_are_unique() {
             1,
             "{id}"
         );
-        assert!(std::ptr::eq(find(id).unwrap().card(), effect.card()) || find(id).is_some());
+        assert_eq!(find(id).unwrap().card().id, id);
     }
 }
 

@@ -39,8 +39,8 @@ impl Effect for TorqueRipple {
 
     fn parameters(&self) -> &'static [ParameterSpec] {
         const P: &[ParameterSpec] = &[
-            ParameterSpec::coefficient("sin_ratio", "1", f64::MAX, 0.03),
-            ParameterSpec::coefficient("cos_ratio", "1", f64::MAX, 0.03),
+            ParameterSpec::coefficient("sin_ratio", "-", f64::MAX, 0.03),
+            ParameterSpec::coefficient("cos_ratio", "-", f64::MAX, 0.03),
             ParameterSpec::choice("order", "1/turn", (1.0, 1000.0), ORDERS),
         ];
         P

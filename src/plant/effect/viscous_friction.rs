@@ -12,8 +12,10 @@ impl Effect for ViscousFriction {
             name: "viscous friction",
             enters: Enters::Torque,
             equation: "T = B w",
-            causes: "grease and seals, churning oil, eddy currents in iron or a brake disc (the same equation: they \
-                     cannot be told apart by voltage, current and speed)",
+            causes: "grease and seals, churning oil, eddy currents in iron or a brake disc: the same equation, which \
+                     voltage, current and speed cannot tell apart. On the machine: grease and oil fall as they warm \
+                     up and differ after a cold night, iron losses hardly do; with the rotor's magnets out (or the \
+                     field off) and driven from outside, what stays is mechanical",
             looks_like: "torque error grows in proportion to speed, odd in the direction",
             excite: "long holds at several speeds over the full range, both directions",
             remedy: "check grease quantity and temperature; compensate by feed-forward B w",

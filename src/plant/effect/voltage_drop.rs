@@ -15,7 +15,10 @@ impl Effect for VoltageDrop {
             name: "voltage drop",
             enters: Enters::Voltage,
             equation: "U = Ud sgn(i), smoothed over 0.1 A",
-            causes: "brush contact, transistor and diode drops, dead time of the inverter",
+            causes: "brush contact, transistor and diode drops, dead time of the inverter. Measure at the terminals: \
+                     a drop of the drive is seen there, that of the brushes is not. Dead time grows with the bus \
+                     voltage and the switching frequency, a diode's drop does not; a brush's changes with its wear \
+                     and its material (about 1 V a brush for carbon, 0.3 V for metal)",
             looks_like: "voltage error that jumps when the current changes its sign",
             excite: "current reversals, and small currents as well as large ones",
             remedy: "dead-time compensation in the drive; feed-forward of Ud sgn(i)",

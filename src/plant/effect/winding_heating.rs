@@ -15,7 +15,9 @@ impl Effect for WindingHeating {
             name: "winding heating",
             enters: Enters::Voltage,
             equation: "U = R g x i, dx/dt = i^2 - x/tau: the resistance rises with the heat x taken up",
-            causes: "copper loss: +39 % resistance per 100 K",
+            causes: "copper loss: +39 % resistance per 100 K. Measure the resistance at the terminals before and at \
+                     once after the run. If it has not changed, look for a contact that warms up (cable, brushes, \
+                     relay); if Ke fell too, the magnets are hot",
             looks_like: "voltage error that drifts over seconds and follows the current",
             excite: "a hard part first, then repeat the first part: hot against cold",
             remedy: "name the temperature with every resistance; let the winding cool between runs",

@@ -194,6 +194,13 @@ impl Flow {
         self.missed_s = length_s;
     }
 
+    /// Time derivatives of the states.
+    #[inline]
+    pub(super) fn rates(&self, x: X, g: [f64; 3]) -> X {
+        let rates = self.a.times(x);
+        [rates[0] + g[0], rates[1] + g[1], rates[2] + g[2], rates[3]]
+    }
+
     /// The state after `length_s`.
     #[inline]
     pub(super) fn whole(&self, x: X, g: [f64; 3], length_s: f64) -> X {

@@ -16,6 +16,12 @@ use crate::plant::effect::{Coupling, Instant};
 /// Changes of mode within one sub-step beyond which both sides are taken as coming to rest.
 const MOST_EVENTS: usize = 8;
 
+/// Margins within are at the edge of their mode: what a located crossing and rounding leave, rad/s or N.m.
+const EDGE: f64 = 1e-11;
+
+/// Passages of zero that are no deeper are rounding, rad/s.
+const SHALLOW_RAD_S: f64 = 1e-9;
+
 /// The load side.
 #[derive(Clone, Copy, Debug, Default)]
 struct Load {
@@ -56,6 +62,23 @@ enum Side {
 }
 
 const SIDES: [Side; 3] = [Side::Motor, Side::Load, Side::Play];
+
+/// Where a step begins.
+struct Begin {
+    motor: State,
+    load: Load,
+    forcing: [f64; 3],
+    at: Instant,
+}
+
+impl Begin {
+    /// Which of the linear modes holds.
+    fn index(&self) -> usize {
+        usize::from(self.motor.mode == Mode::Stuck)
+            + 2 * usize::from(self.load.mode == Mode::Stuck)
+            + 4 * usize::from(self.load.contact == Contact::Open)
+    }
+}
 
 /// Shaft and load of a model made ready for simulation.
 pub(super) struct TwoMass {
@@ -148,6 +171,7 @@ impl TwoMass {
     }
 
     /// One sub-step with its changes of mode.
+    #[inline(never)]
     pub(super) fn sub_step(
         &mut self,
         equations: &Equations,
@@ -163,47 +187,133 @@ impl TwoMass {
         }
         let mut left = h;
         for _ in 0..MOST_EVENTS {
-            let from = (*state, self.load);
-            self.flow_mut(&from).ready(left);
-            let next = self.trial(equations, &from, &at, left);
-            let ends = |side: Side| self.margin(equations, &next, &at, &from, side) < 0.0;
-            let over = SIDES.map(ends);
-            if over == [false; 3] {
+            let from = Begin {
+                forcing: self.forcing(equations, state, &self.load, &at),
+                motor: *state,
+                load: self.load,
+                at,
+            };
+            self.flows[from.index()].ready(left);
+            let next = self.trial(equations, &from, left);
+            let Some((cut, first)) = self.first_end(equations, &from, &next, left) else {
                 (*state, self.load) = next;
                 return;
-            }
-            let (mut cut, mut first) = (f64::INFINITY, Side::Motor);
-            for (side, _) in SIDES.into_iter().zip(over).filter(|(_, over)| *over) {
-                let when = self.locate(equations, &from, &at, left, side);
-                if when < cut {
-                    (cut, first) = (when, side);
-                }
-            }
-            (*state, self.load) = self.trial(equations, &from, &at, cut);
+            };
+            (*state, self.load) = self.trial(equations, &from, cut);
             left -= cut;
             at.time_s += cut;
-            self.change(equations, state, &at, first);
+            self.change(equations, state, &at, first, &next);
             if left <= 1e-9 * h {
                 return;
             }
         }
-        let from = (*state, self.load);
-        (*state, self.load) = self.trial(equations, &from, &at, left);
+        let from = Begin {
+            forcing: self.forcing(equations, state, &self.load, &at),
+            motor: *state,
+            load: self.load,
+            at,
+        };
+        (*state, self.load) = self.trial(equations, &from, left);
         state.mode = Mode::Undecided;
         self.load.mode = Mode::Undecided;
         self.load.contact = self.contact_of(self.load.twist_rad_s);
     }
 
-    /// The mode of `side` has come to its end.
-    fn change(&mut self, equations: &Equations, state: &mut State, at: &Instant, side: Side) {
+    /// When, within `h`, a mode ends, and which first.
+    #[inline]
+    fn first_end(
+        &self,
+        equations: &Equations,
+        from: &Begin,
+        next: &(State, Load),
+        h: f64,
+    ) -> Option<(f64, Side)> {
+        let ends = SIDES.map(|side| {
+            if self.margin(equations, next, from, side) < 0.0 {
+                Some(h)
+            } else {
+                self.turned_within(from, next, h, side)
+            }
+        });
+        if ends == [None; 3] {
+            return None;
+        }
+        let mut first = None;
+        for (side, end) in SIDES.into_iter().zip(ends) {
+            let Some(within) = end else { continue };
+            if let Some(when) = self.locate(equations, from, within, side)
+                && first.is_none_or(|(before, _)| when < before)
+            {
+                first = Some((when, side));
+            }
+        }
+        first
+    }
+
+    /// The instant at which a speed turned back, if it may have passed zero and come back within the step: its friction
+    /// would have changed its direction, or held it.
+    #[inline]
+    fn turned_within(
+        &self,
+        from: &Begin,
+        (motor, load): &(State, Load),
+        h: f64,
+        side: Side,
+    ) -> Option<f64> {
+        let (mode, before, after) = match side {
+            Side::Motor => (from.motor.mode, from.motor.speed_rad_s, motor.speed_rad_s),
+            Side::Load => (from.load.mode, from.load.speed_rad_s, load.speed_rad_s),
+            Side::Play => return None,
+        };
+        let sign = mode.sign();
+        let flow = &self.flows[from.index()];
+        let rate = |x: X| {
+            let rates = flow.rates(x, from.forcing);
+            sign * if side == Side::Motor {
+                rates[1]
+            } else {
+                rates[2]
+            }
+        };
+        let falling = rate(together(&from.motor, &from.load));
+        // A straight fall would not reach zero: no turn does.
+        if falling >= 0.0 || sign * before + falling * h > 0.0 {
+            return None;
+        }
+        let rising = rate(together(motor, load));
+        if rising <= 0.0 || sign * after <= 0.0 {
+            return None;
+        }
+        let turn = h * falling / (falling - rising);
+        (sign * before + 0.5 * falling * turn < -SHALLOW_RAD_S).then_some(turn)
+    }
+
+    /// The mode of `side` has come to its end; without it `beyond` would have come.
+    fn change(
+        &mut self,
+        equations: &Equations,
+        state: &mut State,
+        at: &Instant,
+        side: Side,
+        beyond: &(State, Load),
+    ) {
         match side {
             Side::Motor => {
                 state.speed_rad_s = 0.0;
-                state.mode = self.motor_mode(equations, state, at);
+                state.mode = if state.mode == Mode::Stuck {
+                    let driving = equations.driving_torque(&beyond.0, at);
+                    direction(driving - self.shaft_torque(&beyond.0, &beyond.1))
+                } else {
+                    self.motor_mode(equations, state, at)
+                };
             }
             Side::Load => {
                 self.load.speed_rad_s = 0.0;
-                self.load.mode = self.load_mode(state);
+                self.load.mode = if self.load.mode == Mode::Stuck {
+                    direction(self.shaft_torque(&beyond.0, &beyond.1))
+                } else {
+                    self.load_mode(state)
+                };
             }
             Side::Play => {
                 if self.load.contact == Contact::Open {
@@ -252,7 +362,7 @@ impl TwoMass {
     }
 
     fn load_mode(&self, state: &State) -> Mode {
-        if self.load.speed_rad_s != 0.0 {
+        if self.load.speed_rad_s != 0.0 || self.coulomb_n_m == 0.0 {
             return direction(self.load.speed_rad_s);
         }
         stuck_or_moving(self.shaft_torque(state, &self.load), self.coulomb_n_m)
@@ -264,49 +374,56 @@ impl TwoMass {
         &self,
         equations: &Equations,
         (motor, load): &(State, Load),
-        at: &Instant,
-        from: &(State, Load),
+        from: &Begin,
         side: Side,
     ) -> f64 {
         match side {
-            Side::Motor if from.0.mode == Mode::Stuck => {
-                let (driving, level) = equations.drive_and_level(motor, at);
+            Side::Motor if from.motor.mode == Mode::Stuck => {
+                let (driving, level) = equations.drive_and_level(motor, &from.at);
                 level - (driving - self.shaft_torque(motor, load)).abs()
             }
-            Side::Motor => motor.speed_rad_s * from.0.mode.sign(),
-            Side::Load if from.1.mode == Mode::Stuck => {
+            Side::Motor => motor.speed_rad_s * from.motor.mode.sign(),
+            // Without friction nothing changes when it turns.
+            Side::Load if self.coulomb_n_m == 0.0 => 1.0,
+            Side::Load if from.load.mode == Mode::Stuck => {
                 self.coulomb_n_m - self.shaft_torque(motor, load).abs()
             }
-            Side::Load => load.speed_rad_s * from.1.mode.sign(),
+            Side::Load => load.speed_rad_s * from.load.mode.sign(),
             Side::Play if self.half_play_rad_s == 0.0 => 1.0,
-            Side::Play if from.1.contact == Contact::Open => {
+            Side::Play if from.load.contact == Contact::Open => {
                 self.half_play_rad_s - load.twist_rad_s.abs()
             }
-            Side::Play => load.twist_rad_s * from.1.contact.sign() - self.half_play_rad_s,
+            Side::Play => load.twist_rad_s * from.load.contact.sign() - self.half_play_rad_s,
         }
     }
 
-    /// Time within `[0, h]` at which the mode of `side` ends. Bisection guarded secant (Illinois).
-    fn locate(
-        &self,
-        equations: &Equations,
-        from: &(State, Load),
-        at: &Instant,
-        h: f64,
-        side: Side,
-    ) -> f64 {
+    /// Time within `[0, h]` at which the mode of `side` ends, if it does. Bisection guarded secant (Illinois).
+    #[inline(never)]
+    fn locate(&self, equations: &Equations, from: &Begin, h: f64, side: Side) -> Option<f64> {
         let margin = |t: f64| {
-            let there = self.trial(equations, from, at, t);
-            self.margin(equations, &there, at, from, side)
+            let there = self.trial(equations, from, t);
+            self.margin(equations, &there, from, side)
         };
         let (mut low, mut at_low) = (0.0, margin(0.0));
         let (mut high, mut at_high) = (h, margin(h));
-        if at_low <= 0.0 {
-            // A mode that has just begun at its own edge: it may still have lasted for a while.
-            low = 0.25 * h;
-            at_low = margin(low);
-            if at_low <= 0.0 {
-                return 0.0;
+        if at_high >= 0.0 {
+            return None;
+        }
+        if at_low < -EDGE {
+            return Some(0.0);
+        }
+        if at_low <= EDGE {
+            // The mode has just begun at its own edge: it lasts from there until it comes back to it.
+            low = h;
+            while at_low <= EDGE {
+                low *= 0.5;
+                if low < 1e-3 * h {
+                    return Some(0.0);
+                }
+                at_low = margin(low);
+                if at_low < -EDGE {
+                    (high, at_high) = (low, at_low);
+                }
             }
         }
         let mut last_was_low = None;
@@ -314,7 +431,7 @@ impl TwoMass {
             let t = (low * at_high - high * at_low) / (at_high - at_low);
             let there = margin(t);
             if there.abs() < 1e-12 || high - low < 1e-9 * h {
-                return t;
+                return Some(t);
             }
             // An end that stays twice in a row is weighted down, else the secant would creep.
             let is_low = there > 0.0;
@@ -332,50 +449,28 @@ impl TwoMass {
             }
             last_was_low = Some(is_low);
         }
-        high
-    }
-
-    fn index((motor, load): &(State, Load)) -> usize {
-        usize::from(motor.mode == Mode::Stuck)
-            + 2 * usize::from(load.mode == Mode::Stuck)
-            + 4 * usize::from(load.contact == Contact::Open)
-    }
-
-    fn flow_mut(&mut self, from: &(State, Load)) -> &mut Flow {
-        &mut self.flows[Self::index(from)]
+        Some(high)
     }
 
     /// State after `h` if no mode changes.
     #[inline]
-    fn trial(
-        &self,
-        equations: &Equations,
-        from: &(State, Load),
-        at: &Instant,
-        h: f64,
-    ) -> (State, Load) {
+    fn trial(&self, equations: &Equations, from: &Begin, h: f64) -> (State, Load) {
+        let mut next = (from.motor, from.load);
         if h <= 0.0 {
-            return *from;
+            return next;
         }
-        let flow = &self.flows[Self::index(from)];
-        let (state, load) = from;
-        let x = [
-            state.current_a,
-            state.speed_rad_s,
-            load.speed_rad_s,
-            load.twist_rad_s,
-        ];
-        let mut next = *from;
-        let mut forcing = self.forcing(equations, state, load, at);
+        let flow = &self.flows[from.index()];
+        let x = together(&from.motor, &from.load);
+        let mut forcing = from.forcing;
         if !equations.is_linear() {
-            let mut middle = *from;
+            let mut middle = next;
             place(&mut middle, flow.half(x, forcing, h));
-            equations.advance_own(state, at, 0.5 * h, &mut middle.0.own);
+            equations.advance_own(&from.motor, &from.at, 0.5 * h, &mut middle.0.own);
             let centred = Instant {
-                time_s: at.time_s + 0.5 * h,
-                ..*at
+                time_s: from.at.time_s + 0.5 * h,
+                ..from.at
             };
-            forcing = self.forcing(equations, &middle.0, load, &centred);
+            forcing = self.forcing(equations, &middle.0, &from.load, &centred);
             equations.advance_own(&middle.0, &centred, h, &mut next.0.own);
         }
         place(&mut next, flow.whole(x, forcing, h));
@@ -396,6 +491,15 @@ impl TwoMass {
         };
         [current, motor, behind]
     }
+}
+
+fn together(state: &State, load: &Load) -> X {
+    [
+        state.current_a,
+        state.speed_rad_s,
+        load.speed_rad_s,
+        load.twist_rad_s,
+    ]
 }
 
 fn place((state, load): &mut (State, Load), x: X) {

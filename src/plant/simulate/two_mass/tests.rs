@@ -1,7 +1,7 @@
 use super::super::tests::{model, scenario};
 use super::super::{Plant, Trajectory};
 use crate::numerics::count::whole;
-use crate::plant::{Input, State};
+use crate::plant::{Input, Model, Motor, MotorKey, Scenario, State};
 
 /// Reversals, a creep through zero and holds at rest.
 const EVENTS: [(f64, f64); 8] = [
@@ -58,6 +58,7 @@ fn simulated(values: &Values, drag: f64, period_s: f64, until_s: f64) -> Traject
 fn reference(values: &Values, drag: f64, until_s: f64) -> Vec<(f64, f64)> {
     let (r, l, ke, j, mc) = (1.1, 0.0099, 0.3538, 0.0045, 0.455);
     let [f, share, zeta, split, gap] = *values;
+    // Mapping as in `Coupling`.
     let (j1, j2) = (j * (1.0 - share), j * share);
     let k = (std::f64::consts::TAU * f).powi(2) * j * share * (1.0 - share);
     let d = 2.0 * zeta * (k * j * share * (1.0 - share)).sqrt();
@@ -120,4 +121,200 @@ fn it_agrees_with_tiny_regularised_steps() {
             "{values:?} {drag}: {most:?}"
         );
     }
+}
+
+fn difference(one: &Trajectory, other: &Trajectory) -> f64 {
+    let speeds = one.speed_rad_s.iter().zip(&other.speed_rad_s);
+    let currents = one.current_a.iter().zip(&other.current_a);
+    speeds
+        .chain(currents)
+        .fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()))
+}
+
+#[test]
+fn a_stiff_shaft_and_a_load_without_inertia_are_the_single_mass() {
+    let single = run(&[], 0.001, 1.1);
+    let stiff = simulated(&[1500.0, 0.5, 0.3, 0.4, 0.0], 0.0, 0.001, 1.1);
+    assert!(
+        difference(&single, &stiff) < 0.02,
+        "{}",
+        difference(&single, &stiff)
+    );
+    let light = simulated(&[20.0, 1e-6, 0.05, 0.0, 0.0], 0.0, 0.001, 1.1);
+    assert!(
+        difference(&single, &light) < 1e-3,
+        "{}",
+        difference(&single, &light)
+    );
+    // The comparison can fail.
+    let soft = simulated(&[20.0, 0.5, 0.05, 0.4, 0.0], 0.0, 0.001, 1.1);
+    assert!(difference(&single, &soft) > 1.0);
+}
+
+#[test]
+fn backlash_without_a_gap_is_an_elastic_coupling() {
+    let without = run(&[("backlash", &[0.0, 30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
+    let elastic = run(&[("elastic_coupling", &[30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
+    assert!(difference(&without, &elastic) < 1e-9);
+    let hair = run(&[("backlash", &[1e-6, 30.0, 0.5, 0.03, 0.4])], 0.001, 1.1);
+    assert!(
+        difference(&hair, &elastic) < 1e-2,
+        "{}",
+        difference(&hair, &elastic)
+    );
+}
+
+/// A motor without friction under a torque pulse, behind it the load.
+fn pulsed(effect: &str, values: &[f64], load_torque_n_m: f64, samples: usize) -> (Plant, Scenario) {
+    let motor = Motor::zk_22fc().with(MotorKey::LoadTorque, load_torque_n_m);
+    let mut model = Model::baseline(motor).with_effect(effect).unwrap();
+    model.effects[0].values = values.iter().copied().map(Some).collect();
+    let mut torque = scenario(vec![(0.0, 0.2), (0.1, 0.0)], 0.001, samples);
+    torque.input = Input::Torque;
+    (Plant::new(&model, Input::Torque).unwrap(), torque)
+}
+
+#[test]
+fn without_friction_the_shaft_only_passes_momentum_on() {
+    for (effect, values) in [
+        ("elastic_coupling", &[17.0, 0.6, 0.0, 0.5][..]),
+        ("backlash", &[0.05, 30.0, 0.6, 0.1, 0.5][..]),
+    ] {
+        let mut speeds = Vec::new();
+        for samples in [150, 200, 333, 400] {
+            let (mut plant, torque) = pulsed(effect, values, 0.0, samples);
+            let out = plant.simulate(&torque, State::default());
+            let (motor, load) = (
+                out.speed_rad_s[samples - 1],
+                plant.two_mass.as_ref().unwrap().load.speed_rad_s,
+            );
+            let momentum = 0.0045 * (0.4 * motor + 0.6 * load);
+            assert!((momentum - 0.2 * 0.1).abs() < 1e-12, "{effect} {momentum}");
+            speeds.push(motor);
+        }
+        // It rings meanwhile.
+        assert!((speeds[0] - speeds[1]).abs() > 0.05, "{speeds:?}");
+    }
+}
+
+#[test]
+fn a_held_load_lets_the_motor_ring_on_the_shaft() {
+    // 0.2 N.m are below the 0.3 N.m that hold the load; the motor has no friction of its own.
+    let (f, r) = (20.0, 0.6);
+    let (mut plant, torque) = pulsed("elastic_coupling", &[f, r, 0.0, 1.0], 0.5, 100);
+    let out = plant.simulate(&torque, State::default());
+    let two_mass = plant.two_mass.as_ref().unwrap();
+    assert!(two_mass.load.mode == super::Mode::Stuck && two_mass.load.speed_rad_s == 0.0);
+    // J1 w' = T - k twist: w = T / (J1 w1) sin(w1 t) with w1^2 = k / J1 = (2 pi f)^2 r.
+    let w1 = std::f64::consts::TAU * f * r.sqrt();
+    for (sample, speed) in out.speed_rad_s.iter().enumerate() {
+        let expected = 0.2 / (0.0045 * 0.4 * w1) * (w1 * sample as f64 * 1e-3).sin();
+        assert!(
+            (speed - expected).abs() < 1e-9,
+            "{sample} {speed} {expected}"
+        );
+    }
+}
+
+#[test]
+fn irregular_sampling_changes_nothing() {
+    for values in [[28.0, 0.5, 0.03, 0.4, 0.0], [45.0, 0.5, 0.03, 0.4, 0.05]] {
+        let owned = coupled(&values);
+        let effects: Vec<(&str, &[f64])> = owned
+            .iter()
+            .map(|(id, values)| (*id, &values[..]))
+            .collect();
+        let regular = run(&effects, 0.001, 1.1);
+        let mut irregular = scenario(EVENTS.to_vec(), 0.001, 1101);
+        // Between two samples of the regular run one more, at an instant of its own.
+        let between = |k: usize| k as f64 * 1e-3 + 1e-3 * (0.1 + 0.8 * (k as f64 * 0.618).fract());
+        irregular.sample_time_s = (0..1101)
+            .flat_map(|k| [k as f64 * 1e-3, between(k)])
+            .collect();
+        for column in [&mut irregular.current_a, &mut irregular.speed_rad_s] {
+            *column = vec![f64::NAN; 2202];
+        }
+        let out = Plant::new(&model(&effects), Input::Voltage)
+            .unwrap()
+            .simulate(&irregular, State::default());
+        let same = Trajectory {
+            current_a: out.current_a.iter().copied().step_by(2).collect(),
+            speed_rad_s: out.speed_rad_s.iter().copied().step_by(2).collect(),
+        };
+        let most = difference(&regular, &same);
+        assert!(most < 1e-6, "{values:?} {most}");
+    }
+}
+
+#[test]
+fn the_result_moves_smoothly_with_the_parameters() {
+    // The second difference over a parameter vanishes with the square of its step; events that are not located, or
+    // missed for some values, would leave jumps.
+    for values in [[24.0, 0.55, 0.02, 0.5, 0.0], [45.0, 0.5, 0.03, 0.4, 0.05]] {
+        for parameter in 0..4 {
+            for centre in 0..10 {
+                let at = |step: f64| {
+                    let mut moved = values;
+                    moved[parameter] *= 1.0 + 0.02 * f64::from(centre) + 1e-6 * step;
+                    simulated(&moved, 0.0, 0.001, 1.1)
+                };
+                let (low, mid, high) = (at(-1.0), at(0.0), at(1.0));
+                let bend = low
+                    .speed_rad_s
+                    .iter()
+                    .zip(&mid.speed_rad_s)
+                    .zip(&high.speed_rad_s)
+                    .fold(0.0, |most, ((a, b), c)| {
+                        f64::max(most, (a - 2.0 * b + c).abs())
+                    });
+                assert!(bend < 1e-5, "{values:?} {parameter} {centre}: {bend:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn one_step_predictions_of_its_own_motion_are_its_own_motion() {
+    let effects: &[(&str, &[f64])] = &[("elastic_coupling", &[24.0, 0.55, 0.02, 0.5])];
+    let free = run(effects, 0.001, 1.1);
+    let mut measured = scenario(EVENTS.to_vec(), 0.001, free.speed_rad_s.len());
+    measured.current_a.clone_from(&free.current_a);
+    measured.speed_rad_s.clone_from(&free.speed_rad_s);
+    let mut plant = Plant::new(&model(effects), Input::Voltage).unwrap();
+    let ahead = plant.predict_ahead(&measured, State::default(), 1);
+    assert!(
+        difference(&free, &ahead) < 1e-6,
+        "{}",
+        difference(&free, &ahead)
+    );
+    // Noise on the anchors stays of its size: the load does not run away from the motor.
+    for (sample, speed) in measured.speed_rad_s.iter_mut().enumerate() {
+        *speed += if sample % 2 == 0 { 0.1 } else { -0.1 };
+    }
+    let noisy = plant.predict_ahead(&measured, State::default(), 1);
+    assert!(
+        difference(&free, &noisy) < 0.8,
+        "{}",
+        difference(&free, &noisy)
+    );
+}
+
+#[test]
+fn a_stiff_circuit_with_a_stiff_shaft_stays_finite() {
+    let motor = Motor::zk_22fc().with(MotorKey::Inductance, 1e-6);
+    let mut model = Model::baseline(motor)
+        .with_effect("elastic_coupling")
+        .unwrap();
+    model.effects[0].values = [200.0, 0.9, 1.0, 0.5].map(Some).to_vec();
+    let out = Plant::new(&model, Input::Voltage)
+        .unwrap()
+        .simulate(&scenario(EVENTS.to_vec(), 0.001, 1100), State::default());
+    let largest = out
+        .speed_rad_s
+        .iter()
+        .fold(0.0, |most, w| f64::max(most, w.abs()));
+    assert!(
+        largest.is_finite() && largest < 100.0 && largest > 20.0,
+        "{largest}"
+    );
 }

@@ -153,7 +153,7 @@ pub(super) fn all(size: Size) -> Vec<Case> {
     cases
 }
 
-/// A dozen sets that between them ask every question of the study.
+/// Ten sets: five effects, four nulls, one pair.
 fn reduced(size: Size) -> Vec<Case> {
     let rich = Excitation::Rich100Hz;
     let single = [

@@ -1,4 +1,4 @@
-//! The study in small: a dozen sets from the emulator to the verdict.
+//! The study in small: ten sets from the emulator to the verdict.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -11,7 +11,11 @@ const REDUCED: Size = Size {
 };
 
 #[test]
-fn a_dozen_sets_name_what_is_hidden_and_nothing_else() {
+#[cfg_attr(
+    debug_assertions,
+    ignore = "ten diagnoses take a minute without optimisation"
+)]
+fn ten_sets_name_what_is_hidden_and_nothing_else() {
     let heard = AtomicUsize::new(0);
     let study = discovery(REDUCED, &AtomicBool::new(false), |_, _, _| {
         heard.fetch_add(1, Ordering::AcqRel);
@@ -23,6 +27,16 @@ fn a_dozen_sets_name_what_is_hidden_and_nothing_else() {
     let nulls = Tally::of(study.answers.iter().filter(|a| a.group == Group::Null));
     assert_eq!(nulls.right, nulls.sets);
     assert!(whole.right + 1 >= whole.sets, "{:#?}", study.answers);
+    let page = study.report().markdown();
+    assert!(page.starts_with("# How often the diagnosis is right"));
+    for text in ["NaN", "inf "] {
+        assert!(!page.contains(text), "{text} in {page}");
+    }
+    let rows = page
+        .lines()
+        .filter(|line| line.contains("stribeck_friction"));
+    assert!(rows.count() >= 2, "{page}");
+    assert!(page.contains("There is none in this study."), "{page}");
 }
 
 #[test]

@@ -68,10 +68,10 @@ impl Discovery {
     }
 
     fn by_excitation(&self) -> Section {
-        let rows = Excitation::ALL.map(|excitation| {
+        let rows = Excitation::ALL.iter().filter_map(|excitation| {
             let answers =
                 self.of(|a| a.group == Group::Single && a.excitation == excitation.name());
-            tally_row(excitation.name().to_owned(), &answers)
+            (!answers.is_empty()).then(|| tally_row(excitation.name().to_owned(), &answers))
         });
         let mut paragraphs = vec![OUTCOMES.to_owned()];
         for excitation in Excitation::ALL {
@@ -88,7 +88,7 @@ impl Discovery {
                 "Every effect of the catalogue in turn. Errors are medians on the hold-out, in units of the sensors' noise, before and after the named effects are added.",
                 "excitations",
                 tally_head("excitation"),
-                rows.into(),
+                rows.collect(),
             )],
             ..Section::default()
         }

@@ -1,0 +1,134 @@
+//! `reveal`: opens a mystery's sealed truth and scores the answer.
+
+use std::io::{BufRead, IsTerminal};
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use super::data::read_text;
+use super::failure::{Failure, USAGE};
+use super::output;
+use crate::config_text::help_for_unknown;
+use crate::emulator::mystery::{Mystery, SealError, Truth};
+use crate::plant::effect;
+use crate::workflow::{Answer, Revelation, reveal};
+
+/// Words that are an answer beside the ids of effects.
+const WORDS: [&str; 3] = ["none", "unexplained", "abstain"];
+
+/// Open a mystery's sealed truth and score the answer
+#[derive(clap::Args)]
+#[command(after_help = "Example:
+  drivebench commission --headless --port sim: --mystery 7
+  drivebench reveal runs/mystery-7.sealed.json --run runs/...-fit --guess cogging
+  drivebench reveal mystery-7.sealed.json --answer stribeck_friction")]
+pub(super) struct Arguments {
+    /// Sealed file that `emulate`, `run` or `commission` wrote with --mystery
+    file: PathBuf,
+    /// The answer: an effect's id, none, unexplained or abstain
+    #[arg(long, value_name = "EFFECT", conflicts_with_all = ["diagnosis", "run"])]
+    answer: Option<String>,
+    /// The answer as `diagnose --json` or `commission --json` printed it
+    #[arg(long, value_name = "FILE", conflicts_with = "run")]
+    diagnosis: Option<PathBuf>,
+    /// The answer that a run folder of `commission` holds
+    #[arg(long, value_name = "RUN")]
+    run: Option<PathBuf>,
+    /// What you think it is, before you look
+    #[arg(long, value_name = "EFFECT")]
+    guess: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let name = arguments.file.display().to_string();
+    let truth = Truth::open(&name, &read_text(&arguments.file)?)?;
+    let answer = match (&arguments.answer, &arguments.diagnosis, &arguments.run) {
+        (Some(word), ..) => Some(Answer::word(known(word)?)),
+        (_, Some(file), _) => Some(diagnosis(file)?),
+        (.., Some(folder)) => Some(diagnosis(&result_file(folder))?),
+        _ => None,
+    };
+    let guess = match &arguments.guess {
+        Some(word) => Some(known(word)?.to_owned()),
+        None if answer.is_none() && !arguments.json => ask()?,
+        None => None,
+    };
+    let revealed = reveal(truth, answer, guess.as_deref());
+    output::result(&revealed, arguments.json, Revelation::text)
+}
+
+/// Writes the sealed truth and says where it is.
+pub(super) fn seal(mystery: &Mystery, path: &Path) -> Result<(), Failure> {
+    let text = mystery.truth.seal()?;
+    std::fs::write(path, text)
+        .map_err(|error| Failure::new(USAGE, format!("{}: {error}", path.display())))?;
+    output::message(&format!("sealed truth in {}", path.display()));
+    Ok(())
+}
+
+pub(super) fn sealed_name(seed: u64) -> PathBuf {
+    PathBuf::from(format!("mystery-{seed}.sealed.json"))
+}
+
+/// The result of a run folder; a file is taken as it is.
+fn result_file(run: &Path) -> PathBuf {
+    if run.is_dir() {
+        run.join("result.json")
+    } else {
+        run.to_owned()
+    }
+}
+
+fn diagnosis(file: &Path) -> Result<Answer, Failure> {
+    let name = file.display();
+    let help = "give what `drivebench diagnose --json` printed, or a run folder of `drivebench commission`";
+    let document: Value = serde_json::from_str(&read_text(file)?)
+        .map_err(|error| Failure::with_help(USAGE, format!("{name}: no JSON: {error}"), help))?;
+    Answer::from_json(&document)
+        .ok_or_else(|| Failure::with_help(USAGE, format!("{name}: holds no verdict"), help))
+}
+
+/// Refuses what neither the catalogue nor the words have.
+fn known(word: &str) -> Result<&str, Failure> {
+    let allowed = || {
+        let ids = effect::CATALOGUE.iter().map(|effect| effect.card().id);
+        ids.chain(WORDS)
+    };
+    if allowed().any(|known| known == word) {
+        return Ok(word);
+    }
+    let headline = format!("{word:?} is no effect of the catalogue");
+    Err(Failure::with_help(
+        USAGE,
+        headline,
+        help_for_unknown(word, allowed()),
+    ))
+}
+
+/// One question to a person at a terminal; an empty line is no guess.
+fn ask() -> Result<Option<String>, Failure> {
+    let stdin = std::io::stdin();
+    if !stdin.is_terminal() || !std::io::stderr().is_terminal() {
+        return Ok(None);
+    }
+    output::message(
+        "what do you think it is? (an effect of `drivebench effects`, none, unexplained; empty: no guess)",
+    );
+    let mut line = String::new();
+    // A terminal that is gone gives no guess.
+    let _ = stdin.lock().read_line(&mut line);
+    match line.trim() {
+        "" => Ok(None),
+        word => known(word).map(|word| Some(word.to_owned())),
+    }
+}
+
+impl From<SealError> for Failure {
+    fn from(error: SealError) -> Self {
+        let help = error.help();
+        Self::with_help(USAGE, error.to_string(), help)
+    }
+}

@@ -1,0 +1,126 @@
+//! What a torque over the angle does to current and speed, to first order: enough to tell which of many orders to try.
+//!
+//! A free run for each of some twenty orders, twice, would be most of the screen's work. Here the deviation from the
+//! baseline follows the linear part `d/dt [i, w] = A [i, w] - [0, T/J]`, with the torque taken at what was measured, and
+//! rests where the shaft rests.
+
+use nalgebra::DVector;
+
+use crate::identification::output_error::FreeRun;
+use crate::plant::{Effect, Instant, Linear, Model, Scenario, Terms};
+
+/// Multiple of the speed's noise below which the shaft counts as at rest.
+const AT_REST: f64 = 4.0;
+
+/// Change of the weighted residual by a coefficient of one, for each value of `values` (the effect's parameters);
+/// `None` where the model has no electrical part or the effect is more than a torque.
+pub(super) fn responses(
+    effect: &dyn Effect,
+    values: &[Vec<f64>],
+    model: &Model,
+    scenario: &Scenario,
+    problem: &FreeRun<'_>,
+) -> Option<Vec<DVector<f64>>> {
+    let linear = Linear::of(model)?;
+    let noise = problem.noise();
+    let terms: Vec<_> = values.iter().map(|values| effect.terms(values)).collect();
+    let simple = |terms: &dyn Terms| {
+        terms.states() == 0 && terms.path().measures_directly() && terms.coupling().is_none()
+    };
+    if !terms.iter().all(|terms| simple(terms.as_ref())) {
+        return None;
+    }
+    let samples = scenario.samples();
+    let angles = scenario.shaft_angle();
+    let mut angle = angles.iter().peekable();
+    let mut last_angle_rad = 0.0;
+    let mut deviation = vec![[0.0; 2]; terms.len()];
+    let mut out = vec![vec![[0.0; 2]; samples]; terms.len()];
+    let mut step_s = 0.0;
+    let mut step = linear.over(step_s);
+    for sample in 0..samples {
+        let time_s = scenario.sample_time_s[sample];
+        while let Some(point) = angle.next_if(|point| point.0 <= time_s) {
+            last_angle_rad = point.1;
+        }
+        if sample > 0 {
+            let interval_s = time_s - scenario.sample_time_s[sample - 1];
+            if (interval_s - step_s).abs() > 1e-9 * interval_s {
+                step_s = interval_s;
+                step = linear.over(step_s);
+            }
+        }
+        let (current_a, speed_rad_s) = (scenario.current_a[sample], scenario.speed_rad_s[sample]);
+        let rests = !(speed_rad_s.abs() > AT_REST * noise.speed_rad_s && current_a.is_finite());
+        let at = Instant {
+            time_s: time_s - scenario.begin_s(),
+            current_a,
+            speed_rad_s,
+            // The torque acts over the interval that ends here: at its middle.
+            angle_rad: last_angle_rad - 0.5 * speed_rad_s * step_s,
+            ..Instant::of(&model.motor)
+        };
+        for ((terms, deviation), out) in terms.iter().zip(&mut deviation).zip(&mut out) {
+            let torque_n_m = if rests {
+                0.0
+            } else {
+                terms.torque_n_m(&at, &[])
+            };
+            *deviation = step.after(*deviation, torque_n_m);
+            if rests {
+                deviation[1] = 0.0;
+            }
+            out[sample] = *deviation;
+        }
+    }
+    let weighted = |out: &Vec<[f64; 2]>| {
+        DVector::from_iterator(
+            problem.rows().len(),
+            problem.rows().iter().map(|(sample, is_speed)| {
+                if *is_speed {
+                    out[*sample][1] / noise.speed_rad_s
+                } else {
+                    out[*sample][0] / noise.current_a
+                }
+            }),
+        )
+    };
+    Some(out.iter().map(weighted).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::noise::NoiseFloor;
+    use crate::numerics::levenberg_marquardt::Problem;
+    use crate::plant::{ActiveEffect, Motor, effect, testing};
+
+    #[test]
+    fn it_agrees_with_the_difference_of_two_free_runs() {
+        let baseline = Model::baseline(Motor::zk_22fc());
+        let events = vec![(0.0, 0.0), (0.4, 40.0), (1.5, -30.0), (2.6, 60.0)];
+        let mut run = testing::record(&baseline, events, 0.001, 3.5, 4);
+        run.angle = run.shaft_angle().into_owned();
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let cogging = effect::find("cogging").unwrap();
+        let values = vec![1.0, 0.0, 3.0];
+        let problem = FreeRun::new(&baseline, &run, noise).unwrap();
+        let linear = &responses(cogging, &[values], &baseline, &run, &problem).unwrap()[0];
+        let residual = |model: &Model| {
+            let mut problem = FreeRun::new(model, &run, noise).unwrap();
+            let x = problem.start();
+            let mut out = vec![0.0; problem.residual_len()];
+            assert!(problem.residual(&x, &mut out));
+            DVector::from_vec(out)
+        };
+        let mut with = baseline.clone();
+        with.effects.push(ActiveEffect {
+            effect: cogging,
+            values: vec![Some(1e-3), Some(0.0), Some(3.0)],
+        });
+        let difference = (residual(&with) - residual(&baseline)) / 1e-3;
+        let angle = difference.dot(linear) / (difference.norm() * linear.norm());
+        let size = linear.norm() / difference.norm();
+        assert!(angle > 0.9 && (size - 1.0).abs() < 0.3, "{angle} {size}");
+    }
+}

@@ -1,0 +1,130 @@
+use std::collections::BTreeSet;
+
+use super::*;
+use crate::emulator::SoftDrive;
+use crate::plant::effect;
+
+#[test]
+fn a_seed_gives_the_same_mystery_again_and_another_seed_another_one() {
+    for seed in 0..50 {
+        assert_eq!(draw(seed), draw(seed));
+        assert_ne!(draw(seed).truth, draw(seed + 1).truth);
+    }
+}
+
+#[test]
+fn every_effect_is_drawn_and_sometimes_none() {
+    let drawn: Vec<Mystery> = (0..1500).map(draw).collect();
+    let ids: BTreeSet<&str> = drawn
+        .iter()
+        .flat_map(|mystery| &mystery.truth.effects)
+        .map(|effect| effect.id.as_str())
+        .collect();
+    let listed: BTreeSet<&str> = sizes::KNOWN.iter().chain(sizes::FOREIGN).copied().collect();
+    assert_eq!(ids, listed);
+    // Binomial, four standard errors.
+    let share = |count: usize| count as f64 / drawn.len() as f64;
+    let none = drawn.iter().filter(|m| m.truth.effects.is_empty()).count();
+    let foreign = drawn
+        .iter()
+        .filter(|m| m.truth.effect().is_some_and(|e| e.is_foreign))
+        .count();
+    assert!((share(none) - NONE_SHARE).abs() < 0.031, "{none}");
+    assert!((share(foreign) - FOREIGN_SHARE).abs() < 0.028, "{foreign}");
+}
+
+#[test]
+fn what_is_drawn_is_a_drive_and_a_known_effect_is_in_the_hosts_catalogue() {
+    let known: Vec<&str> = HiddenEffect::IDS
+        .iter()
+        .copied()
+        .filter(|id| !HiddenEffect::FOREIGN.contains(id))
+        .collect();
+    assert_eq!(
+        known.len(),
+        sizes::KNOWN.len(),
+        "a new effect joins the draw"
+    );
+    for seed in 0..400 {
+        let mystery = draw(seed);
+        let text = toml::to_string(&mystery.config).unwrap();
+        assert_eq!(
+            EmulatorConfig::parse("mystery", &text).unwrap(),
+            mystery.config
+        );
+        for hidden in &mystery.truth.effects {
+            let found = effect::find(&hidden.id);
+            assert_eq!(found.is_none(), hidden.is_foreign, "{}", hidden.id);
+            // Every parameter of the host's form can be compared.
+            for spec in found.iter().flat_map(|effect| effect.parameters()) {
+                let has = hidden.parameters.iter().any(|value| value.key == spec.key);
+                assert!(has, "{}.{}", hidden.id, spec.key);
+            }
+        }
+        for load in &mystery.config.hidden {
+            if let HiddenEffect::ConstantLoad(weight) = load {
+                // Else it would run away as soon as the drive lets go.
+                assert!(weight.constant_n_m.abs() < mystery.truth.motor.load_torque_n_m);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_truth_is_the_drives() {
+    let mystery = draw(12);
+    let drive = SoftDrive::new(&mystery.config, mystery.seed);
+    assert_eq!(*drive.truth(), mystery.truth.motor);
+    let ids: Vec<&str> = drive.hidden().iter().map(|(id, _)| *id).collect();
+    let told: usize = mystery
+        .truth
+        .effects
+        .iter()
+        .map(|e| e.parameters.len())
+        .sum();
+    assert_eq!(ids.len(), told);
+}
+
+#[test]
+fn a_seal_opens_to_what_was_sealed_and_shows_none_of_it() {
+    for seed in [0, 7, u64::MAX] {
+        let truth = draw(seed).truth;
+        let text = truth.seal().unwrap();
+        assert_eq!(text, truth.seal().unwrap());
+        assert_eq!(Truth::open("f", &text).unwrap(), truth);
+        for word in HiddenEffect::IDS
+            .iter()
+            .copied()
+            .chain(["ohm", "ZK-22FC", "parameters"])
+        {
+            assert!(!text.contains(word), "{word}");
+        }
+    }
+}
+
+#[test]
+fn a_broken_seal_is_refused() {
+    let text = draw(7).truth.seal().unwrap();
+    let at = text.find("\"sealed\": \"").unwrap() + 40;
+    let digit = if &text[at..=at] == "0" { "1" } else { "0" };
+    let mut changed = text.clone();
+    changed.replace_range(at..=at, digit);
+    assert!(matches!(
+        Truth::open("f", &changed),
+        Err(SealError::Broken { .. })
+    ));
+    let newer = text.replace("\"version\": 1", "\"version\": 2");
+    assert!(matches!(
+        Truth::open("f", &newer),
+        Err(SealError::Version { version: 2, .. })
+    ));
+    assert!(matches!(
+        Truth::open("f", "{}"),
+        Err(SealError::Format { .. })
+    ));
+    let cut = text.replace("\"checksum\": \"", "\"checksum\": \"0");
+    assert!(matches!(
+        Truth::open("f", &cut),
+        Err(SealError::Broken { .. })
+    ));
+}

@@ -1,0 +1,381 @@
+//! A mystery revealed: what it hid, against what the tool and the person said.
+//!
+//! ```text
+//! truth (from under the seal) + diagnosis as JSON -> right | wrong | abstained, errors of the sizes
+//!                             + guess of a person -> right or wrong, and what in the run would have shown it
+//! ```
+
+use serde::{Serialize, Serializer};
+use serde_json::Value;
+
+use crate::emulator::mystery::{TrueEffect, Truth};
+use crate::plant::{Effect, effect};
+
+/// What counts as saying that nothing is missing.
+const NONE: &str = "none";
+/// What counts as saying that nothing known explains the run.
+const UNEXPLAINED: &str = "unexplained";
+
+/// What somebody says that a machine hides.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Answer {
+    /// effect, ambiguous, none or unexplained.
+    pub verdict: String,
+    /// The first one is the best guess.
+    pub effects: Vec<String>,
+    /// Effects that the run could not show.
+    pub not_excited: Vec<String>,
+    /// Fitted values as (effect, key, value).
+    #[serde(skip)]
+    values: Vec<(String, String, f64)>,
+}
+
+impl Answer {
+    /// One word: an effect's id, `none`, `unexplained`, or `abstain`.
+    pub fn word(word: &str) -> Self {
+        let (verdict, effects) = match word {
+            NONE => (NONE, Vec::new()),
+            UNEXPLAINED => (UNEXPLAINED, Vec::new()),
+            "abstain" => ("ambiguous", Vec::new()),
+            id => ("effect", vec![id.to_owned()]),
+        };
+        Self {
+            verdict: verdict.to_owned(),
+            effects,
+            ..Self::default()
+        }
+    }
+
+    /// The result of `diagnose --json`, or that of `commission --json`, which holds one.
+    pub fn from_json(document: &Value) -> Option<Self> {
+        let diagnosis = document.get("diagnosis").unwrap_or(document);
+        let verdict = diagnosis.get("verdict")?.as_str()?.to_owned();
+        let text = |value: &Value| value.as_str().map(str::to_owned);
+        let list = |value: &Value| -> Vec<String> {
+            value
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter_map(text)
+                .collect()
+        };
+        let mut effects = list(&diagnosis["effects"]);
+        if effects.is_empty() {
+            effects.extend(text(&diagnosis["effect"]));
+        }
+        let mut answer = Self {
+            verdict,
+            effects,
+            ..Self::default()
+        };
+        for candidate in diagnosis["candidates"].as_array().into_iter().flatten() {
+            let Some(id) = text(&candidate["effect"]) else {
+                continue;
+            };
+            if candidate["status"] == "not_excited" {
+                answer.not_excited.push(id.clone());
+            }
+            let parameters = candidate["parameters"].as_object();
+            for (key, parameter) in parameters.into_iter().flatten() {
+                if let Some(value) = parameter["value"].as_f64() {
+                    answer.values.push((id.clone(), key.clone(), value));
+                }
+            }
+        }
+        // What a commissioning ends with is fitted with every accepted effect, so it counts more.
+        for parameter in document["parameters"].as_array().into_iter().flatten() {
+            if let (Some(key), Some(value)) = (text(&parameter["key"]), parameter["value"].as_f64())
+            {
+                let (id, key) = key.split_once('.').unwrap_or(("", &key));
+                answer
+                    .values
+                    .retain(|known| (known.0.as_str(), known.1.as_str()) != (id, key));
+                answer.values.push((id.to_owned(), key.to_owned(), value));
+            }
+        }
+        Some(answer)
+    }
+
+    fn value(&self, id: &str, key: &str) -> Option<f64> {
+        let found = self
+            .values
+            .iter()
+            .find(|known| known.0 == id && known.1 == key);
+        found.map(|known| known.2)
+    }
+}
+
+/// How an answer is scored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    Right,
+    Wrong,
+    Abstained,
+}
+
+/// One true value against the fitted one.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Size {
+    /// Empty for the motor's own.
+    pub effect: String,
+    pub key: String,
+    pub unit: String,
+    #[serde(rename = "true")]
+    pub truth: f64,
+    pub found: f64,
+    /// Of the true value; of the whole wave for its sine and cosine part.
+    pub error_percent: f64,
+}
+
+/// What a person said before.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Guess {
+    pub effect: String,
+    pub right: bool,
+}
+
+/// The truth and what is to be learned from it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Revelation {
+    #[serde(serialize_with = "with_effects_by_key")]
+    pub truth: Truth,
+    pub answer: Option<Answer>,
+    pub outcome: Option<Outcome>,
+    /// Why it is scored so.
+    pub reason: Option<String>,
+    /// Whether an abstaining answer had the truth as its best guess.
+    pub best_guess_right: bool,
+    pub sizes: Vec<Size>,
+    pub guess: Option<Guess>,
+    /// What in a run shows it, and what has to be done for that.
+    pub looks_like: Option<String>,
+    pub excite: Option<String>,
+}
+
+/// Opens the truth against answer and guess.
+pub fn reveal(truth: Truth, answer: Option<Answer>, guess: Option<&str>) -> Revelation {
+    let hidden = truth.effect();
+    let scored = answer.as_ref().map(|answer| score(hidden, answer));
+    let card = hidden
+        .and_then(|hidden| effect::find(&hidden.id))
+        .map(Effect::card);
+    let best_guess_right = answer.as_ref().is_some_and(|answer| {
+        answer.effects.first().map(String::as_str) == hidden.map(|hidden| hidden.id.as_str())
+            && !answer.effects.is_empty()
+    });
+    Revelation {
+        outcome: scored.as_ref().map(|scored| scored.0),
+        reason: scored.map(|scored| scored.1),
+        best_guess_right,
+        sizes: answer
+            .as_ref()
+            .map_or_else(Vec::new, |answer| sizes(&truth, answer)),
+        guess: guess.map(|effect| Guess {
+            effect: effect.to_owned(),
+            right: score(hidden, &Answer::word(effect)).0 == Outcome::Right,
+        }),
+        looks_like: card.map(|card| card.looks_like.to_owned()),
+        excite: card.map(|card| card.excite.to_owned()),
+        answer,
+        truth,
+    }
+}
+
+/// An answer is right if it names what is there and nothing else, or says why it cannot be seen. One that says nothing is
+/// wrong only if it claims that there is nothing.
+fn score(hidden: Option<&TrueEffect>, answer: &Answer) -> (Outcome, String) {
+    let named = answer.effects.join(", ");
+    let abstains = answer.verdict == "ambiguous";
+    let Some(hidden) = hidden else {
+        return match answer.verdict.as_str() {
+            NONE => (
+                Outcome::Right,
+                "nothing is hidden, and nothing was named".to_owned(),
+            ),
+            "effect" => (
+                Outcome::Wrong,
+                format!("nothing is hidden, {named} was named"),
+            ),
+            _ => (
+                Outcome::Abstained,
+                "nothing is hidden; the answer left that open".to_owned(),
+            ),
+        };
+    };
+    let id = &hidden.id;
+    match answer.verdict.as_str() {
+        "effect" if answer.effects == [id.clone()] => (Outcome::Right, format!("{id} was named")),
+        "effect" if answer.effects.contains(id) => (
+            Outcome::Wrong,
+            format!("{id} was named, and so was what is not there: {named}"),
+        ),
+        "effect" if hidden.is_foreign => (
+            Outcome::Wrong,
+            format!("{id} is in no catalogue, so that {named} cannot be it"),
+        ),
+        "effect" => (Outcome::Wrong, format!("{named} was named instead of {id}")),
+        UNEXPLAINED if hidden.is_foreign => (
+            Outcome::Right,
+            format!(
+                "{id} is in no catalogue, and the answer is that nothing known explains the run"
+            ),
+        ),
+        NONE if answer.not_excited.contains(id) => (
+            Outcome::Right,
+            format!("the answer says that this run could not show {id}"),
+        ),
+        NONE => (Outcome::Wrong, format!("{id} is hidden and was not seen")),
+        _ if abstains && answer.effects.contains(id) => (
+            Outcome::Abstained,
+            format!("{id} is among what the answer left open: {named}"),
+        ),
+        _ => (Outcome::Abstained, format!("the answer did not name {id}")),
+    }
+}
+
+/// Every true value for which the answer has one.
+fn sizes(truth: &Truth, answer: &Answer) -> Vec<Size> {
+    let motor = &truth.motor;
+    let kt = motor.torque_constant();
+    let own = [
+        ("resistance_ohm", motor.resistance_ohm, "ohm"),
+        ("inductance_h", motor.inductance_h, "H"),
+        (
+            "back_emf_v_s_per_rad",
+            motor.back_emf_v_s_per_rad,
+            "V.s/rad",
+        ),
+        ("torque_n_m_per_a", kt, "N.m/A"),
+        ("inertia_kg_m2", motor.inertia_kg_m2, "kg.m2"),
+        ("load_torque_n_m", motor.load_torque_n_m, "N.m"),
+    ];
+    let size = |effect: &str, key: &str, unit: &str, truth: f64, scale: f64| {
+        let found = answer.value(effect, key)?;
+        Some(Size {
+            effect: effect.to_owned(),
+            key: key.to_owned(),
+            unit: unit.to_owned(),
+            truth,
+            found,
+            error_percent: 100.0 * (found - truth) / scale.abs(),
+        })
+    };
+    let of_effects = truth.effects.iter().flat_map(|effect| {
+        effect.parameters.iter().filter_map(|parameter| {
+            let value = |prefix: &str| {
+                effect
+                    .parameters
+                    .iter()
+                    .find(|other| other.key.starts_with(prefix))
+            };
+            let scale = match (value("sin_"), value("cos_")) {
+                (Some(sin), Some(cos)) if parameter.key != "order" => sin.value.hypot(cos.value),
+                _ => parameter.value,
+            };
+            size(
+                &effect.id,
+                &parameter.key,
+                &parameter.unit,
+                parameter.value,
+                scale,
+            )
+        })
+    });
+    of_effects
+        .chain(
+            own.iter()
+                .filter_map(|(key, value, unit)| size("", key, unit, *value, *value)),
+        )
+        .filter(|size| size.error_percent.is_finite())
+        .collect()
+}
+
+impl Revelation {
+    /// For a person.
+    pub fn text(&self) -> String {
+        let mut lines = Vec::new();
+        match self.truth.effect() {
+            None => lines.push("hidden: nothing; the five-parameter model is the truth".to_owned()),
+            Some(hidden) => {
+                let values: Vec<String> = hidden
+                    .parameters
+                    .iter()
+                    .map(|one| format!("{} = {:.4} {}", one.key, Short(one.value), one.unit))
+                    .collect();
+                lines.push(format!("hidden: {} ({})", hidden.id, values.join(", ")));
+            }
+        }
+        if let Some(guess) = &self.guess {
+            let word = if guess.right { "right" } else { "not it" };
+            lines.push(format!("your guess: {}: {word}", guess.effect));
+        }
+        if let (Some(outcome), Some(reason)) = (self.outcome, &self.reason) {
+            let word = match outcome {
+                Outcome::Right => "right",
+                Outcome::Wrong => "wrong",
+                Outcome::Abstained => "abstained",
+            };
+            lines.push(format!("the tool's answer: {word}: {reason}"));
+        }
+        for size in &self.sizes {
+            let name = if size.effect.is_empty() {
+                size.key.clone()
+            } else {
+                format!("{}.{}", size.effect, size.key)
+            };
+            lines.push(format!(
+                "  {name}: true {:.4}, found {:.4} {} ({:+.1} %)",
+                Short(size.truth),
+                Short(size.found),
+                size.unit,
+                size.error_percent
+            ));
+        }
+        if let (Some(looks_like), Some(excite)) = (&self.looks_like, &self.excite) {
+            lines.push(format!("what shows it: {looks_like}"));
+            lines.push(format!("what brings it out: {excite}"));
+        }
+        lines.join("\n")
+    }
+}
+
+/// A number of as many significant digits as asked for.
+struct Short(f64);
+
+impl std::fmt::Display for Short {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let digits = f.precision().unwrap_or(4);
+        let rounded: f64 = format!("{:.*e}", digits.saturating_sub(1), self.0)
+            .parse()
+            .unwrap_or(self.0);
+        write!(f, "{rounded}")
+    }
+}
+
+/// The truth with parameters by their key, as every other JSON of the program has them.
+fn with_effects_by_key<S: Serializer>(truth: &Truth, serializer: S) -> Result<S::Ok, S::Error> {
+    let effects: Vec<Value> = truth
+        .effects
+        .iter()
+        .map(|hidden| {
+            let parameters: serde_json::Map<String, Value> = hidden
+                .parameters
+                .iter()
+                .map(|one| {
+                    let value = serde_json::json!({ "value": one.value, "unit": one.unit });
+                    (one.key.clone(), value)
+                })
+                .collect();
+            serde_json::json!({
+                "effect": hidden.id, "in_catalogue": !hidden.is_foreign, "parameters": parameters,
+            })
+        })
+        .collect();
+    serde_json::json!({ "seed": truth.seed, "effects": effects, "motor": truth.motor })
+        .serialize(serializer)
+}
+
+#[cfg(test)]
+#[path = "reveal_tests.rs"]
+mod tests;

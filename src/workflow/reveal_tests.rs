@@ -1,0 +1,143 @@
+use serde_json::json;
+
+use super::*;
+use crate::emulator::mystery::draw;
+
+/// The first seed whose mystery is of this kind.
+fn truth(wanted: impl Fn(&Truth) -> bool) -> Truth {
+    (0..2000).map(|seed| draw(seed).truth).find(wanted).unwrap()
+}
+
+fn of_effect(id: &str) -> Truth {
+    truth(|truth| truth.effect().is_some_and(|effect| effect.id == id))
+}
+
+fn outcome(truth: &Truth, answer: &Answer) -> Outcome {
+    reveal(truth.clone(), Some(answer.clone()), None)
+        .outcome
+        .unwrap()
+}
+
+#[test]
+fn an_answer_is_scored_by_what_it_claims() {
+    use Outcome::{Abstained, Right, Wrong};
+    let nothing = truth(|truth| truth.effects.is_empty());
+    let drop = of_effect("voltage_drop");
+    let shaker = of_effect("shaker");
+    let table = [
+        (&nothing, "none", Right),
+        (&nothing, "cogging", Wrong),
+        (&nothing, "unexplained", Abstained),
+        (&drop, "voltage_drop", Right),
+        (&drop, "supply_sag", Wrong),
+        (&drop, "none", Wrong),
+        (&drop, "unexplained", Abstained),
+        (&drop, "abstain", Abstained),
+        (&shaker, "unexplained", Right),
+        (&shaker, "cogging", Wrong),
+        (&shaker, "none", Wrong),
+        (&shaker, "abstain", Abstained),
+    ];
+    for (truth, word, expected) in table {
+        assert_eq!(
+            outcome(truth, &Answer::word(word)),
+            expected,
+            "{:?} {word}",
+            truth.effect()
+        );
+    }
+}
+
+#[test]
+fn a_diagnosis_that_says_why_it_cannot_see_it_is_right() {
+    let hidden = of_effect("inductance_saturation");
+    let diagnosis = json!({
+        "verdict": "none", "effect": null, "effects": [],
+        "candidates": [{ "effect": "inductance_saturation", "status": "not_excited", "parameters": {} }],
+    });
+    let answer = Answer::from_json(&diagnosis).unwrap();
+    assert_eq!(outcome(&hidden, &answer), Outcome::Right);
+    assert_eq!(outcome(&of_effect("voltage_drop"), &answer), Outcome::Wrong);
+}
+
+#[test]
+fn an_extra_name_is_a_wrong_answer_and_an_open_one_may_have_the_best_guess() {
+    let drop = of_effect("voltage_drop");
+    let said = |verdict: &str, effects: &[&str]| {
+        let json = json!({ "verdict": verdict, "effect": effects[0], "effects": effects, "candidates": [] });
+        reveal(drop.clone(), Answer::from_json(&json), None)
+    };
+    assert_eq!(
+        said("effect", &["voltage_drop", "cogging"]).outcome,
+        Some(Outcome::Wrong)
+    );
+    let open = said("ambiguous", &["voltage_drop", "supply_sag"]);
+    assert_eq!(
+        (open.outcome, open.best_guess_right),
+        (Some(Outcome::Abstained), true)
+    );
+    assert!(!said("ambiguous", &["supply_sag", "voltage_drop"]).best_guess_right);
+}
+
+#[test]
+fn sizes_are_compared_and_those_of_a_commissioning_count_more() {
+    let cogging = of_effect("cogging");
+    let value = |key: &str| {
+        let parameters = &cogging.effects[0].parameters;
+        parameters.iter().find(|one| one.key == key).unwrap().value
+    };
+    let amplitude = value("sin_n_m").hypot(value("cos_n_m"));
+    let document = json!({
+        "diagnosis": {
+            "verdict": "effect", "effect": "cogging", "effects": ["cogging"],
+            "candidates": [{ "effect": "cogging", "status": "supported", "parameters": {
+                "order": { "value": value("order") }, "sin_n_m": { "value": 99.0 },
+                "cos_n_m": { "value": value("cos_n_m") + 0.1 * amplitude },
+            } }],
+        },
+        "parameters": [
+            { "key": "resistance_ohm", "value": 1.02 * cogging.motor.resistance_ohm, "unit": "ohm" },
+            { "key": "cogging.sin_n_m", "value": value("sin_n_m"), "unit": "N.m" },
+        ],
+    });
+    let revealed = reveal(
+        cogging.clone(),
+        Answer::from_json(&document),
+        Some("eccentric_load"),
+    );
+    let error = |key: &str| {
+        revealed
+            .sizes
+            .iter()
+            .find(|size| size.key == key)
+            .unwrap()
+            .error_percent
+    };
+    assert!(error("order").abs() < 1e-9 && error("sin_n_m").abs() < 1e-9);
+    assert!((error("cos_n_m") - 10.0).abs() < 1e-9);
+    assert!((error("resistance_ohm") - 2.0).abs() < 1e-9);
+    assert_eq!(
+        revealed.guess.as_ref().map(|guess| guess.right),
+        Some(false)
+    );
+    let text = revealed.text();
+    for part in [
+        "hidden: cogging",
+        "eccentric_load: not it",
+        "right: cogging was named",
+        "what shows it: ",
+    ] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    let json = serde_json::to_value(&revealed).unwrap();
+    assert_eq!(
+        json["truth"]["effects"][0]["parameters"]["order"]["value"],
+        value("order")
+    );
+    assert_eq!(json["outcome"], "right");
+}
+
+#[test]
+fn a_document_without_a_verdict_is_no_diagnosis() {
+    assert_eq!(Answer::from_json(&json!({ "signals": {} })), None);
+}
