@@ -85,7 +85,7 @@ fn evidence(truth: &Model, seed: u64) -> Evidence {
 }
 
 const KNOWN: [(&str, &[f64]); 4] = [
-    ("quadratic_load", &[2e-5]),
+    ("quadratic_load", &[4e-5]),
     ("asymmetric_viscous", &[1.5e-3]),
     ("constant_load", &[0.08]),
     ("stribeck_friction", &[0.25, 12.0]),
@@ -201,14 +201,16 @@ fn halves_and_settings_do_not_change_the_name() {
 fn add_and_remove_tell_both_processings_and_refuse_what_does_not_pay() {
     let (id, values) = KNOWN[1];
     let effect = effect::find(id).unwrap();
-    let data = evidence(&truth(id, values), 7);
+    let truth = truth(id, values);
+    let data = Evidence::new(record(&truth, 70, 0.0), Some(record(&truth, 71, 0.0)), None);
     let with_offset = with_effects(nameplate(), &["constant_load"]);
     let added = add(effect, &with_offset, &data).unwrap();
     assert!(added.accepted, "{}", added.reason);
     assert!(
         added.reason.contains("constant_load is superfluous"),
-        "{}",
-        added.reason
+        "{} {:?}",
+        added.reason,
+        added.fit.parameters
     );
     let (before, after) = (
         added.before.signals.torque_n_m.as_ref().unwrap(),
