@@ -62,6 +62,7 @@ fn commission(
                 .collect(),
         );
     }
+    workflow.set_bench(rig.bench.clone());
     let mut records = Vec::new();
     publish(&workflow.progress());
     while workflow.task() != Task::Finished {
@@ -86,6 +87,11 @@ fn commission(
     for part in [
         result.escalation.as_ref().map(EscalationResult::text),
         result.nameplate.as_ref().map(Comparison::text),
+        result
+            .diagnosis
+            .next_experiment
+            .as_ref()
+            .map(|next| format!("next: {}\n", next.sentence)),
     ]
     .into_iter()
     .flatten()

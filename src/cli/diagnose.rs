@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
 use super::failure::Failure;
+use super::next_experiment::NextArguments;
 use super::output;
 use super::sanity_report::Judging;
 use crate::diagnosis::{Candidate, Diagnosis, Status, diagnose};
@@ -26,6 +27,8 @@ pub(super) struct Arguments {
     until_floor: bool,
     #[command(flatten)]
     evidence: EvidenceArguments,
+    #[command(flatten)]
+    next: NextArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -38,11 +41,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         &arguments.evidence,
         Judging::Refits,
     )?;
-    let diagnosis = diagnose(
-        &prepared.model.file.model,
-        prepared.evidence,
-        arguments.until_floor,
-    )?;
+    let place = arguments.next.place(&prepared)?;
+    let original = &prepared.model.file.model;
+    let mut diagnosis = diagnose(original, prepared.evidence.clone(), arguments.until_floor)?;
+    place.recommend(&mut diagnosis, original, &prepared.evidence)?;
+    arguments.next.write(&diagnosis)?;
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
@@ -68,6 +71,12 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
         if matches!(candidate.status, Status::Supported | Status::Possible) {
             let _ = writeln!(text, "   {:<12} {}", "", sizes(candidate));
         }
+    }
+    for sentence in &diagnosis.equivalences {
+        let _ = writeln!(text, "note: {sentence}");
+    }
+    if let Some(next) = &diagnosis.next_experiment {
+        let _ = writeln!(text, "next: {}", next.sentence);
     }
     text
 }

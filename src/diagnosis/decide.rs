@@ -20,7 +20,7 @@ pub(super) const SUFFICIENT: f64 = 0.9;
 pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
 
 /// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
-const NEAR_THE_FLOOR: f64 = 1.5;
+const NEAR_THE_FLOOR: f64 = 1.2;
 
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;

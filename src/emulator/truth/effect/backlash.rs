@@ -16,7 +16,7 @@ hidden_effect! {
 }
 
 impl Hidden for Backlash {
-    /// See [`Shaft`]: it stiffens under torque, and within the play the film damps half as much; the host's does neither.
+    /// See [`Shaft`]: it stiffens under torque, the host's does not.
     fn shaft(&self, site: &Site) -> Option<Shaft> {
         Some(Shaft::new(
             site,
