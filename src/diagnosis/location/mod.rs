@@ -179,6 +179,8 @@ pub fn locate(
         } else {
             Vec::new()
         };
+        // Without a known noise, what follows nothing may be the noise.
+        balance.fails &= balance.nres.is_some() || !axes.is_empty();
         words::describe(&mut balance, axes.first());
         found.balances.push(balance);
         found

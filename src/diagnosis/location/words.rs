@@ -161,7 +161,9 @@ pub(super) fn describe(balance: &mut EquationBalance, first: Option<&Axis>) {
         ),
         _ => String::new(),
     };
-    balance.sentence = if !balance.fails {
+    balance.sentence = if !balance.fails && balance.nres.is_none() {
+        format!("the {name} equation: its error is {size} and follows nothing, as noise does")
+    } else if !balance.fails {
         format!("the {name} equation holds: its error is {size}{moved}")
     } else if let Some(axis) = first {
         format!(
