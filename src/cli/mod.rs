@@ -9,6 +9,7 @@ mod commission;
 mod compare;
 mod data;
 mod diagnose;
+mod discovery;
 mod effects;
 mod emulate;
 mod escalate;
