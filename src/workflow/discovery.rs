@@ -155,6 +155,7 @@ mod tests {
 
     use super::*;
     use crate::diagnosis::DiagnosisVerdict;
+    use crate::plant::{Motor, Scenario, testing};
 
     fn told(discovery: &mut Discovery, order: Order) -> Vec<News> {
         let news = Mutex::new(Vec::new());
@@ -164,5 +165,72 @@ mod tests {
                 .push(item);
         });
         news.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Steps both ways of a motor with a fan, which is not in the model.
+    fn run(shift: usize) -> Scenario {
+        let mut truth = Model::baseline(Motor::zk_22fc())
+            .with_effect("quadratic_load")
+            .unwrap();
+        truth.effects[0].values = vec![Some(4e-6)];
+        let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
+        let mut events = vec![(0.0, 0.0)];
+        for step in 0..levels.len() {
+            let level = levels[(step + 3 * shift) % levels.len()];
+            let begin_s = 0.5 + 0.5 * step as f64;
+            events.push((begin_s, level));
+            events.push((begin_s + 0.25, level + 5.0));
+        }
+        testing::record(&truth, events, 0.005, 5.5, 7 + shift as u64)
+    }
+
+    #[test]
+    fn what_is_added_takes_the_error_to_the_floor_and_what_is_useless_is_refused() {
+        let evidence = Evidence::new(run(0), Some(run(1)), None);
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut discovery = Discovery::new(model, evidence, false);
+        let news = told(&mut discovery, Order::Diagnose);
+        assert!(matches!(news[0], News::Compared(_)), "{:?}", news[0]);
+        let screened = news
+            .iter()
+            .filter(|item| matches!(item, News::Progress(Event::Screened { .. })));
+        assert!(screened.count() > 5);
+        let Some(News::Diagnosed(diagnosis)) = news.last() else {
+            panic!("no answer: {:?}", news.last());
+        };
+        assert_eq!(diagnosis.effect, Some("quadratic_load"));
+        assert_eq!(discovery.ladder().len(), 1);
+
+        let refused = told(&mut discovery, Order::Add("current_offset"));
+        assert!(
+            matches!(&refused[..], [News::Added(result)] if !result.accepted),
+            "{refused:?}"
+        );
+        assert!(discovery.fitted().unwrap().model.effects.is_empty());
+
+        let news = told(&mut discovery, Order::Add("quadratic_load"));
+        assert!(matches!(&news[0], News::Added(result) if result.accepted));
+        // What is missing now: nothing.
+        let Some(News::Diagnosed(diagnosis)) = news.last() else {
+            panic!("no answer: {:?}", news.last());
+        };
+        assert_eq!(diagnosis.verdict, DiagnosisVerdict::None);
+        let [before, after] = discovery.ladder() else {
+            panic!("{:?}", discovery.ladder());
+        };
+        assert!(before.holdout_rmse > 1.5, "{before:?}");
+        assert!(after.holdout_rmse < 1.1, "{after:?}");
+
+        let again = told(&mut discovery, Order::Add("quadratic_load"));
+        assert!(matches!(&again[..], [News::Failed(_)]), "{again:?}");
+        let needed = told(&mut discovery, Order::Remove("quadratic_load"));
+        assert!(
+            matches!(&needed[..], [News::Removed(result)] if !result.accepted),
+            "{needed:?}"
+        );
+        assert_eq!(
+            discovery.fitted().unwrap().model.effect_ids(),
+            ["quadratic_load"]
+        );
     }
 }
