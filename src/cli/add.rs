@@ -162,15 +162,7 @@ fn model_file(result: &AddResult, before: &FileHistory, run: &str) -> ModelFile 
     };
     history.fitted_on = vec![run.to_owned()];
     for rung in &result.ladder {
-        let effects = if rung.effects.is_empty() {
-            "baseline".to_owned()
-        } else {
-            rung.effects.join(" + ")
-        };
-        let line = format!(
-            "{effects}: held-out error {:.3} times the noise",
-            rung.holdout_rmse
-        );
+        let line = model_output::rung(rung);
         if history.ladder.last() != Some(&line) {
             history.ladder.push(line);
         }

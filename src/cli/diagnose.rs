@@ -1,21 +1,25 @@
 //! `diagnose`: which physical effect is missing.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
 
 use super::data::{EvidenceArguments, prepare};
-use super::failure::Failure;
+use super::discovery::{self, Shown};
+use super::failure::{Failure, USAGE};
 use super::next_experiment::NextArguments;
-use super::output;
 use super::sanity_report::Judging;
+use super::{model_output, output};
 use crate::diagnosis::{Candidate, Diagnosis, Status, diagnose};
 use crate::sample::ParameterEstimate;
+use crate::workflow::Discovery;
 
 /// Name the physical effect that a model is missing, judged on data the fit has not seen
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  drivebench diagnose runs/a --model model.toml --holdout runs/b"
-)]
+#[command(after_help = "Examples:
+  drivebench diagnose runs/a --model model.toml --holdout runs/b
+  drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
+  drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     run: PathBuf,
@@ -29,18 +33,57 @@ pub(super) struct Arguments {
     evidence: EvidenceArguments,
     #[command(flatten)]
     next: NextArguments,
+    #[command(flatten)]
+    on_screen: ScreenArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
+/// Work on the screen instead of an answer in text.
+#[derive(clap::Args)]
+struct ScreenArguments {
+    /// Work on the screen: see where the model fails, add and remove effects, write the model
+    #[arg(long, conflicts_with = "json")]
+    screen: bool,
+    /// On the screen: no name is shown before you have given one
+    #[arg(long, requires = "screen")]
+    guess: bool,
+    /// On the screen: where the model is written to; never overwritten
+    #[arg(long, value_name = "MODEL2.toml", requires = "screen")]
+    output: Option<PathBuf>,
+}
+
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.on_screen.screen && !std::io::stdout().is_terminal() {
+        return Err(Failure::with_help(
+            USAGE,
+            "--screen: standard output is not a terminal",
+            "leave --screen out: the answer is printed as text",
+        ));
+    }
+    if let Some(path) = &arguments.on_screen.output {
+        model_output::refuse_existing(path)?;
+    }
     let prepared = prepare(
         &arguments.run,
         arguments.model.as_ref(),
         &arguments.evidence,
         Judging::Refits,
     )?;
+    if arguments.on_screen.screen {
+        let shown = Shown {
+            title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
+            guess_first: arguments.on_screen.guess,
+            fitted_on: prepared.run.run.name.clone(),
+            history: prepared.model.file.history,
+            output: arguments.on_screen.output.clone(),
+        };
+        let model = prepared.model.file.model;
+        let discovery = Discovery::new(model, prepared.evidence, arguments.until_floor);
+        let found = discovery::show(discovery, shown)?;
+        return output::line(text(&found).trim_end());
+    }
     let place = arguments.next.place(&prepared)?;
     let original = &prepared.model.file.model;
     let mut diagnosis = diagnose(original, prepared.evidence.clone(), arguments.until_floor)?;
@@ -50,6 +93,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
     output::result(&value, arguments.json, |_| text(&diagnosis))
+}
+
+/// The runs by the last part of their names.
+fn title(run: &Path, holdout: Option<&Path>) -> String {
+    let name = |path: &Path| {
+        path.file_name()
+            .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+    };
+    holdout.map_or_else(
+        || format!("{}, last 40 % held out", name(run)),
+        |holdout| format!("{}, held out {}", name(run), name(holdout)),
+    )
 }
 
 pub(super) fn text(diagnosis: &Diagnosis) -> String {

@@ -10,6 +10,7 @@ mod compare;
 mod data;
 mod defined;
 mod diagnose;
+mod discovery;
 mod effects;
 mod emulate;
 mod escalate;

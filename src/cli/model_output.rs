@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::failure::{Failure, USAGE};
+use crate::diagnosis::Rung;
 use crate::plant::FittedValue;
 use crate::sample::ParameterEstimate;
 
@@ -33,4 +34,17 @@ pub(super) fn fitted(parameters: &[ParameterEstimate]) -> Vec<FittedValue> {
             })
         })
         .collect()
+}
+
+/// One line of a model file's ladder.
+pub(super) fn rung(rung: &Rung) -> String {
+    let effects = if rung.effects.is_empty() {
+        "baseline".to_owned()
+    } else {
+        rung.effects.join(" + ")
+    };
+    format!(
+        "{effects}: held-out error {:.3} times the noise",
+        rung.holdout_rmse
+    )
 }

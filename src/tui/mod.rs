@@ -9,6 +9,7 @@
 //!
 //! * `show` owns the terminal and the loop; `terminal` gives it back on every path.
 //! * `model`, `update`, `keys`: what is shown, and what each key does in each state.
+//! * `diagnosis/`: the screen of a diagnosis, with a model, an update and keys of its own.
 //! * `screen/`: one file per screen; `widget/`: one file per widget, each a function of its data.
 
 #![expect(
@@ -17,6 +18,7 @@
     reason = "cells and digits are counted after a clamp, and these casts saturate"
 )]
 
+mod diagnosis;
 mod keys;
 mod model;
 mod screen;
@@ -32,5 +34,6 @@ mod worker;
 #[cfg(test)]
 mod tests;
 
+pub use diagnosis::{DiscoveryScreen, show_discovery};
 pub use show::{Exit, ShowOptions, show};
 pub use worker::{FinishOnDrop, WorkerCell};

@@ -20,7 +20,7 @@ use crate::bench::{Intent, SnapshotCell};
 use crate::workflow::ProgressCell;
 
 /// Longest time between two looks at the cells: 25 frames a second. A key is answered at once.
-const FRAME: Duration = Duration::from_millis(40);
+pub(super) const FRAME: Duration = Duration::from_millis(40);
 
 /// What the screens are given; the worker holds the other ends.
 #[derive(Debug)]
@@ -83,7 +83,7 @@ impl Drop for StopUnlessLeft<'_> {
 }
 
 /// Waits for a key or for `longest`; whether the terminal has been closed.
-fn is_gone(longest: Duration) -> io::Result<bool> {
+pub(super) fn is_gone(longest: Duration) -> io::Result<bool> {
     let stdout = io::stdout();
     let mut terminal = [PollFd::new(stdout.as_fd(), PollFlags::POLLIN)];
     let timeout = PollTimeout::try_from(longest).unwrap_or(PollTimeout::ZERO);

@@ -6,11 +6,13 @@
 //!     '------- Done in: what came of it; a failed task ends the loop with its reason
 //! ```
 //!
+//! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
 //! reveal.rs scores an answer against what a mystery hid; it stands beside the loop, which never sees a truth under seal.
 //!
 //! The driver (`cli`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
 mod commission;
+mod discovery;
 mod escalate;
 mod named_estimate;
 mod progress;
@@ -19,6 +21,7 @@ mod result;
 mod reveal;
 
 pub use commission::{Commission, Role, Task};
+pub use discovery::{Discovery, News, Order, Tell};
 pub use escalate::{Escalate, EscalationResult, StageRecord, compared, scaled_sentence};
 pub use named_estimate::NamedEstimate;
 pub use progress::{Progress, ProgressCell, StepState, StepView};

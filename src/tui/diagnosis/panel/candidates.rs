@@ -1,0 +1,175 @@
+//! The effects: bars while they are judged, then status, share explained, size with interval.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, Widget};
+
+use super::{bar, titled};
+use crate::diagnosis::{Candidate, Status};
+use crate::plant::Effect;
+use crate::sample::ParameterEstimate;
+use crate::tui::diagnosis::guess::Guessing;
+use crate::tui::diagnosis::state::{Row, State};
+use crate::tui::text::{number, parameter, with_std};
+use crate::tui::theme;
+
+const BAR: usize = 8;
+/// Standard deviations on either side of a value: its 95 % interval.
+pub(super) const INTERVAL: f64 = 1.96;
+
+pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
+    if area.height == 0 {
+        return;
+    }
+    let title = if state.guessing == Guessing::Choosing {
+        "what is missing? your guess"
+    } else if state.diagnosis.is_none() {
+        "effects being judged: share of the error explained, to first order"
+    } else {
+        "effects: status, share explained, size ± 95 %"
+    };
+    let inner = titled(title, area, buffer);
+    let rows = state.rows();
+    if rows.is_empty() {
+        Line::styled(" none yet", theme::DIM).render(inner, buffer);
+        return;
+    }
+    let selected = state.selected(&rows);
+    // The selected row stays in sight.
+    let room = usize::from(inner.height).max(1);
+    let first = (selected + 1).saturating_sub(room);
+    let lines: Vec<Line<'static>> = rows
+        .iter()
+        .enumerate()
+        .skip(first)
+        .take(room)
+        .map(|(index, row)| {
+            let mark = if index == selected { "▶ " } else { "  " };
+            let mut line = Line::from(Span::raw(mark));
+            line.extend(spans(row, usize::from(inner.width)));
+            if index == selected {
+                line = line.style(theme::BOLD);
+            }
+            line
+        })
+        .collect();
+    Paragraph::new(lines).render(inner, buffer);
+}
+
+fn spans(row: &Row<'_>, width: usize) -> Vec<Span<'static>> {
+    match row {
+        Row::Choice(guess) => {
+            let name = row.effect().map_or("", |effect| effect.card().name);
+            vec![
+                Span::raw(format!("{:<25} ", guess.key())),
+                Span::styled(name.to_owned(), theme::DIM),
+            ]
+        }
+        Row::Present(id) => vec![
+            Span::styled("+ in the model ", theme::GOOD),
+            Span::raw((*id).to_owned()),
+        ],
+        Row::Judged(id, judged) => {
+            let mut spans = vec![Span::raw(format!("{id:<25} "))];
+            spans.extend(share(judged.share));
+            if let Some(error) = judged.error {
+                spans.push(Span::raw(format!("  refitted: {error:.2} x noise")));
+            }
+            spans
+        }
+        Row::Candidate(candidate) => {
+            let (word, style) = status(candidate.status);
+            let mut spans = vec![
+                Span::styled(format!("{word:<13} "), style),
+                Span::raw(format!("{:<25} ", candidate.effect)),
+            ];
+            // What would not have shown explains nothing that could be believed.
+            let is_seen = candidate.status != Status::NotExcited;
+            spans.extend(share(
+                is_seen.then_some(candidate.explained_percent / 100.0),
+            ));
+            let text = if matches!(candidate.status, Status::Supported | Status::Possible) {
+                size(candidate)
+            } else {
+                detectable(candidate)
+            };
+            spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
+            if width >= 110
+                && let (Some(text), Status::Supported | Status::Possible) =
+                    (detectable(candidate), candidate.status)
+            {
+                spans.push(Span::styled(format!("  {text}"), theme::DIM));
+            }
+            spans
+        }
+    }
+}
+
+fn share(share: Option<f64>) -> Vec<Span<'static>> {
+    let Some(share) = share.filter(|share| share.is_finite()) else {
+        return vec![Span::raw(" ".repeat(BAR + 6))];
+    };
+    let (full, empty) = bar(share, BAR);
+    vec![
+        Span::raw(full),
+        Span::styled(empty, theme::DIM),
+        Span::raw(format!(" {:>3.0} %", 100.0 * share.clamp(-9.0, 1.0))),
+    ]
+}
+
+pub(super) const fn status(status: Status) -> (&'static str, Style) {
+    match status {
+        Status::Supported => ("✓ supported", theme::GOOD),
+        Status::Possible => ("~ possible", theme::CAREFUL),
+        Status::RuledOut => ("✗ ruled out", theme::DIM),
+        Status::NotExcited => ("· not excited", theme::DIM),
+    }
+}
+
+/// The parameter that gives the effect its size.
+fn size(candidate: &Candidate) -> Option<String> {
+    let effect = crate::plant::effect::find(candidate.effect)?;
+    let key = size_key(effect);
+    let found = candidate.parameters.iter();
+    let of_size = |p: &&ParameterEstimate| p.key.rsplit('.').next() == Some(key);
+    let parameter = found
+        .clone()
+        .find(of_size)
+        .or_else(|| found.clone().next())?;
+    Some(value(parameter))
+}
+
+fn size_key(effect: &dyn Effect) -> &'static str {
+    let specs = effect.parameters();
+    let of_size = specs.iter().find(|spec| spec.is_coefficient());
+    of_size
+        .or_else(|| specs.first())
+        .map_or("", |spec| spec.key)
+}
+
+/// Name, value and 95 % interval of a parameter.
+pub(super) fn value(estimate: &ParameterEstimate) -> String {
+    let name = parameter(&estimate.key).0;
+    let Some(value) = estimate.value else {
+        return format!("{name} -");
+    };
+    let value = with_std(value, estimate.std.map(|std| INTERVAL * std));
+    format!("{name} {value} {}", estimate.unit)
+}
+
+/// The smallest size that would have been seen.
+pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
+    let effect = crate::plant::effect::find(candidate.effect)?;
+    let key = size_key(effect);
+    let unit = effect
+        .parameters()
+        .iter()
+        .find(|spec| spec.key == key)?
+        .unit;
+    let least = candidate
+        .minimum_detectable
+        .filter(|size| size.is_finite())?;
+    Some(format!("seen from {} {unit}", number(least)))
+}

@@ -1,0 +1,116 @@
+//! How good the model is and where it fails: figures, lights, places.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, Widget, Wrap};
+
+use super::titled;
+use crate::diagnosis::{Comparison, ResidualLights};
+use crate::tui::diagnosis::state::State;
+use crate::tui::text::number;
+use crate::tui::theme;
+
+/// Places that are told.
+const MOST_PLACES: usize = 3;
+
+pub(in crate::tui::diagnosis) fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
+    if area.height == 0 {
+        return;
+    }
+    let inner = titled("where it fails (held-out run)", area, buffer);
+    let lines = state.comparison.as_ref().map_or_else(
+        || vec![Line::styled(" comparing ...", theme::DIM)],
+        |comparison| lines(comparison),
+    );
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: false })
+        .render(inner, buffer);
+}
+
+fn lines(comparison: &Comparison) -> Vec<Line<'static>> {
+    let mut figures = Vec::new();
+    let signals = &comparison.signals;
+    let mut figure = |name: &str, unit: &str, fit: f64, rmse: f64, floor: Option<f64>| {
+        let times = floor.map_or_else(String::new, |floor| {
+            format!(" = {} x noise", number(rmse / floor))
+        });
+        let text = format!(
+            " {name} fit {fit:.1} %, error {} {unit}{times} ",
+            number(rmse)
+        );
+        figures.push(Span::styled(text, theme::BOLD));
+    };
+    if let Some(torque) = &signals.torque_n_m {
+        let held = torque.holdout;
+        figure(
+            "torque",
+            "N.m",
+            held.fit_percent,
+            held.rmse,
+            torque.noise_floor,
+        );
+    }
+    for (name, unit, signal) in [
+        ("speed", "rad/s", signals.speed_rad_s),
+        ("current", "A", signals.current_a),
+    ] {
+        if let Some(signal) = signal {
+            let held = signal.holdout;
+            figure(name, unit, held.fit_percent, held.rmse, signal.noise_floor);
+        }
+    }
+    let mut lines = vec![Line::from(figures), lights(&comparison.residual)];
+    let places = comparison.locations.iter().take(MOST_PLACES);
+    lines.extend(places.map(|place| Line::raw(format!(" - {}", place.sentence))));
+    if comparison.locations.is_empty() {
+        lines.extend(
+            comparison
+                .balances
+                .iter()
+                .map(|balance| Line::raw(format!(" - {}", balance.sentence))),
+        );
+    }
+    lines.extend(
+        comparison
+            .limits
+            .iter()
+            .map(|limit| Line::styled(format!(" note: {limit}"), theme::DIM)),
+    );
+    lines
+}
+
+/// One light for each question; the word says what the colour does.
+fn lights(residual: &ResidualLights) -> Line<'static> {
+    if !residual.enough_samples {
+        return Line::styled(
+            " residual: too few samples to say whether only noise is left",
+            theme::DIM,
+        );
+    }
+    let light = |passes: bool, good: &str, bad: &str| -> Span<'static> {
+        let (text, style): (String, Style) = if passes {
+            (format!("✓ {good}  "), theme::GOOD)
+        } else {
+            (format!("✗ {bad}  "), theme::BAD)
+        };
+        Span::styled(text, style)
+    };
+    Line::from(vec![
+        Span::raw(" residual: "),
+        light(residual.white, "white", "not white"),
+        light(
+            residual.independent_of_input,
+            "independent of the input",
+            "goes with the input",
+        ),
+        Span::styled(
+            format!(
+                "{:.0} % of the lags outside the 99 % band",
+                100.0 * residual.autocorrelation_outside_99_percent
+            ),
+            theme::DIM,
+        ),
+    ])
+}

@@ -1,0 +1,118 @@
+//! The ladder: the held-out error of every model so far, beside the noise floor.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Paragraph, Widget};
+
+use super::titled;
+use crate::diagnosis::{AddResult, Comparison};
+use crate::tui::diagnosis::state::{State, Step};
+use crate::tui::text::number;
+use crate::tui::theme;
+
+/// Longest bar.
+const LONGEST: usize = 60;
+const NAME: usize = 26;
+/// Above the floor by so much, an error is at the floor.
+const AT_THE_FLOOR: f64 = 1.1;
+
+pub(in crate::tui::diagnosis) fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
+    if area.height == 0 {
+        return;
+    }
+    let floor = state.is_floor_known();
+    let title = if floor {
+        "ladder: held-out error, times the noise (│ = noise floor)"
+    } else {
+        "ladder: held-out error, times the residual of the first fit (no floor is known)"
+    };
+    let inner = titled(title, area, buffer);
+    let mut lines = Vec::new();
+    if let Some((added, result)) = &state.change {
+        lines.push(change(*added, result));
+    }
+    let room = usize::from(inner.height).saturating_sub(lines.len());
+    let largest = state
+        .ladder
+        .iter()
+        .map(|step| step.error)
+        .filter(|error| error.is_finite())
+        .fold(1.0, f64::max);
+    let hidden = state.ladder.len().saturating_sub(room);
+    let steps = state.ladder.iter().skip(hidden);
+    lines.extend(steps.map(|step| rung(step, largest, floor, usize::from(inner.width))));
+    Paragraph::new(lines).render(inner, buffer);
+}
+
+fn rung(step: &Step, largest: f64, floor: bool, width: usize) -> Line<'static> {
+    let length = width.saturating_sub(NAME + 26).clamp(4, LONGEST);
+    // The floor has a cell of its own, also when the error is at it.
+    let cell = |error: f64| ((error / largest).clamp(0.0, 1.0) * length as f64).round() as usize;
+    let (full, mark) = (cell(step.error), floor.then(|| cell(1.0)));
+    let bar: String = (0..=length)
+        .map(|at| match (Some(at) == mark, at < full) {
+            (true, _) => '│',
+            (false, true) => '█',
+            (false, false) => ' ',
+        })
+        .collect();
+    let at_floor = floor && step.error <= AT_THE_FLOOR;
+    let name: String = step.name.chars().take(NAME).collect();
+    Line::from(vec![
+        Span::raw(format!(" {name:<NAME$} ")),
+        Span::styled(
+            bar,
+            if at_floor {
+                theme::GOOD
+            } else {
+                theme::CAREFUL
+            },
+        ),
+        Span::styled(format!(" {:>6.2}", step.error), theme::BOLD),
+        Span::raw(if at_floor { " at the floor" } else { "" }),
+    ])
+}
+
+/// What the last key did: before and after, or why it was refused.
+fn change(added: bool, result: &AddResult) -> Line<'static> {
+    let word = match (result.accepted, added) {
+        (true, true) => "added",
+        (true, false) => "removed",
+        (false, _) => {
+            return Line::styled(format!(" ✗ refused: {}", result.reason), theme::CAREFUL);
+        }
+    };
+    let of = |comparison: &Comparison| {
+        let signals = &comparison.signals;
+        [
+            (signals.torque_n_m.as_ref().map(|s| s.holdout.rmse), "N.m"),
+            (signals.speed_rad_s.map(|s| s.holdout.rmse), "rad/s"),
+            (signals.current_a.map(|s| s.holdout.rmse), "A"),
+        ]
+    };
+    let figures: Vec<String> = of(&result.before)
+        .into_iter()
+        .zip(of(&result.after))
+        .filter_map(|((before, unit), (after, _))| {
+            Some(format!("{} -> {} {unit}", number(before?), number(after?)))
+        })
+        .collect();
+    let confirmed = result
+        .confirm
+        .as_ref()
+        .map_or_else(String::new, |[before, after]| {
+            format!(
+                "; confirming run {:.2} -> {:.2} times the noise",
+                before.holdout_rmse, after.holdout_rmse
+            )
+        });
+    Line::styled(
+        format!(
+            " ✓ {word} {}: {}{confirmed}",
+            result.effect,
+            figures.join(", ")
+        ),
+        theme::GOOD,
+    )
+}

@@ -1,0 +1,236 @@
+//! The diagnosis as a conversation: what is missing? add it; what is missing now?
+//!
+//! ```text
+//! Order -> Discovery::carry_out -> News, told as it comes, from whatever thread found it
+//! ```
+//!
+//! Pure: it owns a model and its evidence, and knows no thread, file or screen.
+
+use crate::diagnosis::{
+    self, AddResult, Comparison, Diagnosis, ErrorOf, Event, Evidence, Fitted, Options, Rung,
+    compare, diagnose_with,
+};
+use crate::identification::output_error::FitError;
+use crate::plant::{Input, Model, effect};
+
+/// What a person asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    Diagnose,
+    Add(&'static str),
+    Remove(&'static str),
+    /// Keep the model; carried out by whoever owns the files.
+    Write,
+}
+
+/// What has come of it.
+#[derive(Clone, Debug)]
+pub enum News {
+    Progress(Event),
+    /// The fitted model beside the hold-out: how good it is and where it fails.
+    Compared(Box<Comparison>),
+    Diagnosed(Box<Diagnosis>),
+    Added(Box<AddResult>),
+    Removed(Box<AddResult>),
+    Written(String),
+    Failed(String),
+}
+
+/// Called from several threads, in no order.
+pub type Tell<'a> = &'a (dyn Fn(News) + Sync);
+
+/// A model on its way to the noise floor.
+#[derive(Clone, Debug)]
+pub struct Discovery {
+    model: Model,
+    evidence: Evidence,
+    until_floor: bool,
+    fitted: Option<Fitted>,
+    ladder: Vec<Rung>,
+}
+
+impl Discovery {
+    /// `model` is where the fits start.
+    pub const fn new(model: Model, evidence: Evidence, until_floor: bool) -> Self {
+        Self {
+            model,
+            evidence,
+            until_floor,
+            fitted: None,
+            ladder: Vec::new(),
+        }
+    }
+
+    /// The model as it stands, fitted with the effects that were added; none before the first diagnosis.
+    pub const fn fitted(&self) -> Option<&Fitted> {
+        self.fitted.as_ref()
+    }
+
+    /// Every model so far with its held-out error, the first one first.
+    pub fn ladder(&self) -> &[Rung] {
+        &self.ladder
+    }
+
+    /// Does what `order` asks. After an effect was added or removed, what is missing then is searched at once.
+    pub fn carry_out(&mut self, order: Order, tell: Tell<'_>) {
+        let done = match order {
+            Order::Diagnose => self.diagnose(tell),
+            Order::Add(id) => self.change(id, true, tell),
+            Order::Remove(id) => self.change(id, false, tell),
+            Order::Write => Ok(()),
+        };
+        if let Err(error) = done {
+            tell(News::Failed(format!("{error}; {}", error.help())));
+        }
+    }
+
+    fn diagnose(&mut self, tell: Tell<'_>) -> Result<(), FitError> {
+        let is_electrical = self.evidence.training.input == Input::Voltage;
+        if is_electrical {
+            // Where the model fails is known long before its cause is.
+            let (evidence, fit) = self.evidence.clone().with_baseline(&self.model)?;
+            let compared = compare(&fit.model, &evidence, ErrorOf::Structure)?;
+            tell(News::Compared(Box::new(compared)));
+        }
+        let progress = |event| tell(News::Progress(event));
+        let options = Options {
+            until_floor: self.until_floor,
+            progress: &progress,
+            ..Options::default()
+        };
+        let diagnosis = diagnose_with(&self.model, self.evidence.clone(), options)?;
+        if !is_electrical {
+            let model = &diagnosis.baseline.model;
+            let compared = compare(model, &self.evidence, ErrorOf::Structure)?;
+            tell(News::Compared(Box::new(compared)));
+        }
+        if self.ladder.is_empty() {
+            self.ladder.push(Rung {
+                effects: self.model.effect_ids(),
+                holdout_rmse: diagnosis.holdout_before,
+            });
+        }
+        self.fitted = Some(diagnosis.baseline.clone());
+        tell(News::Diagnosed(Box::new(diagnosis)));
+        Ok(())
+    }
+
+    fn change(&mut self, id: &'static str, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
+        let Some(effect) = effect::find(id) else {
+            tell(News::Failed(format!(
+                "effect {id:?} is not in the catalogue"
+            )));
+            return Ok(());
+        };
+        let evidence = self.evidence.clone();
+        let result = if adds {
+            self.model.with_effect(id)?;
+            diagnosis::add(effect, &self.model, evidence)?
+        } else {
+            self.model.without_effect(id)?;
+            diagnosis::remove(effect, &self.model, evidence)?
+        };
+        let accepted = result.accepted;
+        if accepted {
+            self.model = result.fit.model.clone();
+            self.fitted = Some(result.fit.clone());
+            self.ladder.extend(result.ladder.last().cloned());
+        }
+        let result = Box::new(result);
+        tell(if adds {
+            News::Added(result)
+        } else {
+            News::Removed(result)
+        });
+        if accepted {
+            self.diagnose(tell)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Mutex, PoisonError};
+
+    use super::*;
+    use crate::diagnosis::DiagnosisVerdict;
+    use crate::plant::{Motor, Scenario, testing};
+
+    fn told(discovery: &mut Discovery, order: Order) -> Vec<News> {
+        let news = Mutex::new(Vec::new());
+        discovery.carry_out(order, &|item| {
+            news.lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(item);
+        });
+        news.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Steps both ways of a motor with a fan, which is not in the model.
+    fn run(shift: usize) -> Scenario {
+        let mut truth = Model::baseline(Motor::zk_22fc())
+            .with_effect("quadratic_load")
+            .unwrap();
+        truth.effects[0].values = vec![Some(4e-6)];
+        let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
+        let mut events = vec![(0.0, 0.0)];
+        for step in 0..levels.len() {
+            let level = levels[(step + 3 * shift) % levels.len()];
+            let begin_s = 0.5 + 0.5 * step as f64;
+            events.push((begin_s, level));
+            events.push((begin_s + 0.25, level + 5.0));
+        }
+        testing::record(&truth, events, 0.005, 5.5, 7 + shift as u64)
+    }
+
+    #[test]
+    fn what_is_added_takes_the_error_to_the_floor_and_what_is_useless_is_refused() {
+        let evidence = Evidence::new(run(0), Some(run(1)), None);
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut discovery = Discovery::new(model, evidence, false);
+        let news = told(&mut discovery, Order::Diagnose);
+        assert!(matches!(news[0], News::Compared(_)), "{:?}", news[0]);
+        let screened = news
+            .iter()
+            .filter(|item| matches!(item, News::Progress(Event::Screened { .. })));
+        assert!(screened.count() > 5);
+        let Some(News::Diagnosed(diagnosis)) = news.last() else {
+            panic!("no answer: {:?}", news.last());
+        };
+        assert_eq!(diagnosis.effect, Some("quadratic_load"));
+        assert_eq!(discovery.ladder().len(), 1);
+
+        let refused = told(&mut discovery, Order::Add("current_offset"));
+        assert!(
+            matches!(&refused[..], [News::Added(result)] if !result.accepted),
+            "{refused:?}"
+        );
+        assert!(discovery.fitted().unwrap().model.effects.is_empty());
+
+        let news = told(&mut discovery, Order::Add("quadratic_load"));
+        assert!(matches!(&news[0], News::Added(result) if result.accepted));
+        // What is missing now: nothing.
+        let Some(News::Diagnosed(diagnosis)) = news.last() else {
+            panic!("no answer: {:?}", news.last());
+        };
+        assert_eq!(diagnosis.verdict, DiagnosisVerdict::None);
+        let [before, after] = discovery.ladder() else {
+            panic!("{:?}", discovery.ladder());
+        };
+        assert!(before.holdout_rmse > 1.5, "{before:?}");
+        assert!(after.holdout_rmse < 1.1, "{after:?}");
+
+        let again = told(&mut discovery, Order::Add("quadratic_load"));
+        assert!(matches!(&again[..], [News::Failed(_)]), "{again:?}");
+        let needed = told(&mut discovery, Order::Remove("quadratic_load"));
+        assert!(
+            matches!(&needed[..], [News::Removed(result)] if !result.accepted),
+            "{needed:?}"
+        );
+        assert_eq!(
+            discovery.fitted().unwrap().model.effect_ids(),
+            ["quadratic_load"]
+        );
+    }
+}
