@@ -17,6 +17,7 @@ mod escalate;
 mod guard;
 mod limits;
 mod live_online;
+mod next_bench;
 mod plan;
 mod program;
 mod runner;
@@ -41,6 +42,7 @@ pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{
     LiveOnline, OnlineResult, OnlineSettings, RowEstimator, StartSettings, replay,
 };
+pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
 pub use runner::{Bench, Excitation, LiveEstimator, RunOptions, RunSummary, run};

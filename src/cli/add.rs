@@ -1,24 +1,27 @@
 //! `add` and `remove`: one effect more or less, before and after; never overwrites the model.
+//!
+//! `custom` and `table` are not in the catalogue: what they are comes with the options of `add` (see `defined`).
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
+use super::defined::{self, DefinitionArguments};
 use super::diagnose::parameter_text;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
 use super::{compare, model_output, output};
 use crate::config_text::help_for_unknown;
 use crate::diagnosis::{AddResult, add, remove};
-use crate::plant::{FileHistory, ModelFile, effect};
+use crate::plant::{Effect, FileHistory, Model, ModelError, ModelFile, effect};
 
-/// Refit a model with an effect added (removed) and show the held-out error before and after
+/// Refit a model without one of its effects and show the held-out error before and after
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  drivebench add stribeck_friction --model model.toml --run runs/a --holdout runs/b --output model2.toml"
+    after_help = "Example:\n  drivebench remove stribeck_friction --model model.toml --run runs/a --holdout runs/b --output model2.toml"
 )]
 pub(super) struct Arguments {
-    /// Id of the effect, as `drivebench effects` lists them
+    /// Id of the effect, as `drivebench effects` lists them; or custom and table, with an own name as `custom_fan`
     effect: String,
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]
@@ -36,19 +39,62 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments, adding: bool) -> Result<(), Failure> {
-    let known: Vec<&str> = effect::CATALOGUE
-        .iter()
-        .map(|effect| effect.card().id)
-        .collect();
-    let chosen = effect::find(&arguments.effect).ok_or_else(|| {
-        let help = help_for_unknown(&arguments.effect, known.iter().copied());
+/// Refit a model with an effect added and show the held-out error before and after
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  drivebench add stribeck_friction --model model.toml --run runs/a --holdout runs/b --output model2.toml\n  drivebench add custom --equation torque --expression 'a*abs(w)*w + b*sgn(w)' --parameter a --parameter b --run runs/a\n  drivebench add table --axis speed_rad_s --run runs/a --holdout runs/b"
+)]
+pub(super) struct AddArguments {
+    #[command(flatten)]
+    common: Arguments,
+    #[command(flatten)]
+    definition: DefinitionArguments,
+}
+
+pub(super) fn execute_add(arguments: &AddArguments) -> Result<(), Failure> {
+    let id = arguments.common.effect.as_str();
+    if effect::family(id).is_none() {
+        arguments.definition.refuse_for(id)?;
+        known(id)?;
+    }
+    run(&arguments.common, Some(&arguments.definition))
+}
+
+pub(super) fn execute_remove(arguments: &Arguments) -> Result<(), Failure> {
+    if effect::family(&arguments.effect).is_none() {
+        known(&arguments.effect)?;
+    }
+    run(arguments, None)
+}
+
+/// The effect of the catalogue with this id.
+fn known(id: &str) -> Result<&'static dyn Effect, Failure> {
+    effect::find(id).ok_or_else(|| {
+        let families = effect::FAMILIES.iter().map(|card| card.id);
+        let known: Vec<&str> = effect::CATALOGUE
+            .iter()
+            .map(|effect| effect.card().id)
+            .chain(families)
+            .collect();
+        let help = help_for_unknown(id, known.iter().copied());
         Failure::with_help(
             USAGE,
-            format!("effect {:?} is not in the catalogue", arguments.effect),
+            format!("effect {id:?} is not in the catalogue"),
             help,
         )
-    })?;
+    })
+}
+
+/// The effect with this id as the model has it.
+fn of_model(model: &Model, id: &str) -> Result<&'static dyn Effect, Failure> {
+    match model.effects.iter().find(|active| active.id() == id) {
+        Some(active) => Ok(active.effect),
+        None => known(id),
+    }
+}
+
+fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<(), Failure> {
+    let id = arguments.effect.as_str();
     if let Some(path) = &arguments.output {
         model_output::refuse_existing(path)?;
     }
@@ -58,14 +104,21 @@ pub(super) fn execute(arguments: &Arguments, adding: bool) -> Result<(), Failure
         &arguments.evidence,
         Judging::Refits,
     )?;
-    let model = &prepared.model.file.model;
-    let result = if adding {
+    let mut model = prepared.model.file.model.clone();
+    let result = if let Some(definition) = adding {
         // Refused here with a clear word rather than as a failed fit.
-        model.with_effect(chosen.card().id)?;
-        add(chosen, model, prepared.evidence)?
+        if model.has(id) {
+            return Err(ModelError::Duplicate { id: id.to_owned() }.into());
+        }
+        let chosen = if effect::family(id).is_some() {
+            defined::effect(id, definition, &mut model, &prepared.evidence)?
+        } else {
+            known(id)?
+        };
+        add(chosen, &model, prepared.evidence)?
     } else {
-        model.without_effect(chosen.card().id)?;
-        remove(chosen, model, prepared.evidence)?
+        model.without_effect(id)?;
+        remove(of_model(&model, id)?, &model, prepared.evidence)?
     };
     let file = model_file(
         &result,

@@ -63,19 +63,22 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
             format!("--min-fit {least} is not a number of per cent"),
         ));
     }
-    if comparison.signals.speed_rad_s.is_none() && comparison.signals.current_a.is_none() {
+    let signals = &comparison.signals;
+    let fit = |signal: Option<SignalComparison>| signal.map(|signal| signal.holdout.fit_percent);
+    let torque = signals.torque_n_m.as_ref();
+    let fits = [
+        ("speed", fit(signals.speed_rad_s)),
+        ("current", fit(signals.current_a)),
+        ("torque", torque.map(|torque| torque.holdout.fit_percent)),
+    ];
+    if fits.iter().all(|(_, fit)| fit.is_none()) {
         return Err(Failure::new(
             REFUSED,
             "no signal stands in both runs: there is no fit to judge",
         ));
     }
-    let signals = [
-        ("speed", comparison.signals.speed_rad_s),
-        ("current", comparison.signals.current_a),
-    ];
-    for (name, signal) in signals {
-        if let Some(signal) = signal.filter(|signal| signal.holdout.fit_percent < least) {
-            let found = signal.holdout.fit_percent;
+    for (name, fit) in fits {
+        if let Some(found) = fit.filter(|found| *found < least) {
             return Err(Failure::new(
                 REFUSED,
                 format!("held-out {name} fit {found:.1} % is below {least} %"),
@@ -109,6 +112,23 @@ pub(super) fn text(comparison: &Comparison) -> String {
     };
     row("speed", "rad/s", comparison.signals.speed_rad_s);
     row("current", "A", comparison.signals.current_a);
+    if let Some(torque) = &comparison.signals.torque_n_m {
+        let floor = torque
+            .noise_floor
+            .map_or_else(|| "unknown".to_owned(), |floor| format!("{floor:.3}"));
+        let _ = writeln!(
+            text,
+            "torque   {:>10.2} % {:>9.3} N.m   {floor:>12} {:>12.2} %",
+            torque.holdout.fit_percent, torque.holdout.rmse, torque.fit_percent
+        );
+        for error in &torque.processing {
+            let _ = writeln!(
+                text,
+                "relative torque error {:.2} % held out, {:.2} % in training: {}",
+                error.holdout_relative_error_percent, error.relative_error_percent, error.sentence
+            );
+        }
+    }
     let _ = writeln!(text, "residual {}", lights(&comparison.residual));
     if comparison.locations.is_empty() && comparison.balances.iter().all(|b| !b.fails) {
         if !comparison.balances.is_empty() {
@@ -120,7 +140,9 @@ pub(super) fn text(comparison: &Comparison) -> String {
         }
     }
     for balance in &comparison.balances {
-        let _ = writeln!(text, "balance  {}", balance.sentence);
+        // What it follows stands above.
+        let told = balance.sentence.split("; ").next().unwrap_or_default();
+        let _ = writeln!(text, "balance  {told}");
     }
     for limit in &comparison.limits {
         let _ = writeln!(text, "note     {limit}");

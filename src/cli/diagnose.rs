@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::data::{EvidenceArguments, prepare};
 use super::discovery::{self, Shown};
 use super::failure::{Failure, USAGE};
+use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
 use super::{model_output, output};
 use crate::diagnosis::{Candidate, Diagnosis, Status, diagnose};
@@ -39,6 +40,8 @@ pub(super) struct Arguments {
     /// On the screen: where the model is written to; never overwritten
     #[arg(long, value_name = "MODEL2.toml", requires = "screen")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    next: NextArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -61,24 +64,25 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         &arguments.evidence,
         Judging::Refits,
     )?;
-    if arguments.screen {
+    let place = arguments.next.place(&prepared)?;
+    let original = &prepared.model.file.model;
+    let mut diagnosis = if arguments.screen {
         let shown = Shown {
             title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
             guess_first: arguments.guess,
             fitted_on: prepared.run.run.name.clone(),
-            history: prepared.model.file.history,
+            history: prepared.model.file.history.clone(),
             output: arguments.output.clone(),
         };
-        let model = prepared.model.file.model;
-        let discovery = Discovery::new(model, prepared.evidence, arguments.until_floor);
-        let found = discovery::show(discovery, shown)?;
-        return output::line(text(&found).trim_end());
-    }
-    let diagnosis = diagnose(
-        &prepared.model.file.model,
-        prepared.evidence,
-        arguments.until_floor,
-    )?;
+        let evidence = prepared.evidence.clone();
+        let discovery = Discovery::new(original.clone(), evidence, arguments.until_floor)
+            .with_limits(place.limits());
+        discovery::show(discovery, shown)?
+    } else {
+        diagnose(original, prepared.evidence.clone(), arguments.until_floor)?
+    };
+    place.recommend(&mut diagnosis, original, &prepared.evidence)?;
+    arguments.next.write(&diagnosis)?;
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
@@ -116,6 +120,12 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
         if matches!(candidate.status, Status::Supported | Status::Possible) {
             let _ = writeln!(text, "   {:<12} {}", "", sizes(candidate));
         }
+    }
+    for sentence in &diagnosis.equivalences {
+        let _ = writeln!(text, "note: {sentence}");
+    }
+    if let Some(next) = &diagnosis.next_experiment {
+        let _ = writeln!(text, "next: {}", next.sentence);
     }
     text
 }

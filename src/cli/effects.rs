@@ -7,8 +7,7 @@ use serde_json::{Value, json};
 use super::failure::{Failure, USAGE};
 use super::output;
 use crate::config_text::help_for_unknown;
-use crate::plant::effect::{ParameterRole, ParameterSpec};
-use crate::plant::{Effect, Enters, effect};
+use crate::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
 
 /// List the physical effects the program can name, or show one effect's card
 #[derive(clap::Args)]
@@ -22,22 +21,22 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let chosen = match &arguments.id {
-        None => effect::CATALOGUE.to_vec(),
-        Some(id) => vec![effect::find(id).ok_or_else(|| {
-            let known: Vec<&str> = effect::CATALOGUE
-                .iter()
-                .map(|effect| effect.card().id)
-                .collect();
-            let help = help_for_unknown(id, known.iter().copied());
-            Failure::with_help(
-                USAGE,
-                format!("effect {id:?} is not in the catalogue"),
-                help,
-            )
-        })?],
-    };
-    let value: Value = chosen.iter().map(|effect| card_json(*effect)).collect();
+    let catalogue = effect::CATALOGUE
+        .iter()
+        .map(|effect| (effect.card(), effect.parameters()));
+    // What the user or the data define has its parameters in its settings.
+    let defined = effect::FAMILIES.iter().map(|card| (*card, &[][..]));
+    let mut chosen: Vec<Entry> = catalogue.chain(defined).collect();
+    if let Some(id) = &arguments.id {
+        let known: Vec<&str> = chosen.iter().map(|(card, _)| card.id).collect();
+        let help = help_for_unknown(id, known.iter().copied());
+        chosen.retain(|(card, _)| card.id == id);
+        if chosen.is_empty() {
+            let headline = format!("effect {id:?} is not in the catalogue");
+            return Err(Failure::with_help(USAGE, headline, help));
+        }
+    }
+    let value: Value = chosen.iter().map(|entry| card_json(*entry)).collect();
     output::result(&value, arguments.json, |_| {
         if arguments.id.is_some() {
             card_text(chosen[0])
@@ -47,9 +46,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     })
 }
 
-fn card_json(effect: &dyn Effect) -> Value {
-    let card = effect.card();
-    let parameters: Vec<Value> = effect.parameters().iter().map(parameter_json).collect();
+/// A card and the parameters that go with it.
+type Entry = (&'static Card, &'static [ParameterSpec]);
+
+fn card_json((card, parameters): Entry) -> Value {
+    let parameters: Vec<Value> = parameters.iter().map(parameter_json).collect();
     json!({
         "id": card.id, "name": card.name, "enters": enters(card.enters), "equation": card.equation,
         "causes": card.causes, "looks_like": card.looks_like, "excite": card.excite, "remedy": card.remedy,
@@ -108,14 +109,13 @@ fn block(title: &str, room: usize, text: &str) -> String {
     lines
 }
 
-fn list_text(effects: &[&'static dyn Effect]) -> String {
-    let longest = |of: fn(&dyn Effect) -> usize| effects.iter().map(|effect| of(*effect)).max();
-    let ids = longest(|effect| effect.card().id.len()).unwrap_or(0) + 2;
-    let balances = longest(|effect| enters(effect.card().enters).len()).unwrap_or(0) + 2;
-    effects
+fn list_text(entries: &[Entry]) -> String {
+    let longest = |of: fn(&Card) -> usize| entries.iter().map(|(card, _)| of(card)).max();
+    let ids = longest(|card| card.id.len()).unwrap_or(0) + 2;
+    let balances = longest(|card| enters(card.enters).len()).unwrap_or(0) + 2;
+    entries
         .iter()
-        .map(|effect| {
-            let card = effect.card();
+        .map(|(card, _)| {
             let title = format!("{:<ids$}{:<balances$}", card.id, enters(card.enters));
             block(&title, ids + balances, card.equation)
         })
@@ -125,12 +125,14 @@ fn list_text(effects: &[&'static dyn Effect]) -> String {
 /// Column of the titles of a card.
 const TITLES: usize = 12;
 
-fn card_text(effect: &dyn Effect) -> String {
-    let card = effect.card();
+fn card_text((card, parameters): Entry) -> String {
     let mut text = format!("{} ({})\n\n", card.name, card.id);
     let enters = match card.enters {
         Enters::Voltage => "the voltage balance, subtracted from the voltage applied",
         Enters::Torque => "the torque balance, subtracted from the torque of the motor",
+        Enters::Both if effect::family(card.id).is_some() => {
+            "the voltage or the torque balance, as its settings say"
+        }
         Enters::Both => "the voltage and the torque balance",
         Enters::Path => {
             "neither balance: it lies between what is commanded or measured and the motor"
@@ -153,7 +155,7 @@ fn card_text(effect: &dyn Effect) -> String {
             "needed: as measured, else the speed is integrated, which starts anywhere and drifts",
         );
     }
-    for spec in effect.parameters() {
+    for spec in parameters {
         text += &block("parameter", TITLES, &parameter_text(spec));
     }
     text
@@ -168,22 +170,23 @@ fn parameter_text(spec: &ParameterSpec) -> String {
         (None, _) => "any value".to_owned(),
     };
     let tried: Vec<String> = spec.shapes.iter().map(f64::to_string).collect();
-    text += &match spec.role {
-        ParameterRole::Coefficient => format!(": {bounds}"),
-        ParameterRole::Shape => {
-            format!(
-                ": {bounds}; not given, it is fitted from {}",
-                tried.join(", ")
-            )
-        }
-        ParameterRole::Choice => format!(
+    let _ = match spec.role {
+        ParameterRole::Coefficient => write!(text, ": {bounds}"),
+        ParameterRole::Shape => write!(
+            text,
+            ": {bounds}; not given, it is fitted from {}",
+            tried.join(", ")
+        ),
+        ParameterRole::Choice => write!(
+            text,
             ": {bounds}; not given, it is chosen from {} to {}",
             tried[0],
             tried[tried.len() - 1]
         ),
-        ParameterRole::EventTime => {
-            ": since the run's first command; found anew in each run, unless it is fixed".to_owned()
-        }
+        ParameterRole::EventTime => write!(
+            text,
+            ": since the run's first command; found anew in each run, unless it is fixed"
+        ),
     };
     text
 }
@@ -194,10 +197,13 @@ mod tests {
 
     #[test]
     fn the_list_and_every_card_keep_to_the_width_and_lose_no_word() {
-        let list = list_text(effect::CATALOGUE);
-        for effect in effect::CATALOGUE {
-            let card = effect.card();
-            let text = card_text(*effect);
+        let entries: Vec<Entry> = effect::CATALOGUE
+            .iter()
+            .map(|effect| (effect.card(), effect.parameters()))
+            .collect();
+        let list = list_text(&entries);
+        for (card, parameters) in entries {
+            let text = card_text((card, parameters));
             for line in text.lines().chain(list.lines()) {
                 assert!(line.chars().count() <= WIDTH, "{line}");
                 assert_eq!(line, line.trim_end());
@@ -208,7 +214,7 @@ mod tests {
                 assert!(text.contains(body), "{}: {body}", card.id);
             }
             assert!(list.contains(card.equation), "{}", card.id);
-            for spec in effect.parameters() {
+            for spec in parameters {
                 assert!(text.contains(&format!("{} [{}]", spec.key, spec.unit)));
             }
         }

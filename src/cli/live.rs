@@ -202,12 +202,15 @@ impl Rig {
         profile.link.protocol = link_protocol(bench.link.protocol);
         profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
         let port = bench.port();
-        let mystery = arguments.mystery.map(mystery::draw);
+        // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
+        let mystery = (bench.emulator.config == MYSTERY
+            && matches!(port, Port::Emulator | Port::Sim))
+        .then(|| mystery::draw(bench.emulator.seed));
         let emulator = match (&port, &mystery) {
             (Port::Emulator | Port::Sim, Some(mystery)) => Some(mystery.config.clone()),
             (Port::Emulator | Port::Sim, None) => Some(emulator_config(&bench.emulator.config)?),
-            (Port::Tcp(_) | Port::Serial(_), None) => None,
-            (Port::Tcp(_) | Port::Serial(_), Some(_)) => {
+            (Port::Tcp(_) | Port::Serial(_), _) if arguments.mystery.is_none() => None,
+            (Port::Tcp(_) | Port::Serial(_), _) => {
                 return Err(Failure::with_help(
                     USAGE,
                     format!(

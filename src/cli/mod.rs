@@ -8,6 +8,7 @@ mod add;
 mod commission;
 mod compare;
 mod data;
+mod defined;
 mod diagnose;
 mod discovery;
 mod effects;
@@ -18,6 +19,7 @@ mod identify;
 mod live;
 mod load_torque;
 mod model_output;
+mod next_experiment;
 mod output;
 mod pages;
 mod plan;
@@ -67,7 +69,7 @@ enum Command {
     Simulate(simulate::Arguments),
     Compare(compare::Arguments),
     Diagnose(diagnose::Arguments),
-    Add(add::Arguments),
+    Add(add::AddArguments),
     Remove(add::Arguments),
     Effects(effects::Arguments),
     Reproduce(reproduce::Arguments),
@@ -104,8 +106,8 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate::execute(&arguments),
         Command::Compare(arguments) => compare::execute(&arguments),
         Command::Diagnose(arguments) => diagnose::execute(&arguments),
-        Command::Add(arguments) => add::execute(&arguments, true),
-        Command::Remove(arguments) => add::execute(&arguments, false),
+        Command::Add(arguments) => add::execute_add(&arguments),
+        Command::Remove(arguments) => add::execute_remove(&arguments),
         Command::Effects(arguments) => effects::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Reveal(arguments) => reveal::execute(&arguments),

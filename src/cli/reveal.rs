@@ -11,7 +11,7 @@ use super::output;
 use crate::config_text::help_for_unknown;
 use crate::emulator::mystery::{Mystery, SealError, Truth};
 use crate::plant::effect;
-use crate::workflow::{Answer, reveal};
+use crate::workflow::{Answer, Revelation, reveal};
 
 /// Words that are an answer beside the ids of effects.
 const WORDS: [&str; 3] = ["none", "unexplained", "abstain"];
@@ -57,7 +57,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         None => None,
     };
     let revealed = reveal(truth, answer, guess.as_deref());
-    output::result(&revealed, arguments.json, |revealed| revealed.text())
+    output::result(&revealed, arguments.json, Revelation::text)
 }
 
 /// Writes the sealed truth and says where it is.

@@ -36,6 +36,10 @@ const KNOTS_OF_A_TURN: usize = 16;
 const CLOSEST: f64 = 0.01;
 /// Sampling periods in an electrical time constant from which on the voltage balance is resolved.
 const RESOLVED: f64 = 3.0;
+/// Knots that a curve has at least.
+const FEWEST_KNOTS: usize = 3;
+/// Standard deviations from which on a value counts as found.
+const CERTAIN: f64 = 3.0;
 /// Adjusted R2 below which an error is not said to follow an axis.
 const FOLLOWS: f64 = 0.1;
 
@@ -79,7 +83,15 @@ pub fn axis_map(
         }
         maps
     } else {
-        windowed::maps(model, scenario, noise)?
+        let mut maps = windowed::maps(model, scenario, noise)?;
+        // A line is slow beside the armature circuit, if it is found at all.
+        let balances = weak_form::regressions(model, scenario);
+        maps.extend(
+            balances
+                .iter()
+                .filter_map(|one| line::strongest(one, scenario)),
+        );
+        maps
     };
     maps.sort_by(|a, b| b.r2.total_cmp(&a.r2));
     Ok(maps)
@@ -216,15 +228,38 @@ fn explain(
     })
 }
 
+/// A curve with what it explains.
+struct Curve {
+    r2: f64,
+    knots: Vec<f64>,
+    values: Vec<f64>,
+    std: Vec<f64>,
+}
+
 impl Explained {
-    /// Values and deviations of the curve at its knots, `shape` giving the curve for the coefficients.
-    fn curve(&self, shape: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>) {
+    /// The curve at its knots, `shape` giving its values for the coefficients.
+    fn curve(&self, knots: Vec<f64>, shape: &DMatrix<f64>) -> Curve {
         let values = shape * &self.coefficients;
         let covariance = shape * &self.covariance * shape.transpose();
         let deviations = covariance
             .diagonal()
             .map(|variance| variance.max(0.0).sqrt());
-        (values.as_slice().to_vec(), deviations.as_slice().to_vec())
+        Curve {
+            r2: self.r2,
+            knots,
+            values: values.as_slice().to_vec(),
+            std: deviations.as_slice().to_vec(),
+        }
+    }
+}
+
+impl Curve {
+    /// The knot with the largest value that stands out from its uncertainty.
+    fn peak(&self) -> Option<usize> {
+        let sure = |knot: &usize| self.values[*knot].abs() > CERTAIN * self.std[*knot];
+        (0..self.values.len())
+            .filter(sure)
+            .max_by(|a, b| self.values[*a].abs().total_cmp(&self.values[*b].abs()))
     }
 }
 
@@ -242,14 +277,7 @@ fn harmonics(angle_rad: f64) -> [f64; 2 * HARMONICS] {
 }
 
 /// What is said of a curve.
-fn sentence(
-    equation: Balance,
-    axis: Axis,
-    scenario: &Scenario,
-    r2: f64,
-    knots: &[f64],
-    values: &[f64],
-) -> String {
+fn sentence(equation: Balance, axis: Axis, scenario: &Scenario, curve: &Curve) -> String {
     let what = name(equation);
     let along = match axis {
         Axis::Speed => "speed",
@@ -259,21 +287,23 @@ fn sentence(
         Axis::Angle => "angle",
         Axis::Time => "time",
     };
-    if r2 < FOLLOWS {
+    if curve.r2 < FOLLOWS {
         return format!("the {what} error does not follow the {along}");
     }
-    let peak = (0..values.len()).max_by(|a, b| values[*a].abs().total_cmp(&values[*b].abs()));
-    let Some(peak) = peak else {
-        return format!("the {what} error does not follow the {along}");
-    };
-    format!(
-        "{:.0} % of the {what} error follows the {along}; it is largest near {} {}: {} {}",
-        100.0 * r2,
-        rounded(knots[peak]),
-        axis.unit(),
-        rounded(values[peak]),
-        unit(equation)
-    )
+    let share = format!(
+        "{:.0} % of the {what} error follows the {along}",
+        100.0 * curve.r2
+    );
+    match curve.peak() {
+        Some(peak) => format!(
+            "{share}; it is largest near {} {}: {} {}",
+            rounded(curve.knots[peak]),
+            axis.unit(),
+            rounded(curve.values[peak]),
+            unit(equation)
+        ),
+        None => share,
+    }
 }
 
 /// Three significant digits.

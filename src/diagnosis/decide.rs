@@ -20,7 +20,7 @@ pub(super) const SUFFICIENT: f64 = 0.9;
 pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
 
 /// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
-const NEAR_THE_FLOOR: f64 = 1.5;
+const NEAR_THE_FLOOR: f64 = 1.2;
 
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
@@ -183,7 +183,9 @@ pub(super) fn not_told_apart(base: &Score, refits: &[Refit], best: usize) -> Vec
             let rival = &refits[index].holdout;
             let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);
             index == best
-                || (pays(base, rival) && (close || z(rival, &refits[best].holdout) < SIGNIFICANT))
+                || (pays(base, rival)
+                    && !mends(rival, &refits[best].holdout)
+                    && (close || z(rival, &refits[best].holdout) < SIGNIFICANT))
         })
         .collect();
     set.sort_by(|&a, &b| {

@@ -2,13 +2,16 @@
 
 use serde::Serialize;
 
+use super::axis_map::{AxisMap, axis_map};
 use super::candidates::{Candidate, Status};
 use super::decide::{self, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom};
+use super::family::curve_of;
 use super::fitted::Fitted;
 use super::ladder::Rung;
 use super::mechanical;
+use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Progress, silent};
 use super::refit::Thoroughness;
 use super::search::{Accepted, Found, Limits, search};
@@ -42,8 +45,15 @@ pub struct Diagnosis {
     /// Pairs that these runs do not tell apart, the one in the answer first.
     pub confusable: Vec<[&'static str; 2]>,
     pub ladder: Vec<Rung>,
+    /// Along which axis the error runs, and as what curve, where no effect explains it; the clearest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub axis_map: Vec<AxisMap>,
     /// One sentence for a person.
     pub sentence: String,
+    /// What the named effects cannot be told from by any run.
+    pub equivalences: Vec<&'static str>,
+    /// The run that would tell more; left to those who know the bench ([`recommend`](super::recommend)).
+    pub next_experiment: Option<NextExperiment>,
     /// The refitted baseline and the model with every accepted effect.
     #[serde(skip)]
     pub baseline: Fitted,
@@ -107,7 +117,18 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
     let floor = evidence.floor();
     let base = &found.baseline.score;
     let candidates = describe(base, found.baseline.fit.nrms, evidence, &found);
-    let verdict = verdict(evidence, &found);
+    let verdict = if wrong_curve(evidence, &found) {
+        DiagnosisVerdict::Unexplained
+    } else {
+        verdict(evidence, &found)
+    };
+    let axis_map = if verdict == DiagnosisVerdict::Unexplained {
+        // The maps are a help; without them the verdict stands.
+        let model = &found.baseline.fit.model;
+        axis_map(model, &evidence.training, &evidence.noise).unwrap_or_default()
+    } else {
+        Vec::new()
+    };
     let named = matches!(
         verdict,
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
@@ -138,16 +159,21 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
         holdout_after: best.score.nrms,
         candidates,
         confusable: accepted.iter().flat_map(pairs).collect(),
+        axis_map,
         ladder: if named {
             found.ladder
         } else {
             found.ladder.into_iter().take(1).collect()
         },
         sentence: String::new(),
+        equivalences: Vec::new(),
+        next_experiment: None,
         baseline: Fitted::from(&found.baseline.fit),
         model: Fitted::from(&best.fit),
     };
     diagnosis.sentence = sentence(&diagnosis);
+    let named = diagnosis.effects.iter();
+    diagnosis.equivalences = named.flat_map(|id| equivalences(id)).copied().collect();
     diagnosis
 }
 
@@ -157,6 +183,32 @@ fn pairs(accepted: &Accepted) -> Vec<[&'static str; 2]> {
         .iter()
         .map(|rival| [accepted.id, rival])
         .collect()
+}
+
+/// Share of the error that must be explained for a form to be believed although its own axis still shows the error.
+const BELIEVED: f64 = 0.6;
+/// Share of the remaining error that follows an axis and says so.
+const FOLLOWS: f64 = 0.4;
+
+/// Whether what remains of a large error still runs along the very axis of an effect that is to be named: something is
+/// there, of another form than any known, and the effect only leans on it.
+fn wrong_curve(evidence: &Evidence, found: &Found) -> bool {
+    let (base, best) = (&found.baseline.score, &found.best);
+    if explained(base.nrms, best.score.nrms, evidence.floor()) >= BELIEVED
+        || decide::at_the_floor(evidence, &best.score)
+    {
+        return false;
+    }
+    let Ok(maps) = axis_map(&best.fit.model, &evidence.training, &evidence.noise) else {
+        return false;
+    };
+    let curves: Vec<(&str, &str)> = found
+        .accepted
+        .iter()
+        .filter_map(|accepted| curve_of(accepted.id))
+        .collect();
+    maps.iter()
+        .any(|map| map.r2 >= FOLLOWS && curves.contains(&(map.equation, map.axis)))
 }
 
 fn verdict(evidence: &Evidence, found: &Found) -> DiagnosisVerdict {

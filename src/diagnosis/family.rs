@@ -10,6 +10,30 @@ const RICHER: &[(&str, &str)] = &[
 /// Effects that are one to first order: a model holds one of them.
 const ALIKE: &[(&str, &str)] = &[("speed_delay", "speed_filter")];
 
+/// The equation and the axis along which an effect is a curve.
+const CURVES: &[(&str, &str, &str)] = &[
+    ("viscous_friction", "torque", "speed_rad_s"),
+    ("quadratic_load", "torque", "speed_rad_s"),
+    ("stribeck_friction", "torque", "speed_rad_s"),
+    ("asymmetric_viscous", "torque", "speed_rad_s"),
+    ("constant_load", "torque", "speed_rad_s"),
+    ("cogging", "torque", "angle_rad"),
+    ("eccentric_load", "torque", "angle_rad"),
+    ("load_step", "torque", "time_s"),
+    ("field_change", "torque", "time_s"),
+    ("voltage_drop", "voltage", "current_a"),
+    ("discontinuous_conduction", "voltage", "current_a"),
+    ("winding_heating", "voltage", "time_s"),
+];
+
+/// Equation and axis of the curve that an effect is; `None` where it is more than a curve.
+pub(super) fn curve_of(id: &str) -> Option<(&'static str, &'static str)> {
+    CURVES
+        .iter()
+        .find(|(known, _, _)| *known == id)
+        .map(|(_, equation, axis)| (*equation, *axis))
+}
+
 /// The simple form of a richer effect.
 pub(super) fn simple_form(id: &str) -> Option<&'static str> {
     RICHER

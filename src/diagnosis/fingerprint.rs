@@ -131,7 +131,8 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
     // The inductance is a nuisance: at coarse sampling it is the least certain.
     let of = |index: usize| {
         let value = x[index].exp();
-        let std = value * covariance[(index, index)].max(0.0).sqrt();
+        // Not a number where the run leaves it undetermined.
+        let std = value * covariance[(index, index)].sqrt();
         (std < VAGUE * value).then_some(Value { value, std })
     };
     Some(Fingerprint {

@@ -51,7 +51,7 @@ pub fn add(
     }
     let (evidence, before) = evidence.with_baseline(model)?;
     let after = refit_one(&evidence, &before, model, effect)?.fit;
-    change(effect, &evidence, &before, after, true)
+    change(effect, &evidence, &before, &after, true)
 }
 
 /// Refits `model` without `effect`; refused where the effect pays on the hold-out.
@@ -66,18 +66,18 @@ pub fn remove(
     let (evidence, before) = evidence.with_baseline(model)?;
     let without = before.model.without_effect(effect.card().id)?;
     let after = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
-    change(effect, &evidence, &before, after, false)
+    change(effect, &evidence, &before, &after, false)
 }
 
 fn change(
     effect: &'static dyn Effect,
     evidence: &Evidence,
     before: &Fit,
-    after: Fit,
+    after: &Fit,
     adding: bool,
 ) -> Result<AddResult, FitError> {
     let score = |fit: &Fit| Score::of(&fit.model, &evidence.holdout, &evidence.noise);
-    let (score_before, score_after) = (score(before)?, score(&after)?);
+    let (score_before, score_after) = (score(before)?, score(after)?);
     let accepted = if adding {
         pays(&score_before, &score_after)
     } else {
@@ -90,19 +90,19 @@ fn change(
     let confirm = match &evidence.confirm {
         Some(run) => {
             let on = |fit: &Fit| Score::of(&fit.model, run, &evidence.noise);
-            Some([rung(before, &on(before)?), rung(&after, &on(&after)?)])
+            Some([rung(before, &on(before)?), rung(after, &on(after)?)])
         }
         None => None,
     };
     let prefix = format!("{}.", effect.card().id);
-    let owner = if adding { &after } else { before };
+    let owner = if adding { after } else { before };
     Ok(AddResult {
         effect: effect.card().id,
         accepted,
         reason: reason(
             effect,
             before,
-            &after,
+            after,
             &score_before,
             &score_after,
             adding,
@@ -116,9 +116,9 @@ fn change(
             .filter(|p| p.key.starts_with(&prefix))
             .cloned()
             .collect(),
-        ladder: vec![rung(before, &score_before), rung(&after, &score_after)],
+        ladder: vec![rung(before, &score_before), rung(after, &score_after)],
         confirm,
-        fit: Fitted::from(&after),
+        fit: Fitted::from(after),
     })
 }
 

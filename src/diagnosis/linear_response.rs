@@ -7,7 +7,7 @@
 use nalgebra::DVector;
 
 use crate::identification::output_error::FreeRun;
-use crate::plant::{Effect, Instant, Linear, Model, Scenario};
+use crate::plant::{Effect, Instant, Linear, Model, Scenario, Terms};
 
 /// Multiple of the speed's noise below which the shaft counts as at rest.
 const AT_REST: f64 = 4.0;
@@ -24,10 +24,10 @@ pub(super) fn responses(
     let linear = Linear::of(model)?;
     let noise = problem.noise();
     let terms: Vec<_> = values.iter().map(|values| effect.terms(values)).collect();
-    let simple = |terms: &Box<dyn crate::plant::Terms>| {
+    let simple = |terms: &dyn Terms| {
         terms.states() == 0 && terms.path().measures_directly() && terms.coupling().is_none()
     };
-    if !terms.iter().all(simple) {
+    if !terms.iter().all(|terms| simple(terms.as_ref())) {
         return None;
     }
     let samples = scenario.samples();
@@ -36,8 +36,8 @@ pub(super) fn responses(
     let mut last_angle_rad = 0.0;
     let mut deviation = vec![[0.0; 2]; terms.len()];
     let mut out = vec![vec![[0.0; 2]; samples]; terms.len()];
-    let mut step = linear.over(0.0);
-    let mut step_s = f64::NAN;
+    let mut step_s = 0.0;
+    let mut step = linear.over(step_s);
     for sample in 0..samples {
         let time_s = scenario.sample_time_s[sample];
         while let Some(point) = angle.next_if(|point| point.0 <= time_s) {
@@ -57,7 +57,7 @@ pub(super) fn responses(
             current_a,
             speed_rad_s,
             // The torque acts over the interval that ends here: at its middle.
-            angle_rad: last_angle_rad - 0.5 * speed_rad_s * step_s.max(0.0),
+            angle_rad: last_angle_rad - 0.5 * speed_rad_s * step_s,
             ..Instant::of(&model.motor)
         };
         for ((terms, deviation), out) in terms.iter().zip(&mut deviation).zip(&mut out) {
@@ -86,4 +86,41 @@ pub(super) fn responses(
         )
     };
     Some(out.iter().map(weighted).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::noise::NoiseFloor;
+    use crate::numerics::levenberg_marquardt::Problem;
+    use crate::plant::{ActiveEffect, Motor, effect, testing};
+
+    #[test]
+    fn it_agrees_with_the_difference_of_two_free_runs() {
+        let baseline = Model::baseline(Motor::zk_22fc());
+        let events = vec![(0.0, 0.0), (0.4, 40.0), (1.5, -30.0), (2.6, 60.0)];
+        let mut run = testing::record(&baseline, events, 0.001, 3.5, 4);
+        run.angle = run.shaft_angle().into_owned();
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let cogging = effect::find("cogging").unwrap();
+        let values = vec![1.0, 0.0, 3.0];
+        let problem = FreeRun::new(&baseline, &run, noise).unwrap();
+        let linear = &responses(cogging, &[values], &baseline, &run, &problem).unwrap()[0];
+        let residual = |model: &Model| {
+            let mut problem = FreeRun::new(model, &run, noise).unwrap();
+            let x = problem.start();
+            let mut out = vec![0.0; problem.residual_len()];
+            assert!(problem.residual(&x, &mut out));
+            DVector::from_vec(out)
+        };
+        let mut with = baseline.clone();
+        with.effects.push(ActiveEffect {
+            effect: cogging,
+            values: vec![Some(1e-3), Some(0.0), Some(3.0)],
+        });
+        let difference = (residual(&with) - residual(&baseline)) / 1e-3;
+        let angle = difference.dot(linear) / (difference.norm() * linear.norm());
+        let size = linear.norm() / difference.norm();
+        assert!(angle > 0.9 && (size - 1.0).abs() < 0.3, "{angle} {size}");
+    }
 }

@@ -6,6 +6,7 @@
 //!    |-> location   which equation fails, and over which speeds, currents, angles, times
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
+//!    |-> next_experiment  the run that tells what these runs cannot
 //!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
 //! ```
 //!
@@ -25,6 +26,7 @@ mod ladder;
 mod linear_response;
 mod location;
 pub mod mechanical;
+pub mod next_experiment;
 mod progress;
 mod refit;
 mod residual;
@@ -43,6 +45,9 @@ pub use fitted::Fitted;
 pub use ladder::{AddResult, Rung, add, remove};
 pub use location::{
     EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, OwnChange, locate,
+};
+pub use next_experiment::{
+    ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
 };
 pub use progress::{Event, Progress, silent};
 pub use refit::Thoroughness;

@@ -1,8 +1,9 @@
 //! Refits of the candidates with everything else free, as few as an honest answer needs.
 //!
 //! ```text
-//! screen --(gain)--> promising: refit from the screen's start --(none at the floor)--> the rest too, and all of them
-//!          else      one linear step, scored as it is               from a second start
+//! screen --(gain)--> promising: refit from the screen's start --(none at the floor)--> and from a second start
+//!                    hopeful                                  --(none at the floor)--> refit from the screen's start
+//!                    hopeless: one linear step, scored as it is
 //! ```
 
 use rayon::prelude::*;
@@ -23,10 +24,14 @@ const MOST_PROMISING: usize = 8;
 /// Share of the best gain from which a candidate is refitted too.
 const WORTH_A_REFIT: f64 = 0.2;
 
+/// Share of the unexplained error below which the screen rules a candidate out: it would have to explain four times as
+/// much to be worth its place, and the screen is not as wrong as that.
+const HOPELESS: f64 = 0.005;
+
 /// How many candidates are refitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Thoroughness {
-    /// Those that the screen does not rule out; all of them where none of those explains the run to its noise.
+    /// Those that the screen puts first; all that it does not rule out where none of those explains the run to its noise.
     Promising,
     /// Every candidate, from two starts each.
     Everything,
@@ -54,34 +59,29 @@ pub(super) fn refit_all(
     let mut screened = screen.all(&effects, progress);
     screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     let best_gain = screened.first().map_or(0.0, |first| first.gain);
+    let everything = thoroughness == Thoroughness::Everything;
+    let hopeful = |candidate: &Screened| everything || candidate.gain >= HOPELESS * screen.error();
     let promising = |rank: usize, candidate: &Screened| {
-        thoroughness == Thoroughness::Everything
-            || rank < MOST_PROMISING
-            || candidate.gain > WORTH_A_REFIT * best_gain
+        let first = rank < MOST_PROMISING || candidate.gain > WORTH_A_REFIT * best_gain;
+        everything || (first && hopeful(candidate))
+    };
+    let from_screen = |candidate: &Screened, fitted: bool| {
+        let options = if fitted {
+            Options::thrifty()
+        } else {
+            AS_SCREENED
+        };
+        refit(evidence, candidate, &candidate.start, options, progress)
     };
     let first: Vec<Result<Refit, FitError>> = screened
         .par_iter()
         .enumerate()
-        .map(|(rank, candidate)| {
-            if promising(rank, candidate) {
-                refit(
-                    evidence,
-                    candidate,
-                    &candidate.start,
-                    Options::thrifty(),
-                    progress,
-                )
-            } else {
-                refit(evidence, candidate, &candidate.start, AS_SCREENED, progress)
-            }
-        })
+        .map(|(rank, candidate)| from_screen(candidate, promising(rank, candidate)))
         .collect();
     let at_floor = evidence.noise.tolerance(AT_THE_FLOOR) * evidence.floor();
-    let solved = first
-        .iter()
-        .flatten()
-        .any(|refit| refit.fit.nrms < at_floor);
-    if solved && thoroughness == Thoroughness::Promising {
+    let is_solved =
+        |refit: &Result<Refit, FitError>| refit.as_ref().is_ok_and(|r| r.fit.nrms < at_floor);
+    if first.iter().any(is_solved) && !everything {
         return finished(first);
     }
     let second: Vec<Result<Refit, FitError>> = screened
@@ -89,20 +89,12 @@ pub(super) fn refit_all(
         .zip(first)
         .enumerate()
         .map(|(rank, (candidate, first))| {
-            if first.as_ref().is_ok_and(|refit| refit.fit.nrms < at_floor) {
+            if is_solved(&first) || !hopeful(candidate) {
                 return first;
             }
-            let first = if promising(rank, candidate) {
-                first
-            } else {
-                refit(
-                    evidence,
-                    candidate,
-                    &candidate.start,
-                    Options::thrifty(),
-                    progress,
-                )
-            };
+            if !promising(rank, candidate) {
+                return from_screen(candidate, true);
+            }
             let Some(start) = second_start(candidate, baseline, original) else {
                 return first;
             };

@@ -118,7 +118,7 @@ fn lights(pairs: &[(f64, f64)]) -> Option<SignalLights> {
     if power(&e) <= 0.0 {
         return None;
     }
-    let rho: Vec<f64> = (1..=LAGS).map(|lag| correlation(&e, &e, lag)).collect();
+    let rho = correlations(&e, &e, 1);
     let count = n as f64;
     let ljung_box = count
         * (count + 2.0)
@@ -127,14 +127,10 @@ fn lights(pairs: &[(f64, f64)]) -> Option<SignalLights> {
             .enumerate()
             .map(|(index, rho)| rho * rho / (count - (index + 1) as f64))
             .sum::<f64>();
-    let cross = |later: &[f64], earlier: &[f64], first: usize| {
-        light(
-            (first..=LAGS).map(|lag| correlation(later, earlier, lag)),
-            n,
-        )
-    };
+    let cross =
+        |later: &[f64], earlier: &[f64], first| light(&correlations(later, earlier, first), n);
     Some(SignalLights {
-        rho_ee: light(rho.iter().copied(), n),
+        rho_ee: light(&rho, n),
         rho_ue: cross(&e, &u, 0),
         rho_u2e: cross(&e, &u2, 0),
         rho_u2e2: cross(&e2, &u2, 0),
@@ -146,9 +142,9 @@ fn lights(pairs: &[(f64, f64)]) -> Option<SignalLights> {
     })
 }
 
-fn light(correlations: impl Iterator<Item = f64>, n: usize) -> Light {
+fn light(correlations: &[f64], n: usize) -> Light {
     let band = BAND / (n as f64).sqrt();
-    let ratios: Vec<f64> = correlations.map(|rho| rho.abs() / band).collect();
+    let ratios: Vec<f64> = correlations.iter().map(|rho| rho.abs() / band).collect();
     let largest_over_band = ratios.iter().copied().fold(0.0, f64::max);
     let outside = ratios.iter().filter(|ratio| **ratio > 1.0).count() as f64;
     let outside_99_percent = outside / ratios.len() as f64;
@@ -170,18 +166,16 @@ fn power(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum()
 }
 
-/// Correlation of `later` with what `earlier` was `lag` samples before; zero where one does not vary.
-fn correlation(later: &[f64], earlier: &[f64], lag: usize) -> f64 {
+/// Correlations of `later` with what `earlier` was `first..=LAGS` samples before; zero where one does not vary.
+fn correlations(later: &[f64], earlier: &[f64], first: usize) -> Vec<f64> {
     let scale = (power(later) * power(earlier)).sqrt();
-    if scale <= 0.0 {
-        return 0.0;
-    }
-    let product: f64 = later[lag..]
-        .iter()
-        .zip(earlier)
-        .map(|(late, early)| late * early)
-        .sum();
-    product / scale
+    (first..=LAGS)
+        .map(|lag| {
+            let products = later[lag..].iter().zip(earlier);
+            let sum: f64 = products.map(|(late, early)| late * early).sum();
+            if scale > 0.0 { sum / scale } else { 0.0 }
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -71,6 +71,11 @@ impl<'a> Screen<'a> {
         }
     }
 
+    /// Square of what the baseline's parameters leave unexplained.
+    pub(super) fn error(&self) -> f64 {
+        self.unexplained.norm_squared()
+    }
+
     /// Screens every effect, in parallel over effects and shapes; an effect that cannot be simulated is left out.
     pub(super) fn all(
         &self,

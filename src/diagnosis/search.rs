@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! round: refit all -> best that pays, with those that cannot be told from it -> joins -> next round
-//! then:  twins     each effect is replaced by what it could not be told from: the better one stays (an early choice was
+//! then:  exchange  where the floor is not reached, each effect is taken out and the screen asked again
+//!        twins     each effect is replaced by what it could not be told from: the better one stays (an early choice was
 //!                  made while the others were still missing)
 //!        removal   an effect that the others have made superfluous goes
 //! ```
@@ -14,8 +15,9 @@ use super::ladder::Rung;
 use super::progress::{Event, Progress};
 use super::refit::{Thoroughness, polished, refit_all, refit_one};
 use super::score::Score;
+use super::screen::Screen;
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{Model, effect};
+use crate::plant::{Effect, Model, effect};
 
 /// Effects that one search adds at most.
 const MOST_EFFECTS: usize = 4;
@@ -126,6 +128,9 @@ pub(super) fn search(
     found.best = now;
     if found.accepted.len() > 1 {
         let before: Vec<&str> = found.accepted.iter().map(|accepted| accepted.id).collect();
+        if !decide::at_the_floor(evidence, &found.best.score) {
+            exchange(evidence, original, &mut found, limits.progress)?;
+        }
         settle_twins(evidence, original, &mut found)?;
         drop_superfluous(evidence, &mut found)?;
         let after: Vec<&str> = found.accepted.iter().map(|accepted| accepted.id).collect();
@@ -144,6 +149,45 @@ fn in_the_answer(base: &Score, refits: &[Refit]) -> Vec<usize> {
         .filter(|&index| pays(base, &refits[index].holdout))
         .min_by(|&a, &b| refits[a].holdout.nrms.total_cmp(&refits[b].holdout.nrms))
         .map_or_else(Vec::new, |best| not_told_apart(base, refits, best))
+}
+
+/// Takes each effect out and asks the screen what it would put there now: the first choice was made while the others were
+/// still missing and may have had to serve for them.
+fn exchange(
+    evidence: &Evidence,
+    original: &Model,
+    found: &mut Found,
+    progress: Progress<'_>,
+) -> Result<(), FitError> {
+    for place in 0..found.accepted.len() {
+        let id = found.accepted[place].id;
+        let Ok(without) = found.best.fit.model.without_effect(id) else {
+            continue;
+        };
+        let base = standing(evidence, &without)?;
+        let screen = Screen::new(&base.fit, &evidence.training);
+        let others: Vec<&'static dyn Effect> = effect::CATALOGUE
+            .iter()
+            .copied()
+            .filter(|effect| effect.card().id != id && !without.has(effect.card().id))
+            .collect();
+        let mut screened = screen.all(&others, progress);
+        screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        for candidate in screened.iter().take(MOST_RIVALS) {
+            let refit = refit_one(evidence, &base.fit, original, candidate.effect)?;
+            if decide::beats(&refit.holdout, &found.best.score) {
+                found.accepted[place] = Accepted {
+                    id: candidate.effect.card().id,
+                    rivals: Vec::new(),
+                };
+                found.best = Standing {
+                    fit: refit.fit,
+                    score: refit.holdout,
+                };
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Puts each effect's rivals in its place, now that the others are there. A better one takes the place; one that does as

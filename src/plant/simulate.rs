@@ -76,11 +76,10 @@ impl Plant {
         let linear = equations.is_linear();
         Ok(Self {
             longest_step_s: match (linear, &equations.coupling) {
-                (false, _) => LONGEST_STEP_WITH_EFFECTS_S,
                 (true, None) => LONGEST_STEP_S,
-                // The sensors take the motion between two steps for a straight line: they need them short.
                 (true, Some(_)) if equations.path.measures_directly() => LONGEST_RINGING_STEP_S,
-                (true, Some(_)) => LONGEST_STEP_WITH_EFFECTS_S,
+                // The sensors take the motion between two steps for a straight line: they need them short.
+                _ => LONGEST_STEP_WITH_EFFECTS_S,
             },
             moving: Steps::new(&equations.a, !linear),
             stuck: Steps::new(&still, !linear),

@@ -1,5 +1,6 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
+use super::failing;
 use super::number::{self, percent, significant};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::{Band, Bar, BarChart, Panel, PanelPlot, Series, Style};
@@ -277,6 +278,12 @@ impl CommissionReport<'_> {
                 })
                 .collect(),
         );
+        let models: Vec<_> = self
+            .comparisons()
+            .into_iter()
+            .filter_map(|(label, comparison)| Some((label, &comparison?.residual)))
+            .collect();
+        failing::lights(page, &models);
     }
 
     fn where_section(&self, page: &mut Page) {
@@ -301,6 +308,15 @@ impl CommissionReport<'_> {
                         .collect(),
                 );
             }
+            failing::balances(page, comparison);
+            failing::map(page, comparison);
+            page.list(
+                comparison
+                    .limits
+                    .iter()
+                    .map(|limit| capitalised(limit))
+                    .collect(),
+            );
         }
     }
 
@@ -425,7 +441,7 @@ fn rung_name(rung: &Rung) -> String {
     }
 }
 
-fn capitalised(sentence: &str) -> String {
+pub(super) fn capitalised(sentence: &str) -> String {
     let mut characters = sentence.chars();
     characters.next().map_or_else(String::new, |first| {
         first.to_uppercase().chain(characters).collect()

@@ -13,6 +13,7 @@
 pub mod commission;
 pub mod conventions;
 mod escape;
+mod failing;
 pub mod number;
 pub mod page;
 pub mod plot;

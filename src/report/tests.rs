@@ -197,6 +197,9 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         confusable: vec![],
         ladder: vec![],
         sentence: sentence.to_owned(),
+        equivalences: vec![],
+        next_experiment: None,
+        axis_map: Vec::new(),
         baseline: no_fit(),
         model: no_fit(),
     }

@@ -1,11 +1,14 @@
 //! The commissioning loop: which task comes next, and the analysis between the tasks.
 
+use super::discovery::Discovery;
 use super::escalate::{EscalationResult, compared};
 use super::named_estimate::NamedEstimate;
 use super::progress::{Progress, StepState, StepView};
 use super::result::{CommissionResult, RunRecord, Truth};
-use crate::bench::{CheckReport, Plan};
-use crate::diagnosis::{Diagnosis, ErrorOf, Evidence, Rung, Score, compare, diagnose};
+use crate::bench::{BenchFile, CheckReport, Plan, experiment_limits, next_bench};
+use crate::diagnosis::{
+    Diagnosis, ErrorOf, Evidence, Recipe, Rung, Score, compare, diagnose, recommend,
+};
 use crate::identification::output_error::FitError;
 use crate::identification::start;
 use crate::plant::{Model, Motor, Scenario};
@@ -71,6 +74,9 @@ pub struct Commission {
     online: Vec<ParameterEstimate>,
     result: Option<CommissionResult>,
     truth: Option<Vec<String>>,
+    /// The bench of the loop, which a recommended run is for.
+    bench: Option<BenchFile>,
+    discovery: Option<Discovery>,
     /// What the plate says, whatever the fits start from.
     plate: Motor,
     escalation: Option<EscalationResult>,
@@ -118,6 +124,8 @@ impl Commission {
             online: Vec::new(),
             result: None,
             truth: None,
+            bench: None,
+            discovery: None,
         };
         commission.steps[CHECK].state = StepState::Active;
         commission
@@ -126,6 +134,11 @@ impl Commission {
     /// What the emulator carries, for scoring the answer at the end. The analysis never sees it.
     pub fn set_truth(&mut self, effects: Vec<String>) {
         self.truth = Some(effects);
+    }
+
+    /// The bench on which the loop runs; with it a run that tells more is recommended, where one would.
+    pub fn set_bench(&mut self, bench: BenchFile) {
+        self.bench = Some(bench);
     }
 
     pub const fn task(&self) -> Task {
@@ -142,6 +155,11 @@ impl Commission {
 
     pub const fn result(&self) -> Option<&CommissionResult> {
         self.result.as_ref()
+    }
+
+    /// The runs of the loop for a person who goes on by hand; none before the analysis.
+    pub const fn discovery(&self) -> Option<&Discovery> {
+        self.discovery.as_ref()
     }
 
     /// Everything recorded so far, in the order of [`Role::ALL`].
@@ -259,7 +277,22 @@ impl Commission {
         self.step_done(COMPARE, line, Task::Analyse);
         publish(self.progress());
 
-        let diagnosis = diagnose(&nameplate, evidence, true)?;
+        let mut diagnosis = diagnose(&nameplate, evidence.clone(), true)?;
+        if let Some(bench) = &self.bench {
+            let limits = experiment_limits(bench);
+            let mut next = recommend(&diagnosis, &nameplate, &evidence, &limits)?;
+            if let Some(next) = &mut next {
+                let model = &diagnosis.model.model;
+                let file = |recipe: &Recipe| next_bench(bench, recipe, model, &next.sentence);
+                next.bench = next.recipe.as_ref().map(file);
+            }
+            diagnosis.next_experiment = next;
+        }
+        let discovery = Discovery::new(nameplate, evidence, true);
+        self.discovery = Some(match &self.bench {
+            Some(bench) => discovery.with_limits(experiment_limits(bench)),
+            None => discovery,
+        });
         self.step_done(DIAGNOSE, diagnosis.sentence.clone(), Task::Analyse);
         publish(self.progress());
 

@@ -9,7 +9,7 @@ use serde::{Serialize, Serializer};
 use serde_json::Value;
 
 use crate::emulator::mystery::{TrueEffect, Truth};
-use crate::plant::effect;
+use crate::plant::{Effect, effect};
 
 /// What counts as saying that nothing is missing.
 const NONE: &str = "none";
@@ -159,7 +159,7 @@ pub fn reveal(truth: Truth, answer: Option<Answer>, guess: Option<&str>) -> Reve
     let scored = answer.as_ref().map(|answer| score(hidden, answer));
     let card = hidden
         .and_then(|hidden| effect::find(&hidden.id))
-        .map(|effect| effect.card());
+        .map(Effect::card);
     let best_guess_right = answer.as_ref().is_some_and(|answer| {
         answer.effects.first().map(String::as_str) == hidden.map(|hidden| hidden.id.as_str())
             && !answer.effects.is_empty()

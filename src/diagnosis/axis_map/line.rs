@@ -12,6 +12,8 @@ use crate::plant::{Balance, Scenario};
 
 /// Windows of a run that are looked at: enough to resolve a line to a part in a thousand of the highest frequency.
 const MOST_WINDOWS: usize = 2000;
+/// Share of a line's explained variance that the next may have for it to be a line of its own.
+const ALONE: f64 = 0.5;
 /// Frequencies per resolved line.
 const OVERSAMPLING: f64 = 4.0;
 
@@ -46,10 +48,17 @@ pub(super) fn strongest(regression: &Regression, scenario: &Scenario) -> Option<
             .map_or(f64::NEG_INFINITY, |found| found.r2)
     };
     let tried = whole(((highest_hz - lowest_hz) / step_hz).max(1.0));
-    let best = (0..tried)
+    let spectrum: Vec<(f64, f64)> = (0..tried)
         .map(|place| lowest_hz + place as f64 * step_hz)
         .map(|frequency_hz| (frequency_hz, gain(frequency_hz)))
-        .max_by(|a, b| a.1.total_cmp(&b.1))?;
+        .collect();
+    let strongest = |points: &mut dyn Iterator<Item = &(f64, f64)>| {
+        points.copied().max_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    let best = strongest(&mut spectrum.iter())?;
+    // An error that goes with the excitation has many lines, and none is its cause.
+    let apart = |point: &&(f64, f64)| (point.0 - best.0).abs() > 2.0 / length_s;
+    let second = strongest(&mut spectrum.iter().filter(apart)).map_or(0.0, |point| point.1);
     let frequency_hz = refined(best.0, step_hz, gain);
     // What the window takes from a wave of this frequency is given back to its amplitude.
     let seen = attenuation(regression, scenario, frequency_hz);
@@ -61,8 +70,8 @@ pub(super) fn strongest(regression: &Regression, scenario: &Scenario) -> Option<
     let spare = (windows - base.ncols()) as f64;
     let chance = 2.0 * (tried as f64).ln().max(0.0);
     let r2 = 1.0 - (1.0 - found.r2) * spare / (spare - chance);
-    let sentence = if r2 < FOLLOWS {
-        "the torque error has no line in its spectrum".to_owned()
+    let sentence = if r2 < FOLLOWS || second > ALONE * r2 {
+        "no single line stands out in the spectrum of the torque error".to_owned()
     } else {
         format!(
             "{:.0} % of the torque error is a line at {} Hz with an amplitude of {} N.m",

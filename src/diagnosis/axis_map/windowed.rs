@@ -7,7 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::{AxisMap, along, axes, explain, knots, name, sentence};
+use super::{AxisMap, FEWEST_KNOTS, along, axes, explain, knots, name, sentence};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, BLOCK_S, FitError};
 use crate::numerics::count::whole;
@@ -149,7 +149,7 @@ fn map(
 ) -> Result<Option<AxisMap>, FitError> {
     let scenario = windows.scenario;
     let knots = knots(axis, &along(axis, scenario));
-    if knots.len() < 3 {
+    if knots.len() < FEWEST_KNOTS {
         return Ok(None);
     }
     let settings = toml::Table::from_iter([
@@ -176,20 +176,21 @@ fn map(
     let Some(explained) = explain(base, errors, &columns, &windows.blocks) else {
         return Ok(None);
     };
-    let (values, std) = explained.curve(&DMatrix::identity(knots.len(), knots.len()));
+    let shape = DMatrix::identity(knots.len(), knots.len());
+    let curve = explained.curve(knots, &shape);
     let sentence = format!(
         "{} (from short free runs: the samples are too far apart to resolve the armature circuit)",
-        sentence(equation, axis, scenario, explained.r2, &knots, &values)
+        sentence(equation, axis, scenario, &curve)
     );
     Ok(Some(AxisMap {
         equation: name(equation),
         axis: axis.key(),
-        r2: explained.r2,
-        knots,
-        values,
-        std,
+        r2: curve.r2,
+        knots: curve.knots,
+        values: curve.values,
+        std: curve.std,
+        sentence,
         method: "windowed_free_run",
         error_over_noise,
-        sentence,
     }))
 }

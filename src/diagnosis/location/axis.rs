@@ -9,7 +9,7 @@ use super::balance::{Weights, Window, Windows};
 use super::fit::{Fitted, fit};
 use super::region::{Point, Region, narrowest};
 use super::{Equation, FailureLocation, line, own, words};
-use crate::plant::{Input, Model, MotorKey};
+use crate::plant::{Model, MotorKey};
 
 /// Hat functions along speed and current, and along time.
 const HATS: usize = 16;
@@ -22,10 +22,9 @@ const FEWEST_SEEN: f64 = 30.0;
 const WORTH_MENTIONING: f64 = 0.1;
 const CERTAIN: f64 = 4.0;
 /// Time explains nothing by itself, and a line hides in every periodic excitation: they are named first only where no
-/// physical variable comes near. What follows the current also follows speed and friction in part.
+/// physical variable comes near.
 const WEIGHT_OF_TIME: f64 = 0.85;
 const WEIGHT_OF_LINE: f64 = 0.9;
-const WEIGHT_OF_LOAD: f64 = 0.9;
 /// One wrong value of the motor explains as much as a curve with one column: preferred down to this share of it.
 const PARSIMONY: f64 = 1.03;
 /// A direction holds the error if it has this share of it, in at most that share of the time.
@@ -120,8 +119,8 @@ pub(super) fn ranked(
             found.extend(search.curve("current_a"));
             found.extend(search.late(model));
         }
+        // Not the current: it drives this balance, so that whatever is missing shows in it.
         Equation::Torque => {
-            found.extend(search.load());
             found.extend(search.turns());
             found.extend(search.line());
         }
@@ -303,21 +302,6 @@ impl Search<'_> {
         candidates.iter().filter_map(one).collect()
     }
 
-    /// Torque that goes with the load: with the current, or with its size against the motion.
-    fn load(&self) -> Option<Axis> {
-        if self.windows.scenario.input == Input::Torque {
-            return None;
-        }
-        let fill = |window: &Window, row: &mut [f64]| {
-            row[0] = window.current_a;
-            row[1] = window.current_a.abs() * window.speed_rad_s.signum();
-        };
-        let fitted = self.fit(2, fill)?;
-        let points = self.points(&fitted, |window| window.current_a, fill);
-        let region = narrowest(&points, self.equation)?;
-        Some(self.axis("current_a", Shape::Curve, region, &fitted, WEIGHT_OF_LOAD))
-    }
-
     /// The steps of the voltage: `v = -delay <du/dt>` where it comes late.
     fn late(&self, model: &Model) -> Option<Axis> {
         let fill = |window: &Window, row: &mut [f64]| row[0] = window.input_rate;
@@ -448,7 +432,7 @@ impl Search<'_> {
             |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, window.current_a, row);
         // Friction acts against the motion: a load that changes does so too.
         let of_friction = |window: &Window, row: &mut [f64]| {
-            hat(&knots, window.time_s, window.speed_rad_s.signum(), row)
+            hat(&knots, window.time_s, window.direction, row);
         };
         let own = self.own_columns();
         let plain = self.fit(knots.len(), of_itself);
@@ -493,7 +477,7 @@ impl Search<'_> {
         Some(self.axis(
             variable,
             Shape::Offset { by },
-            everywhere(by, by),
+            everywhere(by.min(0.0), by.max(0.0)),
             &fitted,
             PARSIMONY,
         ))

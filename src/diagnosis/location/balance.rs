@@ -2,7 +2,8 @@
 //!
 //! With `e` the measurement less the model, restarted at the begin of the window, and `psi = (1 - s^2)^4` over it:
 //! `v = -(L <e_i'> + R <e_i> + Ke <e_w>)` is the missing voltage, `m = Kt <e_i> - J <e_w'>` the missing torque, both
-//! counted as losses like the terms of the catalogue. The derivative falls on `psi`, which vanishes at both ends.
+//! counted as losses like the terms of the catalogue. Where both move, but in opposite directions, the difference of their
+//! known friction is taken out: a reversal that the model makes a moment too late is no missing torque. The derivative falls on `psi`, which vanishes at both ends.
 
 use super::{ARITHMETIC, Equation, EquationBalance, LARGEST_NRES};
 use crate::identification::noise::{FloorSource, NoiseFloor};
@@ -30,6 +31,8 @@ pub(super) struct Window {
     pub torque_floor_n_m: f64,
     pub voltage_floor_v: f64,
     pub speed_rad_s: f64,
+    /// Mean sign of the motion: what friction is multiplied with.
+    pub direction: f64,
     pub current_a: f64,
     /// Mean of the input: V, A or N.m.
     pub input: f64,
@@ -57,7 +60,7 @@ impl Window {
 
 /// All windows of a run, with what they were taken from.
 pub(super) struct Windows<'a> {
-    pub windows: Vec<Window>,
+    pub each: Vec<Window>,
     pub scenario: &'a Scenario,
     pub half: usize,
     pub dead_zone_rad_s: f64,
@@ -141,7 +144,7 @@ impl<'a> Windows<'a> {
             _ => model.motor.torque_constant().unwrap_or(f64::NAN),
         };
         let mut found = Self {
-            windows: Vec::new(),
+            each: Vec::new(),
             scenario,
             half,
             dead_zone_rad_s,
@@ -153,6 +156,7 @@ impl<'a> Windows<'a> {
             resistance: model.motor.get(MotorKey::Resistance).unwrap_or(f64::NAN),
             inductance: model.motor.get(MotorKey::Inductance).unwrap_or(f64::NAN),
             back_emf: model.motor.get(MotorKey::BackEmf).unwrap_or(f64::NAN),
+            load: model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(f64::NAN),
             torque: torque_constant,
             current_noise: known(noise.current_a).unwrap_or(0.0),
@@ -173,7 +177,7 @@ impl<'a> Windows<'a> {
                 {
                     event += 1;
                 }
-                found.windows.push(window(
+                found.each.push(window(
                     scenario,
                     begin,
                     &weights,
@@ -184,7 +188,7 @@ impl<'a> Windows<'a> {
                 ));
             }
         }
-        found.windows.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        found.each.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         Ok(found)
     }
 
@@ -196,7 +200,7 @@ impl<'a> Windows<'a> {
 
     /// Windows whose error is known.
     pub(super) fn of(&self, equation: Equation) -> impl Iterator<Item = &Window> {
-        self.windows
+        self.each
             .iter()
             .filter(move |window| window.error(equation).is_finite())
     }
@@ -286,6 +290,7 @@ struct Constants {
     inductance: f64,
     back_emf: f64,
     inertia: f64,
+    load: f64,
     /// Of the torque, N.m/A.
     torque: f64,
     current_noise: f64,
@@ -309,12 +314,19 @@ fn window(
     );
     let c = constants;
     let (mut e_i, mut e_i_rate, mut e_w, mut e_w_rate) = (0.0, 0.0, 0.0, 0.0);
+    let (mut opposite, mut direction) = (0.0, 0.0);
     for k in 0..times.len() {
         let (error_i, error_w) = (measured_i[k] - current[k], measured_w[k] - speed[k]);
         e_i += weights.mean[k] * error_i;
         e_i_rate += weights.rate[k] * error_i;
         e_w += weights.mean[k] * error_w;
         e_w_rate += weights.rate[k] * error_w;
+        if measured_w[k].abs() > dead_zone_rad_s {
+            direction += weights.mean[k] * measured_w[k].signum();
+            if measured_w[k] * speed[k] < 0.0 {
+                opposite += weights.mean[k] * 2.0 * measured_w[k].signum();
+            }
+        }
     }
     let (mean, rate) = (norm(&weights.mean), norm(&weights.rate));
     let at_rest: f64 = weights
@@ -337,7 +349,7 @@ fn window(
         torque_n_m: if at_rest > LONGEST_REST {
             f64::NAN
         } else {
-            torque - c.inertia * e_w_rate
+            torque - c.inertia * e_w_rate - c.load * opposite
         },
         voltage_v: -(c.inductance * e_i_rate + c.resistance * e_i + c.back_emf * e_w),
         torque_floor_n_m: (c.inertia * c.speed_noise * rate).hypot(
@@ -351,6 +363,7 @@ fn window(
             .hypot(c.back_emf * c.speed_noise * mean)
             .hypot(c.inductance * c.current_noise * rate),
         speed_rad_s: dot(&weights.mean, measured_w),
+        direction,
         current_a: dot(&weights.mean, measured_i),
         input,
         acceleration_rad_s2: dot(&weights.rate, measured_w),

@@ -25,7 +25,7 @@ pub struct ErrorMap {
 pub(super) fn of(windows: &Windows<'_>) -> Option<ErrorMap> {
     let edges = |value: fn(&super::balance::Window) -> f64| {
         let (from, to) = windows
-            .windows
+            .each
             .iter()
             .map(value)
             .filter(|value| value.is_finite())
@@ -46,7 +46,7 @@ pub(super) fn of(windows: &Windows<'_>) -> Option<ErrorMap> {
     let mut count = vec![vec![0; CELLS]; CELLS];
     let mut sums = [Equation::Torque, Equation::Voltage]
         .map(|equation| (equation, vec![vec![(0.0, 0_usize); CELLS]; CELLS]));
-    for window in &windows.windows {
+    for window in &windows.each {
         if !(window.speed_rad_s.is_finite() && window.current_a.is_finite()) {
             continue;
         }

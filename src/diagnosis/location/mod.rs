@@ -258,7 +258,7 @@ fn rank(found: &mut Located) {
             .iter()
             .find(|location| location.equation == balance.equation)
             .map_or(0.0, |location| location.follows);
-        let size = nres(balance).unwrap_or(balance.relative) * (0.1 + 0.9 * follows).sqrt();
+        let size = nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt();
         (f64::from(u8::from(balance.fails)), size)
     };
     found.balances.sort_by(|a, b| {

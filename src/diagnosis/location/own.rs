@@ -18,7 +18,7 @@ pub(super) const fn columns(window: &Window, equation: Equation) -> [f64; 3] {
             window.current_rate_a_s,
             window.speed_rad_s,
         ],
-        Equation::Torque => [window.acceleration_rad_s2, window.speed_rad_s.signum(), 0.0],
+        Equation::Torque => [window.acceleration_rad_s2, window.direction, 0.0],
     }
 }
 
@@ -84,7 +84,7 @@ pub(super) fn changes(windows: &Windows<'_>, equation: Equation) -> Option<Vec<f
 
 /// Takes the changes out of the balance's error.
 pub(super) fn take_out(windows: &mut Windows<'_>, equation: Equation, changes: &[f64]) {
-    for window in &mut windows.windows {
+    for window in &mut windows.each {
         let row = columns(window, equation);
         let explained: f64 = row.iter().zip(changes).map(|(value, by)| value * by).sum();
         match equation {

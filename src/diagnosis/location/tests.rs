@@ -197,10 +197,7 @@ fn the_map_counts_every_window_once() {
         .map
         .unwrap();
     let counted: usize = map.count.iter().flatten().sum();
-    let windows = Windows::new(&nameplate(), &run, &noise)
-        .unwrap()
-        .windows
-        .len();
+    let windows = Windows::new(&nameplate(), &run, &noise).unwrap().each.len();
     assert_eq!(counted, windows);
     for (counts, errors) in map.count.iter().zip(&map.voltage_rms_v) {
         for (count, error) in counts.iter().zip(errors) {

@@ -31,13 +31,14 @@ pub(super) fn describe(
         .iter()
         .map(|index| &found.first_round[*index])
         .collect();
-    of_trials(&ordered, &found.accepted, base, error_before, scale, sides)
+    let accepted = |trial: &Trial<'_>| found.accepted.contains(&trial.of.id());
+    of_trials(&ordered, &accepted, base, error_before, scale, sides)
 }
 
-/// The same for any trials, in their order.
+/// The same for any trials, in their order; `accepted` says which are supported.
 pub(super) fn of_trials(
     trials: &[&Trial<'_>],
-    accepted: &[&str],
+    accepted: &dyn Fn(&Trial<'_>) -> bool,
     base: &Score,
     error_before: f64,
     scale: &Scale,
@@ -54,7 +55,7 @@ pub(super) fn of_trials(
         } else {
             0.0
         };
-        let status = status(trial, accepted, base, sides);
+        let status = status(trial, accepted(trial), base, sides);
         let judged = trial.found.as_ref().ok();
         let share = judged.map_or(0.0, |judged| {
             explained(base, &judged.holdout, scale.floor() * scale.unit_n_m)
@@ -79,11 +80,11 @@ pub(super) fn of_trials(
     trials.iter().enumerate().map(one).collect()
 }
 
-fn status(trial: &Trial<'_>, accepted: &[&str], base: &Score, sides: &Sides) -> Status {
+fn status(trial: &Trial<'_>, accepted: bool, base: &Score, sides: &Sides) -> Status {
     let Ok(judged) = &trial.found else {
         return Status::NotExcited;
     };
-    if accepted.contains(&trial.of.id()) {
+    if accepted {
         Status::Supported
     } else if trial.pays(base, sides) {
         Status::Possible

@@ -15,6 +15,9 @@ pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
 /// coefficient bends towards what no term describes.
 const WORTH_A_NAME: f64 = 0.05;
 
+/// Standard deviations below which a size may as well be zero.
+const TOLD_FROM_ZERO: f64 = 2.0;
+
 /// Where the search stands.
 pub(super) struct Found {
     pub(super) first_round: Vec<Trial<'static>>,
@@ -169,7 +172,8 @@ fn drop_superfluous(found: &mut Found, sides: &Sides) {
     }
 }
 
-/// Effects that were in the model before and whose removal, with everything refitted, costs nothing.
+/// Effects that were in the model before and are not needed any more: their removal, with everything refitted, costs
+/// nothing on the hold-out; or their size is not told from zero, and the hold-out does not miss them beyond chance.
 pub(super) fn superfluous(
     fit: &BalanceFit,
     score: &Score,
@@ -179,7 +183,11 @@ pub(super) fn superfluous(
     let mut ids = fit.model.effect_ids();
     ids.retain(|id| !added.contains(id));
     ids.retain(|id| {
-        without(&fit.model, id, sides).is_some_and(|(_, without)| costs_nothing(&without, score))
+        let Some((_, without)) = without(&fit.model, id, sides) else {
+            return false;
+        };
+        let chance = z(&without, score, sides.settings.block) < sides.settings.significant;
+        costs_nothing(&without, score) || (chance && fit.certainty_of(id) < TOLD_FROM_ZERO)
     });
     ids
 }

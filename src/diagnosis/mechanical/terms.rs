@@ -9,11 +9,14 @@ const LEAST_TRAVEL: f64 = 0.5;
 /// Samples at which the direction of a term's power is looked at.
 const LOOKS: usize = 500;
 
+/// Values of a term at each sample.
+pub(super) type Column = dyn Fn(&[Instant]) -> Vec<f64> + Send + Sync;
+
 /// A term that is not in the catalogue: a placebo, a dose, an idea. Judged like an effect with one coefficient.
 pub struct Extra {
     pub id: &'static str,
     /// Torque against positive motion per unit of its coefficient at each sample, N.m.
-    pub values: Box<dyn Fn(&[Instant]) -> Vec<f64> + Send + Sync>,
+    pub values: Box<Column>,
 }
 
 impl std::fmt::Debug for Extra {

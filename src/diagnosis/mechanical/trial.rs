@@ -144,7 +144,13 @@ pub(super) fn of_effect(
         Ok(start) => start,
         Err(reason) => return trial(Err(reason)),
     };
-    trial(judged(start, Of::Effect(effect), baseline, sides, scenario))
+    trial(judged(
+        &start,
+        Of::Effect(effect),
+        baseline,
+        sides,
+        scenario,
+    ))
 }
 
 pub(super) fn of_extra<'a>(
@@ -156,7 +162,7 @@ pub(super) fn of_extra<'a>(
     let of = Of::Extra(extra);
     Trial {
         of,
-        found: judged(baseline.model.clone(), of, baseline, sides, scenario),
+        found: judged(&baseline.model, of, baseline, sides, scenario),
     }
 }
 
@@ -204,13 +210,13 @@ fn best_form(
 }
 
 fn judged(
-    start: Model,
+    start: &Model,
     of: Of<'_>,
     baseline: &BalanceFit,
     sides: &Sides,
     scenario: &Scenario,
 ) -> Result<Judged, String> {
-    let fit = regression::fit(&start, of.on_trial(), &sides.training)
+    let fit = regression::fit(start, of.on_trial(), &sides.training)
         .ok_or_else(|| "its terms are not known at the samples of this run".to_owned())?;
     let holdout = sides.held_out(&fit, of.extra());
     if !holdout.rmse.is_finite() {

@@ -5,14 +5,20 @@ use firmware_protocol::{Control, DriveCommand};
 use super::SoftDrive;
 use crate::emulator::EmulatorConfig;
 use crate::emulator::truth::effect::HiddenEffect;
-use crate::emulator::truth::effect::samples::one_of_each;
+use crate::emulator::truth::effect::test_samples::one_of_each;
+use crate::emulator::truth::{NoiseConfig, QuantisationConfig};
+use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Plant, Scenario, State};
 use crate::sample::{Channel, Origin, Run};
 
 /// Noise of the usual sensors: it weighs current against speed.
 const CURRENT_A: f64 = 0.03;
 const SPEED_RAD_S: f64 = 0.15;
-/// Share of an effect's work that its form may leave to the host's form with the true values, before any fit.
+/// Of the embedded drives, V.
+const BUS_V: f64 = 120.0;
+/// Share of an effect's work that its form may leave to the host's form with the true values, before any fit (for
+/// backlash: after one).
 const MOST_LEFT: f64 = 0.05;
 
 /// Standstill, steps of both signs under a slew limit with a dither on top, and a slow passage through zero.
@@ -53,12 +59,12 @@ fn voltage(time_s: f64) -> f64 {
 fn recorded(hidden: &[HiddenEffect]) -> Scenario {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
     config.tolerance = 0.0;
-    config.noise = Default::default();
-    config.quantisation = Default::default();
+    config.noise = NoiseConfig::default();
+    config.quantisation = QuantisationConfig::default();
     config.limits.current_limit_a = 40.0;
     config.hidden = hidden.to_vec();
     let mut drive = SoftDrive::new(&config, 1);
-    let mut rows: [Vec<f64>; 5] = Default::default();
+    let mut rows: [Vec<f64>; 5] = std::array::from_fn(|_| Vec::new());
     for k in 0..6000_u16 {
         drive.advance_to(f64::from(k) * 1e-3);
         let volts = voltage(f64::from(k) * 1e-3);
@@ -110,6 +116,7 @@ fn error(model: &Model, scenario: &Scenario) -> f64 {
 #[test]
 fn with_the_true_values_the_hosts_form_explains_each_effect_but_for_a_few_percent() {
     let baseline = Model::baseline(Motor::zk_22fc());
+    let mut misfits = Vec::new();
     for effect in one_of_each()
         .into_iter()
         .filter(|effect| !effect.is_foreign())
@@ -122,6 +129,23 @@ fn with_the_true_values_the_hosts_form_explains_each_effect_but_for_a_few_percen
             model.effects[0].values[at] = Some(value.unwrap().1);
         }
         let scenario = recorded(&[effect]);
+        if id == "supply_sag" {
+            // The host takes the highest voltage of the run for the supply's, the drive has its bus.
+            let share = scenario.supply_v() / BUS_V;
+            model.effects[0].values[0] = model.effects[0].values[0].map(|ohm| ohm * share * share);
+        }
+        if id == "backlash" {
+            // A small difference moves the instants at which the flanks meet: only a fit finds the motion again.
+            let noise = NoiseFloor {
+                current_a: CURRENT_A,
+                speed_rad_s: SPEED_RAD_S,
+                source: FloorSource::Standstill,
+                samples: 300,
+            };
+            model = output_error::fit(&[model], &scenario, &noise)
+                .unwrap()
+                .model;
+        }
         let (with, without) = (error(&model, &scenario), error(&baseline, &scenario));
         println!(
             "{id:26} without {:9.3} with {:8.3} left {:.5}",
@@ -129,5 +153,9 @@ fn with_the_true_values_the_hosts_form_explains_each_effect_but_for_a_few_percen
             with.sqrt(),
             with / without
         );
+        if with > MOST_LEFT * without {
+            misfits.push(id);
+        }
     }
+    assert_eq!(misfits, Vec::<&str>::new());
 }

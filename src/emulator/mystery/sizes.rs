@@ -6,7 +6,13 @@
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::emulator::truth::effect::*;
+use crate::emulator::truth::effect::{
+    AsymmetricViscous, Backlash, Cogging, CommandDelay, ConstantLoad, CurrentFilter, CurrentOffset,
+    DiscontinuousConduction, EccentricLoad, ElasticCoupling, FieldChange, FluxSaturation,
+    HiddenEffect, InductanceSaturation, LoadDependentFriction, LoadStep, QuadraticLoad, RandomLoad,
+    Shaker, Site, SpeedDelay, SpeedFilter, SpeedOffset, StartDelay, StribeckFriction, SupplySag,
+    TorqueBump, TorqueRipple, ViscousFriction, VoltageDrop, VoltageOffset, WindingHeating,
+};
 
 /// What is drawn from where the host's catalogue has the answer.
 pub(super) const KNOWN: &[&str] = &[
@@ -166,10 +172,12 @@ pub(super) fn sized(id: &str, rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<
             gain_per_a2_s: dice.size(1e-3, 4e-3),
             time_constant_s: dice.between(10.0, 40.0),
         }),
-        // By so much at rated current.
+        // By so much at rated current. From 2 % on, the back-EMF at full speed falls faster with the current than the
+        // resistance's voltage grows, and the current runs away.
         "flux_saturation" => H::FluxSaturation(FluxSaturation {
-            saturation_per_a2: dice.size(0.03, 0.1) / (amps * amps),
+            saturation_per_a2: dice.size(0.005, 0.015) / (amps * amps),
         }),
+        // By so much at rated current.
         "inductance_saturation" => H::InductanceSaturation(InductanceSaturation {
             saturation_per_a2: dice.size(0.2, 0.6) / (amps * amps),
         }),

@@ -98,7 +98,12 @@ pub struct Plant {
 impl Plant {
     /// A machine at rest, cold and without current, on a supply of its rated voltage.
     pub fn new(motor: MotorTruth, hidden: &[HiddenEffect]) -> Self {
-        Self::on_site(Site::of(&motor), hidden)
+        let site = Site {
+            bus_v: motor.rated_voltage_v,
+            motor,
+            seed: 0,
+        };
+        Self::on_site(site, hidden)
     }
 
     /// A machine at rest, cold and without current.
@@ -444,13 +449,16 @@ impl Plant {
     }
 
     fn resistance(&self) -> f64 {
-        let factor = |effect: &Box<dyn Mechanism>| effect.resistance_factor();
-        self.motor.resistance_ohm * self.effects.iter().map(factor).product::<f64>()
+        let factors = self.effects.iter().map(|effect| effect.resistance_factor());
+        self.motor.resistance_ohm * factors.product::<f64>()
     }
 
     fn inductance(&self, i: f64) -> f64 {
-        let factor = |effect: &Box<dyn Mechanism>| effect.inductance_factor(i);
-        self.motor.inductance_h * self.effects.iter().map(factor).product::<f64>()
+        let factors = self
+            .effects
+            .iter()
+            .map(|effect| effect.inductance_factor(i));
+        self.motor.inductance_h * factors.product::<f64>()
     }
 
     fn supply_factor(&self) -> f64 {

@@ -32,6 +32,14 @@ impl Stretch {
     }
 }
 
+/// Angle at the first point not before `time_s`, the last one beyond; not a number where there is none.
+fn nearest_after(angles: &[(f64, f64)], time_s: f64) -> f64 {
+    let after = angles.partition_point(|point| point.0 < time_s);
+    angles
+        .get(after.min(angles.len().saturating_sub(1)))
+        .map_or(f64::NAN, |point| point.1)
+}
+
 /// The torque balance of the scored part of `scenario`; every row, none left out by decimation. `stretch` divides the
 /// cut-off. `None` where nothing can be processed.
 pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<TorqueRows> {
@@ -83,14 +91,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
                 .collect(),
         };
         for (k, (&speed_rad_s, &drives)) in speed.iter().zip(&driving).enumerate() {
-            let angle_rad = if part.angle_rad[k].is_finite() {
-                part.angle_rad[k]
-            } else {
-                let after = angles.partition_point(|point| point.0 < part.time_s(k));
-                angles
-                    .get(after.min(angles.len().saturating_sub(1)))
-                    .map_or(f64::NAN, |point| point.1)
-            };
+            let measured = Some(part.angle_rad[k]).filter(|angle| angle.is_finite());
+            let angle_rad = measured.unwrap_or_else(|| nearest_after(&angles, part.time_s(k)));
             at.push(Instant {
                 time_s: part.time_s(k) - scenario.begin_s(),
                 voltage_v: f64::NAN,

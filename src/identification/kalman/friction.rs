@@ -32,14 +32,14 @@ impl KnownEffects {
         for active in &model.effects {
             let values: Option<Vec<f64>> = active.values.iter().copied().collect();
             let terms = values.map(|values| active.effect.terms(&values));
-            let simple = |terms: &Box<dyn Terms>| {
+            let simple = |terms: &dyn Terms| {
                 terms.states() == 0
                     && terms.path() == Path::default()
                     && terms.coupling().is_none()
                     && !active.effect.card().needs_angle
-                    && is_of_this_instant(terms.as_ref())
+                    && is_of_this_instant(terms)
             };
-            match terms.filter(simple) {
+            match terms.filter(|terms| simple(terms.as_ref())) {
                 Some(terms) => known.push(terms),
                 None => left.push(active.id()),
             }

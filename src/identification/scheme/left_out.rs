@@ -6,6 +6,10 @@ use crate::plant::{ActiveEffect, Model, MotorKey};
 use crate::sample::ParameterEstimate;
 
 /// Why a scheme that knows the motor alone carries no effect.
+#[expect(
+    clippy::unnecessary_wraps,
+    reason = "one of the answers that a scheme may give"
+)]
 pub(super) fn motor_alone(_: &ActiveEffect) -> Option<&'static str> {
     Some("this scheme knows the motor's own parameters only")
 }

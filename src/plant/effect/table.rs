@@ -11,7 +11,8 @@ use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Terms};
 pub(super) const CARD: Card = Card {
     id: "table",
     name: "learned curve",
-    enters: Enters::Torque,
+    // In the one or the other, as the settings say.
+    enters: Enters::Both,
     equation: "T or U = piecewise linear over speed, current, angle or time, constant beyond the ends",
     causes: "not known yet: the curve holds what the data show until the effect has a name",
     looks_like: "the error follows one axis, and no effect of the catalogue has this form",
@@ -183,8 +184,8 @@ fn check(axis: Axis, knots: &[f64]) -> Result<(), DefinitionError> {
         let help = format!("{FEWEST_KNOTS} to {MOST_KNOTS} are allowed");
         return Err(DefinitionError::new("knots", message, help));
     }
-    if let Some(pair) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
-        let message = format!("knot {} follows {}", pair[1], pair[0]);
+    if let Some([before, after, ..]) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
+        let message = format!("knot {after} follows {before}");
         return Err(DefinitionError::new(
             "knots",
             message,

@@ -56,6 +56,11 @@ const KEYS: &[(&str, &[&str])] = &[
 ];
 
 /// Effects of a second inertia: no size of one coefficient makes them vanish in the balances.
+/// There or not there: no size of it is none.
+fn is_finite_by_nature(effect: &dyn Effect) -> bool {
+    couples(effect) || effect.card().id == "start_delay"
+}
+
 fn couples(effect: &dyn Effect) -> bool {
     effect.terms(&guesses(effect)).coupling().is_some()
 }
@@ -204,7 +209,9 @@ fn parameters_have_a_unit_bounds_and_grids_inside_them() {
         let id = effect.card().id;
         let specs = effect.parameters();
         assert!(
-            specs.is_empty() || specs.iter().any(ParameterSpec::is_coefficient) || couples(*effect),
+            specs.is_empty()
+                || specs.iter().any(ParameterSpec::is_coefficient)
+                || is_finite_by_nature(*effect),
             "{id} has no size"
         );
         for spec in specs {
@@ -292,7 +299,7 @@ fn every_effect_changes_a_simulated_run_and_none_of_size_zero_does() {
         if effect.parameters().is_empty() {
             continue;
         }
-        if !couples(effect) {
+        if !is_finite_by_nature(effect) {
             // Sub-steps of another length: equal but for the second order of a reversal.
             let (current, speed) = distance(&baseline, &trajectory(Some((effect, 0.0))));
             assert!(current < 1e-3 && speed < 1e-2, "{id} {current} {speed}");

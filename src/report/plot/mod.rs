@@ -4,6 +4,7 @@
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
 //! ratios  -> curves over a logarithmic axis (errors of many schemes), one legend
 //! rungs   -> bars with the noise floor as the goal
+//! error over speed x current -> map
 //! ```
 //!
 //! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
@@ -14,10 +15,12 @@ mod bars;
 mod curves;
 pub mod decimate;
 mod draw;
+mod map;
 mod panels;
 
 pub use bars::{Bar, BarChart};
 pub use curves::{CurveChart, CurvePanel};
+pub use map::MapChart;
 pub use panels::{Band, Panel, PanelPlot, Series, Style};
 
 /// A picture as a file of its own: with the page's style sheet, which every viewer of SVG understands.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::guess::{Guess, Guessing};
-use crate::diagnosis::{AddResult, Candidate, Comparison, Diagnosis};
+use crate::diagnosis::{AddResult, Candidate, Comparison, Diagnosis, NextExperiment};
 use crate::identification::noise::FloorSource;
 use crate::plant::effect;
 
@@ -33,6 +33,8 @@ pub(super) enum Over {
     Card(usize),
     /// The map of the worse equation, or of the other one.
     Map(usize),
+    /// What these runs do not tell, and the run that would, from this line on.
+    Next(usize),
     Help,
 }
 
@@ -74,6 +76,8 @@ pub(super) struct State {
     pub(super) taken: Vec<(&'static str, f64)>,
     /// None while the search is under way.
     pub(super) diagnosis: Option<Arc<Diagnosis>>,
+    /// The run that would tell more.
+    pub(super) next: Option<Arc<NextExperiment>>,
     /// Effects of the model as it stands.
     pub(super) present: Vec<&'static str>,
     pub(super) ladder: Vec<Step>,
@@ -98,6 +102,7 @@ impl State {
             judged: BTreeMap::new(),
             taken: Vec::new(),
             diagnosis: None,
+            next: None,
             present: Vec::new(),
             ladder: Vec::new(),
             change: None,

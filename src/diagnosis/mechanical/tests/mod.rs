@@ -86,9 +86,14 @@ fn placebos(count: usize, seed: u64) -> Vec<Extra> {
                 id: "placebo: shifted w |w|",
                 values: Box::new(move |at| shifted(at, |at| at.speed_rad_s * at.speed_rad_s.abs())),
             },
+            // Less its mean: that is a constant load, which a record may well miss.
             _ => Extra {
-                id: "placebo: shifted |w|",
-                values: Box::new(move |at| shifted(at, |at| at.speed_rad_s.abs())),
+                id: "placebo: shifted |w| less its mean",
+                values: Box::new(move |at| {
+                    let sizes = shifted(at, |at| at.speed_rad_s.abs());
+                    let mean = crate::numerics::statistics::mean(&sizes);
+                    sizes.iter().map(|size| size - mean).collect()
+                }),
             },
         });
     }

@@ -3,6 +3,10 @@
 use super::parameter::hidden_effect;
 use super::{Hidden, Shaft, Site};
 
+/// Flanks that touch on a line are so much stiffer at rated torque than without load, as a share. More would move the
+/// instants at which they meet so far that the motion after them is another one, which no fit finds again.
+const STIFFENING: f64 = 0.01;
+
 hidden_effect! {
     /// As `elastic_coupling`, and over `gap_rad` the coupling carries no torque.
     Backlash {
@@ -16,7 +20,7 @@ hidden_effect! {
 }
 
 impl Hidden for Backlash {
-    /// See [`Shaft`]: it stiffens under torque, and within the play the film damps half as much; the host's does neither.
+    /// See [`Shaft`]: it stiffens under torque, the host's does not.
     fn shaft(&self, site: &Site) -> Option<Shaft> {
         Some(Shaft::new(
             site,
@@ -25,6 +29,7 @@ impl Hidden for Backlash {
             self.damping_ratio,
             self.friction_split,
             self.gap_rad,
+            STIFFENING,
         ))
     }
 }

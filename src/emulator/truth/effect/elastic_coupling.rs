@@ -3,6 +3,9 @@
 use super::parameter::hidden_effect;
 use super::{Hidden, Shaft, Site};
 
+/// Rubber is so much stiffer at rated torque than without load, as a share.
+const STIFFENING: f64 = 0.03;
+
 hidden_effect! {
     /// Motor with `1 - inertia_ratio` of the inertia, load with the rest; they swing against each other at `frequency_hz`.
     ElasticCoupling {
@@ -24,6 +27,7 @@ impl Hidden for ElasticCoupling {
             self.damping_ratio,
             self.friction_split,
             0.0,
+            STIFFENING,
         ))
     }
 }

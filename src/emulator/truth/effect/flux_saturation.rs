@@ -4,7 +4,7 @@ use super::parameter::hidden_effect;
 use super::{Hidden, Mechanism, Moment, Site};
 
 /// Current at which the weakening has used up 58 % of its reach, in rated currents.
-const REACH_RATED_CURRENTS: f64 = 3.0;
+const REACH_RATED_CURRENTS: f64 = 6.0;
 
 hidden_effect! {
     /// Flux that is 1/(1 + `saturation_per_a2` i^2) of the nameplate's, exactly so at rated current.
@@ -24,8 +24,8 @@ impl Hidden for FluxSaturation {
     }
 }
 
-/// phi = 1 - d tanh(i/3In)^2, d so that it meets the host's 1/(1 + c i^2) at rated current. At twice the rated current it
-/// weakens by a sixth less.
+/// phi = 1 - d tanh(i/6In)^2, d so that it meets the host's 1/(1 + c i^2) at rated current. At twice the rated current it
+/// weakens by a twentieth less; not more, because near full speed the current answers with several times the difference.
 struct ArmatureReaction {
     reach: f64,
     scale_a: f64,

@@ -243,6 +243,6 @@ impl HiddenEffect {
 }
 
 #[cfg(test)]
-pub(in crate::emulator) mod samples;
+pub(in crate::emulator) mod test_samples;
 #[cfg(test)]
 mod tests;

@@ -15,7 +15,7 @@ hidden_effect! {
 
 impl Hidden for SupplySag {
     fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
-        Some(Box::new(Bus {
+        Some(Box::new(Supply {
             source_ohm: self.sag_ohm,
             open_circuit_v: site.bus_v,
             bus_v: site.bus_v,
@@ -25,13 +25,13 @@ impl Hidden for SupplySag {
 
 /// C dv/dt = (V0 - v)/Rs - D i with the duty cycle D = u/V0, and the motor gets D v. Settled: u - Rs D^2 i, which is the
 /// host's form; the capacitor makes the sag lag. The battery takes back what braking returns.
-struct Bus {
+struct Supply {
     source_ohm: f64,
     open_circuit_v: f64,
     bus_v: f64,
 }
 
-impl Mechanism for Bus {
+impl Mechanism for Supply {
     fn supply_factor(&self) -> f64 {
         self.bus_v / self.open_circuit_v
     }

@@ -226,7 +226,7 @@ impl Reader<'_> {
     }
 
     fn number(&mut self) -> Result<Written, Mistake> {
-        let rest = self.text[self.at..].as_bytes();
+        let rest = &self.text.as_bytes()[self.at..];
         let digits = |from: usize| {
             from + rest[from..]
                 .iter()

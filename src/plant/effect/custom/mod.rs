@@ -25,7 +25,8 @@ use super::{Balance, Card, Effect, Enters, Instant, ParameterSpec, Sums, Terms};
 pub(super) const CARD: Card = Card {
     id: "custom",
     name: "own expression",
-    enters: Enters::Torque,
+    // In the one or the other, as the settings say.
+    enters: Enters::Both,
     equation: "T or U = expression in u, i, w, theta, t and named parameters",
     causes: "what the user knows of the machine and the catalogue does not hold",
     looks_like: "as the expression says; a parameter in which it is linear is a coefficient, another a shape that \
@@ -87,10 +88,10 @@ pub(super) fn define(
     }
     // Parameters become coefficients one after the other, as long as the expression is linear in all of them together.
     let mut linear: Vec<usize> = Vec::new();
-    for index in 0..declared.len() {
+    for (index, one) in declared.iter_mut().enumerate() {
         linear.push(PARAMETERS + index);
         let is_coefficient = expression.is_linear_in(&linear);
-        declared[index].is_coefficient = is_coefficient;
+        one.is_coefficient = is_coefficient;
         if !is_coefficient {
             linear.pop();
         }

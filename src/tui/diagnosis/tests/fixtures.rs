@@ -81,6 +81,9 @@ pub(super) fn diagnosis() -> Diagnosis {
         ],
         confusable: Vec::new(),
         ladder: Vec::new(),
+        axis_map: Vec::new(),
+        equivalences: Vec::new(),
+        next_experiment: None,
         sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
             .to_owned(),
         baseline: fitted(&[]),

@@ -3,6 +3,7 @@
 use super::*;
 
 /// One of each in the sizes of the example configuration.
+#[expect(clippy::too_many_lines, reason = "one entry per effect: a table")]
 pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
     use HiddenEffect as H;
     let coupling = ElasticCoupling {
@@ -43,7 +44,7 @@ pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
         H::LoadDependentFriction(LoadDependentFriction { ratio: 0.08 }),
         H::LoadStep(LoadStep {
             step_n_m: 0.12,
-            time_s: 0.2,
+            time_s: 0.6,
         }),
         H::ElasticCoupling(coupling),
         H::Backlash(Backlash {
@@ -60,7 +61,7 @@ pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
             time_constant_s: 20.0,
         }),
         H::FluxSaturation(FluxSaturation {
-            saturation_per_a2: 1e-3,
+            saturation_per_a2: 4e-4,
         }),
         H::InductanceSaturation(InductanceSaturation {
             saturation_per_a2: 5e-3,

@@ -1,0 +1,102 @@
+//! A recommended run as a bench file that `run` takes as it is.
+
+use super::bench_file::{BenchFile, Protocol};
+use crate::diagnosis::{ExperimentLimits, Recipe};
+use crate::plant::{Model, MotorKey};
+
+/// Currents in rated currents up to which a run is recommended: what the drive of such a motor gives, whatever the
+/// bench would let pass.
+const CURRENT_IN_RATED: f64 = 2.0;
+/// Exchanges per second that a serial line of Modbus carries (LINKS.md); faster runs came over the stream.
+const FASTEST_MODBUS_HZ: f64 = 120.0;
+/// Separates the name of the bench from that of the recommended run.
+const NEXT: &str = "-next-";
+/// Width of the comment at the head of the file.
+const COMMENT_WIDTH: usize = 110;
+
+/// What a run on this bench may reach.
+pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
+    let limits = bench.limits();
+    ExperimentLimits {
+        voltage_v: limits.voltage_v,
+        current_a: limits
+            .current_a
+            .min(CURRENT_IN_RATED * bench.motor.rated_current_a),
+        speed_rad_s: limits.speed_rad_s,
+        rms_current_a: bench.motor.rated_current_a,
+        travel_rad: limits.travel_rad,
+        duration_s: limits.time_s,
+    }
+}
+
+/// The bench with the recipe as its sequence, as the text of a file whose head says what it is for. The slew limit is the
+/// recipe's own: what it protects, the current, has been planned. What the bench does not know of the motor is taken
+/// from `model`.
+pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &str) -> String {
+    let mut next = bench.clone();
+    let own = bench.name.split(NEXT).next().unwrap_or(&bench.name);
+    next.name = format!("{own}{NEXT}{}", recipe.id.replace('_', "-"));
+    next.sequence.clone_from(&recipe.segments);
+    next.limits.slew_v_per_s = Some(recipe.slew_v_per_s);
+    let motor = &mut next.motor;
+    let unknown = motor.is_unknown();
+    for (cell, key) in [
+        (&mut motor.resistance_ohm, MotorKey::Resistance),
+        (&mut motor.inductance_h, MotorKey::Inductance),
+        (&mut motor.back_emf_v_s_per_rad, MotorKey::BackEmf),
+        (&mut motor.inertia_kg_m2, MotorKey::Inertia),
+        (&mut motor.load_torque_n_m, MotorKey::LoadTorque),
+    ] {
+        if (unknown || cell.is_none()) && model.motor.get(key).is_some() {
+            *cell = model.motor.get(key);
+        }
+    }
+    // It has been found by now.
+    motor.unknown = false;
+    format!("{}\n{}", comment(sentence), next.to_toml())
+}
+
+/// A bench for runs of which nothing is known but what is in them: the embedded one with the motor that was found and the
+/// limits that the runs have set.
+pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> BenchFile {
+    let mut bench = BenchFile::embedded_default();
+    let or = |value: f64, other: f64| if value.is_finite() { value } else { other };
+    "next".clone_into(&mut bench.name);
+    bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
+    if rate_hz > FASTEST_MODBUS_HZ {
+        bench.link.protocol = Protocol::Stream;
+    }
+    let motor = &mut bench.motor;
+    if !model.motor.name.is_empty() {
+        motor.name.clone_from(&model.motor.name);
+    }
+    motor.unknown = true;
+    motor.rated_voltage_v = limits.voltage_v;
+    motor.rated_current_a = or(limits.rms_current_a, motor.rated_current_a);
+    motor.rated_speed_rad_s = or(limits.speed_rad_s, motor.rated_speed_rad_s);
+    bench.limits.voltage_v = Some(limits.voltage_v);
+    bench.limits.current_a = Some(or(limits.current_a, bench.limits().current_a));
+    bench.limits.speed_rad_s = Some(or(limits.speed_rad_s, bench.limits().speed_rad_s));
+    bench
+}
+
+/// The sentence as comment lines.
+fn comment(sentence: &str) -> String {
+    let mut lines = vec![String::from("#")];
+    for word in sentence.split_whitespace() {
+        let full = lines
+            .last()
+            .is_some_and(|line| line.len() + 1 + word.len() > COMMENT_WIDTH);
+        if full {
+            lines.push(String::from("#"));
+        }
+        if let Some(line) = lines.last_mut() {
+            line.push(' ');
+            line.push_str(word);
+        }
+    }
+    lines.join("\n") + "\n"
+}
+
+#[cfg(test)]
+mod tests;

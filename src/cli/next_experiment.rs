@@ -1,0 +1,137 @@
+//! The recommended next run of `diagnose`: whose limits it keeps, and its bench file.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::data::{Prepared, read_text};
+use super::failure::{Failure, USAGE};
+use super::output;
+use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
+use crate::diagnosis::{Diagnosis, Evidence, ExperimentLimits, recommend};
+use crate::numerics::statistics::median;
+use crate::plant::{Model, Scenario};
+
+#[derive(Args, Clone, Debug)]
+pub(super) struct NextArguments {
+    /// Bench whose drive, motor and limits the recommended next run keeps; without it that of the run folder, else
+    /// nothing beyond what the runs have reached
+    #[arg(long, value_name = "BENCH.toml")]
+    bench: Option<PathBuf>,
+    /// Write the bench file of the recommended next run
+    #[arg(long, value_name = "FILE")]
+    next_bench: Option<PathBuf>,
+}
+
+/// The bench that a recommendation is for, with what it may reach.
+pub(super) struct Place {
+    bench: Option<BenchFile>,
+    limits: ExperimentLimits,
+    rate_hz: f64,
+}
+
+impl NextArguments {
+    /// Where the next run would be made; to be asked before the evidence is used up.
+    pub(super) fn place(&self, prepared: &Prepared) -> Result<Place, Failure> {
+        let bench = match &self.bench {
+            Some(path) => Some(BenchFile::parse(
+                &path.display().to_string(),
+                &read_text(path)?,
+            )?),
+            None => recorded_bench(prepared),
+        };
+        let mut limits = bench.as_ref().map_or_else(
+            || ExperimentLimits::seen_in(&prepared.evidence),
+            experiment_limits,
+        );
+        if let Some(amps) = drive_limit_a(prepared) {
+            limits.current_a = limits.current_a.min(amps);
+        }
+        Ok(Place {
+            bench,
+            limits,
+            rate_hz: rate_hz(&prepared.evidence.training),
+        })
+    }
+
+    /// Writes the bench file, where one is asked for and there is one.
+    pub(super) fn write(&self, diagnosis: &Diagnosis) -> Result<(), Failure> {
+        let Some(path) = &self.next_bench else {
+            return Ok(());
+        };
+        let bench = diagnosis
+            .next_experiment
+            .as_ref()
+            .and_then(|next| next.bench.as_ref());
+        let Some(text) = bench else {
+            output::message(&format!(
+                "{} is not written: there is no run to recommend",
+                path.display()
+            ));
+            return Ok(());
+        };
+        std::fs::write(path, text).map_err(|error| {
+            Failure::with_help(
+                USAGE,
+                format!("{}: cannot write: {error}", path.display()),
+                "check the folder",
+            )
+        })
+    }
+}
+
+impl Place {
+    /// What the next run may reach.
+    pub(super) const fn limits(&self) -> ExperimentLimits {
+        self.limits
+    }
+
+    /// Puts the recommended run into the diagnosis. `original` is the model before any fit.
+    pub(super) fn recommend(
+        &self,
+        diagnosis: &mut Diagnosis,
+        original: &Model,
+        evidence: &Evidence,
+    ) -> Result<(), Failure> {
+        let Some(mut next) = recommend(diagnosis, original, evidence, &self.limits)? else {
+            return Ok(());
+        };
+        let model = &diagnosis.model.model;
+        next.bench = next.recipe.as_ref().map(|recipe| {
+            let unknown = || bench_for(model, &self.limits, self.rate_hz);
+            let bench = self.bench.clone().unwrap_or_else(unknown);
+            next_bench(&bench, recipe, model, &next.sentence)
+        });
+        diagnosis.next_experiment = Some(next);
+        Ok(())
+    }
+}
+
+/// The bench of the run folder, as its manifest keeps it. A bench of another program's version is as good as none.
+fn recorded_bench(prepared: &Prepared) -> Option<BenchFile> {
+    let manifest = prepared.run.manifest.as_ref()?;
+    let text = manifest.configs.get("bench")?;
+    match BenchFile::parse("manifest.json: configs.bench", text) {
+        Ok(bench) => Some(bench),
+        Err(error) => {
+            output::message(&format!("warning: the run's bench is not used: {error}"));
+            None
+        }
+    }
+}
+
+/// The current limit that the drive of the run said it has.
+fn drive_limit_a(prepared: &Prepared) -> Option<f64> {
+    let manifest = prepared.run.manifest.as_ref()?;
+    manifest.identity.get("current_limit_a")?.as_f64()
+}
+
+/// Rows per second, as a bench file may ask for.
+fn rate_hz(run: &Scenario) -> f64 {
+    let periods: Vec<f64> = run
+        .sample_time_s
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .collect();
+    (1.0 / median(&periods)).round()
+}

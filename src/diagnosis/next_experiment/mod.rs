@@ -1,0 +1,66 @@
+//! The run that would tell what these runs cannot: which of two rivals it is, or what they did not excite.
+//!
+//! ```text
+//! menu: recipes (ramp, dither, cycling, ...) --planned within the limits--> Planned: commands, sample times
+//!                                                                              |  simulated with rival A
+//! present data --J'J--> what rival B may still change   --------------------> separation D(A|B), and D(B|A)
+//!                                                                              |
+//!                            the best, refitted in full <--- the smaller of the two, over c-hat
+//! ```
+//!
+//! DISCOVERY.md 2.11, after the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
+//! run is the one in which the rival still differs when it has been fitted to the old data and the new.
+
+mod equivalence;
+mod limits;
+mod menu;
+mod planned;
+mod recommend;
+mod reveal;
+mod rival;
+mod separation;
+mod words;
+
+use serde::Serialize;
+
+pub use equivalence::equivalences;
+pub use limits::ExperimentLimits;
+pub use menu::Recipe;
+pub use planned::Peaks;
+pub use recommend::{menu_within, next_experiment, recommend};
+
+/// Difference of the squared errors, in units of the noise, below which a run tells nothing apart.
+pub const SEPARATED: f64 = 20.0;
+
+/// What to run next, or that no run of this kind will do.
+#[derive(Clone, Debug, Serialize)]
+pub struct NextExperiment {
+    /// For a person: what to run, why, and what it will show.
+    pub sentence: String,
+    /// A complete bench file; filled in where the bench is known, and none where no run will do.
+    pub bench: Option<String>,
+    /// The rivals; none where an effect is to be seen that the runs in hand did not excite.
+    pub pair: Option<[&'static str; 2]>,
+    /// The effects that become visible, where there is no pair.
+    pub reveals: Vec<&'static str>,
+    /// Expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
+    /// units of the noise variance and divided by c-hat, which is above one where the model does not explain the present
+    /// data to the noise.
+    pub expected_separation: f64,
+    /// Every recipe that the limits allow with the same figure, from linear fits, best first.
+    pub menu: Vec<MenuEntry>,
+    /// What the recommended run reaches.
+    pub peaks: Option<Peaks>,
+    #[serde(skip)]
+    pub recipe: Option<Recipe>,
+}
+
+/// One run of the menu and what it would tell.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MenuEntry {
+    pub program: &'static str,
+    pub expected_separation: f64,
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,133 @@
+//! How far a rival stays from the truth in a planned run after it has been fitted to the old data and the new.
+//!
+//! `D(A|B) = min over dx of |d + S dx|^2 + dx'F dx`, `d = (y_A - y_B)/sigma` in the new run, `S` the Jacobian of B there,
+//! `F` its information from the old data (DISCOVERY.md 2.11).
+
+use nalgebra::{DMatrix, DVector};
+
+use super::rival::Rival;
+use crate::identification::noise::NoiseFloor;
+use crate::identification::output_error::FreeRun;
+use crate::numerics::levenberg_marquardt::{Options, Problem, jacobian_at, minimise};
+use crate::plant::Scenario;
+
+/// `D` for a linear rival; `run` holds what the truth would show. `None` where the rival cannot be simulated.
+pub(super) fn linear(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
+    let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
+    let x = problem.start();
+    let difference = difference(&mut problem, &x)?;
+    let jacobian = jacobian_at(&mut problem, &x, difference.as_slice());
+    let information = rival.information_in(&problem, &x);
+    Some(Response::new(jacobian, information).separation(&difference))
+}
+
+/// The rival's difference to the run, in units of the noise.
+pub(super) fn difference(problem: &mut FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
+    let mut out = vec![0.0; problem.residual_len()];
+    problem
+        .residual(x, &mut out)
+        .then(|| DVector::from_vec(out))
+}
+
+/// How a rival can change in a run.
+pub(super) struct Response {
+    jacobian: DMatrix<f64>,
+    information: DMatrix<f64>,
+}
+
+impl Response {
+    pub(super) const fn new(jacobian: DMatrix<f64>, information: DMatrix<f64>) -> Self {
+        Self {
+            jacobian,
+            information,
+        }
+    }
+
+    /// What is left of `difference` when the rival has moved as far as the old data allow.
+    pub(super) fn separation(&self, difference: &DVector<f64>) -> f64 {
+        let normal = self.jacobian.tr_mul(&self.jacobian) + &self.information;
+        let gradient = self.jacobian.tr_mul(difference);
+        // Scaled to a unit diagonal, with a hair for directions that nothing determines.
+        let scale: Vec<f64> = (0..normal.nrows())
+            .map(|k| 1.0 / normal[(k, k)].max(f64::MIN_POSITIVE).sqrt())
+            .collect();
+        let scaled = DMatrix::from_fn(normal.nrows(), normal.ncols(), |row, column| {
+            let hair = if row == column { 1e-10 } else { 0.0 };
+            normal[(row, column)] * scale[row] * scale[column] + hair
+        });
+        let right = DVector::from_fn(gradient.len(), |k, _| gradient[k] * scale[k]);
+        let Some(factor) = scaled.cholesky() else {
+            return difference.norm_squared();
+        };
+        let solved = factor.solve(&right);
+        let step = DVector::from_fn(solved.len(), |k, _| -solved[k] * scale[k]);
+        let left = difference + &self.jacobian * &step;
+        left.norm_squared() + step.dot(&(&self.information * &step))
+    }
+}
+
+/// The same with the rival fitted in full, so that one that bends does not pass for one that cannot.
+pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
+    let problem = FreeRun::new(rival.model, run, noise).ok()?;
+    let start = problem.start();
+    let information = rival.information_in(&problem, &start);
+    let mut held = Held {
+        root: root(&information),
+        start: start.clone(),
+        run: problem,
+    };
+    let options = Options {
+        most_iterations: 12,
+        relative_cost: 1e-2,
+        ..Options::thrifty()
+    };
+    Some(minimise(&mut held, &start, options)?.cost)
+}
+
+/// A free run with the old data as a spring to where they hold the parameters.
+struct Held<'a> {
+    run: FreeRun<'a>,
+    /// `root' root` is the information.
+    root: DMatrix<f64>,
+    start: Vec<f64>,
+}
+
+impl Problem for Held<'_> {
+    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+        let rows = self.run.residual_len();
+        let moved = DVector::from_iterator(
+            x.len(),
+            x.iter().zip(&self.start).map(|(here, start)| here - start),
+        );
+        out[rows..].copy_from_slice((&self.root * moved).as_slice());
+        self.run.residual(x, &mut out[..rows])
+    }
+
+    fn residual_len(&self) -> usize {
+        self.run.residual_len() + self.root.nrows()
+    }
+
+    fn difference_step(&self, index: usize) -> f64 {
+        self.run.difference_step(index)
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        self.run.clamp(x);
+    }
+}
+
+/// A square root of a matrix that may be singular: scaled eigenvalues, the negative ones of rounding left out.
+fn root(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = matrix.nrows();
+    let scale: Vec<f64> = (0..n)
+        .map(|k| matrix[(k, k)])
+        .map(|value| if value > 0.0 { value.sqrt() } else { 1.0 })
+        .collect();
+    let scaled = DMatrix::from_fn(n, n, |row, column| {
+        matrix[(row, column)] / (scale[row] * scale[column])
+    });
+    let eigen = scaled.symmetric_eigen();
+    DMatrix::from_fn(n, n, |row, column| {
+        eigen.eigenvalues[row].max(0.0).sqrt() * eigen.eigenvectors[(column, row)] * scale[column]
+    })
+}

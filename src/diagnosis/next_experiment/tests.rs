@@ -1,0 +1,275 @@
+//! Pairs that one run does not tell apart: the recommended run is made, and tells them apart as it was expected to.
+
+use super::*;
+use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, diagnose};
+use crate::excitation::{Output, Program};
+use crate::identification::output_error::{self, FreeRun};
+use crate::numerics::count::whole;
+use crate::numerics::levenberg_marquardt::{Options, Problem, minimise};
+use crate::plant::{Model, Motor, Scenario, testing};
+
+const LIMITS: ExperimentLimits = ExperimentLimits {
+    voltage_v: 110.0,
+    current_a: 13.0,
+    speed_rad_s: 340.0,
+    rms_current_a: 5.7,
+    travel_rad: None,
+    duration_s: 30.0,
+};
+const PERIOD_S: f64 = 0.004;
+
+fn nameplate() -> Model {
+    Model::baseline(Motor::zk_22fc())
+}
+
+fn with(id: &str, values: &[f64]) -> Model {
+    let mut model = nameplate().with_effect(id).unwrap();
+    model.effects[0].values = values.iter().copied().map(Some).collect();
+    model
+}
+
+/// Levels held for `hold_s` each, after a rest.
+fn held(levels_v: &[f64], hold_s: f64) -> Vec<(f64, f64)> {
+    let mut events = vec![(0.0, 0.0)];
+    for (index, level_v) in levels_v.iter().enumerate() {
+        events.push((0.5 + hold_s * index as f64, *level_v));
+    }
+    events
+}
+
+/// The recipe as the machine would answer it.
+fn made(truth: &Model, recipe: &Recipe, seed: u64) -> Scenario {
+    let program = Program::new(&recipe.segments, recipe.slew_v_per_s).unwrap();
+    let rows = whole(program.duration_s() / PERIOD_S);
+    let events = (0..rows)
+        .map(|row| {
+            let time_s = row as f64 * PERIOD_S;
+            match program.value_at(time_s) {
+                Output::Voltage(volts) => (time_s, volts),
+                Output::Coast => panic!("no recipe coasts"),
+            }
+        })
+        .collect();
+    testing::record(truth, events, PERIOD_S, program.duration_s(), seed)
+}
+
+/// One model on two runs at once: what "fitted to the old data and the new" means.
+struct Both<'a> {
+    old: FreeRun<'a>,
+    new: &'a Scenario,
+    evidence: &'a Evidence,
+}
+
+impl Problem for Both<'_> {
+    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+        let rows = self.old.residual_len();
+        let model = self.old.model_at(x);
+        let mut new = FreeRun::new(&model, self.new, self.evidence.noise).unwrap();
+        let there = new.start();
+        new.residual(&there, &mut out[rows..]) && self.old.residual(x, &mut out[..rows])
+    }
+
+    fn residual_len(&self) -> usize {
+        self.old.residual_len() + 2 * self.new.samples()
+    }
+
+    fn difference_step(&self, index: usize) -> f64 {
+        self.old.difference_step(index)
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        self.old.clamp(x);
+    }
+}
+
+fn chi2_of_both(model: &Model, evidence: &Evidence, new: &Scenario) -> f64 {
+    let old = FreeRun::new(model, &evidence.training, evidence.noise).unwrap();
+    let start = old.start();
+    let mut both = Both { old, new, evidence };
+    minimise(&mut both, &start, Options::default())
+        .unwrap()
+        .cost
+}
+
+/// A case: what is true, what else it may be, and the run in hand.
+struct Case {
+    truth: Model,
+    rival: Model,
+    events: Vec<(f64, f64)>,
+    seconds: f64,
+}
+
+struct Answer {
+    next: NextExperiment,
+    obtained: f64,
+    again: Diagnosis,
+}
+
+/// Recommends, makes the run, and diagnoses it.
+fn answer(case: &Case) -> Answer {
+    let run = |seed| {
+        testing::record(
+            &case.truth,
+            case.events.clone(),
+            PERIOD_S,
+            case.seconds,
+            seed,
+        )
+    };
+    let evidence = Evidence::new(run(1), Some(run(2)), None);
+    let fitted = |model: &Model| {
+        output_error::fit(
+            std::slice::from_ref(model),
+            &evidence.training,
+            &evidence.noise,
+        )
+        .unwrap()
+        .model
+    };
+    let (truth, rival) = (fitted(&case.truth), fitted(&case.rival));
+    let next = next_experiment([&truth, &rival], &evidence, &LIMITS)
+        .unwrap()
+        .unwrap();
+    let recipe = next
+        .recipe
+        .clone()
+        .unwrap_or_else(|| panic!("{}", next.sentence));
+    let new = made(&case.truth, &recipe, 3);
+    let obtained = chi2_of_both(&rival, &evidence, &new) - chi2_of_both(&truth, &evidence, &new);
+    println!(
+        "{:?}: {} expected {:.0} obtained {obtained:.0}\n  {}\n  {:?}",
+        next.pair, recipe.id, next.expected_separation, next.sentence, next.menu
+    );
+    let again = Evidence::new(new, Some(made(&case.truth, &recipe, 4)), None);
+    Answer {
+        next,
+        obtained,
+        again: diagnose(&nameplate(), again, false).unwrap(),
+    }
+}
+
+fn entry(next: &NextExperiment, program: &str) -> f64 {
+    let mut menu = next.menu.iter();
+    menu.find(|entry| entry.program == program)
+        .unwrap()
+        .expected_separation
+}
+
+/// The run is expected to separate, does so to the same order, and its diagnosis names the truth alone.
+/// A `useless` run promises next to nothing.
+fn told_apart(case: &Case, best: &str, useless: &str) -> NextExperiment {
+    let answer = answer(case);
+    let expected = answer.next.expected_separation;
+    assert!(expected > SEPARATED, "{}", answer.next.sentence);
+    let ratio = answer.obtained / expected;
+    assert!(
+        (0.3..30.0).contains(&ratio),
+        "{ratio}: {}",
+        answer.next.sentence
+    );
+    let id = case.truth.effects[0].id();
+    let again = &answer.again;
+    assert_eq!(
+        again.verdict,
+        DiagnosisVerdict::Effect,
+        "{}",
+        again.sentence
+    );
+    assert_eq!(again.effects, [id], "{}", again.sentence);
+    let useless = entry(&answer.next, useless);
+    assert!(useless < 0.01 * expected, "{useless} of {expected}");
+    assert_eq!(answer.next.recipe.as_ref().unwrap().id, best);
+    answer.next
+}
+
+#[test]
+fn a_drag_law_needs_the_whole_range_of_speeds() {
+    let events = held(&[38.0, 45.0, 41.0, 52.0, 47.0, 55.0, 40.0, 50.0], 0.7);
+    let case = Case {
+        truth: with("quadratic_load", &[1.5e-6]),
+        rival: with("viscous_friction", &[4e-4]),
+        events,
+        seconds: 6.5,
+    };
+    let next = told_apart(&case, "slow_ramp", "standstill");
+    assert!(entry(&next, "standstill") < 1.0);
+    assert!(entry(&next, "slow_ramp") > 10.0 * entry(&next, "steady_hold"));
+}
+
+#[test]
+fn a_delay_and_a_filter_of_the_speed_need_a_fast_dither() {
+    // Up, down and back: slow ramps, whose slope tells that there is a lag but not of which kind.
+    let events = (0..1500)
+        .map(|k| {
+            let time_s = 0.004 * f64::from(k);
+            let leg_s = (time_s - 0.5).max(0.0);
+            (
+                time_s,
+                40.0 * (1.0 - (leg_s / 1.375 - 1.0).abs().min(2.0)
+                    + (leg_s / 1.375 - 3.0).max(0.0)),
+            )
+        })
+        .collect();
+    let case = Case {
+        truth: with("speed_delay", &[0.004]),
+        rival: with("speed_filter", &[0.004]),
+        events,
+        seconds: 6.0,
+    };
+    told_apart(&case, "fast_dither", "standstill");
+}
+
+#[test]
+fn offsets_of_voltage_and_current_need_both_directions() {
+    let case = Case {
+        truth: with("voltage_offset", &[0.5]),
+        rival: with("current_offset", &[0.3]),
+        events: held(&[20.0, 60.0, 35.0, 80.0, 50.0, 70.0, 30.0], 0.7),
+        seconds: 6.0,
+    };
+    told_apart(&case, "slow_ramp", "steady_hold");
+}
+
+#[test]
+fn a_sag_and_a_saturation_need_hard_acceleration() {
+    let case = Case {
+        truth: with("supply_sag", &[0.3]),
+        rival: with("flux_saturation", &[4e-4]),
+        events: held(&[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0], 0.7),
+        seconds: 6.0,
+    };
+    told_apart(&case, "hard_cycling", "standstill");
+}
+
+#[test]
+fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
+    let truth = with("quadratic_load", &[1.5e-6]);
+    let run = |seed| testing::record(&truth, held(&[38.0, 55.0], 0.7), PERIOD_S, 2.0, seed);
+    let evidence = Evidence::new(run(1), Some(run(2)), None);
+    let rival = with("viscous_friction", &[4e-4]);
+    let tight = ExperimentLimits {
+        voltage_v: 3.0,
+        current_a: 2.5,
+        ..LIMITS
+    };
+    let next = next_experiment([&truth, &rival], &evidence, &tight)
+        .unwrap()
+        .unwrap();
+    assert!(next.recipe.is_none() && next.peaks.is_none());
+    assert!(next.expected_separation < SEPARATED);
+    assert!(
+        next.sentence.starts_with("no run of this kind"),
+        "{}",
+        next.sentence
+    );
+    let seen = ExperimentLimits::seen_in(&evidence);
+    let next = next_experiment([&truth, &rival], &evidence, &seen)
+        .unwrap()
+        .unwrap();
+    let peaks = next.peaks.unwrap();
+    assert!(
+        peaks.voltage_v <= 55.0 && peaks.current_a <= seen.current_a,
+        "{peaks:?}"
+    );
+    assert!(peaks.rms_current_a <= seen.rms_current_a, "{peaks:?}");
+}
