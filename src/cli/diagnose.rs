@@ -31,6 +31,18 @@ pub(super) struct Arguments {
     until_floor: bool,
     #[command(flatten)]
     evidence: EvidenceArguments,
+    #[command(flatten)]
+    on_screen: ScreenArguments,
+    #[command(flatten)]
+    next: NextArguments,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// The diagnosis on the screen.
+#[derive(clap::Args)]
+struct ScreenArguments {
     /// Work on the screen: see where the model fails, add and remove effects, write the model
     #[arg(long, conflicts_with = "json")]
     screen: bool,
@@ -40,22 +52,18 @@ pub(super) struct Arguments {
     /// On the screen: where the model is written to; never overwritten
     #[arg(long, value_name = "MODEL2.toml", requires = "screen")]
     output: Option<PathBuf>,
-    #[command(flatten)]
-    next: NextArguments,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    if arguments.screen && !std::io::stdout().is_terminal() {
+    let on_screen = &arguments.on_screen;
+    if on_screen.screen && !std::io::stdout().is_terminal() {
         return Err(Failure::with_help(
             USAGE,
             "--screen: standard output is not a terminal",
             "leave --screen out: the answer is printed as text",
         ));
     }
-    if let Some(path) = &arguments.output {
+    if let Some(path) = &on_screen.output {
         model_output::refuse_existing(path)?;
     }
     let prepared = prepare(
@@ -66,13 +74,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     )?;
     let place = arguments.next.place(&prepared)?;
     let original = &prepared.model.file.model;
-    let mut diagnosis = if arguments.screen {
+    let mut diagnosis = if on_screen.screen {
         let shown = Shown {
             title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
-            guess_first: arguments.guess,
+            guess_first: on_screen.guess,
             fitted_on: prepared.run.run.name.clone(),
             history: prepared.model.file.history.clone(),
-            output: arguments.output.clone(),
+            output: on_screen.output.clone(),
         };
         let evidence = prepared.evidence.clone();
         let discovery = Discovery::new(original.clone(), evidence, arguments.until_floor)

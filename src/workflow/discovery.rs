@@ -236,7 +236,8 @@ mod tests {
             panic!("{:?}", discovery.ladder());
         };
         assert!(before.holdout_rmse > 1.5, "{before:?}");
-        assert!(after.holdout_rmse < 1.1, "{after:?}");
+        // The floor is known from 200 samples at rest.
+        assert!(after.holdout_rmse < 1.15, "{after:?}");
 
         let again = told(&mut discovery, Order::Add("quadratic_load"));
         assert!(matches!(&again[..], [News::Failed(_)]), "{again:?}");

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::guess::{Guess, Guessing};
 use crate::diagnosis::{AddResult, Candidate, Comparison, Diagnosis, NextExperiment};
-use crate::identification::noise::FloorSource;
+use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::effect;
 
 /// An effect while the search is under way.
@@ -23,7 +23,22 @@ pub(super) struct Step {
     pub(super) name: String,
     /// Held-out error in units of the noise.
     pub(super) error: f64,
+    /// Within what chance leaves above a floor that was itself estimated.
+    pub(super) at_floor: bool,
 }
+
+impl Step {
+    pub(super) fn new(name: String, error: f64, noise: &NoiseFloor) -> Self {
+        Self {
+            name,
+            error,
+            at_floor: noise.source != FloorSource::None && error <= noise.tolerance(AT_THE_FLOOR),
+        }
+    }
+}
+
+/// Multiple of the noise up to which an error is at the floor, as the diagnosis itself judges it.
+const AT_THE_FLOOR: f64 = 1.1;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Over {

@@ -81,14 +81,14 @@ impl State {
         self.present = diagnosis.baseline.model.effect_ids();
         if self.ladder.is_empty() {
             let effects = &self.present;
-            self.ladder.push(Step {
-                name: if effects.is_empty() {
-                    "baseline".to_owned()
-                } else {
-                    effects.join(" + ")
-                },
-                error: diagnosis.holdout_before,
-            });
+            let name = if effects.is_empty() {
+                "baseline".to_owned()
+            } else {
+                effects.join(" + ")
+            };
+            let noise = &diagnosis.baseline.noise;
+            self.ladder
+                .push(Step::new(name, diagnosis.holdout_before, noise));
         }
         if let Guessing::Guessed(guess) = self.guessing {
             self.message = Some(compared(guess, &diagnosis));
@@ -100,9 +100,13 @@ impl State {
         self.working = None;
         if result.accepted {
             let sign = if added { '+' } else { '-' };
-            self.ladder.extend(result.ladder.last().map(|rung| Step {
-                name: format!("{sign} {}", result.effect),
-                error: rung.holdout_rmse,
+            let noise = &result.fit.noise;
+            self.ladder.extend(result.ladder.last().map(|rung| {
+                Step::new(
+                    format!("{sign} {}", result.effect),
+                    rung.holdout_rmse,
+                    noise,
+                )
             }));
             self.present = result.fit.model.effect_ids();
             self.comparison = Some(Arc::new(result.after.clone()));

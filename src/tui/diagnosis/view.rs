@@ -1,5 +1,7 @@
 //! The whole frame as a function of the state.
 
+use std::fmt::Write as _;
+
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -107,12 +109,10 @@ fn verdict_line(state: &State) -> Line<'static> {
             .filter(|judged| judged.share.is_some())
             .count();
         let refitted = judged.filter(|judged| judged.error.is_some()).count();
-        let taken: String = state
-            .taken
-            .iter()
-            .map(|(id, error)| format!("; {id} taken, held-out error {error:.2}"))
-            .collect();
-        let text = format!(" {screened} effects screened, {refitted} refitted{taken}");
+        let mut text = format!(" {screened} effects screened, {refitted} refitted");
+        for (id, error) in &state.taken {
+            let _ = write!(text, "; {id} taken, held-out error {error:.2}");
+        }
         return Line::styled(text, theme::CAREFUL);
     };
     let (word, style) = word(diagnosis);

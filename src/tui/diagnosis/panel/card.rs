@@ -6,7 +6,7 @@ use ratatui::layout::Rect;
 use super::candidates::{detectable, interval, status};
 use super::{block, page, titled};
 use crate::tui::diagnosis::guess::Guessing;
-use crate::tui::diagnosis::state::State;
+use crate::tui::diagnosis::state::{Row, State};
 
 pub(in crate::tui::diagnosis) fn card(
     state: &State,
@@ -18,7 +18,7 @@ pub(in crate::tui::diagnosis) fn card(
         return;
     }
     let rows = state.rows();
-    let Some(effect) = rows.get(state.selected(&rows)).and_then(|row| row.effect()) else {
+    let Some(effect) = rows.get(state.selected(&rows)).and_then(Row::effect) else {
         return;
     };
     let card = effect.card();
