@@ -1,16 +1,18 @@
 //! `commission`: the whole loop, guided; the screen and the headless run drive the same state machine.
 
+use super::discovery::{self, Shown};
 use super::escalate::{escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Rig, Strings};
 use super::recorded::Recorded;
 use super::{data, model_output, output, pages, screen};
 use crate::identification::nameplate::Comparison;
-use crate::plant::{Model, ModelFile, Scenario};
+use crate::plant::{FileHistory, Model, ModelFile, Scenario};
 use crate::recording::RunFile;
+use crate::tui::Exit;
 use crate::workflow::{
-    Commission, CommissionResult, EscalationResult, Progress, ProgressCell, Role, RunRecord,
-    StepState, Task,
+    Commission, CommissionResult, Discovery, EscalationResult, Progress, ProgressCell, Role,
+    RunRecord, StepState, Task,
 };
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
@@ -29,28 +31,54 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     if arguments.live.is_headless() {
         let mut told = Told::default();
         let done = commission(&arguments.live, &strings, |progress| told.tell(progress))?;
-        return finish(arguments.live.json, &done);
+        return finish(arguments.live.json, &done.result, &done.text);
     }
     let (json, progress) = (arguments.live.json, ProgressCell::default());
     let shown = progress.clone();
-    let done = screen::watch(strings, intents, Some(shown), move |strings| {
+    let (done, exit) = screen::watch(strings, intents, Some(shown), move |strings| {
         commission(&arguments.live, strings, |latest| {
             progress.publish(latest.clone());
         })
     })?;
-    finish(json, &done)
+    let by_hand = done.discovery.filter(|_| exit == Exit::Diagnosis);
+    if let Some(discovery) = by_hand {
+        let runs = &done.result.runs;
+        let shown = Shown {
+            title: "the runs of this commissioning".to_owned(),
+            guess_first: false,
+            fitted_on: runs
+                .first()
+                .and_then(|run| run.folder.clone())
+                .unwrap_or_default(),
+            history: FileHistory::default(),
+            output: None,
+        };
+        match discovery::show(discovery, shown) {
+            // Left: the result of the loop is there all the same.
+            Err(failure) if failure.status != INTERRUPTED => return Err(failure),
+            _ => {}
+        }
+    }
+    finish(json, &done.result, &done.text)
 }
 
-fn finish(json: bool, (result, text): &(CommissionResult, String)) -> Result<(), Failure> {
-    output::result(result, json, |_| text.clone())
+/// What the loop leaves behind.
+struct Done {
+    result: CommissionResult,
+    text: String,
+    discovery: Option<Discovery>,
 }
 
-/// Carries the loop's tasks out until it is finished; returns the result and its text.
+fn finish(json: bool, result: &CommissionResult, text: &str) -> Result<(), Failure> {
+    output::result(result, json, |_| text.to_owned())
+}
+
+/// Carries the loop's tasks out until it is finished.
 fn commission(
     arguments: &LiveArguments,
     strings: &Strings,
     mut publish: impl FnMut(&Progress),
-) -> Result<(CommissionResult, String), Failure> {
+) -> Result<Done, Failure> {
     let mut rig = Rig::open(arguments)?;
     let mut workflow = Commission::new(Model::baseline(rig.plate.clone()), rig.escalates);
     if let Some(emulator) = &rig.emulator {
@@ -102,7 +130,11 @@ fn commission(
     let mut progress = workflow.progress();
     progress.report = text.lines().map(str::to_owned).collect();
     publish(&progress);
-    Ok((result, text))
+    Ok(Done {
+        result,
+        text,
+        discovery: workflow.discovery().cloned(),
+    })
 }
 
 fn step(

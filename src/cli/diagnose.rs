@@ -32,15 +32,15 @@ pub(super) struct Arguments {
     #[command(flatten)]
     evidence: EvidenceArguments,
     #[command(flatten)]
-    next: NextArguments,
-    #[command(flatten)]
     on_screen: ScreenArguments,
+    #[command(flatten)]
+    next: NextArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Work on the screen instead of an answer in text.
+/// The diagnosis on the screen.
 #[derive(clap::Args)]
 struct ScreenArguments {
     /// Work on the screen: see where the model fails, add and remove effects, write the model
@@ -55,14 +55,15 @@ struct ScreenArguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    if arguments.on_screen.screen && !std::io::stdout().is_terminal() {
+    let on_screen = &arguments.on_screen;
+    if on_screen.screen && !std::io::stdout().is_terminal() {
         return Err(Failure::with_help(
             USAGE,
             "--screen: standard output is not a terminal",
             "leave --screen out: the answer is printed as text",
         ));
     }
-    if let Some(path) = &arguments.on_screen.output {
+    if let Some(path) = &on_screen.output {
         model_output::refuse_existing(path)?;
     }
     let prepared = prepare(
@@ -71,22 +72,23 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         &arguments.evidence,
         Judging::Refits,
     )?;
-    if arguments.on_screen.screen {
-        let shown = Shown {
-            title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
-            guess_first: arguments.on_screen.guess,
-            fitted_on: prepared.run.run.name.clone(),
-            history: prepared.model.file.history,
-            output: arguments.on_screen.output.clone(),
-        };
-        let model = prepared.model.file.model;
-        let discovery = Discovery::new(model, prepared.evidence, arguments.until_floor);
-        let found = discovery::show(discovery, shown)?;
-        return output::line(text(&found).trim_end());
-    }
     let place = arguments.next.place(&prepared)?;
     let original = &prepared.model.file.model;
-    let mut diagnosis = diagnose(original, prepared.evidence.clone(), arguments.until_floor)?;
+    let mut diagnosis = if on_screen.screen {
+        let shown = Shown {
+            title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
+            guess_first: on_screen.guess,
+            fitted_on: prepared.run.run.name.clone(),
+            history: prepared.model.file.history.clone(),
+            output: on_screen.output.clone(),
+        };
+        let evidence = prepared.evidence.clone();
+        let discovery = Discovery::new(original.clone(), evidence, arguments.until_floor)
+            .with_limits(place.limits());
+        discovery::show(discovery, shown)?
+    } else {
+        diagnose(original, prepared.evidence.clone(), arguments.until_floor)?
+    };
     place.recommend(&mut diagnosis, original, &prepared.evidence)?;
     arguments.next.write(&diagnosis)?;
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();

@@ -81,6 +81,11 @@ impl NextArguments {
 }
 
 impl Place {
+    /// What the next run may reach.
+    pub(super) const fn limits(&self) -> ExperimentLimits {
+        self.limits
+    }
+
     /// Puts the recommended run into the diagnosis. `original` is the model before any fit.
     pub(super) fn recommend(
         &self,

@@ -68,7 +68,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         return record(&arguments, &strings).and_then(|done| finish(arguments.live.json, &done));
     }
     let json = arguments.live.json;
-    let done = screen::watch(strings, intents, None, move |strings| {
+    let (done, _) = screen::watch(strings, intents, None, move |strings| {
         record(&arguments, strings)
     })?;
     finish(json, &done)

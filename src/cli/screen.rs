@@ -16,13 +16,13 @@ use crate::workflow::ProgressCell;
 /// How long a worker that was left by force is given, in looks of 100 ms.
 const LAST_LOOKS: u32 = 50;
 
-/// Does the work while the screen shows it; returns when the screen is left and the work is over.
+/// Does the work while the screen shows it; returns when the screen is left and the work is over, with how it was left.
 pub(super) fn watch<T: Send + 'static>(
     strings: Strings,
     intents: Sender<Intent>,
     progress: Option<ProgressCell>,
     work: impl FnOnce(&Strings) -> Result<T, Failure> + Send + 'static,
-) -> Result<T, Failure> {
+) -> Result<(T, Exit), Failure> {
     let hang_up = Arc::new(AtomicBool::new(false));
     for signal in [
         signal_hook::consts::SIGINT,
@@ -69,10 +69,11 @@ pub(super) fn watch<T: Send + 'static>(
             ));
         }
     }
-    thread.join().map_err(|_| {
+    let done = thread.join().map_err(|_| {
         Failure::new(
             INTERNAL,
             "the bench has panicked; the drive was told to stop",
         )
-    })?
+    })?;
+    Ok((done?, shown.unwrap_or(Exit::Finished)))
 }

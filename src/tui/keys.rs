@@ -16,6 +16,7 @@ pub(super) enum Press {
     Zoom,
     Mark,
     ResetFault,
+    Diagnose,
     NextScreen,
     PreviousScreen,
     Screen(usize),
@@ -25,7 +26,7 @@ pub(super) enum Press {
 }
 
 /// Keys as the help shows them.
-pub(super) const HELP: [(&str, &str); 11] = [
+pub(super) const HELP: [(&str, &str); 12] = [
     ("Space Esc", "STOP: ramp down; again: at once"),
     ("a Enter", "start, where the bench waits for it"),
     ("q", "quit, when nothing is energised"),
@@ -36,6 +37,7 @@ pub(super) const HELP: [(&str, &str); 11] = [
     ("m", "mark this moment in the record"),
     ("r", "reset a fault of the drive"),
     ("Up Down", "scroll the report"),
+    ("d", "the diagnosis by hand, once the report is there"),
     ("?", "this help"),
 ];
 
@@ -77,6 +79,7 @@ const fn character(letter: char) -> Press {
         'f' => Press::Freeze,
         'z' => Press::Zoom,
         'm' => Press::Mark,
+        'd' => Press::Diagnose,
         'r' => Press::ResetFault,
         '1' => Press::Screen(0),
         '2' => Press::Screen(1),

@@ -88,6 +88,16 @@ impl Model {
         self.worker != WorkerState::Working
     }
 
+    pub(super) fn shows_report(&self) -> bool {
+        let workflow = self.workflow.as_ref();
+        workflow.is_some_and(|workflow| !workflow.report.is_empty())
+    }
+
+    /// Whether the whole loop is over, so that its runs can be diagnosed by hand.
+    pub(super) fn has_report(&self) -> bool {
+        self.is_finished() && self.shows_report()
+    }
+
     /// Whether the drive's output may be on, as far as the screen knows.
     pub(super) fn is_energised(&self) -> bool {
         let phase = self.snapshot.phase;

@@ -41,6 +41,8 @@ pub struct ShowOptions {
 pub enum Exit {
     /// The work was over.
     Finished,
+    /// `d` when the work was over: the diagnosis is to be gone on with by hand.
+    Diagnosis,
     /// `q` before the end; the worker has been told to stop.
     Quit,
     /// Ctrl-C; the worker has stopped.

@@ -43,10 +43,7 @@ impl Model {
                 Vec::new()
             }
             Event::Workflow(view) => {
-                let had_report = self
-                    .workflow
-                    .as_ref()
-                    .is_some_and(|before| !before.report.is_empty());
+                let had_report = self.shows_report();
                 if !view.report.is_empty() && !had_report {
                     // The answer that everything was done for.
                     self.screen = Screen::Steps;
@@ -82,6 +79,8 @@ impl Model {
             Press::Start => return self.start(),
             Press::ResetFault => return self.reset_fault(),
             Press::Mark => return self.mark(),
+            Press::Diagnose if self.has_report() => return vec![Effect::Leave(Exit::Diagnosis)],
+            Press::Diagnose => self.say("not yet: the diagnosis begins where the report ends"),
             Press::Help => self.help = true,
             Press::Freeze => self.freeze(),
             Press::Zoom => self.zoom = (self.zoom + 1) % ZOOM_S.len(),

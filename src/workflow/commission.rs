@@ -1,5 +1,6 @@
 //! The commissioning loop: which task comes next, and the analysis between the tasks.
 
+use super::discovery::Discovery;
 use super::escalate::{EscalationResult, compared};
 use super::named_estimate::NamedEstimate;
 use super::progress::{Progress, StepState, StepView};
@@ -75,6 +76,7 @@ pub struct Commission {
     truth: Option<Vec<String>>,
     /// The bench of the loop, which a recommended run is for.
     bench: Option<BenchFile>,
+    discovery: Option<Discovery>,
     /// What the plate says, whatever the fits start from.
     plate: Motor,
     escalation: Option<EscalationResult>,
@@ -123,6 +125,7 @@ impl Commission {
             result: None,
             truth: None,
             bench: None,
+            discovery: None,
         };
         commission.steps[CHECK].state = StepState::Active;
         commission
@@ -152,6 +155,11 @@ impl Commission {
 
     pub const fn result(&self) -> Option<&CommissionResult> {
         self.result.as_ref()
+    }
+
+    /// The runs of the loop for a person who goes on by hand; none before the analysis.
+    pub const fn discovery(&self) -> Option<&Discovery> {
+        self.discovery.as_ref()
     }
 
     /// Everything recorded so far, in the order of [`Role::ALL`].
@@ -280,6 +288,11 @@ impl Commission {
             }
             diagnosis.next_experiment = next;
         }
+        let discovery = Discovery::new(nameplate, evidence, true);
+        self.discovery = Some(match &self.bench {
+            Some(bench) => discovery.with_limits(experiment_limits(bench)),
+            None => discovery,
+        });
         self.step_done(DIAGNOSE, diagnosis.sentence.clone(), Task::Analyse);
         publish(self.progress());
 

@@ -11,6 +11,7 @@ pub(super) enum Press {
     Add,
     Remove,
     Map,
+    Next,
     Guess,
     Write,
     Help,
@@ -21,18 +22,17 @@ pub(super) enum Press {
 }
 
 /// Keys as the help shows them.
-pub(super) const HELP: [(&str, &str); 11] = [
-    ("Up Down", "select an effect; scroll a card"),
+pub(super) const HELP: [(&str, &str); 10] = [
+    ("Up Down", "select an effect; scroll a page"),
     ("Enter", "the card of the effect: equation, causes, remedy"),
     ("a", "add it: refitted, judged on the hold-out, or refused"),
     ("r", "remove it: refused where it is needed"),
     ("m", "error over speed x current, each equation in turn"),
+    ("n", "what these runs do not tell, and the run that would"),
     ("g", "guess first: no names until you have given one"),
     ("w", "write the model to a new file"),
-    ("Esc", "back"),
-    ("?", "this help"),
-    ("q", "leave"),
-    ("Ctrl-C", "leave at once"),
+    ("Esc ?", "back; this help"),
+    ("q Ctrl-C", "leave; leave at once"),
 ];
 
 /// Rows that a page key moves.
@@ -52,6 +52,7 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
             'a' => Press::Add,
             'r' => Press::Remove,
             'm' => Press::Map,
+            'n' => Press::Next,
             'g' => Press::Guess,
             'w' => Press::Write,
             '?' => Press::Help,

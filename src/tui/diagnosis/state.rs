@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::guess::{Guess, Guessing};
-use crate::diagnosis::{AddResult, Candidate, Comparison, Diagnosis};
-use crate::identification::noise::FloorSource;
+use crate::diagnosis::{AddResult, Candidate, Comparison, Diagnosis, NextExperiment};
+use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::effect;
 
 /// An effect while the search is under way.
@@ -23,7 +23,22 @@ pub(super) struct Step {
     pub(super) name: String,
     /// Held-out error in units of the noise.
     pub(super) error: f64,
+    /// Within what chance leaves above a floor that was itself estimated.
+    pub(super) at_floor: bool,
 }
+
+impl Step {
+    pub(super) fn new(name: String, error: f64, noise: &NoiseFloor) -> Self {
+        Self {
+            name,
+            error,
+            at_floor: noise.source != FloorSource::None && error <= noise.tolerance(AT_THE_FLOOR),
+        }
+    }
+}
+
+/// Multiple of the noise up to which an error is at the floor, as the diagnosis itself judges it.
+const AT_THE_FLOOR: f64 = 1.1;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Over {
@@ -33,6 +48,8 @@ pub(super) enum Over {
     Card(usize),
     /// The map of the worse equation, or of the other one.
     Map(usize),
+    /// What these runs do not tell, and the run that would, from this line on.
+    Next(usize),
     Help,
 }
 
@@ -74,6 +91,8 @@ pub(super) struct State {
     pub(super) taken: Vec<(&'static str, f64)>,
     /// None while the search is under way.
     pub(super) diagnosis: Option<Arc<Diagnosis>>,
+    /// The run that would tell more.
+    pub(super) next: Option<Arc<NextExperiment>>,
     /// Effects of the model as it stands.
     pub(super) present: Vec<&'static str>,
     pub(super) ladder: Vec<Step>,
@@ -98,6 +117,7 @@ impl State {
             judged: BTreeMap::new(),
             taken: Vec::new(),
             diagnosis: None,
+            next: None,
             present: Vec::new(),
             ladder: Vec::new(),
             change: None,

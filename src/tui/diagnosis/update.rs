@@ -11,6 +11,8 @@ use crate::diagnosis::{AddResult, Diagnosis, Event as Found};
 use crate::tui::Exit;
 use crate::workflow::{News, Order};
 
+const GUESS_FIRST: &str = "guess first: g takes the selected row, Esc shows the names";
+
 #[derive(Clone, Debug)]
 pub(super) enum Event {
     Key(KeyEvent),
@@ -44,6 +46,7 @@ impl State {
             News::Progress(found) => self.found(found),
             News::Compared(comparison) => self.comparison = Some(Arc::from(comparison)),
             News::Diagnosed(diagnosis) => self.diagnosed(*diagnosis),
+            News::Recommended(next) => self.next = Some(Arc::from(next)),
             News::Added(result) => self.changed(true, *result),
             News::Removed(result) => self.changed(false, *result),
             News::Written(text) => self.message = Some(text),
@@ -78,14 +81,14 @@ impl State {
         self.present = diagnosis.baseline.model.effect_ids();
         if self.ladder.is_empty() {
             let effects = &self.present;
-            self.ladder.push(Step {
-                name: if effects.is_empty() {
-                    "baseline".to_owned()
-                } else {
-                    effects.join(" + ")
-                },
-                error: diagnosis.holdout_before,
-            });
+            let name = if effects.is_empty() {
+                "baseline".to_owned()
+            } else {
+                effects.join(" + ")
+            };
+            let noise = &diagnosis.baseline.noise;
+            self.ladder
+                .push(Step::new(name, diagnosis.holdout_before, noise));
         }
         if let Guessing::Guessed(guess) = self.guessing {
             self.message = Some(compared(guess, &diagnosis));
@@ -97,9 +100,13 @@ impl State {
         self.working = None;
         if result.accepted {
             let sign = if added { '+' } else { '-' };
-            self.ladder.extend(result.ladder.last().map(|rung| Step {
-                name: format!("{sign} {}", result.effect),
-                error: rung.holdout_rmse,
+            let noise = &result.fit.noise;
+            self.ladder.extend(result.ladder.last().map(|rung| {
+                Step::new(
+                    format!("{sign} {}", result.effect),
+                    rung.holdout_rmse,
+                    noise,
+                )
             }));
             self.present = result.fit.model.effect_ids();
             self.comparison = Some(Arc::new(result.after.clone()));
@@ -111,6 +118,7 @@ impl State {
 
     fn search_begins(&mut self) {
         self.diagnosis = None;
+        self.next = None;
         self.judged.clear();
         self.taken.clear();
         self.selected = None;
@@ -129,6 +137,7 @@ impl State {
             Press::Add => return self.add(),
             Press::Remove => return self.remove(),
             Press::Map => self.map(),
+            Press::Next => self.next(),
             Press::Guess => self.guess(),
             Press::Write => return self.write(),
             Press::Help => self.over = Over::Help,
@@ -152,7 +161,7 @@ impl State {
 
     fn go(&mut self, by: i32) {
         let by = isize::try_from(by).unwrap_or(0);
-        if let Over::Card(line) = &mut self.over {
+        if let Over::Card(line) | Over::Next(line) = &mut self.over {
             *line = line.saturating_add_signed(by);
             return;
         }
@@ -189,7 +198,7 @@ impl State {
             return Err(format!("not yet: {work}"));
         }
         if self.guessing == Guessing::Choosing {
-            return Err("guess first: g takes the selected row, Esc shows the names".to_owned());
+            return Err(GUESS_FIRST.to_owned());
         }
         let rows = self.rows();
         match rows.get(self.selected(&rows)) {
@@ -246,6 +255,21 @@ impl State {
         };
     }
 
+    fn next(&mut self) {
+        self.over = match self.over {
+            Over::Next(_) => Over::Nothing,
+            _ if self.guessing == Guessing::Choosing => {
+                self.say(GUESS_FIRST);
+                Over::Nothing
+            }
+            _ if self.diagnosis.is_none() => {
+                self.say("not yet: there is no answer that a run could add to");
+                self.over
+            }
+            _ => Over::Next(0),
+        };
+    }
+
     fn guess(&mut self) {
         match self.guessing {
             Guessing::Choosing => {
@@ -275,7 +299,7 @@ impl State {
 
     fn write(&mut self) -> Option<Effect> {
         if self.guessing == Guessing::Choosing {
-            self.say("guess first: g takes the selected row, Esc shows the names");
+            self.say(GUESS_FIRST);
         } else if let Some(work) = &self.working {
             let text = format!("not yet: {work}");
             self.say(text);

@@ -9,7 +9,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::guess::Guessing;
-use super::panel::{candidates, card, failing, help, ladder, map};
+use super::panel::{candidates, card, failing, help, ladder, map, next};
 use super::state::{Over, State};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict};
 use crate::tui::theme;
@@ -53,7 +53,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     .areas(area);
     top_bar(state, top, buffer);
     Paragraph::new(verdict_line(state))
-        .wrap(Wrap { trim: true })
+        .wrap(Wrap { trim: false })
         .render(verdict, buffer);
     let body = Rect {
         height: where_area.height + list.height + ladder_area.height,
@@ -62,6 +62,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     match state.over {
         Over::Card(line) => card::card(state, line, body, buffer),
         Over::Map(index) => map::map(state, index, body, buffer),
+        Over::Next(line) => next::next(state, line, body, buffer),
         Over::Nothing | Over::Help => {
             failing::failing(state, where_area, buffer);
             candidates::candidates(state, list, buffer);
@@ -173,6 +174,7 @@ fn hints(state: &State, area: Rect, buffer: &mut Buffer) {
     }
     let keys = match state.over {
         Over::Card(_) => " Up Down scroll  Esc back  a add  r remove  q back",
+        Over::Next(_) => " Up Down scroll  n Esc back  q back",
         Over::Map(0) => " m the other equation  Esc back  q back",
         Over::Map(_) => " m Esc back  q back",
         Over::Help => " any key closes the help",
@@ -182,7 +184,9 @@ fn hints(state: &State, area: Rect, buffer: &mut Buffer) {
         Over::Nothing if state.working.is_some() => {
             " Up Down select  Enter card  g guess first  m map  ? help  q leave"
         }
-        Over::Nothing => " a add  r remove  Enter card  m map  w write model  ? help  q leave",
+        Over::Nothing => {
+            " a add  r remove  Enter card  m map  n next run  w write  ? help  q leave"
+        }
     };
     Line::styled(keys, theme::DIM).render(area, buffer);
 }

@@ -175,6 +175,20 @@ fn q_leaves_when_the_work_is_over() {
 }
 
 #[test]
+fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
+    let mut model = model(done());
+    model.update(Event::Workflow(Arc::new(workflow(true))));
+    assert_eq!(model.update(letter('d')), vec![]);
+    model.update(Event::Worker(WorkerState::Finished));
+    assert_eq!(
+        model.update(letter('d')),
+        vec![Effect::Leave(Exit::Diagnosis)]
+    );
+    model.update(Event::Workflow(Arc::new(workflow(false))));
+    assert_eq!(model.update(letter('d')), vec![]);
+}
+
+#[test]
 fn ctrl_c_stops_then_quits_and_the_third_leaves_a_worker_that_hangs() {
     for mut model in every_state() {
         if model.is_finished() {
@@ -282,7 +296,7 @@ fn the_help_names_every_key_that_does_something() {
     for word in ["Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down"] {
         assert!(shown.contains(word), "{word}");
     }
-    for letter in ['a', 'q', 'f', 'z', 'm', 'r', '?', '1', '2', '3'] {
+    for letter in ['a', 'q', 'd', 'f', 'z', 'm', 'r', '?', '1', '2', '3'] {
         assert!(
             HELP.iter()
                 .any(|(keys, _)| keys.split(' ').any(|word| word == letter.to_string())),

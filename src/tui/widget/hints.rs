@@ -19,6 +19,8 @@ pub(crate) fn hints(model: &Model, area: Rect, buffer: &mut Buffer) {
     let next = screens[(here.unwrap_or(0) + 1) % screens.len()].name();
     let keys = if model.waits_for_start() {
         format!(" Enter start  Space stop  q quit  ? help  Tab {next}")
+    } else if model.has_report() {
+        format!(" d diagnosis by hand  q quit  ? help  Tab {next}  Up Down scroll")
     } else if model.is_finished() {
         format!(" q quit  ? help  Tab {next}  f freeze  z zoom")
     } else {

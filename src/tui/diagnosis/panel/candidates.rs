@@ -12,12 +12,15 @@ use crate::plant::Effect;
 use crate::sample::ParameterEstimate;
 use crate::tui::diagnosis::guess::Guessing;
 use crate::tui::diagnosis::state::{Row, State};
-use crate::tui::text::{number, parameter, with_std};
+use crate::tui::text::{parameter as parameter_name, with_std};
 use crate::tui::theme;
 
 const BAR: usize = 8;
+const NARROW_BAR: usize = 4;
+/// From this width on there is room for the name of the size, and for what would have been seen.
+const WIDE: usize = 110;
 /// Standard deviations on either side of a value: its 95 % interval.
-pub(super) const INTERVAL: f64 = 1.96;
+const INTERVAL: f64 = 1.96;
 
 pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
@@ -73,7 +76,7 @@ fn spans(row: &Row<'_>, width: usize) -> Vec<Span<'static>> {
         ],
         Row::Judged(id, judged) => {
             let mut spans = vec![Span::raw(format!("{id:<25} "))];
-            spans.extend(share(judged.share));
+            spans.extend(share(judged.share, BAR));
             if let Some(error) = judged.error {
                 spans.push(Span::raw(format!("  refitted: {error:.2} x noise")));
             }
@@ -83,23 +86,21 @@ fn spans(row: &Row<'_>, width: usize) -> Vec<Span<'static>> {
             let (word, style) = status(candidate.status);
             let mut spans = vec![
                 Span::styled(format!("{word:<13} "), style),
-                Span::raw(format!("{:<25} ", candidate.effect)),
+                Span::raw(format!("{:<24} ", candidate.effect)),
             ];
             // What would not have shown explains nothing that could be believed.
             let is_seen = candidate.status != Status::NotExcited;
-            spans.extend(share(
-                is_seen.then_some(candidate.explained_percent / 100.0),
-            ));
-            let text = if matches!(candidate.status, Status::Supported | Status::Possible) {
-                size(candidate)
+            let bar_length = if width >= WIDE { BAR } else { NARROW_BAR };
+            let explained = is_seen.then_some(candidate.explained_percent / 100.0);
+            spans.extend(share(explained, bar_length));
+            let is_named = matches!(candidate.status, Status::Supported | Status::Possible);
+            let text = if is_named {
+                size(candidate, width >= WIDE)
             } else {
                 detectable(candidate)
             };
             spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
-            if width >= 110
-                && let (Some(text), Status::Supported | Status::Possible) =
-                    (detectable(candidate), candidate.status)
-            {
+            if let (true, Some(text)) = (width >= WIDE && is_named, detectable(candidate)) {
                 spans.push(Span::styled(format!("  {text}"), theme::DIM));
             }
             spans
@@ -107,11 +108,11 @@ fn spans(row: &Row<'_>, width: usize) -> Vec<Span<'static>> {
     }
 }
 
-fn share(share: Option<f64>) -> Vec<Span<'static>> {
+fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
     let Some(share) = share.filter(|share| share.is_finite()) else {
-        return vec![Span::raw(" ".repeat(BAR + 6))];
+        return vec![Span::raw(" ".repeat(length + 6))];
     };
-    let (full, empty) = bar(share, BAR);
+    let (full, empty) = bar(share, length);
     vec![
         Span::raw(full),
         Span::styled(empty, theme::DIM),
@@ -129,7 +130,7 @@ pub(super) const fn status(status: Status) -> (&'static str, Style) {
 }
 
 /// The parameter that gives the effect its size.
-fn size(candidate: &Candidate) -> Option<String> {
+fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
     let effect = crate::plant::effect::find(candidate.effect)?;
     let key = size_key(effect);
     let found = candidate.parameters.iter();
@@ -138,7 +139,12 @@ fn size(candidate: &Candidate) -> Option<String> {
         .clone()
         .find(of_size)
         .or_else(|| found.clone().next())?;
-    Some(value(parameter))
+    let name = if with_name {
+        format!("{} ", parameter_name(&parameter.key).0)
+    } else {
+        String::new()
+    };
+    Some(format!("{name}{}", interval(parameter)))
 }
 
 fn size_key(effect: &dyn Effect) -> &'static str {
@@ -149,14 +155,13 @@ fn size_key(effect: &dyn Effect) -> &'static str {
         .map_or("", |spec| spec.key)
 }
 
-/// Name, value and 95 % interval of a parameter.
-pub(super) fn value(estimate: &ParameterEstimate) -> String {
-    let name = parameter(&estimate.key).0;
+/// Value and 95 % interval of a parameter.
+pub(super) fn interval(estimate: &ParameterEstimate) -> String {
     let Some(value) = estimate.value else {
-        return format!("{name} -");
+        return "-".to_owned();
     };
     let value = with_std(value, estimate.std.map(|std| INTERVAL * std));
-    format!("{name} {value} {}", estimate.unit)
+    format!("{value} {}", estimate.unit)
 }
 
 /// The smallest size that would have been seen.
@@ -171,5 +176,5 @@ pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
     let least = candidate
         .minimum_detectable
         .filter(|size| size.is_finite())?;
-    Some(format!("seen from {} {unit}", number(least)))
+    Some(format!("seen from {least:.1e} {unit}"))
 }

@@ -2,14 +2,11 @@
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
-use ratatui::text::{Line, Span};
-use ratatui::widgets::{Paragraph, Widget, Wrap};
 
-use super::candidates::{detectable, status, value};
-use super::titled;
+use super::candidates::{detectable, interval, status};
+use super::{block, page, titled};
 use crate::tui::diagnosis::guess::Guessing;
-use crate::tui::diagnosis::state::State;
-use crate::tui::theme;
+use crate::tui::diagnosis::state::{Row, State};
 
 pub(in crate::tui::diagnosis) fn card(
     state: &State,
@@ -21,53 +18,34 @@ pub(in crate::tui::diagnosis) fn card(
         return;
     }
     let rows = state.rows();
-    let Some(effect) = rows
-        .get(state.selected(&rows))
-        .and_then(super::super::state::Row::effect)
-    else {
+    let Some(effect) = rows.get(state.selected(&rows)).and_then(Row::effect) else {
         return;
     };
     let card = effect.card();
     let inner = titled(&format!("{} ({})", card.name, card.id), area, buffer);
     let mut lines = Vec::new();
-    let mut block = |title: &str, text: String| {
-        lines.push(Line::from(vec![
-            Span::styled(format!(" {title}: "), theme::BOLD),
-            Span::raw(text),
-        ]));
-    };
     // While the person is guessing, what the run says of an effect would give the answer away.
     if state.guessing != Guessing::Choosing
         && let Some(candidate) = state.candidate(card.id)
     {
-        block(
-            "here",
-            format!("{}: {}", status(candidate.status).0, candidate.evidence),
-        );
+        let word = status(candidate.status).0;
+        lines.push(block("here", format!("{word}: {}", candidate.evidence)));
         for parameter in &candidate.parameters {
             let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-            let reason = parameter
-                .reason
-                .as_deref()
-                .map(|reason| format!(" ({reason})"));
-            block(
-                key,
-                format!("{}{}", value(parameter), reason.unwrap_or_default()),
-            );
+            let reason = parameter.reason.as_deref();
+            let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
+            let text = format!("{}{reason}, 95 % interval", interval(parameter));
+            lines.push(block(key, text));
         }
-        if let Some(text) = detectable(candidate) {
-            block("visible", text);
-        }
-        block(
-            "rank",
-            format!(
-                "{}; first in {:.0} % of the bootstraps of the hold-out; training error {:.2} -> {:.2}",
-                candidate.rank,
-                100.0 * candidate.probability,
-                candidate.error_before,
-                candidate.error_after
-            ),
+        lines.extend(detectable(candidate).map(|text| block("visible", text)));
+        let text = format!(
+            "{}; first in {:.0} % of the bootstraps of the hold-out; training error {:.2} -> {:.2}",
+            candidate.rank,
+            100.0 * candidate.probability,
+            candidate.error_before,
+            candidate.error_after
         );
+        lines.push(block("rank", text));
     }
     for (title, text) in [
         ("equation", card.equation),
@@ -76,16 +54,7 @@ pub(in crate::tui::diagnosis) fn card(
         ("excite it", card.excite),
         ("remedy", card.remedy),
     ] {
-        block(title, text.to_owned());
+        lines.push(block(title, text));
     }
-    let paragraph = Paragraph::new(lines.clone()).wrap(Wrap { trim: true });
-    // The last page stays full: rows are counted generously, as words are broken between lines.
-    let width = usize::from(inner.width).max(1);
-    let rows: usize = lines
-        .iter()
-        .map(|line| 1 + line.width() * 5 / (4 * width))
-        .sum();
-    let hidden = rows.saturating_sub(usize::from(inner.height));
-    let offset = u16::try_from(first.min(hidden)).unwrap_or(u16::MAX);
-    paragraph.scroll((offset, 0)).render(inner, buffer);
+    page(lines, first, inner, buffer);
 }

@@ -19,7 +19,7 @@ pub(in crate::tui::diagnosis) fn failing(state: &State, area: Rect, buffer: &mut
     if area.height == 0 {
         return;
     }
-    let inner = titled("where it fails (held-out run)", area, buffer);
+    let inner = titled("held-out run: fit, error, where it fails", area, buffer);
     let lines = state.comparison.as_ref().map_or_else(
         || vec![Line::styled(" comparing ...", theme::DIM)],
         |comparison| lines(comparison),
@@ -34,7 +34,7 @@ fn lines(comparison: &Comparison) -> Vec<Line<'static>> {
     let signals = &comparison.signals;
     let mut figure = |name: &str, unit: &str, fit: f64, rmse: f64, floor: Option<f64>| {
         let times = floor.map_or_else(String::new, |floor| {
-            format!(" = {} x noise", number(rmse / floor))
+            format!(" = {:.2} x noise", rmse / floor)
         });
         let text = format!(
             " {name} fit {fit:.1} %, error {} {unit}{times} ",
@@ -107,7 +107,7 @@ fn lights(residual: &ResidualLights) -> Line<'static> {
         ),
         Span::styled(
             format!(
-                "{:.0} % of the lags outside the 99 % band",
+                "({:.0} % of the lags)",
                 100.0 * residual.autocorrelation_outside_99_percent
             ),
             theme::DIM,

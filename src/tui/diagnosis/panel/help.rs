@@ -9,10 +9,10 @@ use crate::tui::diagnosis::keys::HELP;
 use crate::tui::theme;
 
 const MEANING: [&str; 5] = [
-    "Errors are those of the free-running model on a run that the fit has not seen, in units of the noise: 1 is the floor.",
+    "Errors: free-running model, a run that the fit has not seen, in units of the noise.",
     "supported: pays on the held-out run and is in the answer. possible: pays, but less, or is not told apart.",
     "ruled out: would have shown and does not pay. not excited: this run would not show it.",
-    "from: the smallest size that this run would have shown.",
+    "seen from: the smallest size that this run would have shown.",
     "A name is an equation, not a cause: the card lists causes that share it.",
 ];
 
@@ -29,12 +29,11 @@ pub(in crate::tui::diagnosis) fn help(area: Rect, buffer: &mut Buffer) {
         .iter()
         .map(|(keys, meaning)| {
             Line::from(vec![
-                Span::styled(format!(" {keys:<8}"), theme::BOLD),
+                Span::styled(format!(" {keys:<9}"), theme::BOLD),
                 Span::raw(*meaning),
             ])
         })
         .collect();
-    lines.push(Line::default());
     lines.extend(MEANING.iter().map(|text| Line::raw(format!(" {text}"))));
     Paragraph::new(lines)
         .wrap(Wrap { trim: false })

@@ -14,8 +14,6 @@ use crate::tui::theme;
 /// Longest bar.
 const LONGEST: usize = 60;
 const NAME: usize = 26;
-/// Above the floor by so much, an error is at the floor.
-const AT_THE_FLOOR: f64 = 1.1;
 
 pub(in crate::tui::diagnosis) fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
@@ -57,7 +55,7 @@ fn rung(step: &Step, largest: f64, floor: bool, width: usize) -> Line<'static> {
             (false, false) => ' ',
         })
         .collect();
-    let at_floor = floor && step.error <= AT_THE_FLOOR;
+    let at_floor = step.at_floor;
     let name: String = step.name.chars().take(NAME).collect();
     Line::from(vec![
         Span::raw(format!(" {name:<NAME$} ")),

@@ -39,7 +39,7 @@ pub(in crate::tui::diagnosis) fn map(state: &State, index: usize, area: Rect, bu
         .filter(|value| value.is_finite())
         .fold(0.0, f64::max);
     let title = format!(
-        "{equation} error over speed and current: 9 is {} {unit}, · where the run never was",
+        "{equation} error over speed x current: 9 is {} {unit}, · never there",
         number(largest)
     );
     let inner = titled(&title, area, buffer);

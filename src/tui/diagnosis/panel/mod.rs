@@ -6,10 +6,12 @@ pub(super) mod failing;
 pub(super) mod help;
 pub(super) mod ladder;
 pub(super) mod map;
+pub(super) mod next;
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
-use ratatui::widgets::{Block, Borders, Widget};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Borders, Paragraph, Widget, Wrap};
 
 use crate::tui::theme;
 
@@ -33,4 +35,28 @@ fn bar(share: f64, length: usize) -> (String, String) {
     };
     let full = ((share * length as f64).round() as usize).min(length);
     ("█".repeat(full), "░".repeat(length - full))
+}
+
+/// A title and its text as one paragraph of a page.
+fn block(title: &str, text: impl Into<String>) -> Line<'static> {
+    Line::from(vec![
+        Span::styled(format!("{title}: "), theme::BOLD),
+        Span::raw(text.into()),
+    ])
+}
+
+/// Paragraphs from row `first` on; the last page stays full.
+fn page(lines: Vec<Line<'static>>, first: usize, area: Rect, buffer: &mut Buffer) {
+    let width = usize::from(area.width).max(1);
+    // Counted generously, as words are not broken between rows.
+    let rows: usize = lines
+        .iter()
+        .map(|line| 1 + line.width() * 5 / (4 * width))
+        .sum();
+    let hidden = rows.saturating_sub(usize::from(area.height));
+    let offset = u16::try_from(first.min(hidden)).unwrap_or(u16::MAX);
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: true })
+        .scroll((offset, 0))
+        .render(area, buffer);
 }

@@ -64,9 +64,6 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
 
 pub(super) fn diagnosis() -> Diagnosis {
     Diagnosis {
-        axis_map: Vec::new(),
-        equivalences: Vec::new(),
-        next_experiment: None,
         verdict: DiagnosisVerdict::Effect,
         effect: Some("stribeck_friction"),
         effects: vec!["stribeck_friction"],
@@ -84,6 +81,9 @@ pub(super) fn diagnosis() -> Diagnosis {
         ],
         confusable: Vec::new(),
         ladder: Vec::new(),
+        axis_map: Vec::new(),
+        equivalences: Vec::new(),
+        next_experiment: None,
         sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
             .to_owned(),
         baseline: fitted(&[]),

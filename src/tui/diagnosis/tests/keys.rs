@@ -4,7 +4,7 @@ use super::fixtures::{
     added, answered, at_the_floor, begun, diagnosis, hear, letter, nothing_more, press, searching,
     text,
 };
-use crate::diagnosis::DiagnosisVerdict;
+use crate::diagnosis::{DiagnosisVerdict, NextExperiment};
 use crate::tui::Exit;
 use crate::tui::diagnosis::guess::{Guess, Guessing};
 use crate::tui::diagnosis::keys::HELP;
@@ -24,7 +24,13 @@ fn every_state() -> Vec<State> {
         failed,
     ];
     for index in 0..states.len() {
-        for over in [Over::Card(3), Over::Map(0), Over::Map(1), Over::Help] {
+        for over in [
+            Over::Card(3),
+            Over::Map(0),
+            Over::Map(1),
+            Over::Next(1),
+            Over::Help,
+        ] {
             let mut state = states[index].clone();
             state.over = over;
             states.push(state);
@@ -128,18 +134,30 @@ fn orders_wait_for_the_worker_and_q_always_leaves() {
 #[test]
 fn no_name_is_shown_before_the_guess() {
     let mut state = searching(true);
+    while selected(&state) != "stribeck_friction" {
+        press(&mut state, KeyCode::Down);
+    }
     for _ in 0..2 {
         let shown = text(&state, 120, 60);
-        assert!(!shown.contains("missing: stribeck"), "{shown}");
-        assert!(!shown.contains("supported"), "{shown}");
-        letter(&mut state, 'a');
+        for word in ["missing: stribeck", "supported", "refitted"] {
+            assert!(!shown.contains(word), "{word}: {shown}");
+        }
+        for key in ['a', 'n', 'r', 'w'] {
+            assert_eq!(letter(&mut state, key), None);
+            assert!(!text(&state, 120, 60).contains("supported"));
+        }
         press(&mut state, KeyCode::Enter);
         let card = text(&state, 120, 60);
-        assert!(!card.contains("bootstraps"), "{card}");
-        press(&mut state, KeyCode::Esc);
+        assert!(
+            card.contains("equation: ") && !card.contains("here: "),
+            "{card}"
+        );
+        press(&mut state, KeyCode::Enter);
         hear(&mut state, News::Diagnosed(Box::new(diagnosis())));
     }
-    // Nothing is missing, nothing of the catalogue, then the catalogue.
+    for _ in 0..40 {
+        press(&mut state, KeyCode::Up);
+    }
     assert_eq!(selected(&state), "nothing is missing");
     assert_eq!(letter(&mut state, 'g'), None);
     assert_eq!(state.guessing, Guessing::Guessed(Guess::Nothing));
@@ -228,6 +246,37 @@ fn m_goes_through_both_equations_and_says_where_there_is_no_map() {
 }
 
 #[test]
+fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
+    let mut state = searching(false);
+    letter(&mut state, 'n');
+    assert_eq!(state.over, Over::Nothing);
+    let mut answer = diagnosis();
+    answer.confusable = vec![["viscous_friction", "quadratic_load"]];
+    hear(&mut state, News::Diagnosed(Box::new(answer)));
+    let next = NextExperiment {
+        sentence: "run a slow ramp over the whole speed".to_owned(),
+        bench: None,
+        pair: Some(["viscous_friction", "quadratic_load"]),
+        reveals: Vec::new(),
+        expected_separation: 8463.0,
+        menu: Vec::new(),
+        peaks: None,
+        recipe: None,
+    };
+    hear(&mut state, News::Recommended(Box::new(next)));
+    letter(&mut state, 'n');
+    let shown = text(&state, 80, 24);
+    for part in [
+        "not told apart: viscous_friction and quadratic_load",
+        "next run: run a slow ramp",
+    ] {
+        assert!(shown.contains(part), "{shown}");
+    }
+    letter(&mut state, 'n');
+    assert_eq!(state.over, Over::Nothing);
+}
+
+#[test]
 fn a_worker_that_has_gone_is_told() {
     let mut state = searching(false);
     state.update(Event::WorkerGone);
@@ -241,7 +290,7 @@ fn a_worker_that_has_gone_is_told() {
 fn the_help_names_every_key_that_does_something() {
     let named: Vec<&str> = HELP.iter().flat_map(|(keys, _)| keys.split(' ')).collect();
     for key in [
-        "Up", "Down", "Enter", "Esc", "Ctrl-C", "a", "r", "m", "g", "w", "?", "q",
+        "Up", "Down", "Enter", "Esc", "Ctrl-C", "a", "r", "m", "n", "g", "w", "?", "q",
     ] {
         assert!(named.contains(&key), "{key}");
     }

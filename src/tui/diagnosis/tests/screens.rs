@@ -56,6 +56,7 @@ fn state() -> impl Strategy<Value = State> {
         (0..400_usize).prop_map(Over::Card),
         Just(Over::Map(0)),
         Just(Over::Map(1)),
+        (0..400_usize).prop_map(Over::Next),
         Just(Over::Help),
     ];
     let verdict = prop_oneof![
@@ -129,7 +130,13 @@ proptest! {
 #[test]
 fn every_small_size() {
     for state in [begun(false), searching(true), answered(), at_the_floor()] {
-        for over in [Over::Nothing, Over::Card(2), Over::Map(0), Over::Help] {
+        for over in [
+            Over::Nothing,
+            Over::Card(2),
+            Over::Map(0),
+            Over::Next(1),
+            Over::Help,
+        ] {
             let mut state = state.clone();
             state.over = over;
             for width in (1..=40).chain([72, 110, 200]) {

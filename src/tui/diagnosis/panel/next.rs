@@ -1,0 +1,44 @@
+//! What these runs do not tell, and the run that would.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+
+use super::{block, page, titled};
+use crate::tui::diagnosis::state::State;
+use crate::tui::text::number;
+
+pub(in crate::tui::diagnosis) fn next(
+    state: &State,
+    first: usize,
+    area: Rect,
+    buffer: &mut Buffer,
+) {
+    let (Some(diagnosis), false) = (&state.diagnosis, area.height == 0) else {
+        return;
+    };
+    let inner = titled("what these runs do not tell", area, buffer);
+    let mut lines = Vec::new();
+    for [one, other] in &diagnosis.confusable {
+        lines.push(block("not told apart", format!("{one} and {other}")));
+    }
+    for sentence in &diagnosis.equivalences {
+        lines.push(block("by no run", *sentence));
+    }
+    for map in &diagnosis.axis_map {
+        lines.push(block("the error", map.sentence.clone()));
+    }
+    if let Some(next) = &state.next {
+        lines.push(block("next run", next.sentence.clone()));
+        for entry in &next.menu {
+            let text = format!("expected separation {}", number(entry.expected_separation));
+            lines.push(block(entry.program, text));
+        }
+    }
+    if lines.is_empty() {
+        lines.push(block(
+            "next run",
+            "none is asked for: these runs tell what they can",
+        ));
+    }
+    page(lines, first, inner, buffer);
+}
