@@ -174,7 +174,8 @@ fn placebos_are_not_supported() {
 }
 
 #[test]
-fn halves_and_settings_do_not_change_the_name() {
+fn halves_and_settings_bring_no_other_name() {
+    let mut kept = Vec::new();
     for (id, values) in KNOWN {
         let data = evidence(&truth(id, values), 5);
         let swapped = Evidence {
@@ -194,13 +195,17 @@ fn halves_and_settings_do_not_change_the_name() {
             let named = diagnose_with(&nameplate(), &data, false, settings).unwrap();
             // Never another name: where the settings leave two laws of the speed open, the true one is among them.
             let mut open = named.confusable.iter().flatten();
+            let is_open = open.any(|rival| *rival == id);
             assert!(
-                named.effect == Some(id) || open.any(|rival| *rival == id),
+                named.effect.is_none() || named.effect == Some(id) || is_open,
                 "{settings:?}: {}",
                 named.sentence
             );
+            kept.push(named.effect == Some(id) || is_open);
         }
     }
+    let abstained = kept.iter().filter(|kept| !**kept).count();
+    assert!(8 * abstained <= kept.len(), "{abstained} of {}", kept.len());
 }
 
 #[test]
