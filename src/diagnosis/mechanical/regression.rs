@@ -147,25 +147,31 @@ pub(super) struct OnTrial<'a> {
 /// these rows, or there are too few of them.
 pub(super) fn fit(model: &Model, extra: OnTrial<'_>, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut model = model.clone();
-    let forms: Vec<Slot> = model
-        .free_slots()
+    let forms: Vec<Slot> = forms_of(&model)
         .into_iter()
-        .filter(|slot| match slot {
-            Slot::Effect { index, spec, .. } => {
-                matches!(spec.role, ParameterRole::Shape | ParameterRole::EventTime)
-                    && model.effects[*index]
-                        .effect
-                        .card()
-                        .enters
-                        .includes(Balance::Torque)
-            }
-            Slot::Motor(_) => false,
-        })
+        .filter(|slot| !slot.has_role(ParameterRole::Choice))
         .collect();
     if !forms.is_empty() {
         search(&mut model, &forms, extra, rows);
     }
     finish(model, extra, rows)
+}
+
+/// Parameters of the torque balance that are not coefficients and not fixed: they count as parameters in a comparison.
+fn forms_of(model: &Model) -> Vec<Slot> {
+    let is_form = |slot: &Slot| match slot {
+        Slot::Effect { index, spec, .. } => {
+            !spec.is_coefficient()
+                && !model.fixed.contains(&slot.key())
+                && model.effects[*index]
+                    .effect
+                    .card()
+                    .enters
+                    .includes(Balance::Torque)
+        }
+        Slot::Motor(_) => false,
+    };
+    model.slots().into_iter().filter(is_form).collect()
 }
 
 /// Sum of squares that the model leaves with its forms as they are.
@@ -292,7 +298,7 @@ fn finish(mut model: Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<
             .map(|_| (x[last], std(last).unwrap_or(f64::NAN))),
         certainty,
         residual: residual.as_slice().to_vec(),
-        free: inside.len(),
+        free: system.matrix.ncols() + forms_of(&model).len(),
         model,
     })
 }

@@ -84,11 +84,13 @@ fn evidence(truth: &Model, seed: u64) -> Evidence {
     )
 }
 
+/// Sizes that this background leaves well visible. Stribeck friction of 12 rad/s is near the limit here: these records pass
+/// zero fast, and a filter a fifth longer lets the answer fall to `unexplained` (never to another name).
 const KNOWN: [(&str, &[f64]); 4] = [
     ("quadratic_load", &[4e-5]),
     ("asymmetric_viscous", &[1.5e-3]),
     ("constant_load", &[0.08]),
-    ("stribeck_friction", &[0.25, 12.0]),
+    ("stribeck_friction", &[0.25, 25.0]),
 ];
 
 #[test]
