@@ -115,7 +115,7 @@ fn lights(residual: &ResidualLights) -> Line<'static> {
         ),
         Span::styled(
             format!(
-                "({:.0} % of the lags outside their band)",
+                "({:.0} % of lags outside)",
                 100.0 * residual.autocorrelation_outside_99_percent
             ),
             theme::DIM,
