@@ -26,7 +26,7 @@ pub(super) enum Press {
 }
 
 /// Keys as the help shows them.
-pub(super) const HELP: [(&str, &str); 12] = [
+pub(super) const HELP: [(&str, &str); 11] = [
     ("Space Esc", "STOP: ramp down; again: at once"),
     ("a Enter", "start, where the bench waits for it"),
     ("q", "quit, when nothing is energised"),
@@ -36,8 +36,7 @@ pub(super) const HELP: [(&str, &str); 12] = [
     ("z", "zoom the time axis"),
     ("m", "mark this moment in the record"),
     ("r", "reset a fault of the drive"),
-    ("Up Down", "scroll the report"),
-    ("d", "the diagnosis by hand, once the report is there"),
+    ("Up Down d", "scroll the report; diagnosis by hand after it"),
     ("?", "this help"),
 ];
 

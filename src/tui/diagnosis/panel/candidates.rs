@@ -116,7 +116,10 @@ fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
     vec![
         Span::raw(full),
         Span::styled(empty, theme::DIM),
-        Span::raw(format!(" {:>3.0} %", 100.0 * share.clamp(-9.0, 1.0))),
+        Span::raw(format!(
+            " {:>3.0} %",
+            (100.0 * share.clamp(-9.0, 1.0)).round() + 0.0
+        )),
     ]
 }
 

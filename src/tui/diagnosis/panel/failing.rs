@@ -14,6 +14,9 @@ use crate::tui::theme;
 
 /// Places that are told.
 const MOST_PLACES: usize = 3;
+/// Below this width the signals have a row each, where there are so many rows.
+const WIDE: u16 = 100;
+const TALL: u16 = 4;
 
 pub(in crate::tui::diagnosis) fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
@@ -22,14 +25,14 @@ pub(in crate::tui::diagnosis) fn failing(state: &State, area: Rect, buffer: &mut
     let inner = titled("held-out run: fit, error, where it fails", area, buffer);
     let lines = state.comparison.as_ref().map_or_else(
         || vec![Line::styled(" comparing ...", theme::DIM)],
-        |comparison| lines(comparison),
+        |comparison| lines(comparison, inner),
     );
     Paragraph::new(lines)
         .wrap(Wrap { trim: false })
         .render(inner, buffer);
 }
 
-fn lines(comparison: &Comparison) -> Vec<Line<'static>> {
+fn lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
     let mut figures = Vec::new();
     let signals = &comparison.signals;
     let mut figure = |name: &str, unit: &str, fit: f64, rmse: f64, floor: Option<f64>| {
@@ -61,7 +64,12 @@ fn lines(comparison: &Comparison) -> Vec<Line<'static>> {
             figure(name, unit, held.fit_percent, held.rmse, signal.noise_floor);
         }
     }
-    let mut lines = vec![Line::from(figures), lights(&comparison.residual)];
+    let mut lines: Vec<Line<'static>> = if area.width < WIDE && area.height >= TALL {
+        figures.into_iter().map(Line::from).collect()
+    } else {
+        vec![Line::from(figures)]
+    };
+    lines.push(lights(&comparison.residual));
     let places = comparison.locations.iter().take(MOST_PLACES);
     lines.extend(places.map(|place| Line::raw(format!(" - {}", place.sentence))));
     if comparison.locations.is_empty() {
@@ -107,7 +115,7 @@ fn lights(residual: &ResidualLights) -> Line<'static> {
         ),
         Span::styled(
             format!(
-                "({:.0} % of the lags)",
+                "({:.0} % of lags outside)",
                 100.0 * residual.autocorrelation_outside_99_percent
             ),
             theme::DIM,
