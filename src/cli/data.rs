@@ -12,7 +12,7 @@ use crate::diagnosis::{Evidence, Fingerprint, Kinship, fingerprint, matches};
 use crate::identification::{speed_from_angle, start};
 use crate::plant::{Model, ModelFile, Motor, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, open_run};
-use crate::sample::Channel;
+use crate::sample::{Channel, Run};
 
 /// How foreign columns are read.
 #[derive(Args, Clone, Debug, Default)]
@@ -163,6 +163,10 @@ pub(super) fn prepare(
     };
     if fit_run.input_channel == Channel::VoltageCmd {
         output::message("voltage_cmd_v serves as the voltage");
+        if let Some(note) = limited_note(&run.run) {
+            output::message(&note);
+            run.run.notes.push(note);
+        }
     }
     model.file.model = start::complete(&model.file.model, &fit_run)?;
     let (holdout, confirm) = (other(args.holdout.as_ref())?, other(args.confirm.as_ref())?);
@@ -180,6 +184,20 @@ pub(super) fn prepare(
         run,
         model,
         evidence,
+    })
+}
+
+/// Says how often the command was not what the motor had.
+fn limited_note(run: &Run) -> Option<String> {
+    let limited = run.limited_rows().len();
+    (limited > 0).then(|| {
+        let samples = run.points(Channel::Voltage).count();
+        let instead = if samples == 0 {
+            "what the motor had was not measured: smaller steps would leave the command in force"
+        } else {
+            "there the measured voltage serves"
+        };
+        format!("a limit of the drive held its output at {limited} samples; {instead}")
     })
 }
 

@@ -83,6 +83,11 @@ fn highest_floor(evidence: &Evidence) -> f64 {
     evidence.floor() * evidence.noise.tolerance(1.0)
 }
 
+/// Share of the error above the highest floor that `now` explains of what `before` leaves.
+pub(super) fn explained_beyond_doubt(evidence: &Evidence, before: &Score, now: &Score) -> f64 {
+    explained(before.nrms, now.nrms, highest_floor(evidence))
+}
+
 /// Whether a model explains the hold-out to the noise.
 pub(super) fn at_the_floor(evidence: &Evidence, score: &Score) -> bool {
     score.nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
@@ -103,7 +108,7 @@ pub(super) fn enough(evidence: &Evidence, base: &Score, now: &Score, until_floor
 /// Several that each explain a little of an error that is none of them are not an answer.
 pub(super) fn explains(evidence: &Evidence, base: &Score, first: &Score, all: &Score) -> bool {
     let floor = highest_floor(evidence);
-    let share = |score: &Score| explained(base.nrms, score.nrms, floor);
+    let share = |score: &Score| explained_beyond_doubt(evidence, base, score);
     share(first) >= EXPLAINS_SOMETHING && share(all) >= EXPLAINS_SOMETHING
         || share(all) >= SUFFICIENT
         || base.nrms <= floor

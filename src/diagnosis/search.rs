@@ -6,6 +6,8 @@
 //!        twins     each effect is replaced by what it could not be told from: the better one stays (an early choice was
 //!                  made while the others were still missing)
 //!        removal   an effect that the others have made superfluous goes
+//!        end       those that were added last and leave most of the error where it was go: they lean on the wrong form of
+//!                  what was named before them
 //! ```
 
 use super::candidates::Refit;
@@ -24,6 +26,8 @@ use crate::plant::{Effect, Model, effect};
 const MOST_EFFECTS: usize = 4;
 /// Rivals of one effect that are tried in its place.
 const MOST_RIVALS: usize = 3;
+/// Share of the error that the first effects leave which the further ones must explain to be named.
+const FURTHER_EXPLAIN: f64 = 0.5;
 /// Rise of the held-out error below which an effect is superfluous.
 const SUPERFLUOUS: f64 = 1.01;
 
@@ -134,11 +138,16 @@ pub(super) fn search(
         }
         settle_twins(evidence, original, &mut found)?;
         drop_superfluous(evidence, &mut found)?;
+        end_where_it_explains(evidence, &mut found)?;
         let after: Vec<&str> = found.accepted.iter().map(|accepted| accepted.id).collect();
         if before != after {
-            // The rungs on the way led through an effect that is not in the answer.
-            found.ladder.truncate(1);
-            found.ladder.push(rung(&found.best));
+            if before.starts_with(&after) {
+                found.ladder.truncate(1 + after.len());
+            } else {
+                // The rungs on the way led through an effect that is not in the answer.
+                found.ladder.truncate(1);
+                found.ladder.push(rung(&found.best));
+            }
         }
     }
     Ok(found)
@@ -239,6 +248,28 @@ fn drop_superfluous(evidence: &Evidence, found: &mut Found) -> Result<(), FitErr
         if there.score.nrms < SUPERFLUOUS * found.best.score.nrms && found.accepted.len() > 1 {
             found.accepted.retain(|other| other.id != accepted.id);
             found.best = there;
+        }
+    }
+    Ok(())
+}
+
+/// Cuts the list where all that follows explains less than half of the error that was left. A second effect of an error
+/// that has two causes takes it to the floor, or most of the way; one that merely gains something there leans on what
+/// the form of the first does not fit.
+fn end_where_it_explains(evidence: &Evidence, found: &mut Found) -> Result<(), FitError> {
+    for kept in 1..found.accepted.len() {
+        let mut shorter = found.best.fit.model.clone();
+        for accepted in &found.accepted[kept..] {
+            if let Ok(without) = shorter.without_effect(accepted.id) {
+                shorter = without;
+            }
+        }
+        let there = standing(evidence, &shorter)?;
+        let share = decide::explained_beyond_doubt(evidence, &there.score, &found.best.score);
+        if share < FURTHER_EXPLAIN {
+            found.accepted.truncate(kept);
+            found.best = there;
+            break;
         }
     }
     Ok(())
