@@ -17,6 +17,7 @@ mod escalate;
 mod failure;
 mod identify;
 mod live;
+mod live_study;
 mod load_torque;
 mod model_output;
 mod next_experiment;

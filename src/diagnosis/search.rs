@@ -28,6 +28,8 @@ const MOST_EFFECTS: usize = 4;
 const MOST_RIVALS: usize = 3;
 /// Share of the error that the first effects leave which the further ones must explain to be named.
 const FURTHER_EXPLAIN: f64 = 0.5;
+/// Share that each of them must: three that explain less do not make up that half together.
+const EACH_EXPLAINS: f64 = 0.2;
 /// Rise of the held-out error below which an effect is superfluous.
 const SUPERFLUOUS: f64 = 1.01;
 
@@ -95,6 +97,13 @@ pub(super) fn search(
             limits.progress,
         )?;
         let set = in_the_answer(&now.score, &refits);
+        let leans = |&index: &usize| {
+            let with = &refits[index].holdout;
+            decide::explained_beyond_doubt(evidence, &now.score, with) < EACH_EXPLAINS
+        };
+        if !first && set.first().is_some_and(leans) {
+            break;
+        }
         for &member in set.iter().take(1 + MOST_RIVALS) {
             refits[member] = polished(evidence, &refits[member])?;
         }
