@@ -27,6 +27,8 @@ const WORTH_A_REFIT: f64 = 0.2;
 /// Share of the unexplained error below which the screen rules a candidate out: it would have to explain four times as
 /// much to be worth its place, and the screen is not as wrong as that.
 const HOPELESS: f64 = 0.005;
+/// How many times as much as the screen says a candidate may explain after all.
+const SCREEN_IS_WRONG_BY: f64 = 4.0;
 
 /// How many candidates are refitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,11 +40,13 @@ pub enum Thoroughness {
 }
 
 /// Screens every effect that `baseline` does not have and refits what may be the answer. `original` is the model before
-/// any fit: a second start, because a missing effect distorts the baseline's fit (DISCOVERY.md, pitfall 7).
+/// any fit: a second start, because a missing effect distorts the baseline's fit (DISCOVERY.md, pitfall 7). Of the error
+/// above the noise a candidate must explain `asked` to be of use.
 pub(super) fn refit_all(
     evidence: &Evidence,
     baseline: &Fit,
     original: &Model,
+    asked: f64,
     thoroughness: Thoroughness,
     progress: Progress<'_>,
 ) -> Result<Vec<Refit>, FitError> {
@@ -60,7 +64,9 @@ pub(super) fn refit_all(
     screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     let best_gain = screened.first().map_or(0.0, |first| first.gain);
     let everything = thoroughness == Thoroughness::Everything;
-    let hopeful = |candidate: &Screened| everything || candidate.gain >= HOPELESS * screen.error();
+    let above_noise = 1.0 - (evidence.noise.tolerance(1.0) / baseline.nrms).powi(2).min(1.0);
+    let least = (asked * above_noise / SCREEN_IS_WRONG_BY).max(HOPELESS);
+    let hopeful = |candidate: &Screened| everything || candidate.gain >= least * screen.error();
     let promising = |rank: usize, candidate: &Screened| {
         let first = rank < MOST_PROMISING || candidate.gain > WORTH_A_REFIT * best_gain;
         everything || (first && hopeful(candidate))

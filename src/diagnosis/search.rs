@@ -30,6 +30,8 @@ const MOST_RIVALS: usize = 3;
 const FURTHER_EXPLAIN: f64 = 0.5;
 /// Share that each of them must: three that explain less do not make up that half together.
 const EACH_EXPLAINS: f64 = 0.2;
+/// Share of what an effect explains that the screen must promise of another before it is tried in its place.
+const WORTH_AN_EXCHANGE: f64 = 0.4;
 /// Rise of the held-out error below which an effect is superfluous.
 const SUPERFLUOUS: f64 = 1.01;
 
@@ -93,6 +95,7 @@ pub(super) fn search(
             evidence,
             &now.fit,
             original,
+            if first { 0.0 } else { EACH_EXPLAINS },
             limits.thoroughness,
             limits.progress,
         )?;
@@ -195,7 +198,11 @@ fn exchange(
             .collect();
         let mut screened = screen.all(&others, progress);
         screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-        for candidate in screened.iter().take(MOST_RIVALS) {
+        // What the effect in place explains; the screen may be wrong by a factor, not by any.
+        let in_place = 1.0 - (found.best.fit.nrms / base.fit.nrms).powi(2);
+        let least = WORTH_AN_EXCHANGE * in_place * screen.error();
+        let others = screened.iter().filter(|candidate| candidate.gain > least);
+        for candidate in others.take(MOST_RIVALS) {
             let refit = refit_one(evidence, &base.fit, original, candidate.effect)?;
             if decide::beats(&refit.holdout, &found.best.score) {
                 found.accepted[place] = Accepted {
