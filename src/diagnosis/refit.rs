@@ -64,7 +64,10 @@ pub(super) fn refit_all(
     screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     let best_gain = screened.first().map_or(0.0, |first| first.gain);
     let everything = thoroughness == Thoroughness::Everything;
-    let above_noise = 1.0 - (evidence.noise.tolerance(1.0) / baseline.nrms).powi(2).min(1.0);
+    let above_noise = 1.0
+        - (evidence.noise.tolerance(1.0) / baseline.nrms)
+            .powi(2)
+            .min(1.0);
     let least = (asked * above_noise / SCREEN_IS_WRONG_BY).max(HOPELESS);
     let hopeful = |candidate: &Screened| everything || candidate.gain >= least * screen.error();
     let promising = |rank: usize, candidate: &Screened| {
@@ -121,20 +124,41 @@ pub(super) fn refit_one(
     effect: &'static dyn Effect,
 ) -> Result<Refit, FitError> {
     let candidate = Screen::new(baseline, &evidence.training).effect(effect)?;
-    let quiet = &super::progress::silent;
-    let first = refit(
-        evidence,
-        &candidate,
-        &candidate.start,
-        Options::default(),
-        quiet,
-    );
-    match second_start(&candidate, baseline, original) {
-        Some(start) => better(
-            first,
-            refit(evidence, &candidate, &start, Options::default(), quiet),
-        ),
-        None => first,
+    from_both_starts(evidence, baseline, original, &candidate, Options::default())
+}
+
+/// A screened effect from both starts, as well as is needed to compare it; [`polished`] carries the fit on.
+pub(super) fn refit_screened(
+    evidence: &Evidence,
+    baseline: &Fit,
+    original: &Model,
+    candidate: &Screened,
+) -> Result<Refit, FitError> {
+    from_both_starts(evidence, baseline, original, candidate, Options::thrifty())
+}
+
+fn from_both_starts(
+    evidence: &Evidence,
+    baseline: &Fit,
+    original: &Model,
+    candidate: &Screened,
+    options: Options,
+) -> Result<Refit, FitError> {
+    let from = |start: &Model| {
+        refit(
+            evidence,
+            candidate,
+            start,
+            options,
+            &super::progress::silent,
+        )
+    };
+    match second_start(candidate, baseline, original) {
+        Some(second) => {
+            let (a, b) = rayon::join(|| from(&candidate.start), || from(&second));
+            better(a, b)
+        }
+        None => from(&candidate.start),
     }
 }
 

@@ -10,15 +10,17 @@
 //!                  what was named before them
 //! ```
 
+use rayon::prelude::*;
+
 use super::candidates::Refit;
 use super::decide::{self, not_told_apart, pays};
 use super::evidence::Evidence;
 use super::family::related;
 use super::ladder::Rung;
 use super::progress::{Event, Progress};
-use super::refit::{Thoroughness, polished, refit_all, refit_one};
+use super::refit::{Thoroughness, polished, refit_all, refit_one, refit_screened};
 use super::score::Score;
-use super::screen::Screen;
+use super::screen::{Screen, Screened};
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Effect, Model, effect};
 
@@ -201,12 +203,20 @@ fn exchange(
         // What the effect in place explains; the screen may be wrong by a factor, not by any.
         let in_place = 1.0 - (found.best.fit.nrms / base.fit.nrms).powi(2);
         let least = WORTH_AN_EXCHANGE * in_place * screen.error();
-        let others = screened.iter().filter(|candidate| candidate.gain > least);
-        for candidate in others.take(MOST_RIVALS) {
-            let refit = refit_one(evidence, &base.fit, original, candidate.effect)?;
+        let others: Vec<Screened> = screened
+            .into_iter()
+            .filter(|candidate| candidate.gain > least)
+            .take(MOST_RIVALS)
+            .collect();
+        let refits: Vec<Refit> = others
+            .par_iter()
+            .map(|candidate| refit_screened(evidence, &base.fit, original, candidate))
+            .collect::<Result<_, _>>()?;
+        for refit in refits {
             if decide::beats(&refit.holdout, &found.best.score) {
+                let refit = polished(evidence, &refit)?;
                 found.accepted[place] = Accepted {
-                    id: candidate.effect.card().id,
+                    id: refit.id(),
                     rivals: Vec::new(),
                 };
                 found.best = Standing {
