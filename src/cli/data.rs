@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::failure::{Failure, USAGE};
-use super::output;
 use super::provenance::Provenance;
 use super::sanity_report::{self, Judging};
+use super::{output, progress};
 use crate::diagnosis::{Evidence, Fingerprint, Kinship, fingerprint, matches};
 use crate::identification::{speed_from_angle, start};
 use crate::plant::{Model, ModelFile, Motor, Scenario};
@@ -148,6 +148,7 @@ pub(super) fn prepare(
     args: &EvidenceArguments,
     judging: Judging,
 ) -> Result<Prepared, Failure> {
+    progress::stage("reads the runs", 0);
     let mut run = args.map.load(run)?;
     let mut model = model(model_path, &run)?;
     let fit_run = Scenario::from_run(&run.run)?;
@@ -164,6 +165,7 @@ pub(super) fn prepare(
     if fit_run.input_channel == Channel::VoltageCmd {
         output::message("voltage_cmd_v serves as the voltage");
     }
+    progress::stage("finds where the fit starts", 0);
     model.file.model = start::complete(&model.file.model, &fit_run)?;
     let (holdout, confirm) = (other(args.holdout.as_ref())?, other(args.confirm.as_ref())?);
     warn_of_another_motor(

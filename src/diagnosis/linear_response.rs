@@ -107,7 +107,7 @@ mod tests {
         let problem = FreeRun::new(&baseline, &run, noise).unwrap();
         let linear = &responses(cogging, &[values], &baseline, &run, &problem).unwrap()[0];
         let residual = |model: &Model| {
-            let mut problem = FreeRun::new(model, &run, noise).unwrap();
+            let problem = FreeRun::new(model, &run, noise).unwrap();
             let x = problem.start();
             let mut out = vec![0.0; problem.residual_len()];
             assert!(problem.residual(&x, &mut out));

@@ -49,10 +49,11 @@ pub use location::{
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
 };
-pub use progress::{Event, Progress, silent};
+pub use progress::{Event, Progress, Stage, silent};
 pub use refit::Thoroughness;
 pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
+pub use screen::{ScreenedEffect, screen};
 
 #[cfg(test)]
 mod tests;

@@ -12,7 +12,7 @@ use super::candidates::Refit;
 use super::decide::AT_THE_FLOOR;
 use super::evidence::Evidence;
 use super::family::related;
-use super::progress::{Event, Progress};
+use super::progress::{Event, Progress, Stage};
 use super::score::Score;
 use super::screen::{Screen, Screened};
 use crate::identification::output_error::{self, Fit, FitError};
@@ -73,6 +73,10 @@ pub(super) fn refit_all(
         };
         refit(evidence, candidate, &candidate.start, options, progress)
     };
+    progress(Event::Begun {
+        stage: Stage::Refit,
+        of: screened.len(),
+    });
     let first: Vec<Result<Refit, FitError>> = screened
         .par_iter()
         .enumerate()
@@ -84,6 +88,14 @@ pub(super) fn refit_all(
     if first.iter().any(is_solved) && !everything {
         return finished(first);
     }
+    let unsolved = screened
+        .iter()
+        .zip(&first)
+        .filter(|(candidate, first)| !is_solved(first) && hopeful(candidate));
+    progress(Event::Begun {
+        stage: Stage::Refit,
+        of: unsolved.count(),
+    });
     let second: Vec<Result<Refit, FitError>> = screened
         .par_iter()
         .zip(first)

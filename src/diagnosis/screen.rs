@@ -8,11 +8,12 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::linear_response::responses;
-use super::progress::{Event, Progress};
+use super::progress::{Event, Progress, Stage};
 use super::shapes::shape_grid;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError, FreeRun};
 use crate::numerics::levenberg_marquardt::Problem;
+use crate::plant::effect::CATALOGUE;
 use crate::plant::{ActiveEffect, Effect, Model, ParameterRole, Scenario, typical_size};
 
 /// Choices of one effect that are simulated.
@@ -39,6 +40,38 @@ pub(super) struct Screened {
     pub(super) minimum_detectable: f64,
     /// Length of what the effect at its typical size would add to the residual beyond the baseline's own parameters.
     pub(super) visible: f64,
+}
+
+/// What the screen alone says of an effect: a ranking in a fraction of the time of a diagnosis, and no verdict.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScreenedEffect {
+    pub effect: &'static str,
+    /// Share of the error beyond the baseline's own parameters that the effect would explain, to first order.
+    pub share: f64,
+    /// Smallest size of its first parameter that this run would show (5 sigma, white noise), in the unit of that parameter.
+    pub minimum_detectable: f64,
+}
+
+/// Screens every effect of the catalogue that `baseline` does not have, on the run that it was fitted on; the one that
+/// would explain most comes first.
+pub fn screen(baseline: &Fit, training: &Scenario, progress: Progress<'_>) -> Vec<ScreenedEffect> {
+    let screen = Screen::new(baseline, training);
+    let effects: Vec<&'static dyn Effect> = CATALOGUE
+        .iter()
+        .copied()
+        .filter(|effect| !baseline.model.has(effect.card().id))
+        .collect();
+    let error = screen.error().max(f64::MIN_POSITIVE);
+    let mut screened = screen.all(&effects, progress);
+    screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    screened
+        .iter()
+        .map(|screened| ScreenedEffect {
+            effect: screened.effect.card().id,
+            share: screened.gain / error,
+            minimum_detectable: screened.minimum_detectable,
+        })
+        .collect()
 }
 
 /// The baseline's fit, made ready for projecting.
@@ -82,6 +115,10 @@ impl<'a> Screen<'a> {
         effects: &[&'static dyn Effect],
         progress: Progress<'_>,
     ) -> Vec<Screened> {
+        progress(Event::Begun {
+            stage: Stage::Screen,
+            of: effects.len(),
+        });
         effects
             .par_iter()
             .filter_map(|effect| {
@@ -287,7 +324,7 @@ impl<'a> Screen<'a> {
             values: values.iter().copied().map(Some).collect(),
         });
         // Held at the baseline's values: only the start of the run is carried over.
-        let mut problem = FreeRun::new(&model, self.training, self.noise)?;
+        let problem = FreeRun::new(&model, self.training, self.noise)?;
         let own = effect
             .parameters()
             .iter()

@@ -13,7 +13,7 @@ use super::decide::{self, not_told_apart, pays};
 use super::evidence::Evidence;
 use super::family::related;
 use super::ladder::Rung;
-use super::progress::{Event, Progress};
+use super::progress::{Event, Progress, Stage};
 use super::refit::{Thoroughness, polished, refit_all, refit_one};
 use super::score::Score;
 use super::screen::Screen;
@@ -91,6 +91,10 @@ pub(super) fn search(
             limits.progress,
         )?;
         let set = in_the_answer(&now.score, &refits);
+        (limits.progress)(Event::Begun {
+            stage: Stage::Check,
+            of: 0,
+        });
         for &member in set.iter().take(1 + MOST_RIVALS) {
             refits[member] = polished(evidence, &refits[member])?;
         }

@@ -2,11 +2,12 @@
 //! scaling, and a step that is clipped so that one bad direction cannot throw the simulation out of its range.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 /// A residual vector as a function of a few parameters, each scaled so that a step of one is large.
-pub trait Problem {
-    /// Writes the residual at `x`; returns false where it cannot be evaluated.
-    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool;
+pub trait Problem: Sync {
+    /// Writes the residual at `x`; returns false where it cannot be evaluated. Called from several threads.
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool;
     fn residual_len(&self) -> usize;
     /// Forward-difference step of parameter `index`.
     fn difference_step(&self, index: usize) -> f64;
@@ -63,7 +64,7 @@ pub struct Minimum {
 }
 
 /// Minimises the sum of squares from `start`; `None` when the residual cannot be evaluated there.
-pub fn minimise(problem: &mut impl Problem, start: &[f64], options: Options) -> Option<Minimum> {
+pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Option<Minimum> {
     let mut search = Search::at(problem, start)?;
     let (mut iterations, mut converged) = (0, start.is_empty());
     if options.most_iterations > 0 {
@@ -146,7 +147,7 @@ struct Search {
 }
 
 impl Search {
-    fn at(problem: &mut impl Problem, start: &[f64]) -> Option<Self> {
+    fn at(problem: &impl Problem, start: &[f64]) -> Option<Self> {
         let mut x = start.to_vec();
         problem.clamp(&mut x);
         let mut residual = vec![0.0; problem.residual_len()];
@@ -167,7 +168,7 @@ impl Search {
     /// One step downhill, with more damping at each of `trials`; `None` where none was found.
     fn step(
         &mut self,
-        problem: &mut impl Problem,
+        problem: &impl Problem,
         options: Options,
         (normal, gradient): (&DMatrix<f64>, &DVector<f64>),
         trials: usize,
@@ -222,29 +223,47 @@ impl Search {
 }
 
 /// Forward-difference Jacobian; a direction that cannot be evaluated forwards is tried backwards, else it is zero.
-pub fn jacobian_at(problem: &mut impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
+///
+/// Its columns are found in parallel and do not depend on each other: the result is the same for any number of threads.
+pub fn jacobian_at(problem: &impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
     let mut jacobian = DMatrix::zeros(residual.len(), x.len());
-    let mut moved = x.to_vec();
-    let mut there = vec![0.0; residual.len()];
-    for index in 0..x.len() {
-        for step in [
-            problem.difference_step(index),
-            -problem.difference_step(index),
-        ] {
-            moved[index] = x[index] + step;
-            let mut clamped = moved.clone();
-            problem.clamp(&mut clamped);
-            let inside = (clamped[index] - moved[index]).abs() < 1e-12;
-            if inside && problem.residual(&moved, &mut there) {
-                for (row, value) in jacobian.column_mut(index).iter_mut().enumerate() {
-                    *value = (there[row] - residual[row]) / step;
-                }
-                break;
-            }
-        }
-        moved[index] = x[index];
+    if residual.is_empty() {
+        return jacobian;
     }
+    // Column after column in memory.
     jacobian
+        .as_mut_slice()
+        .par_chunks_mut(residual.len())
+        .enumerate()
+        .for_each(|(index, column)| difference(problem, x, residual, index, column));
+    jacobian
+}
+
+/// One column of the Jacobian into `column`, which is zero.
+fn difference(
+    problem: &impl Problem,
+    x: &[f64],
+    residual: &[f64],
+    index: usize,
+    column: &mut [f64],
+) {
+    let mut moved = x.to_vec();
+    for step in [
+        problem.difference_step(index),
+        -problem.difference_step(index),
+    ] {
+        moved[index] = x[index] + step;
+        let mut clamped = moved.clone();
+        problem.clamp(&mut clamped);
+        let inside = (clamped[index] - moved[index]).abs() < 1e-12;
+        if inside && problem.residual(&moved, column) {
+            for (value, here) in column.iter_mut().zip(residual) {
+                *value = (*value - here) / step;
+            }
+            return;
+        }
+    }
+    column.fill(0.0);
 }
 
 fn sum_of_squares(values: &[f64]) -> f64 {
@@ -262,7 +281,7 @@ mod tests {
     }
 
     impl Problem for Decay {
-        fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+        fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
             for (k, cell) in out.iter_mut().enumerate() {
                 *cell = x[0] * (-x[1].exp() * k as f64).exp() - self.data[k];
             }
@@ -291,7 +310,7 @@ mod tests {
 
     #[test]
     fn recovers_gain_and_rate_from_far_away() {
-        let minimum = minimise(&mut decay(), &[0.3, 0.5f64.ln()], Options::default()).unwrap();
+        let minimum = minimise(&decay(), &[0.3, 0.5f64.ln()], Options::default()).unwrap();
         assert!(
             (minimum.x[0] - 3.0).abs() < 1e-6 && (minimum.x[1].exp() - 0.2).abs() < 1e-6,
             "{minimum:?}"
@@ -305,7 +324,7 @@ mod tests {
             relative_cost: 1e-9,
             ..Options::thrifty()
         };
-        let minimum = minimise(&mut decay(), &[2.0, 0.25f64.ln()], thrifty).unwrap();
+        let minimum = minimise(&decay(), &[2.0, 0.25f64.ln()], thrifty).unwrap();
         assert!(
             (minimum.x[0] - 3.0).abs() < 1e-4 && (minimum.x[1].exp() - 0.2).abs() < 1e-4,
             "{minimum:?}"
@@ -314,16 +333,16 @@ mod tests {
 
     #[test]
     fn stays_within_bounds_and_says_so_when_nothing_can_be_evaluated() {
-        let mut bounded = Decay {
+        let bounded = Decay {
             data: vec![50.0; 30],
             can_evaluate: true,
         };
-        let minimum = minimise(&mut bounded, &[1.0, -3.0], Options::default()).unwrap();
+        let minimum = minimise(&bounded, &[1.0, -3.0], Options::default()).unwrap();
         assert!(minimum.x[0] <= 10.0);
-        let mut broken = Decay {
+        let broken = Decay {
             can_evaluate: false,
             ..decay()
         };
-        assert!(minimise(&mut broken, &[1.0, -3.0], Options::default()).is_none());
+        assert!(minimise(&broken, &[1.0, -3.0], Options::default()).is_none());
     }
 }
