@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 
 use super::candidates::Refit;
-use super::decide::AT_THE_FLOOR;
+use super::decide::{AT_THE_FLOOR, condensed};
 use super::evidence::Evidence;
 use super::family::related;
 use super::progress::{Event, Progress, Stage};
@@ -151,8 +151,9 @@ pub(super) fn polished(evidence: &Evidence, refit: &Refit) -> Result<Refit, FitE
         &evidence.training,
         &evidence.noise,
     )?;
+    let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
     Ok(Refit {
-        holdout: Score::of(&fit.model, &evidence.holdout, &evidence.noise)?,
+        holdout: condensed(holdout),
         fit,
         ..refit.clone()
     })
@@ -164,6 +165,7 @@ const AS_SCREENED: Options = Options {
     relative_cost: 0.0,
     longest_step: 0.0,
     carry_jacobian: false,
+    one_of_many: true,
 };
 
 /// The model as it was given, with what has been accepted since and the effect as the screen found its shape.
@@ -208,9 +210,14 @@ fn refit(
         error: fit.nrms,
     });
     let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+    // Many are kept until one is chosen, and that one is fitted again (`polished`).
+    let fit = Fit {
+        minimum: fit.minimum.brief(),
+        ..fit
+    };
     Ok(Refit {
         effect: candidate.effect,
-        holdout,
+        holdout: condensed(holdout),
         minimum_detectable: candidate.minimum_detectable,
         visible: candidate.visible,
         free_parameters: fit.free.len(),

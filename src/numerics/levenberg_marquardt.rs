@@ -25,7 +25,13 @@ pub struct Options {
     /// Carries the Jacobian on from step to step by rank-one corrections (Broyden) and takes differences anew only where
     /// it has ceased to serve. Saves most of the simulations; the Jacobian at the end is then approximate.
     pub carry_jacobian: bool,
+    /// Takes the differences of a long residual one after the other: where several searches run side by side, each would
+    /// hold a Jacobian of its own while it waits for the others.
+    pub one_of_many: bool,
 }
+
+/// Length of a residual up to which its differences are taken in parallel in any case.
+const SHORT: usize = 200_000;
 
 impl Default for Options {
     fn default() -> Self {
@@ -34,6 +40,7 @@ impl Default for Options {
             relative_cost: 1e-7,
             longest_step: 1.5,
             carry_jacobian: false,
+            one_of_many: false,
         }
     }
 }
@@ -46,6 +53,7 @@ impl Options {
             relative_cost: 1e-4,
             longest_step: 1.5,
             carry_jacobian: true,
+            one_of_many: true,
         }
     }
 }
@@ -63,12 +71,23 @@ pub struct Minimum {
     pub converged: bool,
 }
 
+impl Minimum {
+    /// Without what is as long as the residual: where only the end of the search counts, and many are kept.
+    #[must_use]
+    pub fn brief(mut self) -> Self {
+        self.residual = Vec::new();
+        self.jacobian = DMatrix::zeros(0, 0);
+        self
+    }
+}
+
 /// Minimises the sum of squares from `start`; `None` when the residual cannot be evaluated there.
 pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Option<Minimum> {
     let mut search = Search::at(problem, start)?;
     let (mut iterations, mut converged) = (0, start.is_empty());
+    let in_parallel = !options.one_of_many || problem.residual_len() <= SHORT;
     if options.most_iterations > 0 {
-        search.jacobian = jacobian_at(problem, &search.x, &search.residual);
+        search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
     }
     // Whether the Jacobian was differenced where the search stands.
     let mut exact = true;
@@ -90,7 +109,7 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
         let small = gained <= options.relative_cost * before;
         if small && !exact {
             // A carried Jacobian cannot tell a minimum from its own error.
-            search.jacobian = jacobian_at(problem, &search.x, &search.residual);
+            search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
             exact = true;
             continue;
         }
@@ -101,7 +120,7 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
             search.correct(&step);
             exact = false;
         } else {
-            search.jacobian = jacobian_at(problem, &search.x, &search.residual);
+            search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
             exact = true;
         }
     }
@@ -226,16 +245,31 @@ impl Search {
 ///
 /// Its columns are found in parallel and do not depend on each other: the result is the same for any number of threads.
 pub fn jacobian_at(problem: &impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
+    differences(problem, x, residual, true)
+}
+
+fn differences(
+    problem: &impl Problem,
+    x: &[f64],
+    residual: &[f64],
+    in_parallel: bool,
+) -> DMatrix<f64> {
     let mut jacobian = DMatrix::zeros(residual.len(), x.len());
     if residual.is_empty() {
         return jacobian;
     }
     // Column after column in memory.
-    jacobian
-        .as_mut_slice()
-        .par_chunks_mut(residual.len())
-        .enumerate()
-        .for_each(|(index, column)| difference(problem, x, residual, index, column));
+    let cells = jacobian.as_mut_slice();
+    if in_parallel {
+        cells
+            .par_chunks_mut(residual.len())
+            .enumerate()
+            .for_each(|(index, column)| difference(problem, x, residual, index, column));
+    } else {
+        for (index, column) in cells.chunks_mut(residual.len()).enumerate() {
+            difference(problem, x, residual, index, column);
+        }
+    }
     jacobian
 }
 

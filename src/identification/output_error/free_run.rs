@@ -311,6 +311,20 @@ impl<'a> FreeRun<'a> {
     }
 }
 
+/// What a simulation misses a measurement by, in units of the noise; `row` is `(sample, is_speed)`.
+pub fn weighted_residual(
+    (sample, is_speed): (usize, bool),
+    simulated: &Trajectory,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> f64 {
+    if is_speed {
+        (simulated.speed_rad_s[sample] - scenario.speed_rad_s[sample]) / noise.speed_rad_s
+    } else {
+        (simulated.current_a[sample] - scenario.current_a[sample]) / noise.current_a
+    }
+}
+
 impl Problem for FreeRun<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let start = self.initial_state(x);
@@ -319,14 +333,8 @@ impl Problem for FreeRun<'_> {
         };
         let mut simulated = self.borrowed();
         plant.simulate_into(self.scenario, start, &mut simulated);
-        for (cell, (sample, is_speed)) in out.iter_mut().zip(&self.rows) {
-            *cell = if *is_speed {
-                (simulated.speed_rad_s[*sample] - self.scenario.speed_rad_s[*sample])
-                    / self.noise.speed_rad_s
-            } else {
-                (simulated.current_a[*sample] - self.scenario.current_a[*sample])
-                    / self.noise.current_a
-            };
+        for (cell, row) in out.iter_mut().zip(&self.rows) {
+            *cell = weighted_residual(*row, &simulated, self.scenario, &self.noise);
         }
         self.give_back(simulated);
         out.iter().all(|value| value.is_finite())

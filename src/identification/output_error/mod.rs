@@ -18,7 +18,7 @@ use crate::plant::{Model, ModelError, ParameterRole, Scenario, Slot, State, Traj
 use crate::sample::{ParameterEstimate, Verdict};
 
 pub use covariance::BLOCK_S;
-pub use free_run::FreeRun;
+pub use free_run::{FreeRun, weighted_residual};
 
 use super::noise::NoiseFloor;
 use super::verdict::judge;
