@@ -15,6 +15,7 @@ mod effects;
 mod emulate;
 mod escalate;
 mod failure;
+mod holdout;
 mod identify;
 mod interrupt;
 mod live;
