@@ -110,7 +110,7 @@ pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
         && to_s - from_s > LONG_GAP_S
     {
         cautions.push(format!(
-            "{}: no rows between {from_s} s and {to_s} s: the voltage is taken as held through it, and what the motor \
+            "{}: no rows between {from_s:.3} s and {to_s:.3} s: the voltage is taken as held through it, and what the motor \
              really did there is taken for an error of the model; cut the file there",
             run.name
         ));
