@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
 use super::failure::{Failure, REFUSED, USAGE};
-use super::output;
 use super::sanity_report::Judging;
+use super::{interrupt, output, progress};
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -31,6 +31,8 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let _endable = interrupt::endable()?;
+    let shown = progress::begin("compare");
     let prepared = prepare(
         &arguments.run,
         arguments.model.as_ref(),
@@ -40,11 +42,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let mut model = prepared.model.file.model;
     let mut evidence = prepared.evidence;
     if prepared.model.from == "baseline" {
+        progress::stage("fits the baseline", 0);
         let (with_scale, fit) = evidence.with_baseline(&model)?;
         (evidence, model) = (with_scale, fit.model);
     }
     model.require_complete()?;
+    progress::stage("compares", 0);
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
+    drop(shown);
     let mut value = serde_json::to_value(&comparison).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();

@@ -284,6 +284,11 @@ impl Rig {
         })
     }
 
+    /// Nobody looks at a screen.
+    pub(super) const fn is_headless(&self) -> bool {
+        self.headless
+    }
+
     /// Identity, limits, link probe, watchdog proof; the refusal is the first check that failed.
     pub(super) fn check(&mut self) -> Result<CheckReport, Failure> {
         if std::mem::take(&mut self.consent.reset_fault) {

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use serde_json::Value;
 
 use super::failure::{Failure, INTERNAL};
-use super::output;
+use super::{output, progress};
 use crate::bench::EMBEDDED_DEFAULT;
 use crate::recording::open_run;
 use crate::workflow::reproduce::discovery::{Heard, LiveAnswer, LiveLink};
@@ -40,6 +40,7 @@ pub(super) fn live_study(
             )
         })?;
     }
+    progress::stage("runs mystery drives", mysteries.len());
     let next = AtomicUsize::new(0);
     let answers = Mutex::new(Vec::new());
     // One at a time on each core: two processes share a drive's clock, and a 1 kHz link leaves none of them idle.
@@ -70,6 +71,7 @@ pub(super) fn live_study(
                     ));
                     if let Ok(mut answers) = answers.lock() {
                         answers.push((place, answer));
+                        progress::at(answers.len());
                     }
                 }
             });

@@ -9,7 +9,7 @@ use clap::ValueEnum;
 
 use super::failure::{Failure, INTERNAL, INTERRUPTED, USAGE};
 use super::live_study::live_study;
-use super::output;
+use super::{interrupt, output, progress};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
 use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
@@ -77,13 +77,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             ))
         }
         Paper::PaperA => {
-            let found = reproduce::paper_a(|part| output::message(&format!("{part} ...")));
+            let _endable = interrupt::endable()?;
+            let shown = progress::begin("reproduce");
+            let found = reproduce::paper_a(|part| progress::stage(part, 0));
+            drop(shown);
             let report = found.report();
             file(out.as_deref(), &report, None)?;
             output::result(&found, arguments.json, |_| report.text())
         }
         Paper::Discovery => {
+            let shown = progress::begin("reproduce");
             let found = study(arguments, out.as_deref())?;
+            drop(shown);
             let report = found.report();
             let page = ("validation.md".to_owned(), report.markdown());
             file(out.as_deref(), &report, Some(page))?;
@@ -121,6 +126,7 @@ fn study(
         "{} machines are excited and diagnosed; Ctrl-C ends it",
         size.machines()
     ));
+    progress::stage("excites and diagnoses machines", size.machines());
     let mut found = discovery(size, &interrupted, tell).ok_or_else(ended)?;
     if let Some(drives) = arguments.live {
         let scratch = std::env::temp_dir();
@@ -151,8 +157,8 @@ fn watched_signals() -> Result<Arc<AtomicBool>, Failure> {
     Ok(interrupted)
 }
 
-/// Every twentieth part, and every wrong name at once.
-fn tell(done: usize, of: usize, answer: &Answer) {
+/// How far it is, and every wrong name at once.
+fn tell(done: usize, _of: usize, answer: &Answer) {
     if matches!(answer.outcome, Outcome::Wrong | Outcome::Failed) {
         output::message(&format!(
             "{} ({}), hidden {}: {}",
@@ -162,10 +168,7 @@ fn tell(done: usize, of: usize, answer: &Answer) {
             answer.sentence
         ));
     }
-    let part = of.div_ceil(20);
-    if done.is_multiple_of(part) || done == of {
-        output::message(&format!("{done} of {of} machines diagnosed"));
-    }
+    progress::at(done);
 }
 
 fn file(

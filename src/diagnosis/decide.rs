@@ -30,9 +30,7 @@ const BOOTSTRAP_SEED: u64 = 1;
 /// Mean log-ratio of the blocks' squared errors of `worse` over `better`, in its standard errors. Blocks grow until
 /// neighbours are independent, but there are never fewer than twenty where the run allows.
 pub(super) fn z(worse: &Score, better: &Score) -> f64 {
-    let mut block_s = BLOCK_S
-        .min(worse.duration_s() / FEWEST_BLOCKS as f64)
-        .max(f64::MIN_POSITIVE);
+    let mut block_s = shortest_block_s(worse);
     loop {
         let ratios = log_ratios(worse, better, block_s);
         let n = ratios.len() as f64;
@@ -55,6 +53,18 @@ pub(super) fn z(worse: &Score, better: &Score) -> f64 {
         }
         return mean / (squares / (n - 1.0) / n).sqrt();
     }
+}
+
+fn shortest_block_s(score: &Score) -> f64 {
+    BLOCK_S
+        .min(score.duration_s() / FEWEST_BLOCKS as f64)
+        .max(f64::MIN_POSITIVE)
+}
+
+/// What the decision needs of a score, so that those of many candidates can be kept.
+pub(super) fn condensed(score: Score) -> Score {
+    let shortest_s = shortest_block_s(&score);
+    score.in_blocks(&[BLOCK_S, shortest_s])
 }
 
 fn log_ratios(worse: &Score, better: &Score, block_s: f64) -> Vec<f64> {

@@ -9,10 +9,10 @@
 use rayon::prelude::*;
 
 use super::candidates::Refit;
-use super::decide::AT_THE_FLOOR;
+use super::decide::{AT_THE_FLOOR, condensed};
 use super::evidence::Evidence;
 use super::family::related;
-use super::progress::{Event, Progress};
+use super::progress::{Event, Progress, Stage};
 use super::score::Score;
 use super::screen::{Screen, Screened};
 use crate::identification::output_error::{self, Fit, FitError};
@@ -82,6 +82,10 @@ pub(super) fn refit_all(
         };
         refit(evidence, candidate, &candidate.start, options, progress)
     };
+    progress(Event::Begun {
+        stage: Stage::Refit,
+        of: screened.len(),
+    });
     let first: Vec<Result<Refit, FitError>> = screened
         .par_iter()
         .enumerate()
@@ -93,6 +97,14 @@ pub(super) fn refit_all(
     if first.iter().any(is_solved) && !everything {
         return finished(first);
     }
+    let unsolved = screened
+        .iter()
+        .zip(&first)
+        .filter(|(candidate, first)| !is_solved(first) && hopeful(candidate));
+    progress(Event::Begun {
+        stage: Stage::Refit,
+        of: unsolved.count(),
+    });
     let second: Vec<Result<Refit, FitError>> = screened
         .par_iter()
         .zip(first)
@@ -169,8 +181,9 @@ pub(super) fn polished(evidence: &Evidence, refit: &Refit) -> Result<Refit, FitE
         &evidence.training,
         &evidence.noise,
     )?;
+    let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
     Ok(Refit {
-        holdout: Score::of(&fit.model, &evidence.holdout, &evidence.noise)?,
+        holdout: condensed(holdout),
         fit,
         ..refit.clone()
     })
@@ -182,6 +195,7 @@ const AS_SCREENED: Options = Options {
     relative_cost: 0.0,
     longest_step: 0.0,
     carry_jacobian: false,
+    one_of_many: true,
 };
 
 /// The model as it was given, with what has been accepted since and the effect as the screen found its shape.
@@ -226,9 +240,14 @@ fn refit(
         error: fit.nrms,
     });
     let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+    // Many are kept until one is chosen, and that one is fitted again (`polished`).
+    let fit = Fit {
+        minimum: fit.minimum.brief(),
+        ..fit
+    };
     Ok(Refit {
         effect: candidate.effect,
-        holdout,
+        holdout: condensed(holdout),
         minimum_detectable: candidate.minimum_detectable,
         visible: candidate.visible,
         free_parameters: fit.free.len(),

@@ -17,7 +17,7 @@ use super::decide::{self, not_told_apart, pays};
 use super::evidence::Evidence;
 use super::family::related;
 use super::ladder::Rung;
-use super::progress::{Event, Progress};
+use super::progress::{Event, Progress, Stage};
 use super::refit::{Thoroughness, polished, refit_all, refit_one, refit_screened};
 use super::score::Score;
 use super::screen::{Screen, Screened};
@@ -109,6 +109,10 @@ pub(super) fn search(
         if !first && set.first().is_some_and(leans) {
             break;
         }
+        (limits.progress)(Event::Begun {
+            stage: Stage::Check,
+            of: 0,
+        });
         for &member in set.iter().take(1 + MOST_RIVALS) {
             refits[member] = polished(evidence, &refits[member])?;
         }
