@@ -171,8 +171,10 @@ fn drifts(values: &[f64]) -> bool {
     (mean(last) - mean(middle)).abs() > DRIFT * noise
 }
 
-/// Deviation above that of its later part, from which the first quarter of a rest counts as a transient.
-const TRANSIENT: f64 = 1.15;
+/// Share by which the deviation of a whole rest exceeds that of its later part where its first quarter holds a transient.
+const TRANSIENT: f64 = 0.15;
+/// The same times the root of the samples: what a quarter of few samples exceeds by chance in one case of a thousand.
+const CHANCE: f64 = 2.6;
 
 /// Standard deviation at rest without what a transient adds: an offset of the drive's voltage builds up its current in
 /// the first moments.
@@ -183,7 +185,8 @@ fn settled_deviation(at_rest: &[f64]) -> f64 {
         return whole;
     }
     let settled = standard_deviation(later);
-    if whole > TRANSIENT * settled {
+    let beyond_chance = TRANSIENT.max(CHANCE / (at_rest.len() as f64).sqrt());
+    if whole > (1.0 + beyond_chance) * settled {
         settled
     } else {
         whole
