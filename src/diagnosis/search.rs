@@ -9,7 +9,7 @@
 //! ```
 
 use super::candidates::Refit;
-use super::decide::{self, not_told_apart, pays};
+use super::decide::{self, Settings, not_told_apart, pays};
 use super::evidence::Evidence;
 use super::family::related;
 use super::ladder::Rung;
@@ -30,6 +30,7 @@ const SUPERFLUOUS: f64 = 1.01;
 /// How far a search goes and who watches it.
 #[derive(Clone, Copy)]
 pub(super) struct Limits<'a> {
+    pub(super) settings: Settings,
     pub(super) until_floor: bool,
     pub(super) thoroughness: Thoroughness,
     pub(super) progress: Progress<'a>,
@@ -51,6 +52,7 @@ pub(super) struct Standing {
 
 /// What a search has found.
 pub(super) struct Found {
+    pub(super) settings: Settings,
     pub(super) baseline: Standing,
     pub(super) best: Standing,
     pub(super) accepted: Vec<Accepted>,
@@ -74,6 +76,7 @@ pub(super) fn search(
     };
     let mut now = baseline.clone();
     let mut found = Found {
+        settings: limits.settings,
         ladder: vec![rung(&baseline)],
         baseline: baseline.clone(),
         best: baseline,
@@ -90,7 +93,7 @@ pub(super) fn search(
             limits.thoroughness,
             limits.progress,
         )?;
-        let set = in_the_answer(&now.score, &refits);
+        let set = in_the_answer(&now.score, &refits, limits.settings);
         for &member in set.iter().take(1 + MOST_RIVALS) {
             refits[member] = polished(evidence, &refits[member])?;
         }
@@ -145,11 +148,13 @@ pub(super) fn search(
 }
 
 /// The best candidate that pays and those that cannot be told from it, the preferred one first; none where none pays.
-fn in_the_answer(base: &Score, refits: &[Refit]) -> Vec<usize> {
+fn in_the_answer(base: &Score, refits: &[Refit], settings: Settings) -> Vec<usize> {
     (0..refits.len())
-        .filter(|&index| pays(base, &refits[index].holdout))
+        .filter(|&index| pays(base, &refits[index].holdout, settings))
         .min_by(|&a, &b| refits[a].holdout.nrms.total_cmp(&refits[b].holdout.nrms))
-        .map_or_else(Vec::new, |best| not_told_apart(base, refits, best))
+        .map_or_else(Vec::new, |best| {
+            not_told_apart(base, refits, best, settings)
+        })
 }
 
 /// Takes each effect out and asks the screen what it would put there now: the first choice was made while the others were
@@ -179,7 +184,7 @@ fn exchange(
         screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         for candidate in screened.iter().take(MOST_RIVALS) {
             let refit = refit_one(evidence, &base.fit, original, candidate.effect)?;
-            if decide::beats(&refit.holdout, &found.best.score) {
+            if decide::beats(&refit.holdout, &found.best.score, found.settings) {
                 found.accepted[place] = Accepted {
                     id: candidate.effect.card().id,
                     rivals: Vec::new(),
@@ -216,11 +221,11 @@ fn settle_twins(evidence: &Evidence, original: &Model, found: &mut Found) -> Res
                 fit: refit.fit,
                 score: refit.holdout,
             };
-            if decide::beats(&there.score, &found.best.score) {
+            if decide::beats(&there.score, &found.best.score, found.settings) {
                 found.best = there;
                 remaining = vec![found.accepted[place].id];
                 found.accepted[place].id = id;
-            } else if !decide::beats(&found.best.score, &there.score) {
+            } else if !decide::beats(&found.best.score, &there.score, found.settings) {
                 remaining.push(id);
             }
         }
