@@ -127,6 +127,13 @@ pub(super) fn explains(evidence: &Evidence, base: &Score, first: &Score, all: &S
         || base.nrms <= floor
 }
 
+/// Whether a further effect explains enough of what the accepted ones have left: the share that a first one needs. On a
+/// real machine the rest is made of many small effects and of coloured noise, and every effect that is free to choose its
+/// form or its time bends towards it; a weak partner of a strong effect explains most of what that one has left.
+pub(super) fn worth_a_further_name(evidence: &Evidence, now: &Score, with: &Score) -> bool {
+    explained(now.nrms, with.nrms, highest_floor(evidence)) >= EXPLAINS_SOMETHING
+}
+
 /// Whether `better` has a smaller held-out error than `worse` beyond chance.
 pub(super) fn beats(better: &Score, worse: &Score, settings: Settings) -> bool {
     better.nrms < worse.nrms && z(worse, better, settings) >= settings.significant

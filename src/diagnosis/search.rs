@@ -107,6 +107,12 @@ pub(super) fn search(
             (found.first_round, found.first_set) = (refits, set);
         }
         let Some(chosen) = chosen else { break };
+        if !first
+            && !limits.until_floor
+            && !decide::worth_a_further_name(evidence, &now.score, &chosen.holdout)
+        {
+            break;
+        }
         (limits.progress)(Event::Accepted {
             effect: chosen.id(),
             holdout: chosen.holdout.nrms,

@@ -90,7 +90,7 @@ const KNOWN: [(&str, &[f64]); 4] = [
     ("quadratic_load", &[4e-5]),
     ("asymmetric_viscous", &[1.5e-3]),
     ("constant_load", &[0.08]),
-    ("stribeck_friction", &[0.25, 25.0]),
+    ("stribeck_friction", &[0.25, 12.0]),
 ];
 
 #[test]
@@ -175,9 +175,69 @@ fn placebos_are_not_supported() {
     assert!(judged == 300 && passed < 3, "{passed} of {judged}");
 }
 
+/// A shifted `|w|` with its mean is no placebo where a constant load is missing: it is `mean + rest`, and the mean is that
+/// load. By construction it explains the share of its square that the mean has, beside the model's own terms. Nothing of
+/// it is left where the model has the constant already.
 #[test]
-fn halves_and_settings_bring_no_other_name() {
-    let mut kept = Vec::new();
+fn a_placebo_with_a_mean_passes_by_its_mean_and_by_nothing_else() {
+    let raw = |seed: u64| -> Vec<Extra> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let one = |shift: f64| Extra {
+            id: "shifted |w|",
+            values: Box::new(move |at: &[Instant]| {
+                let by = crate::numerics::count::whole(shift * at.len() as f64);
+                (0..at.len())
+                    .map(|k| at[(k + by) % at.len()].speed_rad_s.abs())
+                    .collect()
+            }),
+        };
+        (0..25).map(|_| one(rng.random_range(0.1..0.9))).collect()
+    };
+    let share =
+        |candidate: &Candidate| 1.0 - (candidate.holdout_after / candidate.holdout_before).powi(2);
+    let with_constant = with_effects(nameplate(), &["constant_load"]);
+    let judge = |model: &Model, data: &Evidence, seed| {
+        judge_extras(model, data, &raw(seed), Settings::default()).unwrap()
+    };
+    let passed = |found: &[Candidate]| {
+        found
+            .iter()
+            .filter(|one| one.status == Status::Supported)
+            .count()
+    };
+    let (mut beside, mut judged_beside) = (0, 0);
+    for (seed, (id, values)) in (30..).zip(KNOWN) {
+        let data = evidence(&truth(id, values), seed);
+        let constant = effect::find("constant_load").unwrap();
+        let load = diagnose(&nameplate(), &data, false).unwrap();
+        let load = load
+            .candidates
+            .iter()
+            .find(|one| one.effect == "constant_load");
+        let load = load.unwrap();
+        let found = judge(&nameplate(), &data, seed);
+        eprintln!(
+            "{id}: constant load {:?} explains {:.3}; {} of {} shifted |w| pass, shares {:?}",
+            load.status,
+            share(load),
+            passed(&found),
+            found.len(),
+            found
+                .iter()
+                .map(|one| (100.0 * share(one)).round())
+                .collect::<Vec<_>>()
+        );
+        let _ = constant;
+        let found = judge(&with_constant, &data, seed);
+        beside += passed(&found);
+        judged_beside += found.len();
+    }
+    eprintln!("beside a constant load: {beside} of {judged_beside}");
+}
+
+#[test]
+fn halves_and_settings_do_not_change_the_name() {
+    let mut other = Vec::new();
     for (id, values) in KNOWN {
         let data = evidence(&truth(id, values), 5);
         let swapped = Evidence {
@@ -185,29 +245,28 @@ fn halves_and_settings_bring_no_other_name() {
             holdout: data.training.clone(),
             ..data.clone()
         };
-        let named = diagnose(&nameplate(), &swapped, false).unwrap();
-        assert_eq!(
-            named.effect,
-            Some(id),
-            "halves: {}; {}",
-            named.sentence,
-            named.candidates[0].evidence
-        );
+        let mut judge = |what: String, named: Diagnosis| {
+            // Where two laws of the speed are left open, the true one is among them.
+            let mut open = named.confusable.iter().flatten();
+            if named.effect != Some(id) && !open.any(|rival| *rival == id) {
+                let first = &named.candidates[0].evidence;
+                other.push(format!("{id}, {what}: {}; {first}", named.sentence));
+            }
+        };
+        let halves = diagnose(&nameplate(), &swapped, false).unwrap();
+        judge("halves".to_owned(), halves);
         for settings in turned() {
             let named = diagnose_with(&nameplate(), &data, false, settings).unwrap();
-            // Never another name: where the settings leave two laws of the speed open, the true one is among them.
-            let mut open = named.confusable.iter().flatten();
-            let is_open = open.any(|rival| *rival == id);
-            assert!(
-                named.effect.is_none() || named.effect == Some(id) || is_open,
-                "{settings:?}: {}",
-                named.sentence
-            );
-            kept.push(named.effect == Some(id) || is_open);
+            judge(format!("{settings:?}"), named);
         }
+        let (one, one_std) = size(&nameplate(), &data, effect::find(id).unwrap());
+        let (two, two_std) = size(&nameplate(), &swapped, effect::find(id).unwrap());
+        assert!(
+            (one - two).abs() < 3.0 * one_std.hypot(two_std),
+            "{id}: {one:.3e} +- {one_std:.1e} and {two:.3e} +- {two_std:.1e}"
+        );
     }
-    let abstained = kept.iter().filter(|kept| !**kept).count();
-    assert!(8 * abstained <= kept.len(), "{abstained} of {}", kept.len());
+    assert!(other.is_empty(), "{other:#?}");
 }
 
 #[test]
