@@ -4,7 +4,7 @@
 //! true stamps; windows that touch a speed within the dead zone are left out. A given torque is held from one stamp to the
 //! next, as the simulation holds it: each sample counts with its mean over half a period either side, else the trapezoid
 //! rule sees it half a sample late (DISCOVERY.md 2.9). On the EMPS axis, at 1 kHz, that half millisecond is the difference
-//! between a relative error of 3.40 % (2.04 % with friction that differs by direction) and one of 3.26 % (1.75 %).
+//! between a relative error of 3.40 % (2.04 % with friction that differs by direction) and one of 3.17 % (1.63 %).
 
 use super::noise_share::{Noise, largest};
 use super::window::{Window, held_mean};
