@@ -260,8 +260,9 @@ fn halves_and_settings_do_not_change_the_name() {
     }
     let failures: Vec<String> = doses_done()
         .par_iter()
-        .zip(10..)
-        .flat_map_iter(|(dose, machine)| {
+        .enumerate()
+        .flat_map_iter(|(index, dose)| {
+            let machine = 10 + index as u64;
             let data = evidence(&[(dose.hidden)(dose.usual)], machine);
             let mut failures = Vec::new();
             let mut judge = |what: &str, found: &Diagnosis| {
