@@ -42,6 +42,16 @@ impl Stretch {
     }
 }
 
+/// Where the shaft moves, away from the ends of the part, which the filter does not know.
+fn moving_inside(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
+    let mut valid = moving(speed, dead_zone_rad_s, reach);
+    let ends = reach.min(valid.len());
+    let tail = valid.len() - ends;
+    valid[..ends].fill(false);
+    valid[tail..].fill(false);
+    valid
+}
+
 /// Angle at the first point not before `time_s`, the last one beyond; not a number where there is none.
 fn nearest_after(angles: &[(f64, f64)], time_s: f64) -> f64 {
     let after = angles.partition_point(|point| point.0 < time_s);
@@ -89,11 +99,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
         }));
         let per_unit = if by_torque { 1.0 } else { kt };
         let reach = decimating.reach(part.period_s);
-        let mut valid = moving(&speed, processing.dead_zone_rad_s, reach);
-        let ends = reach.min(valid.len());
-        valid[..ends].fill(false);
-        let tail = valid.len() - ends;
-        valid[tail..].fill(false);
+        let valid = moving_inside(&speed, processing.dead_zone_rad_s, reach);
         let within = |k: usize| (scored_from_s..=scored_to_s).contains(&part.time_s(k));
         let one = Stretch {
             filter: both_sides,
