@@ -22,6 +22,24 @@ pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
 /// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
 const NEAR_THE_FLOOR: f64 = 1.2;
 
+/// What a test may turn by a fifth: the answer must not depend on it (DISCOVERY.md, rule 6).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Length of the blocks of the paired test in units of the usual one.
+    pub block: f64,
+    /// z above which one model beats another.
+    pub significant: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            block: 1.0,
+            significant: SIGNIFICANT,
+        }
+    }
+}
+
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
 const BOOTSTRAPS: usize = 1000;
@@ -29,8 +47,8 @@ const BOOTSTRAP_SEED: u64 = 1;
 
 /// Mean log-ratio of the blocks' squared errors of `worse` over `better`, in its standard errors. Blocks grow until
 /// neighbours are independent, but there are never fewer than twenty where the run allows.
-pub(super) fn z(worse: &Score, better: &Score) -> f64 {
-    let mut block_s = shortest_block_s(worse);
+pub(super) fn z(worse: &Score, better: &Score, settings: Settings) -> f64 {
+    let mut block_s = shortest_block_s(worse, settings);
     loop {
         let ratios = log_ratios(worse, better, block_s);
         let n = ratios.len() as f64;
@@ -55,16 +73,16 @@ pub(super) fn z(worse: &Score, better: &Score) -> f64 {
     }
 }
 
-fn shortest_block_s(score: &Score) -> f64 {
-    BLOCK_S
+fn shortest_block_s(score: &Score, settings: Settings) -> f64 {
+    (settings.block * BLOCK_S)
         .min(score.duration_s() / FEWEST_BLOCKS as f64)
         .max(f64::MIN_POSITIVE)
 }
 
 /// What the decision needs of a score, so that those of many candidates can be kept.
-pub(super) fn condensed(score: Score) -> Score {
-    let shortest_s = shortest_block_s(&score);
-    score.in_blocks(&[BLOCK_S, shortest_s])
+pub(super) fn condensed(score: Score, settings: Settings) -> Score {
+    let shortest_s = shortest_block_s(&score, settings);
+    score.in_blocks(&[BLOCK_S, settings.block * BLOCK_S, shortest_s])
 }
 
 fn log_ratios(worse: &Score, better: &Score, block_s: f64) -> Vec<f64> {
@@ -125,14 +143,15 @@ pub(super) fn explains(evidence: &Evidence, base: &Score, first: &Score, all: &S
 }
 
 /// Whether `better` has a smaller held-out error than `worse` beyond chance.
-pub(super) fn beats(better: &Score, worse: &Score) -> bool {
-    better.nrms < worse.nrms && z(worse, better) >= SIGNIFICANT
+pub(super) fn beats(better: &Score, worse: &Score, settings: Settings) -> bool {
+    better.nrms < worse.nrms && z(worse, better, settings) >= settings.significant
 }
 
 /// Whether `candidate` pays on the hold-out.
-pub(super) fn pays(base: &Score, candidate: &Score) -> bool {
+pub(super) fn pays(base: &Score, candidate: &Score, settings: Settings) -> bool {
     candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms
-        && (z(base, candidate) >= SIGNIFICANT || mends(base, candidate))
+        && (z(base, candidate, settings) >= settings.significant
+            || mends(base, candidate, settings))
 }
 
 /// Standard deviations by which a block must leave the noise to count as failed, and blocks that must be mended.
@@ -142,16 +161,17 @@ const FEWEST_MENDED: usize = 3;
 /// Whether the candidate explains the run to its noise while the base fails in several blocks, and fails in none that the
 /// base explains. An effect that shows for a short time only, as at a passage through zero, leaves most blocks as they
 /// are; their mean says little however plain the few are. Needs a known noise.
-fn mends(base: &Score, candidate: &Score) -> bool {
+fn mends(base: &Score, candidate: &Score, settings: Settings) -> bool {
     let noise = candidate.noise();
     if noise.source == FloorSource::None || candidate.nrms >= noise.tolerance(AT_THE_FLOOR) {
         return false;
     }
+    let block_s = settings.block * BLOCK_S;
     let (mut mended, mut spoilt) = (0, 0);
     let blocks = base
-        .counted_blocks(BLOCK_S)
+        .counted_blocks(block_s)
         .into_iter()
-        .zip(candidate.counted_blocks(BLOCK_S));
+        .zip(candidate.counted_blocks(block_s));
     for ((before, count), (after, _)) in blocks {
         if count == 0 {
             continue;
@@ -176,21 +196,32 @@ fn is_richer(a: &Refit, b: &Refit) -> bool {
 
 /// The simple form of the best candidate where that explains nearly as much: the name says what is there, and what the
 /// richer form adds may be the shape of the simple one.
-fn simple_instead(base: &Score, refits: &[Refit], best: usize) -> Option<usize> {
+fn simple_instead(
+    base: &Score,
+    refits: &[Refit],
+    best: usize,
+    settings: Settings,
+) -> Option<usize> {
     let simple = simple_form(refits[best].id())?;
     let index = refits.iter().position(|refit| refit.id() == simple)?;
     let gained = |index: usize| base.nrms.powi(2) - refits[index].holdout.nrms.powi(2);
-    (pays(base, &refits[index].holdout) && gained(index) >= SIMPLE_SUFFICES * gained(best))
-        .then_some(index)
+    (pays(base, &refits[index].holdout, settings)
+        && gained(index) >= SIMPLE_SUFFICES * gained(best))
+    .then_some(index)
 }
 
 /// Candidates that cannot be told from the best one by this hold-out: indices into `refits`, the preferred one first.
 /// Inside the set the fewer parameters win, then the smaller error.
-pub(super) fn not_told_apart(base: &Score, refits: &[Refit], best: usize) -> Vec<usize> {
+pub(super) fn not_told_apart(
+    base: &Score,
+    refits: &[Refit],
+    best: usize,
+    settings: Settings,
+) -> Vec<usize> {
     let best_error = refits[best].holdout.nrms.powi(2);
     let gained = base.nrms.powi(2) - best_error;
-    if let Some(simple) = simple_instead(base, refits, best) {
-        return not_told_apart(base, refits, simple);
+    if let Some(simple) = simple_instead(base, refits, best, settings) {
+        return not_told_apart(base, refits, simple, settings);
     }
     let mut set: Vec<usize> = (0..refits.len())
         .filter(|&index| index == best || !is_richer(&refits[index], &refits[best]))
@@ -198,9 +229,9 @@ pub(super) fn not_told_apart(base: &Score, refits: &[Refit], best: usize) -> Vec
             let rival = &refits[index].holdout;
             let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);
             index == best
-                || (pays(base, rival)
-                    && !mends(rival, &refits[best].holdout)
-                    && (close || z(rival, &refits[best].holdout) < SIGNIFICANT))
+                || (pays(base, rival, settings)
+                    && !mends(rival, &refits[best].holdout, settings)
+                    && (close || z(rival, &refits[best].holdout, settings) < settings.significant))
         })
         .collect();
     set.sort_by(|&a, &b| {

@@ -1,7 +1,7 @@
 //! Findings in words and figures for a person.
 
 use super::candidates::{Candidate, Refit, Status};
-use super::decide::{SIGNIFICANT, explained, first_rank_shares, pays, z};
+use super::decide::{Settings, explained, first_rank_shares, pays, z};
 use super::diagnose::{Diagnosis, DiagnosisVerdict};
 use super::evidence::Evidence;
 use super::score::Score;
@@ -35,7 +35,10 @@ pub(super) fn describe(
         .enumerate()
         .map(|(rank, index)| {
             let refit = &refits[index];
-            let (pays, against_base) = (pays(base, &refit.holdout), z(base, &refit.holdout));
+            let (pays, against_base) = (
+                pays(base, &refit.holdout, found.settings),
+                z(base, &refit.holdout, found.settings),
+            );
             let in_answer = found
                 .accepted
                 .iter()
@@ -62,13 +65,28 @@ pub(super) fn describe(
                 holdout_after: refit.holdout.nrms,
                 explained_percent: 100.0 * share,
                 minimum_detectable: Some(refit.minimum_detectable).filter(|size| size.is_finite()),
-                evidence: evidence_sentence(refit, base, against_base, share, status),
+                evidence: evidence_sentence(
+                    refit,
+                    base,
+                    against_base,
+                    share,
+                    status,
+                    found.settings,
+                ),
             }
         })
         .collect()
 }
 
-fn evidence_sentence(refit: &Refit, base: &Score, z: f64, share: f64, status: Status) -> String {
+fn evidence_sentence(
+    refit: &Refit,
+    base: &Score,
+    z: f64,
+    share: f64,
+    status: Status,
+    settings: Settings,
+) -> String {
+    let asked = settings.significant;
     let card = refit.effect.card();
     let (before, after) = (base.nrms, refit.holdout.nrms);
     let unit = unit_of_size(refit.effect);
@@ -82,7 +100,7 @@ fn evidence_sentence(refit: &Refit, base: &Score, z: f64, share: f64, status: St
             card.name, refit.minimum_detectable, unit, card.excite
         ),
         Status::RuledOut => format!(
-            "{} leaves the held-out error at {after:.2} of {before:.2} times the noise (z {z:.1}, {SIGNIFICANT} is \
+            "{} leaves the held-out error at {after:.2} of {before:.2} times the noise (z {z:.1}, {asked} is \
              asked); more than {:.2e} {} would have shown",
             card.name, refit.minimum_detectable, unit
         ),

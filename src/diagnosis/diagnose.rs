@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::axis_map::{AxisMap, axis_map};
 use super::candidates::{Candidate, Status};
-use super::decide::{self, explained};
+use super::decide::{self, Settings, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::family::curve_of;
@@ -68,6 +68,7 @@ pub struct Options<'a> {
     /// floor is near.
     pub until_floor: bool,
     pub thoroughness: Thoroughness,
+    pub settings: Settings,
     pub progress: Progress<'a>,
 }
 
@@ -76,6 +77,7 @@ impl Default for Options<'_> {
         Self {
             until_floor: false,
             thoroughness: Thoroughness::Promising,
+            settings: Settings::default(),
             progress: &silent,
         }
     }
@@ -110,6 +112,7 @@ pub fn diagnose_with(
     let (evidence, baseline) = evidence.with_baseline(model)?;
     let limits = Limits {
         until_floor: options.until_floor,
+        settings: options.settings,
         thoroughness: options.thoroughness,
         progress: options.progress,
     };

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::candidates::by_key;
 use super::compare::{Comparison, compare};
-use super::decide::{SIGNIFICANT, WORTHWHILE, pays, z};
+use super::decide::{SIGNIFICANT, Settings, WORTHWHILE, pays, z};
 use super::evidence::Evidence;
 use super::fitted::Fitted;
 use super::location::ErrorOf;
@@ -50,7 +50,7 @@ pub fn add(
         return mechanical::add(effect, model, &evidence);
     }
     let (evidence, before) = evidence.with_baseline(model)?;
-    let after = refit_one(&evidence, &before, model, effect)?.fit;
+    let after = refit_one(&evidence, &before, model, effect, Settings::default())?.fit;
     change(effect, &evidence, &before, &after, true)
 }
 
@@ -79,9 +79,9 @@ fn change(
     let score = |fit: &Fit| Score::of(&fit.model, &evidence.holdout, &evidence.noise);
     let (score_before, score_after) = (score(before)?, score(after)?);
     let accepted = if adding {
-        pays(&score_before, &score_after)
+        pays(&score_before, &score_after, Settings::default())
     } else {
-        !pays(&score_after, &score_before)
+        !pays(&score_after, &score_before, Settings::default())
     };
     let rung = |fit: &Fit, score: &Score| Rung {
         effects: fit.model.effect_ids(),
@@ -144,7 +144,7 @@ fn reason(
             )
         };
     }
-    let z = z(score_before, score_after);
+    let z = z(score_before, score_after, Settings::default());
     if accepted {
         format!("held-out error {from:.2} -> {to:.2} times the noise (z {z:.1})")
     } else if to >= (1.0 - WORTHWHILE) * from && after.nrms < (1.0 - WORTHWHILE) * before.nrms {

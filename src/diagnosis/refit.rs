@@ -9,12 +9,13 @@
 use rayon::prelude::*;
 
 use super::candidates::Refit;
-use super::decide::{AT_THE_FLOOR, condensed};
+use super::decide::{AT_THE_FLOOR, Settings, condensed};
 use super::evidence::Evidence;
 use super::family::related;
 use super::progress::{Event, Progress, Stage};
 use super::score::Score;
 use super::screen::{Screen, Screened};
+use super::search::Limits;
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::numerics::levenberg_marquardt::Options;
 use crate::plant::{ActiveEffect, Effect, Model, effect};
@@ -47,9 +48,14 @@ pub(super) fn refit_all(
     baseline: &Fit,
     original: &Model,
     asked: f64,
-    thoroughness: Thoroughness,
-    progress: Progress<'_>,
+    limits: Limits<'_>,
 ) -> Result<Vec<Refit>, FitError> {
+    let progress = limits.progress;
+    let on = On {
+        evidence,
+        settings: limits.settings,
+        progress,
+    };
     let effects: Vec<&'static dyn Effect> = effect::CATALOGUE
         .iter()
         .copied()
@@ -63,7 +69,7 @@ pub(super) fn refit_all(
     let mut screened = screen.all(&effects, progress);
     screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     let best_gain = screened.first().map_or(0.0, |first| first.gain);
-    let everything = thoroughness == Thoroughness::Everything;
+    let everything = limits.thoroughness == Thoroughness::Everything;
     let above_noise = 1.0
         - (evidence.noise.tolerance(1.0) / baseline.nrms)
             .powi(2)
@@ -80,7 +86,7 @@ pub(super) fn refit_all(
         } else {
             AS_SCREENED
         };
-        refit(evidence, candidate, &candidate.start, options, progress)
+        on.refit(candidate, &candidate.start, options)
     };
     progress(Event::Begun {
         stage: Stage::Refit,
@@ -119,10 +125,7 @@ pub(super) fn refit_all(
             let Some(start) = second_start(candidate, baseline, original) else {
                 return first;
             };
-            better(
-                first,
-                refit(evidence, candidate, &start, Options::thrifty(), progress),
-            )
+            better(first, on.refit(candidate, &start, Options::thrifty()))
         })
         .collect();
     finished(second)
@@ -134,9 +137,11 @@ pub(super) fn refit_one(
     baseline: &Fit,
     original: &Model,
     effect: &'static dyn Effect,
+    settings: Settings,
 ) -> Result<Refit, FitError> {
     let candidate = Screen::new(baseline, &evidence.training).effect(effect)?;
-    from_both_starts(evidence, baseline, original, &candidate, Options::default())
+    let options = Options::default();
+    On::quiet(evidence, settings).from_both_starts(baseline, original, &candidate, options)
 }
 
 /// A screened effect from both starts, as well as is needed to compare it; [`polished`] carries the fit on.
@@ -145,37 +150,18 @@ pub(super) fn refit_screened(
     baseline: &Fit,
     original: &Model,
     candidate: &Screened,
+    settings: Settings,
 ) -> Result<Refit, FitError> {
-    from_both_starts(evidence, baseline, original, candidate, Options::thrifty())
-}
-
-fn from_both_starts(
-    evidence: &Evidence,
-    baseline: &Fit,
-    original: &Model,
-    candidate: &Screened,
-    options: Options,
-) -> Result<Refit, FitError> {
-    let from = |start: &Model| {
-        refit(
-            evidence,
-            candidate,
-            start,
-            options,
-            &super::progress::silent,
-        )
-    };
-    match second_start(candidate, baseline, original) {
-        Some(second) => {
-            let (a, b) = rayon::join(|| from(&candidate.start), || from(&second));
-            better(a, b)
-        }
-        None => from(&candidate.start),
-    }
+    let options = Options::thrifty();
+    On::quiet(evidence, settings).from_both_starts(baseline, original, candidate, options)
 }
 
 /// The same candidate fitted to the end, for its uncertainties.
-pub(super) fn polished(evidence: &Evidence, refit: &Refit) -> Result<Refit, FitError> {
+pub(super) fn polished(
+    evidence: &Evidence,
+    refit: &Refit,
+    settings: Settings,
+) -> Result<Refit, FitError> {
     let fit = output_error::fit(
         std::slice::from_ref(&refit.fit.model),
         &evidence.training,
@@ -183,7 +169,7 @@ pub(super) fn polished(evidence: &Evidence, refit: &Refit) -> Result<Refit, FitE
     )?;
     let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
     Ok(Refit {
-        holdout: condensed(holdout),
+        holdout: condensed(holdout, settings),
         fit,
         ..refit.clone()
     })
@@ -222,37 +208,76 @@ fn second_start(candidate: &Screened, baseline: &Fit, original: &Model) -> Optio
     Some(start)
 }
 
-fn refit(
-    evidence: &Evidence,
-    candidate: &Screened,
-    start: &Model,
-    options: Options,
-    progress: Progress<'_>,
-) -> Result<Refit, FitError> {
-    let fit = output_error::fit_with(
-        std::slice::from_ref(start),
-        &evidence.training,
-        &evidence.noise,
-        options,
-    )?;
-    progress(Event::Refitted {
-        effect: candidate.effect.card().id,
-        error: fit.nrms,
-    });
-    let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
-    // Many are kept until one is chosen, and that one is fitted again (`polished`).
-    let fit = Fit {
-        minimum: fit.minimum.brief(),
-        ..fit
-    };
-    Ok(Refit {
-        effect: candidate.effect,
-        holdout: condensed(holdout),
-        minimum_detectable: candidate.minimum_detectable,
-        visible: candidate.visible,
-        free_parameters: fit.free.len(),
-        fit,
-    })
+/// What every refit of one search has in common.
+#[derive(Clone, Copy)]
+struct On<'a> {
+    evidence: &'a Evidence,
+    settings: Settings,
+    progress: Progress<'a>,
+}
+
+impl<'a> On<'a> {
+    fn quiet(evidence: &'a Evidence, settings: Settings) -> Self {
+        Self {
+            evidence,
+            settings,
+            progress: &super::progress::silent,
+        }
+    }
+
+    fn from_both_starts(
+        self,
+        baseline: &Fit,
+        original: &Model,
+        candidate: &Screened,
+        options: Options,
+    ) -> Result<Refit, FitError> {
+        let from = |start: &Model| self.refit(candidate, start, options);
+        match second_start(candidate, baseline, original) {
+            Some(second) => {
+                let (a, b) = rayon::join(|| from(&candidate.start), || from(&second));
+                better(a, b)
+            }
+            None => from(&candidate.start),
+        }
+    }
+
+    fn refit(
+        self,
+        candidate: &Screened,
+        start: &Model,
+        options: Options,
+    ) -> Result<Refit, FitError> {
+        let Self {
+            evidence,
+            settings,
+            progress,
+        } = self;
+        let fit = output_error::fit_with(
+            std::slice::from_ref(start),
+            &evidence.training,
+            &evidence.noise,
+            options,
+        )?;
+        progress(Event::Refitted {
+            effect: candidate.effect.card().id,
+            error: fit.nrms,
+        });
+        let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+        // Many are kept until one is chosen, and that one is fitted again (`polished`).
+        let fit = Fit {
+            minimum: fit.minimum.brief(),
+            ..fit
+        };
+        Ok(Refit {
+            effect: candidate.effect,
+            holdout: condensed(holdout, settings),
+            minimum_detectable: candidate.minimum_detectable,
+            visible: candidate.visible,
+            free_parameters: fit.free.len(),
+            fit,
+        })
+    }
 }
 
 fn better(a: Result<Refit, FitError>, b: Result<Refit, FitError>) -> Result<Refit, FitError> {

@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 
 use super::candidates::Refit;
-use super::decide::{self, not_told_apart, pays};
+use super::decide::{self, Settings, not_told_apart, pays};
 use super::evidence::Evidence;
 use super::family::related;
 use super::ladder::Rung;
@@ -30,8 +30,9 @@ const MOST_EFFECTS: usize = 4;
 const MOST_RIVALS: usize = 3;
 /// Share of the error that the first effects leave which the further ones must explain to be named.
 const FURTHER_EXPLAIN: f64 = 0.5;
-/// Share that each of them must: three that explain less do not make up that half together.
-const EACH_EXPLAINS: f64 = 0.2;
+/// Share that each of them must explain of what is left, as the first one must. On a real machine the rest is made of
+/// many small effects and of coloured noise, and every effect that is free to choose its form or its time bends towards it.
+const EACH_EXPLAINS: f64 = 0.3;
 /// Share of what an effect explains that the screen must promise of another before it is tried in its place.
 const WORTH_AN_EXCHANGE: f64 = 0.4;
 /// Rise of the held-out error below which an effect is superfluous.
@@ -40,6 +41,7 @@ const SUPERFLUOUS: f64 = 1.01;
 /// How far a search goes and who watches it.
 #[derive(Clone, Copy)]
 pub(super) struct Limits<'a> {
+    pub(super) settings: Settings,
     pub(super) until_floor: bool,
     pub(super) thoroughness: Thoroughness,
     pub(super) progress: Progress<'a>,
@@ -61,6 +63,7 @@ pub(super) struct Standing {
 
 /// What a search has found.
 pub(super) struct Found {
+    pub(super) settings: Settings,
     pub(super) baseline: Standing,
     pub(super) best: Standing,
     pub(super) accepted: Vec<Accepted>,
@@ -84,6 +87,7 @@ pub(super) fn search(
     };
     let mut now = baseline.clone();
     let mut found = Found {
+        settings: limits.settings,
         ladder: vec![rung(&baseline)],
         baseline: baseline.clone(),
         best: baseline,
@@ -98,10 +102,9 @@ pub(super) fn search(
             &now.fit,
             original,
             if first { 0.0 } else { EACH_EXPLAINS },
-            limits.thoroughness,
-            limits.progress,
+            limits,
         )?;
-        let set = in_the_answer(&now.score, &refits);
+        let set = in_the_answer(&now.score, &refits, limits.settings);
         let leans = |&index: &usize| {
             let with = &refits[index].holdout;
             decide::explained_beyond_doubt(evidence, &now.score, with) < EACH_EXPLAINS
@@ -114,7 +117,7 @@ pub(super) fn search(
             of: 0,
         });
         for &member in set.iter().take(1 + MOST_RIVALS) {
-            refits[member] = polished(evidence, &refits[member])?;
+            refits[member] = polished(evidence, &refits[member], limits.settings)?;
         }
         let chosen = set.first().map(|&index| refits[index].clone());
         let rivals = set
@@ -172,11 +175,13 @@ pub(super) fn search(
 }
 
 /// The best candidate that pays and those that cannot be told from it, the preferred one first; none where none pays.
-fn in_the_answer(base: &Score, refits: &[Refit]) -> Vec<usize> {
+fn in_the_answer(base: &Score, refits: &[Refit], settings: Settings) -> Vec<usize> {
     (0..refits.len())
-        .filter(|&index| pays(base, &refits[index].holdout))
+        .filter(|&index| pays(base, &refits[index].holdout, settings))
         .min_by(|&a, &b| refits[a].holdout.nrms.total_cmp(&refits[b].holdout.nrms))
-        .map_or_else(Vec::new, |best| not_told_apart(base, refits, best))
+        .map_or_else(Vec::new, |best| {
+            not_told_apart(base, refits, best, settings)
+        })
 }
 
 /// Takes each effect out and asks the screen what it would put there now: the first choice was made while the others were
@@ -214,11 +219,13 @@ fn exchange(
             .collect();
         let refits: Vec<Refit> = others
             .par_iter()
-            .map(|candidate| refit_screened(evidence, &base.fit, original, candidate))
+            .map(|candidate| {
+                refit_screened(evidence, &base.fit, original, candidate, found.settings)
+            })
             .collect::<Result<_, _>>()?;
         for refit in refits {
-            if decide::beats(&refit.holdout, &found.best.score) {
-                let refit = polished(evidence, &refit)?;
+            if decide::beats(&refit.holdout, &found.best.score, found.settings) {
+                let refit = polished(evidence, &refit, found.settings)?;
                 found.accepted[place] = Accepted {
                     id: refit.id(),
                     rivals: Vec::new(),
@@ -250,16 +257,16 @@ fn settle_twins(evidence: &Evidence, original: &Model, found: &mut Found) -> Res
             let Some(rival) = effect::find(id).filter(|_| !found.best.fit.model.has(id)) else {
                 continue;
             };
-            let refit = refit_one(evidence, &base.fit, original, rival)?;
+            let refit = refit_one(evidence, &base.fit, original, rival, found.settings)?;
             let there = Standing {
                 fit: refit.fit,
                 score: refit.holdout,
             };
-            if decide::beats(&there.score, &found.best.score) {
+            if decide::beats(&there.score, &found.best.score, found.settings) {
                 found.best = there;
                 remaining = vec![found.accepted[place].id];
                 found.accepted[place].id = id;
-            } else if !decide::beats(&found.best.score, &there.score) {
+            } else if !decide::beats(&found.best.score, &there.score, found.settings) {
                 remaining.push(id);
             }
         }

@@ -9,6 +9,7 @@ use super::reveal::reveal;
 use super::rival::Rival;
 use super::separation::{linear, refitted};
 use super::{MenuEntry, NextExperiment, SEPARATED, words};
+use crate::diagnosis::Settings;
 use crate::diagnosis::refit::refit_one;
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
 use crate::identification::output_error::{self, FitError};
@@ -74,7 +75,7 @@ pub fn recommend(
         };
         let without = diagnosis.model.model.without_effect(names[0])?;
         let base = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
-        let refit = refit_one(evidence, &base, original, rival)?;
+        let refit = refit_one(evidence, &base, original, rival, Settings::default())?;
         others.push((*names, refit.fit.model));
     }
     let pairs = others

@@ -107,26 +107,29 @@ pub(super) fn held_values(scenario: &Scenario) -> Vec<f64> {
 /// Mean of the held input over half a period either side of each sample: what a trapezoid rule must be given for a
 /// signal that steps, else the input seems half a sample late (DISCOVERY.md 2.9).
 pub(super) fn held_means(scenario: &Scenario) -> Vec<f64> {
+    (0..scenario.sample_time_s.len())
+        .map(|sample| held_mean(scenario, sample))
+        .collect()
+}
+
+/// The same at one sample.
+pub(super) fn held_mean(scenario: &Scenario, sample: usize) -> f64 {
     let (times, events) = (&scenario.sample_time_s, &scenario.events);
     let last = times.len() - 1;
-    (0..=last)
-        .map(|sample| {
-            let from_s = 0.5 * (times[sample] + times[sample.saturating_sub(1)]);
-            let to_s = 0.5 * (times[sample] + times[(sample + 1).min(last)]);
-            let first = events.partition_point(|event| event.0 <= from_s).max(1) - 1;
-            let mut sum = 0.0;
-            for (index, event) in events
-                .iter()
-                .enumerate()
-                .skip(first)
-                .take_while(|(_, event)| event.0 < to_s)
-            {
-                let next_s = events.get(index + 1).map_or(to_s, |next| next.0.min(to_s));
-                sum += event.1 * (next_s - event.0.max(from_s));
-            }
-            sum / (to_s - from_s)
-        })
-        .collect()
+    let from_s = 0.5 * (times[sample] + times[sample.saturating_sub(1)]);
+    let to_s = 0.5 * (times[sample] + times[(sample + 1).min(last)]);
+    let first = events.partition_point(|event| event.0 <= from_s).max(1) - 1;
+    let mut sum = 0.0;
+    for (index, event) in events
+        .iter()
+        .enumerate()
+        .skip(first)
+        .take_while(|(_, event)| event.0 < to_s)
+    {
+        let next_s = events.get(index + 1).map_or(to_s, |next| next.0.min(to_s));
+        sum += event.1 * (next_s - event.0.max(from_s));
+    }
+    sum / (to_s - from_s)
 }
 
 /// Every second sample; the input stays as it was.

@@ -70,10 +70,19 @@ fn the_axis_misses_direction_dependent_viscous_friction() {
             .whole_run_relative_error_percent
             .unwrap()
     };
-    for (method, share) in [(Method::InverseDynamics, 0.8), (Method::WeakForm, 0.6)] {
-        let (before, after) = (error(&added.before, method), error(&added.after, method));
-        eprintln!("{method:?}: {before:.2} -> {after:.2} %");
-        assert!(after < share * before, "{method:?}: {before} -> {after}");
+    // The study's figures. In the weak form it took the position itself, whose second-derivative weights do not sum to zero
+    // on samples: an independent calculation gives its figures so, and ours (3.17 and 1.63 %) by the speed.
+    for (method, share, study) in [
+        (Method::InverseDynamics, 0.8, [4.08, 3.11]),
+        (Method::WeakForm, 0.6, [3.26, 1.75]),
+    ] {
+        let found = [&added.before, &added.after].map(|side| error(side, method));
+        eprintln!("{method:?}: {found:.2?} %, in the study {study:?}");
+        assert!(found[1] < share * found[0], "{method:?}: {found:?}");
+        for (found, study) in found.iter().zip(study) {
+            let off: f64 = found - study;
+            assert!(off.abs() < 0.15, "{method:?}: {found}, not {study}");
+        }
     }
     let stribeck = add(effect::find("stribeck_friction").unwrap(), &model, &data).unwrap();
     assert!(!stribeck.accepted, "{}", stribeck.reason);

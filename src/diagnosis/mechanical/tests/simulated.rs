@@ -84,13 +84,14 @@ fn evidence(truth: &Model, seed: u64) -> Evidence {
     )
 }
 
-/// Sizes that this background leaves well visible. Stribeck friction of 12 rad/s is near the limit here: these records pass
-/// zero fast, and a filter a fifth longer lets the answer fall to `unexplained` (never to another name).
-const KNOWN: [(&str, &[f64]); 4] = [
+/// Sizes that this background leaves visible. Stribeck friction of 12 rad/s only just: the z of the paired test hardly
+/// depends on the size, it counts the blocks in which an effect shows, and these records pass zero fast and seldom.
+const KNOWN: [(&str, &[f64]); 5] = [
     ("quadratic_load", &[4e-5]),
     ("asymmetric_viscous", &[1.5e-3]),
     ("constant_load", &[0.08]),
     ("stribeck_friction", &[0.25, 25.0]),
+    ("stribeck_friction", &[0.25, 12.0]),
 ];
 
 #[test]
@@ -175,9 +176,74 @@ fn placebos_are_not_supported() {
     assert!(judged == 300 && passed < 3, "{passed} of {judged}");
 }
 
+/// A shifted `|w|` with its mean is no placebo where a constant load is missing: it is `mean + rest`, and the mean is that
+/// load. By construction it explains the share of its square that the mean has, beside the model's own terms. Nothing of
+/// it is left where the model has the constant already.
 #[test]
-fn halves_and_settings_bring_no_other_name() {
-    let mut kept = Vec::new();
+fn a_placebo_with_a_mean_passes_by_its_mean_and_by_nothing_else() {
+    let raw = |seed: u64| -> Vec<Extra> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let one = |shift: f64| Extra {
+            id: "shifted |w|",
+            values: Box::new(move |at: &[Instant]| {
+                let by = crate::numerics::count::whole(shift * at.len() as f64);
+                (0..at.len())
+                    .map(|k| at[(k + by) % at.len()].speed_rad_s.abs())
+                    .collect()
+            }),
+        };
+        (0..25).map(|_| one(rng.random_range(0.1..0.9))).collect()
+    };
+    let share = |one: &Candidate| 1.0 - (one.holdout_after / one.holdout_before).powi(2);
+    let passed = |found: &[Candidate]| {
+        let is_supported = |one: &&Candidate| one.status == Status::Supported;
+        found.iter().filter(is_supported).count()
+    };
+    let judge = |model: &Model, data: &Evidence, seed| {
+        judge_extras(model, data, &raw(seed), Settings::default()).unwrap()
+    };
+    let with_constant = with_effects(nameplate(), &["constant_load"]);
+    let (mut elsewhere, mut judged) = (0, 0);
+    for (seed, (id, values)) in (30..).zip(KNOWN) {
+        let data = evidence(&truth(id, values), seed);
+        let beside = judge(&with_constant, &data, seed);
+        elsewhere += passed(&beside);
+        judged += beside.len();
+        let found = judge(&nameplate(), &data, seed);
+        if id != "constant_load" {
+            elsewhere += passed(&found);
+            judged += found.len();
+            continue;
+        }
+        let load = diagnose(&nameplate(), &data, false).unwrap();
+        let mut all = load.candidates.iter();
+        let load = all.find(|one| one.effect == id).unwrap();
+        let sizes: Vec<f64> = data.training.speed_rad_s.iter().map(|w| w.abs()).collect();
+        let mean = crate::numerics::statistics::mean(&sizes);
+        let squares: Vec<f64> = sizes.iter().map(|w| w * w).collect();
+        let mean_share = mean * mean / crate::numerics::statistics::mean(&squares);
+        assert_eq!(passed(&found), found.len(), "every one has a mean");
+        for one in &found {
+            let expected = mean_share * share(load);
+            assert!(
+                (share(one) - expected).abs() < 0.15,
+                "explains {:.2}, by its mean {expected:.2}",
+                share(one)
+            );
+        }
+    }
+    eprintln!("shifted |w| where no constant load is missing: {elsewhere} of {judged}");
+    assert!(elsewhere * 100 < judged, "{elsewhere} of {judged}");
+}
+
+/// z of an effect that no setting turned by a fifth may hide: a threshold a fifth higher, and a z that a longer filter or
+/// other blocks bring down by a fifth. Between the threshold and this an effect stands on the edge: a setting may make
+/// the answer `unexplained`, but never another name.
+const CLEAR: f64 = 1.2 * 3.0 / 0.8;
+
+#[test]
+fn halves_and_settings_do_not_change_the_name() {
+    let mut clear = 0;
     for (id, values) in KNOWN {
         let data = evidence(&truth(id, values), 5);
         let swapped = Evidence {
@@ -185,29 +251,41 @@ fn halves_and_settings_bring_no_other_name() {
             holdout: data.training.clone(),
             ..data.clone()
         };
-        let named = diagnose(&nameplate(), &swapped, false).unwrap();
-        assert_eq!(
-            named.effect,
-            Some(id),
-            "halves: {}; {}",
-            named.sentence,
-            named.candidates[0].evidence
-        );
+        // Where two laws of the speed are left open, the true one is among them.
+        let is_named = |named: &Diagnosis| {
+            let mut open = named.confusable.iter().flatten();
+            named.effect == Some(id) || open.any(|rival| *rival == id)
+        };
+        let strict = Settings {
+            significant: CLEAR,
+            ..Settings::default()
+        };
+        let is_clear = is_named(&diagnose_with(&nameplate(), &data, false, strict).unwrap());
+        clear += usize::from(is_clear);
+        let halves = diagnose(&nameplate(), &swapped, false).unwrap();
+        assert!(is_named(&halves), "{id}, halves: {}", halves.sentence);
         for settings in turned() {
             let named = diagnose_with(&nameplate(), &data, false, settings).unwrap();
-            // Never another name: where the settings leave two laws of the speed open, the true one is among them.
-            let mut open = named.confusable.iter().flatten();
-            let is_open = open.any(|rival| *rival == id);
+            let is_on_the_edge = !is_clear && named.effect.is_none();
             assert!(
-                named.effect.is_none() || named.effect == Some(id) || is_open,
-                "{settings:?}: {}",
-                named.sentence
+                is_named(&named) || is_on_the_edge,
+                "{id} {values:?}, {settings:?}: {}; {}",
+                named.sentence,
+                named.candidates[0].evidence
             );
-            kept.push(named.effect == Some(id) || is_open);
         }
+        let (one, one_std) = size(&nameplate(), &data, effect::find(id).unwrap());
+        let (two, two_std) = size(&nameplate(), &swapped, effect::find(id).unwrap());
+        assert!(
+            (one - two).abs() < 3.0 * one_std.hypot(two_std),
+            "{id}: {one:.3e} +- {one_std:.1e} and {two:.3e} +- {two_std:.1e}"
+        );
     }
-    let abstained = kept.iter().filter(|kept| !**kept).count();
-    assert!(8 * abstained <= kept.len(), "{abstained} of {}", kept.len());
+    assert_eq!(
+        clear,
+        KNOWN.len() - 1,
+        "all but the narrow Stribeck friction"
+    );
 }
 
 #[test]
