@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
 use super::failure::{Failure, REFUSED, USAGE};
-use super::output;
 use super::sanity_report::Judging;
+use super::{model_output, output, pages};
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -25,12 +25,18 @@ pub(super) struct Arguments {
     min_fit: Option<f64>,
     #[command(flatten)]
     evidence: EvidenceArguments,
+    /// Write the page: figures, lights, where the model fails; never overwritten
+    #[arg(long, value_name = "PAGE.html")]
+    html: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(path) = &arguments.html {
+        model_output::refuse_existing(path)?;
+    }
     let prepared = prepare(
         &arguments.run,
         arguments.model.as_ref(),
@@ -45,6 +51,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
     model.require_complete()?;
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
+    if let Some(path) = &arguments.html {
+        let page = pages::comparison(
+            &prepared.run.run.name,
+            &arguments.evidence.runs(&arguments.run),
+            &prepared.run.manifest.clone().unwrap_or_default(),
+            &comparison,
+        );
+        pages::write(path, &page)?;
+    }
     let mut value = serde_json::to_value(&comparison).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();

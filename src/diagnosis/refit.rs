@@ -142,6 +142,7 @@ pub(super) fn polished(evidence: &Evidence, refit: &Refit) -> Result<Refit, FitE
     Ok(Refit {
         holdout: Score::of(&fit.model, &evidence.holdout, &evidence.noise)?,
         fit,
+        refitted: true,
         ..refit.clone()
     })
 }
@@ -202,6 +203,8 @@ fn refit(
         minimum_detectable: candidate.minimum_detectable,
         visible: candidate.visible,
         free_parameters: fit.free.len(),
+        refitted: options.most_iterations > 0,
+        screened_share: candidate.share,
         fit,
     })
 }

@@ -6,12 +6,14 @@
 //!
 //! Pure: it owns a model and its evidence, and knows no thread, file or screen.
 
+use super::curve;
 use crate::diagnosis::{
-    self, AddResult, Comparison, Diagnosis, ErrorOf, Event, Evidence, ExperimentLimits, Fitted,
-    NextExperiment, Options, Rung, compare, diagnose_with, recommend,
+    self, AddResult, AxisMap, Comparison, Diagnosis, ErrorOf, Event, Evidence, ExperimentLimits,
+    Fitted, NextExperiment, Options, Rung, compare, diagnose_with, recommend,
 };
 use crate::identification::output_error::FitError;
-use crate::plant::{Input, Model, effect};
+use crate::plant::effect::{self, Axis};
+use crate::plant::{Input, Model};
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +21,8 @@ pub enum Order {
     Diagnose,
     Add(&'static str),
     Remove(&'static str),
+    /// The curve that the error follows, by its place in the diagnosis' axis map, as an effect without a name.
+    AddCurve(usize),
     /// Keep the model; carried out by whoever owns the files.
     Write,
 }
@@ -50,6 +54,8 @@ pub struct Discovery {
     limits: Option<ExperimentLimits>,
     fitted: Option<Fitted>,
     ladder: Vec<Rung>,
+    /// What the error of the model as it stands follows.
+    curves: Vec<AxisMap>,
 }
 
 impl Discovery {
@@ -62,6 +68,7 @@ impl Discovery {
             limits: None,
             fitted: None,
             ladder: Vec::new(),
+            curves: Vec::new(),
         }
     }
 
@@ -88,6 +95,7 @@ impl Discovery {
             Order::Diagnose => self.diagnose(tell),
             Order::Add(id) => self.change(id, true, tell),
             Order::Remove(id) => self.change(id, false, tell),
+            Order::AddCurve(place) => self.add_curve(place, tell),
             Order::Write => Ok(()),
         };
         if let Err(error) = done {
@@ -122,6 +130,7 @@ impl Discovery {
             });
         }
         self.fitted = Some(diagnosis.baseline.clone());
+        self.curves.clone_from(&diagnosis.axis_map);
         tell(News::Diagnosed(Box::new(diagnosis.clone())));
         let Some(limits) = &self.limits else {
             return Ok(());
@@ -133,7 +142,10 @@ impl Discovery {
     }
 
     fn change(&mut self, id: &'static str, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
-        let Some(effect) = effect::find(id) else {
+        let mut present = self.model.effects.iter();
+        let present = present.find(|active| active.id() == id);
+        let known = present.map(|active| active.effect);
+        let Some(effect) = known.or_else(|| effect::find(id)) else {
             tell(News::Failed(format!(
                 "effect {id:?} is not in the catalogue"
             )));
@@ -147,6 +159,37 @@ impl Discovery {
             self.model.without_effect(id)?;
             diagnosis::remove(effect, &self.model, evidence)?
         };
+        self.changed(result, adds, tell)
+    }
+
+    /// The curve keeps the error low while its cause is looked for.
+    fn add_curve(&mut self, place: usize, tell: Tell<'_>) -> Result<(), FitError> {
+        let map = self.curves.get(place);
+        let Some((map, axis)) = map.and_then(|map| Some((map, Axis::from_key(map.axis)?))) else {
+            let reason = "the error follows no axis that a table could run over";
+            tell(News::Failed(reason.to_owned()));
+            return Ok(());
+        };
+        let axis_name = axis.key().split('_').next().unwrap_or_default();
+        let id = format!("table_{}_{axis_name}", map.equation);
+        let knots: Vec<f64> = map.knots.iter().copied().map(curve::four_digits).collect();
+        let effect = match curve::table(&id, map.equation, axis, &knots) {
+            Ok(effect) => effect,
+            Err(error) => {
+                tell(News::Failed(format!("{error}; {}", error.help)));
+                return Ok(());
+            }
+        };
+        let mut model = self.model.clone();
+        if let Some(fitted) = &self.fitted {
+            curve::hold_what_the_curve_holds(&mut model, &fitted.model, map.equation, axis);
+        }
+        let result = diagnosis::add(effect, &model, self.evidence.clone())?;
+        self.changed(result, true, tell)
+    }
+
+    /// Takes over what was accepted, and searches on.
+    fn changed(&mut self, result: AddResult, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
         let accepted = result.accepted;
         if accepted {
             self.model = result.fit.model.clone();
