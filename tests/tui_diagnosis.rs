@@ -5,6 +5,7 @@
     reason = "helpers of an integration test are test code"
 )]
 
+#[expect(dead_code, reason = "these tests read screens, not documents")]
 mod program;
 mod terminal;
 
@@ -96,10 +97,7 @@ fn a_small_terminal_shows_the_size_and_scrolls_the_help() {
         row.contains("stribeck_friction") && row.contains("N.m"),
         "{shown}"
     );
-    assert!(
-        shown.lines().last().unwrap().ends_with("q leave"),
-        "{shown}"
-    );
+    assert!(shown.trim_end().ends_with("q leave"), "{shown}");
     session.press("?");
     session.wait_for("more below");
     for _ in 0..30 {
@@ -125,7 +123,7 @@ fn leaving_in_the_middle_of_a_search_gives_the_terminal_back() {
     for key in ["q", "\u{3}"] {
         let folder = tempfile::tempdir().unwrap();
         let mut session = diagnose(&[], folder.path(), (100, 30));
-        session.wait("the screen", |screen| screen.alternate_screen());
+        session.wait("the screen", vt100::Screen::alternate_screen);
         session.press(key);
         let status = session.end();
         // A machine that is fast enough has its answer before the key arrives.

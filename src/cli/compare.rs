@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
+use super::diagnose::title;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
 use super::{model_output, output, pages};
@@ -53,7 +54,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
     if let Some(path) = &arguments.html {
         let page = pages::comparison(
-            &prepared.run.run.name,
+            &title(&arguments.run, arguments.evidence.holdout.as_deref()),
             &arguments.evidence.runs(&arguments.run),
             &prepared.run.manifest.clone().unwrap_or_default(),
             &comparison,

@@ -100,7 +100,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     arguments.next.write(&diagnosis)?;
     if let Some(path) = &arguments.html {
         let page = pages::diagnosis(
-            &prepared.run.run.name,
+            &title(&arguments.run, arguments.evidence.holdout.as_deref()),
             &arguments.evidence.runs(&arguments.run),
             &prepared.run.manifest.clone().unwrap_or_default(),
             &prepared.evidence,
@@ -115,7 +115,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// The runs by the last part of their names.
-fn title(run: &Path, holdout: Option<&Path>) -> String {
+pub(super) fn title(run: &Path, holdout: Option<&Path>) -> String {
     let name = |path: &Path| {
         path.file_name()
             .map_or_else(String::new, |name| name.to_string_lossy().into_owned())

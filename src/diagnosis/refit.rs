@@ -192,10 +192,13 @@ fn refit(
         &evidence.noise,
         options,
     )?;
-    progress(Event::Refitted {
-        effect: candidate.effect.card().id,
-        error: fit.nrms,
-    });
+    let refitted = options.most_iterations > 0;
+    if refitted {
+        progress(Event::Refitted {
+            effect: candidate.effect.card().id,
+            error: fit.nrms,
+        });
+    }
     let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
     Ok(Refit {
         effect: candidate.effect,
@@ -203,7 +206,7 @@ fn refit(
         minimum_detectable: candidate.minimum_detectable,
         visible: candidate.visible,
         free_parameters: fit.free.len(),
-        refitted: options.most_iterations > 0,
+        refitted,
         screened_share: candidate.share,
         fit,
     })

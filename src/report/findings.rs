@@ -98,7 +98,7 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
             .collect(),
     );
     page.paragraph(
-        "No effect of the catalogue has this form. The curve can be added as it is, with `drivebench add table`, so that the \
+        "No effect of the catalogue has this form. The curve can be added as it is, with the command drivebench add table, so that the \
          error falls while its cause is looked for.",
     );
 }

@@ -172,6 +172,12 @@ impl Discovery {
         };
         let axis_name = axis.key().split('_').next().unwrap_or_default();
         let id = format!("table_{}_{axis_name}", map.equation);
+        if self.model.has(&id) {
+            let reason =
+                format!("{id} is in the model already: without it the curve is found anew");
+            tell(News::Failed(reason));
+            return Ok(());
+        }
         let knots: Vec<f64> = map.knots.iter().copied().map(curve::four_digits).collect();
         let effect = match curve::table(&id, map.equation, axis, &knots) {
             Ok(effect) => effect,
@@ -225,6 +231,58 @@ mod tests {
                 .push(item);
         });
         news.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    #[test]
+    fn an_error_without_a_name_is_held_by_its_curve() {
+        let mut truth = Model::baseline(Motor::zk_22fc());
+        let settings =
+            "equation = \"torque\"\nexpression = \"a*exp(-((w-118)/15)^2)\"\nparameters = [\"a\"]";
+        let (bump, _) = effect::define("custom", &settings.parse().unwrap()).unwrap();
+        truth.effects.push(crate::plant::ActiveEffect {
+            effect: bump,
+            values: vec![Some(0.18)],
+        });
+        let record = |shift: usize| {
+            let mut events = vec![(0.0, 0.0)];
+            for step in 0..22_usize {
+                let level = [30.0, 60.0, 45.0, 20.0, 52.0, 70.0, -30.0, 38.0][(step + shift) % 8];
+                let begin_s = 0.5 + 0.25 * step as f64;
+                events.push((begin_s, level));
+                events.push((begin_s + 0.12, level + 5.0));
+            }
+            testing::record(&truth, events, 0.002, 6.0, shift as u64 + 1)
+        };
+        let evidence = Evidence::new(record(0), Some(record(3)), None);
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut discovery = Discovery::new(model, evidence, false);
+        let nothing = told(&mut discovery, Order::AddCurve(0));
+        assert!(matches!(&nothing[..], [News::Failed(_)]), "{nothing:?}");
+        let news = told(&mut discovery, Order::Diagnose);
+        let Some(News::Diagnosed(diagnosis)) = news.last() else {
+            panic!("no answer: {:?}", news.last());
+        };
+        assert_eq!(diagnosis.verdict, DiagnosisVerdict::Unexplained);
+        // Nothing is in an answer that names nothing.
+        let mut statuses = diagnosis.candidates.iter().map(|found| found.status);
+        assert!(statuses.all(|status| status != diagnosis::Status::Supported));
+        assert_eq!(diagnosis.axis_map[0].axis, "speed_rad_s");
+        let news = told(&mut discovery, Order::AddCurve(0));
+        assert!(
+            matches!(&news[0], News::Added(result) if result.accepted),
+            "{:?}",
+            news[0]
+        );
+        let [before, after] = discovery.ladder() else {
+            panic!("{:?}", discovery.ladder());
+        };
+        assert!(
+            after.holdout_rmse < 0.6 * before.holdout_rmse,
+            "{before:?} {after:?}"
+        );
+        assert_eq!(after.effects, ["table_torque_speed"]);
+        let removed = told(&mut discovery, Order::Remove("table_torque_speed"));
+        assert!(matches!(&removed[..], [News::Removed(result)] if !result.accepted));
     }
 
     /// Steps both ways of a motor with a fan, which is not in the model.

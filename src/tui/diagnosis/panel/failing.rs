@@ -15,7 +15,7 @@ use crate::tui::theme;
 /// Places that are told.
 const MOST_PLACES: usize = 3;
 /// Below this width the signals have a row each, where there are so many rows.
-const WIDE: u16 = 100;
+const WIDE: u16 = 106;
 const TALL: u16 = 4;
 
 pub(in crate::tui::diagnosis) fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
