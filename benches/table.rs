@@ -54,6 +54,36 @@ fn figures() -> Vec<Figure> {
             None,
         ),
         figure(
+            "screen/nothing_missing",
+            "screen of every effect, nothing missing, 12 s at 1 kHz",
+            Some(100.0 * MS),
+        ),
+        figure(
+            "screen/stribeck_missing",
+            "the same, one effect missing",
+            Some(100.0 * MS),
+        ),
+        figure(
+            "diagnose/nothing_missing",
+            "`diagnose` with a second run of 12 s, nothing missing",
+            Some(500.0 * MS),
+        ),
+        figure(
+            "diagnose/stribeck_missing",
+            "the same, one effect missing",
+            Some(500.0 * MS),
+        ),
+        figure(
+            "diagnose_everything/nothing_missing",
+            "`diagnose` with every candidate refitted from two starts, nothing missing",
+            Some(1200.0 * MS),
+        ),
+        figure(
+            "diagnose_everything/stribeck_missing",
+            "the same, one effect missing",
+            Some(1200.0 * MS),
+        ),
+        figure(
             "free_run/baseline",
             "free run of the baseline, 12 s at 1 kHz",
             Some(0.5 * MS),

@@ -65,7 +65,7 @@ fn the_slew_limit_of_the_bench_holds_in_every_stage() {
     let bench = out.path().join("bench.toml");
     let limit_v_per_s = 20.0;
     let text = BENCH.replace(
-        "slew_v_per_s = 200.0",
+        "slew_v_per_s = 150.0",
         &format!("slew_v_per_s = {limit_v_per_s:.1}"),
     );
     assert_ne!(text, BENCH);

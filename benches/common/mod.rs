@@ -1,7 +1,7 @@
 //! Rows and runs that the benchmarks share.
 //!
 //! ```text
-//! estimation, simulation -> target/criterion/*/new/*.json -> table -> docs/benchmarks.md
+//! estimation, simulation, diagnosis -> target/criterion/*/new/*.json -> table -> docs/benchmarks.md
 //! ```
 
 use std::time::Duration;
@@ -22,11 +22,16 @@ pub(crate) fn settings() -> Criterion {
         .configure_from_args()
 }
 
-/// 12 s at 1 kHz: steps of voltage with reversals, creeping and rest, a new level every 40 ms; current and speed as a
-/// baseline motor gives them, with noise.
+/// The run that most benchmarks use: a baseline motor.
 pub(crate) fn run_of_12_s() -> Scenario {
+    record(&Model::baseline(Motor::zk_22fc()), 1)
+}
+
+/// 12 s at 1 kHz: steps of voltage with reversals, creeping and rest, a new level every 40 ms; current and speed as
+/// `truth` gives them, with noise.
+pub(crate) fn record(truth: &Model, seed: u64) -> Scenario {
     const PERIOD_S: f64 = 1e-3;
-    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
     let samples = whole(12.0 / PERIOD_S);
     let mut level_v = 0.0;
     let events = (0..samples)
@@ -52,8 +57,8 @@ pub(crate) fn run_of_12_s() -> Scenario {
         angle: Vec::new(),
         scored: 0..samples,
     };
-    let truth = Plant::new(&Model::baseline(Motor::zk_22fc()), Input::Voltage)
-        .expect("the motor of the example is complete")
+    let truth = Plant::new(truth, Input::Voltage)
+        .expect("a complete model")
         .simulate(&scenario, State::default());
     let mut noisy = |values: &[f64], size: f64| -> Vec<f64> {
         values

@@ -73,6 +73,11 @@ impl Status {
         }
     }
 
+    /// Whether a limit of the drive holds its output now.
+    pub const fn is_limited(self) -> bool {
+        self.has(Self::CURRENT_LIMIT) || self.has(Self::VOLTAGE_LIMIT)
+    }
+
     /// Whether a flag is set.
     pub const fn has(self, flag: u16) -> bool {
         self.0 & flag == flag

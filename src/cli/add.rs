@@ -10,7 +10,7 @@ use super::defined::{self, DefinitionArguments};
 use super::diagnose::parameter_text;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
-use super::{compare, model_output, output};
+use super::{compare, interrupt, model_output, output, progress};
 use crate::config_text::help_for_unknown;
 use crate::diagnosis::{AddResult, add, remove};
 use crate::plant::{Effect, FileHistory, Model, ModelError, ModelFile, effect};
@@ -98,6 +98,8 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     if let Some(path) = &arguments.output {
         model_output::refuse_existing(path)?;
     }
+    let _endable = interrupt::endable()?;
+    let shown = progress::begin(if adding.is_some() { "add" } else { "remove" });
     let prepared = prepare(
         &arguments.run,
         arguments.model.as_ref(),
@@ -106,6 +108,7 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     )?;
     let mut model = prepared.model.file.model.clone();
     let result = if let Some(definition) = adding {
+        progress::stage("refits with the effect and without it", 0);
         // Refused here with a clear word rather than as a failed fit.
         if model.has(id) {
             return Err(ModelError::Duplicate { id: id.to_owned() }.into());
@@ -117,22 +120,18 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
         };
         add(chosen, &model, prepared.evidence)?
     } else {
+        progress::stage("refits with the effect and without it", 0);
         model.without_effect(id)?;
         remove(of_model(&model, id)?, &model, prepared.evidence)?
     };
+    drop(shown);
     let file = model_file(
         &result,
         &prepared.model.file.history,
         &prepared.run.run.name,
     );
     if let Some(path) = arguments.output.as_ref().filter(|_| result.accepted) {
-        std::fs::write(path, file.to_toml()).map_err(|error| {
-            Failure::with_help(
-                USAGE,
-                format!("{}: cannot write: {error}", path.display()),
-                "check the folder",
-            )
-        })?;
+        output::file(path, &file.to_toml())?;
         output::message(&format!("model written to {}", path.display()));
     }
     let mut value = serde_json::to_value(&result).unwrap_or_default();

@@ -5,7 +5,7 @@ use super::escalate::{escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Rig, Strings};
 use super::recorded::Recorded;
-use super::{data, model_output, output, pages, screen};
+use super::{data, interrupt, model_output, output, pages, progress, screen};
 use crate::identification::nameplate::Comparison;
 use crate::plant::{FileHistory, Model, ModelFile, Scenario};
 use crate::recording::RunFile;
@@ -30,7 +30,9 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     let (strings, intents) = Strings::new()?;
     if arguments.live.is_headless() {
         let mut told = Told::default();
+        let shown = progress::begin("commission");
         let done = commission(&arguments.live, &strings, |progress| told.tell(progress))?;
+        drop(shown);
         return finish(arguments.live.json, &done.result, &done.text);
     }
     let (json, progress) = (arguments.live.json, ProgressCell::default());
@@ -192,7 +194,11 @@ fn step(
             );
             records.push(recorded);
         }
-        Task::Analyse => workflow.analyse(|progress| publish(&progress))?,
+        Task::Analyse => {
+            // Nothing is energised and everything recorded is on the disk; a screen hears the signals itself.
+            let _endable = rig.is_headless().then(interrupt::endable).transpose()?;
+            workflow.analyse(|now| publish(&now), &progress::diagnosis)?;
+        }
         Task::Save => {
             let line = save(workflow, rig, records)?;
             workflow.saved(line);
@@ -262,6 +268,7 @@ impl Told {
                 StepState::Waiting => {}
                 StepState::Active => {
                     output::message(&format!("[{number:>2}/{total}] {} ...", step.title));
+                    progress::stage(&step.title, 0);
                 }
                 StepState::Done => output::message(&format!(
                     "[{number:>2}/{total}] {}: {}",

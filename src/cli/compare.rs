@@ -7,7 +7,7 @@ use super::data::{EvidenceArguments, prepare};
 use super::diagnose::title;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
-use super::{model_output, output, pages};
+use super::{interrupt, model_output, output, pages, progress};
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -38,6 +38,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.html {
         model_output::refuse_existing(path)?;
     }
+    let _endable = interrupt::endable()?;
+    let shown = progress::begin("compare");
     let prepared = prepare(
         &arguments.run,
         arguments.model.as_ref(),
@@ -47,11 +49,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let mut model = prepared.model.file.model;
     let mut evidence = prepared.evidence;
     if prepared.model.from == "baseline" {
+        progress::stage("fits the baseline", 0);
         let (with_scale, fit) = evidence.with_baseline(&model)?;
         (evidence, model) = (with_scale, fit.model);
     }
     model.require_complete()?;
+    progress::stage("compares", 0);
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
+    drop(shown);
     if let Some(path) = &arguments.html {
         let page = pages::comparison(
             &title(&arguments.run, arguments.evidence.holdout.as_deref()),

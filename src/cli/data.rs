@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::failure::{Failure, USAGE};
-use super::output;
+use super::holdout::{self, Beside};
 use super::provenance::Provenance;
 use super::sanity_report::{self, Judging};
-use crate::diagnosis::{Evidence, Fingerprint, Kinship, fingerprint, matches};
+use super::{output, progress};
+use crate::diagnosis::Evidence;
 use crate::identification::{speed_from_angle, start};
 use crate::plant::{Model, ModelFile, Motor, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, open_run};
-use crate::sample::Channel;
+use crate::sample::{Channel, Run};
 
 /// How foreign columns are read.
 #[derive(Args, Clone, Debug, Default)]
@@ -157,6 +158,7 @@ pub(super) fn prepare(
     args: &EvidenceArguments,
     judging: Judging,
 ) -> Result<Prepared, Failure> {
+    progress::stage("reads the runs", 0);
     let mut run = args.map.load(run)?;
     let mut model = model(model_path, &run)?;
     let fit_run = Scenario::from_run(&run.run)?;
@@ -166,24 +168,42 @@ pub(super) fn prepare(
         judging
     };
     sanity_report::before_judging(&mut run.run, &fit_run, &model.file.model, judging)?;
-    let other = |path: Option<&PathBuf>| -> Result<Option<Scenario>, Failure> {
+    let cautions = holdout::cautions(&run.run, &fit_run);
+    output::warn(&cautions);
+    run.run.notes.extend(cautions);
+    let other = |path: Option<&PathBuf>| -> Result<Option<(LoadedRun, Scenario)>, Failure> {
         let Some(path) = path else { return Ok(None) };
-        Ok(Some(Scenario::from_run(&args.map.load_other(path)?.run)?))
+        let loaded = args.map.load_other(path)?;
+        let scenario = Scenario::from_run(&loaded.run)?;
+        let cautions = holdout::cautions(&loaded.run, &scenario);
+        output::warn(&cautions);
+        Ok(Some((loaded, scenario)))
     };
     if fit_run.input_channel == Channel::VoltageCmd {
         output::message("voltage_cmd_v serves as the voltage");
+        if let Some(note) = limited_note(&run.run) {
+            output::message(&note);
+            run.run.notes.push(note);
+        }
     }
+    progress::stage("finds where the fit starts", 0);
     model.file.model = start::complete(&model.file.model, &fit_run)?;
     let (holdout, confirm) = (other(args.holdout.as_ref())?, other(args.confirm.as_ref())?);
-    warn_of_another_motor(
-        &mut run,
-        &model.file.model,
-        &fit_run,
-        [
-            ("hold-out", holdout.as_ref()),
-            ("confirming run", confirm.as_ref()),
-        ],
+    let mut beside = Beside {
+        model: &model.file.model,
+        fitted: &fit_run,
+        judging,
+        fingerprint: None,
+    };
+    let mut judge = |role, other: Option<_>, instead| {
+        other.and_then(|other| beside.judge(role, other, instead, &mut run.run.notes))
+    };
+    let holdout = judge(
+        "hold-out",
+        holdout,
+        "the last 40 % of the run are held out instead",
     );
+    let confirm = judge("confirming run", confirm, "nothing is confirmed");
     let evidence = Evidence::new(fit_run, holdout, confirm);
     Ok(Prepared {
         run,
@@ -192,25 +212,16 @@ pub(super) fn prepare(
     })
 }
 
-/// Says where a hold-out is not of the motor of the run, by resistance and back-EMF constant.
-fn warn_of_another_motor(
-    run: &mut LoadedRun,
-    model: &Model,
-    fit_run: &Scenario,
-    others: [(&str, Option<&Scenario>); 2],
-) {
-    let mut first: Option<Option<Fingerprint>> = None;
-    for (name, other) in others {
-        let Some(other) = other else { continue };
-        let here = *first.get_or_insert_with(|| fingerprint(model, fit_run));
-        let (Some(here), Some(there)) = (here, fingerprint(model, other)) else {
-            continue;
+/// Says how often the command was not what the motor had.
+fn limited_note(run: &Run) -> Option<String> {
+    let limited = run.limited_rows().len();
+    (limited > 0).then(|| {
+        let samples = run.points(Channel::Voltage).count();
+        let instead = if samples == 0 {
+            "what the motor had was not measured: smaller steps would leave the command in force"
+        } else {
+            "there the measured voltage serves"
         };
-        let found = matches(here, there);
-        if found.kinship != Kinship::Same {
-            let sentence = format!("{name}: {}", found.sentence);
-            output::warn(std::slice::from_ref(&sentence));
-            run.run.notes.push(sentence);
-        }
-    }
+        format!("a limit of the drive held its output at {limited} samples; {instead}")
+    })
 }

@@ -9,8 +9,8 @@ use super::discovery::{self, Shown};
 use super::failure::{Failure, USAGE};
 use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
-use super::{model_output, output, pages};
-use crate::diagnosis::{Candidate, Diagnosis, Peak, Reached, Status, diagnose};
+use super::{interrupt, model_output, output, pages, progress};
+use crate::diagnosis::{Candidate, Diagnosis, Options, Peak, Reached, Status, diagnose_with};
 use crate::sample::ParameterEstimate;
 use crate::workflow::Discovery;
 
@@ -73,6 +73,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.html {
         model_output::refuse_existing(path)?;
     }
+    let mut attended = Some((interrupt::endable()?, progress::begin("diagnose")));
     let prepared = prepare(
         &arguments.run,
         arguments.model.as_ref(),
@@ -82,6 +83,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let place = arguments.next.place(&prepared)?;
     let original = &prepared.model.file.model;
     let mut diagnosis = if on_screen.screen {
+        // From here on the screen owns the terminal and hears the signals.
+        attended = None;
         let shown = Shown {
             title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
             guess_first: on_screen.guess,
@@ -94,9 +97,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             .with_limits(place.limits());
         discovery::show(discovery, shown)?
     } else {
-        diagnose(original, prepared.evidence.clone(), arguments.until_floor)?
+        let options = Options {
+            until_floor: arguments.until_floor,
+            progress: &progress::diagnosis,
+            ..Options::default()
+        };
+        diagnose_with(original, prepared.evidence.clone(), options)?
     };
+    progress::stage("looks for the run that would tell more", 0);
     place.recommend(&mut diagnosis, original, &prepared.evidence)?;
+    let _endable = attended.map(|(endable, _)| endable);
     arguments.next.write(&diagnosis)?;
     if let Some(path) = &arguments.html {
         let page = pages::diagnosis(

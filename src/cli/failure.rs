@@ -49,9 +49,11 @@ impl Failure {
     /// Two lines on stderr; where stderr is gone there is nobody left to tell.
     pub(super) fn print(&self) {
         use std::io::Write;
-        let mut stderr = std::io::stderr().lock();
-        let _ = writeln!(stderr, "error: {}", self.headline);
-        let _ = writeln!(stderr, "help: {}", self.help());
+        super::progress::above(|| {
+            let mut stderr = std::io::stderr().lock();
+            let _ = writeln!(stderr, "error: {}", self.headline);
+            let _ = writeln!(stderr, "help: {}", self.help());
+        });
     }
 
     /// The next step; where none was given, what the status means for the reader.

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use super::data::{MapArguments, model, read_text};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
-use super::output;
 use super::sanity_report;
+use super::{interrupt, output};
 use crate::bench::MotorSection;
 use crate::config_text;
 use crate::identification::added_inertia::{self, Seen};
@@ -120,6 +120,7 @@ impl Answer {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let _endable = interrupt::endable()?;
     if let Some(ratio) = arguments
         .gear_ratio
         .filter(|ratio| !GEAR_RATIOS.contains(ratio))

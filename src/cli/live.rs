@@ -237,7 +237,7 @@ impl Rig {
                 let time = VirtualClock::new();
                 clock = Box::new(time.clone());
                 let drive = SoftDrive::new(config, bench.emulator.seed);
-                Box::new(MemoryLink::new(drive, time, Latency::default()))
+                Box::new(MemoryLink::new(drive, time, latency(config, &bench)))
             }
             (Port::Emulator, Some(config)) => {
                 let handle = serve(config, &bench)?;
@@ -282,6 +282,11 @@ impl Rig {
             _server: server,
             bench,
         })
+    }
+
+    /// Nobody looks at a screen.
+    pub(super) const fn is_headless(&self) -> bool {
+        self.headless
     }
 
     /// Identity, limits, link probe, watchdog proof; the refusal is the first check that failed.
@@ -503,6 +508,16 @@ pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
         EmulatorConfig::parse(name, &read_text(path)?)
     };
     config.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
+}
+
+/// What an exchange of the bench's protocol takes over its line, for a drive in memory.
+fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
+    let mut line = config.line.clone();
+    line.baud = match bench.link.protocol {
+        Protocol::ModbusTcp => 0,
+        Protocol::ModbusRtu | Protocol::Stream => bench.link.baud,
+    };
+    Latency::of_line(&line, bench.link.protocol == Protocol::ModbusRtu)
 }
 
 /// Serves the emulator from a thread of this process, over the protocol that the bench file names.

@@ -26,13 +26,7 @@ pub(super) fn execute(path: &Path, run: &Run, model: &Model, json: bool) -> Resu
         ));
     }
     let trace = load_torque_trace(run, model, LoadOptions::default())?;
-    std::fs::write(path, csv(&trace)).map_err(|error| {
-        Failure::with_help(
-            USAGE,
-            format!("{}: cannot write: {error}", path.display()),
-            "check the folder",
-        )
-    })?;
+    output::file(path, &csv(&trace))?;
     let extreme = |better: fn(f64, f64) -> bool| {
         trace.points.iter().reduce(|a, b| {
             if better(b.load_torque_n_m, a.load_torque_n_m) {

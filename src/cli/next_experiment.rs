@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::data::{Prepared, read_text};
-use super::failure::{Failure, USAGE};
+use super::failure::Failure;
 use super::output;
 use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
 use crate::diagnosis::{Diagnosis, Evidence, ExperimentLimits, recommend};
@@ -70,13 +70,7 @@ impl NextArguments {
             ));
             return Ok(());
         };
-        std::fs::write(path, text).map_err(|error| {
-            Failure::with_help(
-                USAGE,
-                format!("{}: cannot write: {error}", path.display()),
-                "check the folder",
-            )
-        })
+        output::file(path, text)
     }
 }
 

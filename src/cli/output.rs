@@ -1,10 +1,12 @@
 //! The only place that writes results to stdout and messages to stderr.
 
 use std::io::Write;
+use std::path::Path;
 
 use serde::Serialize;
 
-use super::failure::{Failure, INTERNAL};
+use super::failure::{Failure, INTERNAL, USAGE};
+use super::{interrupt, progress};
 
 /// Prints a result as one JSON document, or as the text that `text` makes of it.
 pub(super) fn result<T: Serialize>(
@@ -24,6 +26,7 @@ pub(super) fn result<T: Serialize>(
 
 /// One line (or block) on stdout, flushed. A reader that went away is not an error of ours.
 pub(super) fn line(text: &str) -> Result<(), Failure> {
+    let _whole = interrupt::writing();
     let mut stdout = std::io::stdout().lock();
     match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::new(
@@ -34,9 +37,23 @@ pub(super) fn line(text: &str) -> Result<(), Failure> {
     }
 }
 
-/// A message for the person at the terminal.
+/// A new file, whole or not at all as far as a signal is concerned.
+pub(super) fn file(path: &Path, text: &str) -> Result<(), Failure> {
+    let _whole = interrupt::writing();
+    std::fs::write(path, text).map_err(|error| {
+        Failure::with_help(
+            USAGE,
+            format!("{}: cannot write: {error}", path.display()),
+            "check the folder",
+        )
+    })
+}
+
+/// A message for the person at the terminal, above the progress line.
 pub(super) fn message(text: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    progress::above(|| {
+        let _ = writeln!(std::io::stderr().lock(), "{text}");
+    });
 }
 
 pub(super) fn warn(warnings: &[String]) {

@@ -8,7 +8,8 @@ use std::sync::atomic::AtomicBool;
 use clap::ValueEnum;
 
 use super::failure::{Failure, INTERNAL, INTERRUPTED, USAGE};
-use super::output;
+use super::live_study::live_study;
+use super::{interrupt, output, progress};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
 use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
@@ -16,15 +17,18 @@ use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
 /// Compute a paper's figures and tables again, or how often the diagnosis is right: text on stdout, page, pictures and tables in a folder
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  drivebench reproduce paper-a --out paper-a\n  drivebench reproduce discovery --sets 2 --out validation"
+    after_help = "Examples:\n  drivebench reproduce paper-a --out paper-a\n  drivebench reproduce discovery --sets 2 --out validation\n  drivebench reproduce discovery --sets 1 --live 30 --out validation"
 )]
 pub(super) struct Arguments {
     /// Which paper, or `discovery`: the diagnosis on machines whose truth is known
     #[arg(value_enum, value_name = "PAPER")]
     paper: Paper,
-    /// With `discovery`: machines for each effect and excitation (default 1: some 300 machines in all)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
+    /// With `discovery`: machines for each effect and excitation (default 1: some 300 machines in all; 0 with --live: none)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=100))]
     sets: Option<u64>,
+    /// With `discovery`: also so many mystery drives in real time over each link, through the whole program; their runs are kept in DIR/live
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
+    live: Option<u64>,
     /// With `discovery`: another seed makes other machines (default 1)
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
@@ -63,21 +67,28 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         require_empty(folder)?;
     }
     match arguments.paper {
-        Paper::PaperA if arguments.sets.is_some() || arguments.seed.is_some() => {
+        Paper::PaperA
+            if arguments.sets.is_some() || arguments.seed.is_some() || arguments.live.is_some() =>
+        {
             Err(Failure::with_help(
                 USAGE,
-                "--sets and --seed belong to `reproduce discovery`: a paper's figures have fixed seeds",
+                "--sets, --seed and --live belong to `reproduce discovery`: a paper's figures have fixed seeds",
                 "leave them out",
             ))
         }
         Paper::PaperA => {
-            let found = reproduce::paper_a(|part| output::message(&format!("{part} ...")));
+            let _endable = interrupt::endable()?;
+            let shown = progress::begin("reproduce");
+            let found = reproduce::paper_a(|part| progress::stage(part, 0));
+            drop(shown);
             let report = found.report();
             file(out.as_deref(), &report, None)?;
             output::result(&found, arguments.json, |_| report.text())
         }
         Paper::Discovery => {
-            let found = study(arguments.sets.unwrap_or(1), arguments.seed.unwrap_or(1))?;
+            let shown = progress::begin("reproduce");
+            let found = study(arguments, out.as_deref())?;
+            drop(shown);
             let report = found.report();
             let page = ("validation.md".to_owned(), report.markdown());
             file(out.as_deref(), &report, Some(page))?;
@@ -87,7 +98,49 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
-fn study(sets: u64, seed: u64) -> Result<reproduce::discovery::Discovery, Failure> {
+fn study(
+    arguments: &Arguments,
+    out: Option<&Path>,
+) -> Result<reproduce::discovery::Discovery, Failure> {
+    let size = Size {
+        sets: arguments.sets.unwrap_or(1),
+        seed: arguments.seed.unwrap_or(1),
+        reduced: false,
+    };
+    if size.sets == 0 && arguments.live.is_none() {
+        return Err(Failure::with_help(
+            USAGE,
+            "--sets 0 leaves nothing to study",
+            "give --live N with it, or --sets of at least 1",
+        ));
+    }
+    let interrupted = watched_signals()?;
+    let ended = || {
+        Failure::with_help(
+            INTERRUPTED,
+            "interrupted: a part of the study is not the study, so no page was written",
+            "start it again with a smaller --sets or --live",
+        )
+    };
+    output::message(&format!(
+        "{} machines are excited and diagnosed; Ctrl-C ends it",
+        size.machines()
+    ));
+    progress::stage("excites and diagnoses machines", size.machines());
+    let mut found = discovery(size, &interrupted, tell).ok_or_else(ended)?;
+    if let Some(drives) = arguments.live {
+        let scratch = std::env::temp_dir();
+        let folder = match out {
+            Some(folder) => folder.join("live"),
+            None => scratch.join(format!("drivebench-live-{}", std::process::id())),
+        };
+        create(&folder)?;
+        found.live = live_study(drives, size.seed, &folder, &interrupted)?.ok_or_else(ended)?;
+    }
+    Ok(found)
+}
+
+fn watched_signals() -> Result<Arc<AtomicBool>, Failure> {
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [
         signal_hook::consts::SIGINT,
@@ -101,26 +154,11 @@ fn study(sets: u64, seed: u64) -> Result<reproduce::discovery::Discovery, Failur
             )
         })?;
     }
-    let size = Size {
-        sets,
-        seed,
-        reduced: false,
-    };
-    output::message(&format!(
-        "{} machines are excited and diagnosed; Ctrl-C ends it",
-        size.machines()
-    ));
-    discovery(size, &interrupted, tell).ok_or_else(|| {
-        Failure::with_help(
-            INTERRUPTED,
-            "interrupted: a part of the study is not the study, so nothing was written",
-            "start it again with a smaller --sets",
-        )
-    })
+    Ok(interrupted)
 }
 
-/// Every twentieth part, and every wrong name at once.
-fn tell(done: usize, of: usize, answer: &Answer) {
+/// How far it is, and every wrong name at once.
+fn tell(done: usize, _of: usize, answer: &Answer) {
     if matches!(answer.outcome, Outcome::Wrong | Outcome::Failed) {
         output::message(&format!(
             "{} ({}), hidden {}: {}",
@@ -130,10 +168,7 @@ fn tell(done: usize, of: usize, answer: &Answer) {
             answer.sentence
         ));
     }
-    let part = of.div_ceil(20);
-    if done.is_multiple_of(part) || done == of {
-        output::message(&format!("{done} of {of} machines diagnosed"));
-    }
+    progress::at(done);
 }
 
 fn file(
@@ -168,18 +203,23 @@ fn require_empty(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
+fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::with_help(
+        USAGE,
+        format!("{}: cannot write: {error}", path.display()),
+        "check the folder",
+    )
+}
+
+fn create(folder: &Path) -> Result<(), Failure> {
+    fs::create_dir_all(folder).map_err(|error| cannot_write(folder, &error))
+}
+
 fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
-    let failed = |path: &Path, error: &std::io::Error| {
-        Failure::with_help(
-            USAGE,
-            format!("{}: cannot write: {error}", path.display()),
-            "check the folder",
-        )
-    };
-    fs::create_dir_all(folder).map_err(|error| failed(folder, &error))?;
+    create(folder)?;
     for (name, content) in files {
         let path = folder.join(name);
-        fs::write(&path, content).map_err(|error| failed(&path, &error))?;
+        fs::write(&path, content).map_err(|error| cannot_write(&path, &error))?;
     }
     Ok(())
 }

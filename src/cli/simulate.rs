@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use super::data::{MapArguments, read_model};
-use super::failure::{Failure, INTERNAL, USAGE};
-use super::output;
+use super::failure::{Failure, INTERNAL};
+use super::{interrupt, output};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::Scenario;
@@ -34,6 +34,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let _endable = interrupt::endable()?;
     let model = read_model(&arguments.model)?.model;
     model.require_complete()?;
     let loaded = arguments.map.load(&arguments.run)?;
@@ -66,13 +67,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         .map_err(internal)?;
     let csv = write_run(&run);
     if let Some(path) = &arguments.output {
-        std::fs::write(path, &csv).map_err(|error| {
-            Failure::with_help(
-                USAGE,
-                format!("{}: cannot write: {error}", path.display()),
-                "check the folder",
-            )
-        })?;
+        output::file(path, &csv)?;
     }
     let summary = serde_json::json!({ "rows": run.rows(), "output": arguments.output });
     match (&arguments.output, arguments.json) {

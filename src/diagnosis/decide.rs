@@ -26,9 +26,7 @@ const FEWEST_BLOCKS: usize = 20;
 /// Mean log-ratio of the blocks' squared errors of `worse` over `better`, in its standard errors. Blocks grow until
 /// neighbours are independent, but there are never fewer than twenty where the run allows.
 pub(super) fn z(worse: &Score, better: &Score) -> f64 {
-    let mut block_s = BLOCK_S
-        .min(worse.duration_s() / FEWEST_BLOCKS as f64)
-        .max(f64::MIN_POSITIVE);
+    let mut block_s = shortest_block_s(worse);
     loop {
         let ratios = log_ratios(worse, better, block_s);
         let n = ratios.len() as f64;
@@ -51,6 +49,18 @@ pub(super) fn z(worse: &Score, better: &Score) -> f64 {
         }
         return mean / (squares / (n - 1.0) / n).sqrt();
     }
+}
+
+fn shortest_block_s(score: &Score) -> f64 {
+    BLOCK_S
+        .min(score.duration_s() / FEWEST_BLOCKS as f64)
+        .max(f64::MIN_POSITIVE)
+}
+
+/// What the decision needs of a score, so that those of many candidates can be kept.
+pub(super) fn condensed(score: Score) -> Score {
+    let shortest_s = shortest_block_s(&score);
+    score.in_blocks(&[BLOCK_S, shortest_s])
 }
 
 fn log_ratios(worse: &Score, better: &Score, block_s: f64) -> Vec<f64> {
@@ -79,6 +89,11 @@ fn highest_floor(evidence: &Evidence) -> f64 {
     evidence.floor() * evidence.noise.tolerance(1.0)
 }
 
+/// Share of the error above the highest floor that `now` explains of what `before` leaves.
+pub(super) fn explained_beyond_doubt(evidence: &Evidence, before: &Score, now: &Score) -> f64 {
+    explained(before.nrms, now.nrms, highest_floor(evidence))
+}
+
 /// Whether a model explains the hold-out to the noise.
 pub(super) fn at_the_floor(evidence: &Evidence, score: &Score) -> bool {
     score.nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
@@ -99,7 +114,7 @@ pub(super) fn enough(evidence: &Evidence, base: &Score, now: &Score, until_floor
 /// Several that each explain a little of an error that is none of them are not an answer.
 pub(super) fn explains(evidence: &Evidence, base: &Score, first: &Score, all: &Score) -> bool {
     let floor = highest_floor(evidence);
-    let share = |score: &Score| explained(base.nrms, score.nrms, floor);
+    let share = |score: &Score| explained_beyond_doubt(evidence, base, score);
     share(first) >= EXPLAINS_SOMETHING && share(all) >= EXPLAINS_SOMETHING
         || share(all) >= SUFFICIENT
         || base.nrms <= floor

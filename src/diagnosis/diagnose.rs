@@ -12,7 +12,7 @@ use super::fitted::Fitted;
 use super::ladder::Rung;
 use super::mechanical;
 use super::next_experiment::{NextExperiment, equivalences};
-use super::progress::{Progress, silent};
+use super::progress::{Event, Progress, Stage, silent};
 use super::refit::Thoroughness;
 use super::search::{Accepted, Found, Limits, search};
 use crate::identification::noise::FloorSource;
@@ -103,6 +103,10 @@ pub fn diagnose_with(
     if evidence.training.input != Input::Voltage {
         return mechanical::diagnose(model, &evidence, options.until_floor);
     }
+    (options.progress)(Event::Begun {
+        stage: Stage::Baseline,
+        of: 0,
+    });
     let (evidence, baseline) = evidence.with_baseline(model)?;
     let limits = Limits {
         until_floor: options.until_floor,

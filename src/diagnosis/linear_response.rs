@@ -4,23 +4,23 @@
 //! baseline follows the linear part `d/dt [i, w] = A [i, w] - [0, T/J]`, with the torque taken at what was measured, and
 //! rests where the shaft rests.
 
-use nalgebra::DVector;
-
 use crate::identification::output_error::FreeRun;
 use crate::plant::{Effect, Instant, Linear, Model, Scenario, Terms};
 
 /// Multiple of the speed's noise below which the shaft counts as at rest.
 const AT_REST: f64 = 4.0;
 
-/// Change of the weighted residual by a coefficient of one, for each value of `values` (the effect's parameters);
-/// `None` where the model has no electrical part or the effect is more than a torque.
+/// Change of the weighted residual by a coefficient of one, for each value of `values` (the effect's parameters): told to
+/// `each` row by row of the residual, so that no long column need be kept. `None` where the model has no electrical part
+/// or the effect is more than a torque.
 pub(super) fn responses(
     effect: &dyn Effect,
     values: &[Vec<f64>],
     model: &Model,
     scenario: &Scenario,
     problem: &FreeRun<'_>,
-) -> Option<Vec<DVector<f64>>> {
+    mut each: impl FnMut(usize, &[f64]),
+) -> Option<()> {
     let linear = Linear::of(model)?;
     let noise = problem.noise();
     let terms: Vec<_> = values.iter().map(|values| effect.terms(values)).collect();
@@ -30,15 +30,15 @@ pub(super) fn responses(
     if !terms.iter().all(|terms| simple(terms.as_ref())) {
         return None;
     }
-    let samples = scenario.samples();
     let angles = scenario.shaft_angle();
     let mut angle = angles.iter().peekable();
     let mut last_angle_rad = 0.0;
     let mut deviation = vec![[0.0; 2]; terms.len()];
-    let mut out = vec![vec![[0.0; 2]; samples]; terms.len()];
+    let mut weighted = vec![0.0; terms.len()];
+    let mut rows = problem.rows().iter().enumerate().peekable();
     let mut step_s = 0.0;
     let mut step = linear.over(step_s);
-    for sample in 0..samples {
+    for sample in 0..scenario.samples() {
         let time_s = scenario.sample_time_s[sample];
         while let Some(point) = angle.next_if(|point| point.0 <= time_s) {
             last_angle_rad = point.1;
@@ -60,7 +60,7 @@ pub(super) fn responses(
             angle_rad: last_angle_rad - 0.5 * speed_rad_s * step_s,
             ..Instant::of(&model.motor)
         };
-        for ((terms, deviation), out) in terms.iter().zip(&mut deviation).zip(&mut out) {
+        for (terms, deviation) in terms.iter().zip(&mut deviation) {
             let torque_n_m = if rests {
                 0.0
             } else {
@@ -70,26 +70,25 @@ pub(super) fn responses(
             if rests {
                 deviation[1] = 0.0;
             }
-            out[sample] = *deviation;
+        }
+        while let Some((row, (_, is_speed))) = rows.next_if(|(_, row)| row.0 == sample) {
+            for (weighted, deviation) in weighted.iter_mut().zip(&deviation) {
+                *weighted = if *is_speed {
+                    deviation[1] / noise.speed_rad_s
+                } else {
+                    deviation[0] / noise.current_a
+                };
+            }
+            each(row, &weighted);
         }
     }
-    let weighted = |out: &Vec<[f64; 2]>| {
-        DVector::from_iterator(
-            problem.rows().len(),
-            problem.rows().iter().map(|(sample, is_speed)| {
-                if *is_speed {
-                    out[*sample][1] / noise.speed_rad_s
-                } else {
-                    out[*sample][0] / noise.current_a
-                }
-            }),
-        )
-    };
-    Some(out.iter().map(weighted).collect())
+    Some(())
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::DVector;
+
     use super::*;
     use crate::identification::noise::NoiseFloor;
     use crate::numerics::levenberg_marquardt::Problem;
@@ -105,9 +104,20 @@ mod tests {
         let cogging = effect::find("cogging").unwrap();
         let values = vec![1.0, 0.0, 3.0];
         let problem = FreeRun::new(&baseline, &run, noise).unwrap();
-        let linear = &responses(cogging, &[values], &baseline, &run, &problem).unwrap()[0];
+        let mut linear = DVector::zeros(problem.residual_len());
+        responses(
+            cogging,
+            &[values],
+            &baseline,
+            &run,
+            &problem,
+            |row, each| {
+                linear[row] = each[0];
+            },
+        )
+        .unwrap();
         let residual = |model: &Model| {
-            let mut problem = FreeRun::new(model, &run, noise).unwrap();
+            let problem = FreeRun::new(model, &run, noise).unwrap();
             let x = problem.start();
             let mut out = vec![0.0; problem.residual_len()];
             assert!(problem.residual(&x, &mut out));
@@ -119,7 +129,7 @@ mod tests {
             values: vec![Some(1e-3), Some(0.0), Some(3.0)],
         });
         let difference = (residual(&with) - residual(&baseline)) / 1e-3;
-        let angle = difference.dot(linear) / (difference.norm() * linear.norm());
+        let angle = difference.dot(&linear) / (difference.norm() * linear.norm());
         let size = linear.norm() / difference.norm();
         assert!(angle > 0.9 && (size - 1.0).abs() < 0.3, "{angle} {size}");
     }

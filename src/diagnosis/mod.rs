@@ -36,6 +36,7 @@ mod score;
 mod screen;
 mod search;
 mod shapes;
+mod shared;
 
 pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
@@ -51,11 +52,13 @@ pub use location::{
 pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
 };
-pub use progress::{Event, Progress, silent};
+pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use refit::Thoroughness;
 pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
+pub use screen::{ScreenedEffect, screen};
+pub use shared::shared_samples;
 
 #[cfg(test)]
 mod tests;

@@ -9,10 +9,10 @@
 use rayon::prelude::*;
 
 use super::candidates::Refit;
-use super::decide::AT_THE_FLOOR;
+use super::decide::{AT_THE_FLOOR, condensed};
 use super::evidence::Evidence;
 use super::family::related;
-use super::progress::{Event, Progress};
+use super::progress::{Event, Progress, Stage};
 use super::score::Score;
 use super::screen::{Screen, Screened};
 use crate::identification::output_error::{self, Fit, FitError};
@@ -27,6 +27,8 @@ const WORTH_A_REFIT: f64 = 0.2;
 /// Share of the unexplained error below which the screen rules a candidate out: it would have to explain four times as
 /// much to be worth its place, and the screen is not as wrong as that.
 const HOPELESS: f64 = 0.005;
+/// How many times as much as the screen says a candidate may explain after all.
+const SCREEN_IS_WRONG_BY: f64 = 4.0;
 
 /// How many candidates are refitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,11 +40,13 @@ pub enum Thoroughness {
 }
 
 /// Screens every effect that `baseline` does not have and refits what may be the answer. `original` is the model before
-/// any fit: a second start, because a missing effect distorts the baseline's fit (DISCOVERY.md, pitfall 7).
+/// any fit: a second start, because a missing effect distorts the baseline's fit (DISCOVERY.md, pitfall 7). Of the error
+/// above the noise a candidate must explain `asked` to be of use.
 pub(super) fn refit_all(
     evidence: &Evidence,
     baseline: &Fit,
     original: &Model,
+    asked: f64,
     thoroughness: Thoroughness,
     progress: Progress<'_>,
 ) -> Result<Vec<Refit>, FitError> {
@@ -60,7 +64,12 @@ pub(super) fn refit_all(
     screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     let best_gain = screened.first().map_or(0.0, |first| first.gain);
     let everything = thoroughness == Thoroughness::Everything;
-    let hopeful = |candidate: &Screened| everything || candidate.gain >= HOPELESS * screen.error();
+    let above_noise = 1.0
+        - (evidence.noise.tolerance(1.0) / baseline.nrms)
+            .powi(2)
+            .min(1.0);
+    let least = (asked * above_noise / SCREEN_IS_WRONG_BY).max(HOPELESS);
+    let hopeful = |candidate: &Screened| everything || candidate.gain >= least * screen.error();
     let promising = |rank: usize, candidate: &Screened| {
         let first = rank < MOST_PROMISING || candidate.gain > WORTH_A_REFIT * best_gain;
         everything || (first && hopeful(candidate))
@@ -73,6 +82,12 @@ pub(super) fn refit_all(
         };
         refit(evidence, candidate, &candidate.start, options, progress)
     };
+    let fitted = screened.iter().enumerate();
+    let fitted = fitted.filter(|(rank, candidate)| promising(*rank, candidate));
+    progress(Event::Begun {
+        stage: Stage::Refit,
+        of: fitted.count(),
+    });
     let first: Vec<Result<Refit, FitError>> = screened
         .par_iter()
         .enumerate()
@@ -84,6 +99,14 @@ pub(super) fn refit_all(
     if first.iter().any(is_solved) && !everything {
         return finished(first);
     }
+    let unsolved = screened
+        .iter()
+        .zip(&first)
+        .filter(|(candidate, first)| !is_solved(first) && hopeful(candidate));
+    progress(Event::Begun {
+        stage: Stage::Refit,
+        of: unsolved.count(),
+    });
     let second: Vec<Result<Refit, FitError>> = screened
         .par_iter()
         .zip(first)
@@ -115,20 +138,41 @@ pub(super) fn refit_one(
     effect: &'static dyn Effect,
 ) -> Result<Refit, FitError> {
     let candidate = Screen::new(baseline, &evidence.training).effect(effect)?;
-    let quiet = &super::progress::silent;
-    let first = refit(
-        evidence,
-        &candidate,
-        &candidate.start,
-        Options::default(),
-        quiet,
-    );
-    match second_start(&candidate, baseline, original) {
-        Some(start) => better(
-            first,
-            refit(evidence, &candidate, &start, Options::default(), quiet),
-        ),
-        None => first,
+    from_both_starts(evidence, baseline, original, &candidate, Options::default())
+}
+
+/// A screened effect from both starts, as well as is needed to compare it; [`polished`] carries the fit on.
+pub(super) fn refit_screened(
+    evidence: &Evidence,
+    baseline: &Fit,
+    original: &Model,
+    candidate: &Screened,
+) -> Result<Refit, FitError> {
+    from_both_starts(evidence, baseline, original, candidate, Options::thrifty())
+}
+
+fn from_both_starts(
+    evidence: &Evidence,
+    baseline: &Fit,
+    original: &Model,
+    candidate: &Screened,
+    options: Options,
+) -> Result<Refit, FitError> {
+    let from = |start: &Model| {
+        refit(
+            evidence,
+            candidate,
+            start,
+            options,
+            &super::progress::silent,
+        )
+    };
+    match second_start(candidate, baseline, original) {
+        Some(second) => {
+            let (a, b) = rayon::join(|| from(&candidate.start), || from(&second));
+            better(a, b)
+        }
+        None => from(&candidate.start),
     }
 }
 
@@ -139,8 +183,9 @@ pub(super) fn polished(evidence: &Evidence, refit: &Refit) -> Result<Refit, FitE
         &evidence.training,
         &evidence.noise,
     )?;
+    let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
     Ok(Refit {
-        holdout: Score::of(&fit.model, &evidence.holdout, &evidence.noise)?,
+        holdout: condensed(holdout),
         fit,
         refitted: true,
         ..refit.clone()
@@ -153,6 +198,7 @@ const AS_SCREENED: Options = Options {
     relative_cost: 0.0,
     longest_step: 0.0,
     carry_jacobian: false,
+    one_of_many: true,
 };
 
 /// The model as it was given, with what has been accepted since and the effect as the screen found its shape.
@@ -200,9 +246,14 @@ fn refit(
         });
     }
     let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+    // Many are kept until one is chosen, and that one is fitted again (`polished`).
+    let fit = Fit {
+        minimum: fit.minimum.brief(),
+        ..fit
+    };
     Ok(Refit {
         effect: candidate.effect,
-        holdout,
+        holdout: condensed(holdout),
         minimum_detectable: candidate.minimum_detectable,
         visible: candidate.visible,
         free_parameters: fit.free.len(),

@@ -21,11 +21,22 @@ pub struct Score {
     pub speed: Option<SignalScore>,
     /// Root of the mean over the signals of `(rmse / noise)^2`.
     pub nrms: f64,
-    /// `(time, residual)` of current in A, NaN where missing.
-    time_s: Vec<f64>,
-    current_a: Vec<f64>,
-    speed_rad_s: Vec<f64>,
     noise: NoiseFloor,
+    duration_s: f64,
+    residuals: Residuals,
+}
+
+/// The residuals of a score, or what is left of them.
+#[derive(Clone, Debug)]
+enum Residuals {
+    /// Current in A and speed in rad/s at each time, NaN where missing.
+    Every {
+        time_s: Vec<f64>,
+        current_a: Vec<f64>,
+        speed_rad_s: Vec<f64>,
+    },
+    /// Weighted squares and their number, in blocks of each of these lengths.
+    Summed(Vec<(f64, Vec<(f64, usize)>)>),
 }
 
 impl Score {
@@ -48,6 +59,7 @@ impl Score {
             &scenario.speed_rad_s,
             noise.speed_rad_s,
         );
+        let times = &scenario.sample_time_s[scenario.scored.clone()];
         let current = signal_score(&current_a, &scenario.current_a[scenario.scored.clone()]);
         let speed = signal_score(&speed_rad_s, &scenario.speed_rad_s[scenario.scored.clone()]);
         let ratios: Vec<f64> = [(current, noise.current_a), (speed, noise.speed_rad_s)]
@@ -59,41 +71,76 @@ impl Score {
             current,
             speed,
             nrms,
-            time_s: scenario.sample_time_s[scenario.scored.clone()].to_vec(),
-            current_a,
-            speed_rad_s,
             noise: *noise,
+            duration_s: duration_s(times),
+            residuals: Residuals::Every {
+                time_s: times.to_vec(),
+                current_a,
+                speed_rad_s,
+            },
         })
+    }
+
+    /// Without the single residuals: what a decision between many candidates needs. Only blocks of `block_s` and of
+    /// twice, four times, ... as much can be asked for then.
+    #[must_use]
+    pub(super) fn in_blocks(mut self, block_s: &[f64]) -> Self {
+        let summed = block_s
+            .iter()
+            .map(|&block_s| (block_s, self.counted_blocks(block_s)))
+            .collect();
+        self.residuals = Residuals::Summed(summed);
+        self
     }
 
     /// `(time, residual)` of the current, A.
     pub fn current_residual(&self) -> Vec<(f64, f64)> {
-        finite_points(&self.time_s, &self.current_a)
+        match &self.residuals {
+            Residuals::Every {
+                time_s, current_a, ..
+            } => finite_points(time_s, current_a),
+            Residuals::Summed(_) => Vec::new(),
+        }
     }
 
     /// `(time, residual)` of the speed, rad/s.
     pub fn speed_residual(&self) -> Vec<(f64, f64)> {
-        finite_points(&self.time_s, &self.speed_rad_s)
+        match &self.residuals {
+            Residuals::Every {
+                time_s,
+                speed_rad_s,
+                ..
+            } => finite_points(time_s, speed_rad_s),
+            Residuals::Summed(_) => Vec::new(),
+        }
     }
 
     /// Sum of the squared weighted residuals in blocks of `block_s`. Every signal counts with its number of samples.
-    pub fn blocks(&self, block_s: f64) -> Vec<f64> {
+    pub(super) fn blocks(&self, block_s: f64) -> Vec<f64> {
         let blocks = self.counted_blocks(block_s);
         blocks.into_iter().map(|(squares, _)| squares).collect()
     }
 
     /// The same with the number of residuals in each block.
     pub(super) fn counted_blocks(&self, block_s: f64) -> Vec<(f64, usize)> {
-        let Some(&begin_s) = self.time_s.first() else {
+        let (time_s, current_a, speed_rad_s) = match &self.residuals {
+            Residuals::Every {
+                time_s,
+                current_a,
+                speed_rad_s,
+            } => (time_s, current_a, speed_rad_s),
+            Residuals::Summed(summed) => return merged(summed, block_s),
+        };
+        let Some(&begin_s) = time_s.first() else {
             return Vec::new();
         };
-        let end_s = self.time_s[self.time_s.len() - 1];
+        let end_s = time_s[time_s.len() - 1];
         let mut blocks = vec![(0.0, 0); whole((end_s - begin_s) / block_s) + 1];
-        for (row, time_s) in self.time_s.iter().enumerate() {
+        for (row, time_s) in time_s.iter().enumerate() {
             let (block, count) = &mut blocks[whole((time_s - begin_s) / block_s)];
             for (value, level) in [
-                (self.current_a[row], self.noise.current_a),
-                (self.speed_rad_s[row], self.noise.speed_rad_s),
+                (current_a[row], self.noise.current_a),
+                (speed_rad_s[row], self.noise.speed_rad_s),
             ] {
                 if value.is_finite() {
                     *block += (value / level).powi(2);
@@ -109,9 +156,30 @@ impl Score {
         &self.noise
     }
 
-    pub fn duration_s(&self) -> f64 {
-        self.time_s.last().copied().unwrap_or(0.0) - self.time_s.first().copied().unwrap_or(0.0)
+    pub const fn duration_s(&self) -> f64 {
+        self.duration_s
     }
+}
+
+fn duration_s(times: &[f64]) -> f64 {
+    times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0)
+}
+
+/// Blocks of `block_s` from those of half, a quarter, ... of it; none where there are no such.
+fn merged(summed: &[(f64, Vec<(f64, usize)>)], block_s: f64) -> Vec<(f64, usize)> {
+    let whole_times = |(short_s, blocks): &(f64, Vec<(f64, usize)>)| {
+        let times = whole((block_s / short_s).round());
+        let fits =
+            times.is_power_of_two() && (times as f64 * short_s - block_s).abs() <= 1e-9 * block_s;
+        fits.then(|| {
+            let sum = |part: &[(f64, usize)]| {
+                part.iter()
+                    .fold((0.0, 0), |sum, block| (sum.0 + block.0, sum.1 + block.1))
+            };
+            blocks.chunks(times).map(sum).collect()
+        })
+    };
+    summed.iter().find_map(whole_times).unwrap_or_default()
 }
 
 fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
@@ -143,4 +211,35 @@ fn finite_points(time_s: &[f64], values: &[f64]) -> Vec<(f64, f64)> {
         .zip(values.iter().copied())
         .filter(|(_, value)| value.is_finite())
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::{Motor, testing};
+
+    #[test]
+    fn blocks_put_together_are_those_of_the_single_residuals() {
+        let truth = Model::baseline(Motor::zk_22fc());
+        let run = testing::record(&truth, vec![(0.0, 0.0), (0.4, 40.0)], 1e-3, 7.3, 3);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let every = Score::of(&truth, &run, &noise).unwrap();
+        let summed = every.clone().in_blocks(&[0.2, 7.3 / 20.0]);
+        assert!(summed.current_residual().is_empty() && !every.current_residual().is_empty());
+        for block_s in [0.2, 0.4, 1.6, 7.3 / 20.0, 7.3 / 5.0] {
+            let (one, other) = (
+                every.counted_blocks(block_s),
+                summed.counted_blocks(block_s),
+            );
+            assert_eq!(one.len(), other.len(), "{block_s}");
+            for (one, other) in one.iter().zip(&other) {
+                assert_eq!(one.1, other.1);
+                assert!(
+                    (one.0 - other.0).abs() <= 1e-12 * one.0,
+                    "{one:?} {other:?}"
+                );
+            }
+        }
+        assert!(summed.counted_blocks(0.3).is_empty());
+    }
 }

@@ -4,16 +4,19 @@
 //! the part of the residual that a probe then explains ranks the effects, gives the refit a start, and tells what size
 //! could have been seen at all.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::linear_response::responses;
-use super::progress::{Event, Progress};
+use super::progress::{Event, Progress, Stage};
 use super::shapes::shape_grid;
 use crate::identification::noise::NoiseFloor;
-use crate::identification::output_error::{Fit, FitError, FreeRun};
-use crate::numerics::levenberg_marquardt::Problem;
-use crate::plant::{ActiveEffect, Effect, Model, ParameterRole, Scenario, typical_size};
+use crate::identification::output_error::{Fit, FitError, FreeRun, weighted_residual};
+use crate::numerics::levenberg_marquardt::Problem as _;
+use crate::plant::effect::CATALOGUE;
+use crate::plant::{
+    ActiveEffect, Effect, Model, ParameterRole, Plant, Scenario, State, typical_size,
+};
 
 /// Choices of one effect that are simulated.
 const MOST_CHOICES: usize = 3;
@@ -43,6 +46,38 @@ pub(super) struct Screened {
     pub(super) visible: f64,
 }
 
+/// What the screen alone says of an effect: a ranking in a fraction of the time of a diagnosis, and no verdict.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScreenedEffect {
+    pub effect: &'static str,
+    /// Share of the error beyond the baseline's own parameters that the effect would explain, to first order.
+    pub share: f64,
+    /// Smallest size of its first parameter that this run would show (5 sigma, white noise), in the unit of that parameter.
+    pub minimum_detectable: f64,
+}
+
+/// Screens every effect of the catalogue that `baseline` does not have, on the run that it was fitted on; the one that
+/// would explain most comes first.
+pub fn screen(baseline: &Fit, training: &Scenario, progress: Progress<'_>) -> Vec<ScreenedEffect> {
+    let screen = Screen::new(baseline, training);
+    let effects: Vec<&'static dyn Effect> = CATALOGUE
+        .iter()
+        .copied()
+        .filter(|effect| !baseline.model.has(effect.card().id))
+        .collect();
+    let error = screen.error().max(f64::MIN_POSITIVE);
+    let mut screened = screen.all(&effects, progress);
+    screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    screened
+        .iter()
+        .map(|screened| ScreenedEffect {
+            effect: screened.effect.card().id,
+            share: screened.gain / error,
+            minimum_detectable: screened.minimum_detectable,
+        })
+        .collect()
+}
+
 /// The baseline's fit, made ready for projecting.
 pub(super) struct Screen<'a> {
     baseline: &'a Model,
@@ -54,22 +89,37 @@ pub(super) struct Screen<'a> {
     /// Orthonormal basis of what the baseline's parameters can explain.
     basis: DMatrix<f64>,
     jacobian: &'a DMatrix<f64>,
+    /// Of the normal matrix, a hair damped; none where even that has no inverse.
+    factor: Option<Cholesky<f64, Dyn>>,
     x: &'a [f64],
+    /// The baseline at `x`, its state at the start, and `(sample, is_speed)` of every residual; none where it cannot be
+    /// simulated on this run.
+    at_x: Option<(Model, State, Vec<(usize, bool)>)>,
 }
 
 impl<'a> Screen<'a> {
     pub(super) fn new(fit: &'a Fit, training: &'a Scenario) -> Self {
         let basis = orthonormal_basis(&fit.minimum.jacobian);
         let residual = DVector::from_column_slice(&fit.minimum.residual);
+        let (jacobian, x) = (&fit.minimum.jacobian, &fit.minimum.x[..]);
+        let normal = jacobian.tr_mul(jacobian);
+        let damping = 1e-9 * normal.trace().max(1e-300);
+        let damped = &normal + DMatrix::identity(normal.nrows(), normal.ncols()) * damping;
+        let at_x = FreeRun::new(&fit.model, training, fit.noise).map(|problem| {
+            let rows = problem.rows().to_vec();
+            (problem.model_at(x), problem.initial_state(x), rows)
+        });
         Self {
+            factor: damped.cholesky(),
+            at_x: at_x.ok(),
             baseline: &fit.model,
             training,
             noise: fit.noise,
             unexplained: project(&basis, residual.clone()),
             residual,
             basis,
-            jacobian: &fit.minimum.jacobian,
-            x: &fit.minimum.x,
+            jacobian,
+            x,
         }
     }
 
@@ -84,6 +134,10 @@ impl<'a> Screen<'a> {
         effects: &[&'static dyn Effect],
         progress: Progress<'_>,
     ) -> Vec<Screened> {
+        progress(Event::Begun {
+            stage: Stage::Screen,
+            of: effects.len(),
+        });
         effects
             .par_iter()
             .filter_map(|effect| {
@@ -148,22 +202,28 @@ impl<'a> Screen<'a> {
                 })
             })
             .collect();
-        let Some(along) = responses(effect, &probes, self.baseline, self.training, &problem) else {
+        let mut sums = vec![Projected::new(ones.len(), self.basis.ncols()); shapes.len()];
+        let mut basis = vec![0.0; self.basis.ncols()];
+        let told = responses(
+            effect,
+            &probes,
+            self.baseline,
+            self.training,
+            &problem,
+            |row, each| {
+                for (column, cell) in basis.iter_mut().enumerate() {
+                    *cell = self.basis[(row, column)];
+                }
+                for (sums, each) in sums.iter_mut().zip(each.chunks(ones.len())) {
+                    sums.push(each, &basis, self.unexplained[row]);
+                }
+            },
+        );
+        if told.is_none() {
             return shapes;
-        };
-        let mut ranked: Vec<(f64, Vec<f64>)> = along
-            .chunks(ones.len())
-            .zip(shapes)
-            .map(|(columns, shape)| {
-                let columns: Vec<DVector<f64>> = columns
-                    .iter()
-                    .map(|column| project(&self.basis, column.clone()))
-                    .collect();
-                let along = DMatrix::from_columns(&columns);
-                let (_, gain) = best_coefficients(&along, &self.unexplained);
-                (gain, shape)
-            })
-            .collect();
+        }
+        let mut ranked: Vec<(f64, Vec<f64>)> =
+            sums.iter().map(Projected::gain).zip(shapes).collect();
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         ranked.truncate(MOST_CHOICES);
         ranked.into_iter().map(|(_, shape)| shape).collect()
@@ -253,12 +313,8 @@ impl<'a> Screen<'a> {
 
     /// How the baseline's coordinates would move if `change` were added to the residual.
     fn shift(&self, change: &DVector<f64>) -> Vec<f64> {
-        let normal = self.jacobian.tr_mul(self.jacobian);
-        let damped = &normal
-            + DMatrix::identity(normal.nrows(), normal.ncols())
-                * (1e-9 * normal.trace().max(1e-300));
         let gradient = self.jacobian.tr_mul(&(&self.residual + change));
-        damped.cholesky().map_or_else(
+        self.factor.as_ref().map_or_else(
             || vec![0.0; self.x.len()],
             |factor| {
                 factor
@@ -279,34 +335,31 @@ impl<'a> Screen<'a> {
         problem.model_at(&x)
     }
 
+    /// The residual with the effect of these values, the rest held at the baseline's.
     fn residual_with(
         &self,
         effect: &'static dyn Effect,
         values: &[f64],
     ) -> Result<DVector<f64>, FitError> {
-        let mut model = self.baseline.clone();
+        let failed = || FitError::CannotSimulate {
+            run: self.training.name.clone(),
+        };
+        let (model, start, rows) = self.at_x.as_ref().ok_or_else(failed)?;
+        let mut model = model.clone();
         model.effects.push(ActiveEffect {
             effect,
             values: values.iter().copied().map(Some).collect(),
         });
-        // Held at the baseline's values: only the start of the run is carried over.
-        let mut problem = FreeRun::new(&model, self.training, self.noise)?;
-        let own = effect
-            .parameters()
-            .iter()
-            .filter(|spec| spec.role != ParameterRole::Choice)
-            .count();
-        let motor = self.x.len() - problem.starts();
-        let mut x = problem.start();
-        x[..motor].copy_from_slice(&self.x[..motor]);
-        x[motor + own..].copy_from_slice(&self.x[motor..]);
-        let mut out = vec![0.0; problem.residual_len()];
-        if problem.residual(&x, &mut out) {
-            Ok(DVector::from_vec(out))
+        let simulated = Plant::new(&model, self.training.input)?.simulate(self.training, *start);
+        let out = DVector::from_iterator(
+            rows.len(),
+            rows.iter()
+                .map(|row| weighted_residual(*row, &simulated, self.training, &self.noise)),
+        );
+        if out.iter().all(|value| value.is_finite()) {
+            Ok(out)
         } else {
-            Err(FitError::CannotSimulate {
-                run: self.training.name.clone(),
-            })
+            Err(failed())
         }
     }
 }
@@ -320,16 +373,56 @@ struct Tried {
     per_unit: f64,
 }
 
+/// Sums over the rows of a few columns, from which the gain by their projections follows.
+#[derive(Clone)]
+struct Projected {
+    normal: DMatrix<f64>,
+    /// Products with the basis that is projected out.
+    along_basis: DMatrix<f64>,
+    along_residual: DVector<f64>,
+}
+
+impl Projected {
+    fn new(columns: usize, basis: usize) -> Self {
+        Self {
+            normal: DMatrix::zeros(columns, columns),
+            along_basis: DMatrix::zeros(basis, columns),
+            along_residual: DVector::zeros(columns),
+        }
+    }
+
+    /// One row of the columns, of the basis and of the residual, which has nothing along the basis.
+    fn push(&mut self, columns: &[f64], basis: &[f64], residual: f64) {
+        for (index, value) in columns.iter().enumerate() {
+            for (other, there) in columns.iter().enumerate() {
+                self.normal[(other, index)] += value * there;
+            }
+            for (place, along) in basis.iter().enumerate() {
+                self.along_basis[(place, index)] += value * along;
+            }
+            self.along_residual[index] += value * residual;
+        }
+    }
+
+    fn gain(&self) -> f64 {
+        let normal = &self.normal - self.along_basis.tr_mul(&self.along_basis);
+        solved(&normal, &self.along_residual).1
+    }
+}
+
 /// Coefficients of the columns that take most from `residual`, and how much of its square that is.
 fn best_coefficients(along: &DMatrix<f64>, residual: &DVector<f64>) -> (DVector<f64>, f64) {
-    let normal = along.tr_mul(along);
-    let projected = along.tr_mul(residual);
+    solved(&along.tr_mul(along), &along.tr_mul(residual))
+}
+
+/// The same from the columns' normal matrix and their products with the residual.
+fn solved(normal: &DMatrix<f64>, projected: &DVector<f64>) -> (DVector<f64>, f64) {
     // Half a hair of damping: a coefficient that does nothing in this run stays at zero.
-    let damped = &normal
+    let damped = normal
         + DMatrix::identity(normal.nrows(), normal.ncols()) * (1e-12 * normal.trace().max(1e-300));
     let solution = damped.cholesky().map_or_else(
         || projected.clone() * 0.0,
-        |factor| -factor.solve(&projected),
+        |factor| -factor.solve(projected),
     );
     let gain = -projected.dot(&solution);
     (solution, gain)

@@ -6,17 +6,21 @@
 //!        twins     each effect is replaced by what it could not be told from: the better one stays (an early choice was
 //!                  made while the others were still missing)
 //!        removal   an effect that the others have made superfluous goes
+//!        end       those that were added last and leave most of the error where it was go: they lean on the wrong form of
+//!                  what was named before them
 //! ```
+
+use rayon::prelude::*;
 
 use super::candidates::Refit;
 use super::decide::{self, not_told_apart, pays};
 use super::evidence::Evidence;
 use super::family::related;
 use super::ladder::Rung;
-use super::progress::{Event, Progress};
-use super::refit::{Thoroughness, polished, refit_all, refit_one};
+use super::progress::{Event, Progress, Stage};
+use super::refit::{Thoroughness, polished, refit_all, refit_one, refit_screened};
 use super::score::Score;
-use super::screen::Screen;
+use super::screen::{Screen, Screened};
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Effect, Model, effect};
 
@@ -24,6 +28,12 @@ use crate::plant::{Effect, Model, effect};
 const MOST_EFFECTS: usize = 4;
 /// Rivals of one effect that are tried in its place.
 const MOST_RIVALS: usize = 3;
+/// Share of the error that the first effects leave which the further ones must explain to be named.
+const FURTHER_EXPLAIN: f64 = 0.5;
+/// Share that each of them must: three that explain less do not make up that half together.
+const EACH_EXPLAINS: f64 = 0.2;
+/// Share of what an effect explains that the screen must promise of another before it is tried in its place.
+const WORTH_AN_EXCHANGE: f64 = 0.4;
 /// Rise of the held-out error below which an effect is superfluous.
 const SUPERFLUOUS: f64 = 1.01;
 
@@ -87,10 +97,22 @@ pub(super) fn search(
             evidence,
             &now.fit,
             original,
+            if first { 0.0 } else { EACH_EXPLAINS },
             limits.thoroughness,
             limits.progress,
         )?;
         let set = in_the_answer(&now.score, &refits);
+        let leans = |&index: &usize| {
+            let with = &refits[index].holdout;
+            decide::explained_beyond_doubt(evidence, &now.score, with) < EACH_EXPLAINS
+        };
+        if !first && set.first().is_some_and(leans) {
+            break;
+        }
+        (limits.progress)(Event::Begun {
+            stage: Stage::Check,
+            of: 0,
+        });
         for &member in set.iter().take(1 + MOST_RIVALS) {
             refits[member] = polished(evidence, &refits[member])?;
         }
@@ -134,11 +156,16 @@ pub(super) fn search(
         }
         settle_twins(evidence, original, &mut found)?;
         drop_superfluous(evidence, &mut found)?;
+        end_where_it_explains(evidence, &mut found)?;
         let after: Vec<&str> = found.accepted.iter().map(|accepted| accepted.id).collect();
         if before != after {
-            // The rungs on the way led through an effect that is not in the answer.
-            found.ladder.truncate(1);
-            found.ladder.push(rung(&found.best));
+            if before.starts_with(&after) {
+                found.ladder.truncate(1 + after.len());
+            } else {
+                // The rungs on the way led through an effect that is not in the answer.
+                found.ladder.truncate(1);
+                found.ladder.push(rung(&found.best));
+            }
         }
     }
     Ok(found)
@@ -177,11 +204,23 @@ fn exchange(
             .collect();
         let mut screened = screen.all(&others, progress);
         screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-        for candidate in screened.iter().take(MOST_RIVALS) {
-            let refit = refit_one(evidence, &base.fit, original, candidate.effect)?;
+        // What the effect in place explains; the screen may be wrong by a factor, not by any.
+        let in_place = 1.0 - (found.best.fit.nrms / base.fit.nrms).powi(2);
+        let least = WORTH_AN_EXCHANGE * in_place * screen.error();
+        let others: Vec<Screened> = screened
+            .into_iter()
+            .filter(|candidate| candidate.gain > least)
+            .take(MOST_RIVALS)
+            .collect();
+        let refits: Vec<Refit> = others
+            .par_iter()
+            .map(|candidate| refit_screened(evidence, &base.fit, original, candidate))
+            .collect::<Result<_, _>>()?;
+        for refit in refits {
             if decide::beats(&refit.holdout, &found.best.score) {
+                let refit = polished(evidence, &refit)?;
                 found.accepted[place] = Accepted {
-                    id: candidate.effect.card().id,
+                    id: refit.id(),
                     rivals: Vec::new(),
                 };
                 found.best = Standing {
@@ -239,6 +278,28 @@ fn drop_superfluous(evidence: &Evidence, found: &mut Found) -> Result<(), FitErr
         if there.score.nrms < SUPERFLUOUS * found.best.score.nrms && found.accepted.len() > 1 {
             found.accepted.retain(|other| other.id != accepted.id);
             found.best = there;
+        }
+    }
+    Ok(())
+}
+
+/// Cuts the list where all that follows explains less than half of the error that was left. A second effect of an error
+/// that has two causes takes it to the floor, or most of the way; one that merely gains something there leans on what
+/// the form of the first does not fit.
+fn end_where_it_explains(evidence: &Evidence, found: &mut Found) -> Result<(), FitError> {
+    for kept in 1..found.accepted.len() {
+        let mut shorter = found.best.fit.model.clone();
+        for accepted in &found.accepted[kept..] {
+            if let Ok(without) = shorter.without_effect(accepted.id) {
+                shorter = without;
+            }
+        }
+        let there = standing(evidence, &shorter)?;
+        let share = decide::explained_beyond_doubt(evidence, &there.score, &found.best.score);
+        if share < FURTHER_EXPLAIN {
+            found.accepted.truncate(kept);
+            found.best = there;
+            break;
         }
     }
     Ok(())

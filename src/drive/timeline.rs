@@ -43,6 +43,7 @@ impl Timeline {
             Some(State::Fault) | None => DriveState::Fault,
         });
         sample.status = Some(telemetry.status.0);
+        sample.limited = telemetry.status.is_limited();
         sample.fault = (telemetry.fault != Fault::None).then(|| telemetry.fault.code());
         sample.applied = (telemetry.seq == low_word(seq)).then(|| {
             let age_us = signed_difference(telemetry.time_us, telemetry.applied_us);

@@ -10,6 +10,8 @@ use firmware_protocol::registers::{
 use firmware_protocol::{DriveCommand, Telemetry};
 
 use super::SoftDrive;
+use super::config::LineConfig;
+use super::pace::Pace;
 use crate::drive::timeline::{self, Timeline};
 use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use crate::sample::{Command, Demand, DriveState, Sample};
@@ -44,8 +46,28 @@ pub struct Latency {
     pub reply_s: f64,
 }
 
+/// Bytes of an exchange over Modbus RTU; the stream's are about as many.
+const REQUEST_BYTES: usize = 21;
+const REPLY_BYTES: usize = 37;
+
+impl Latency {
+    /// What one exchange takes over this line; `with_gaps`: frames are told apart by silence, as Modbus RTU's are.
+    pub fn of_line(line: &LineConfig, with_gaps: bool) -> Self {
+        let mut pace = Pace::serial(line, with_gaps);
+        let mut request_s = 0.0;
+        for _ in 0..REQUEST_BYTES {
+            request_s = pace.arrival_s(0.0);
+        }
+        let delivered_s = pace.delivery_s(request_s, REPLY_BYTES);
+        Self {
+            request_s,
+            reply_s: delivered_s - request_s,
+        }
+    }
+}
+
 impl Default for Latency {
-    /// What a request of 21 and a reply of 37 bytes take at 115200 baud with silent gaps.
+    /// About what an exchange takes over Modbus RTU at 115200 baud, with silent gaps.
     fn default() -> Self {
         Self {
             request_s: 0.001_8,
@@ -286,6 +308,21 @@ mod tests {
         let statistics = link.statistics();
         assert!(statistics.balances());
         assert_eq!((statistics.sent, statistics.exception), (3, 1));
+    }
+
+    #[test]
+    fn an_exchange_takes_as_long_as_its_line() {
+        let line = |baud| LineConfig {
+            baud,
+            ..LineConfig::default()
+        };
+        let rtu = Latency::of_line(&line(115_200), true);
+        let usual = Latency::default();
+        assert!((rtu.request_s - usual.request_s).abs() < 0.1e-3, "{rtu:?}");
+        assert!((rtu.reply_s - usual.reply_s).abs() < 0.1e-3, "{rtu:?}");
+        let usb = Latency::of_line(&line(12_000_000), false);
+        // Half a millisecond of turnaround is left.
+        assert!(usb.request_s + usb.reply_s < 0.6e-3, "{usb:?}");
     }
 
     #[test]

@@ -276,7 +276,7 @@ fn residual_of(
     scenario: &Scenario,
     noise: &NoiseFloor,
 ) -> Result<Vec<f64>, FitError> {
-    let mut problem = FreeRun::new(model, scenario, *noise)?;
+    let problem = FreeRun::new(model, scenario, *noise)?;
     let x = problem.start();
     let mut out = vec![0.0; problem.residual_len()];
     if problem.residual(&x, &mut out) {

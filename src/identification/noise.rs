@@ -1,5 +1,7 @@
 //! The floor below which no model error can be seen.
 
+use std::ops::Range;
+
 use serde::Serialize;
 
 use crate::plant::{Input, Scenario};
@@ -45,12 +47,12 @@ const SKIPPED: usize = 2;
 
 impl NoiseFloor {
     /// From the leading standstill with zero input (DISCOVERY.md 2.3); never below the quantum over sqrt(12).
+    ///
+    /// A shaft that still coasts when the record begins is not at rest: only the part after it has stopped counts.
     pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
         let rest = scenario.leading_standstill();
-        let rows = rest.start + SKIPPED..rest.end.max(rest.start + SKIPPED);
-        if rows.len() < FEWEST_SAMPLES {
-            return None;
-        }
+        let begin = rest.start + SKIPPED;
+        let rows = rest_of(begin..rest.end.max(begin), scenario)?;
         // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
         let floor = |values: &[f64]| -> Option<f64> {
             let at_rest: Vec<f64> = values[rows.clone()]
@@ -132,6 +134,41 @@ impl NoiseFloor {
             samples: 0,
         }
     }
+}
+
+/// The rows at rest in which no signal drifts: all, or as many of the last quarters as there are.
+fn rest_of(rows: Range<usize>, scenario: &Scenario) -> Option<Range<usize>> {
+    (0..4)
+        .map(|quarter| rows.start + quarter * rows.len() / 4..rows.end)
+        .take_while(|part| part.len() >= FEWEST_SAMPLES)
+        .find(|part| {
+            let still = |values: &[f64]| !drifts(&values[part.clone()]);
+            still(&scenario.current_a) && still(&scenario.speed_rad_s)
+        })
+}
+
+/// Deviations of the noise by which the last third of a rest may differ from the middle one: the mean of many samples is
+/// far nearer, even behind a slow filter, and a shaft that runs out goes much farther.
+const DRIFT: f64 = 8.0;
+
+/// Whether a signal goes somewhere, measured by its steps from sample to sample. Its first third may hold a transient.
+fn drifts(values: &[f64]) -> bool {
+    let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    let third = present.len() / 3;
+    if third == 0 {
+        return false;
+    }
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    let (middle, last) = (
+        &present[third..2 * third],
+        &present[present.len() - third..],
+    );
+    let steps: f64 = present
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]).powi(2))
+        .sum();
+    let noise = (0.5 * steps / (present.len() - 1) as f64).sqrt();
+    (mean(last) - mean(middle)).abs() > DRIFT * noise
 }
 
 /// Deviation above that of its later part, from which the first quarter of a rest counts as a transient.
@@ -221,6 +258,17 @@ mod tests {
         assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
         assert!(floor.current_a.is_infinite());
         assert_eq!(NoiseFloor::from_standstill(&scenario(10, noisy)), None);
+    }
+
+    #[test]
+    fn a_shaft_that_coasts_is_not_at_rest() {
+        let noise = |k: usize| if k.is_multiple_of(2) { 0.1 } else { -0.1 };
+        let coasts = |k: usize| noise(k) + 60.0 - 0.5 * k as f64;
+        assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
+        let stops = |k: usize| noise(k) + (60.0 - 1.5 * k as f64).max(0.0);
+        let floor = NoiseFloor::from_standstill(&scenario(100, stops)).unwrap();
+        assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
+        assert!(floor.samples < 80);
     }
 
     #[test]

@@ -2,11 +2,12 @@
 //! scaling, and a step that is clipped so that one bad direction cannot throw the simulation out of its range.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 /// A residual vector as a function of a few parameters, each scaled so that a step of one is large.
-pub trait Problem {
-    /// Writes the residual at `x`; returns false where it cannot be evaluated.
-    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool;
+pub trait Problem: Sync {
+    /// Writes the residual at `x`; returns false where it cannot be evaluated. Called from several threads.
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool;
     fn residual_len(&self) -> usize;
     /// Forward-difference step of parameter `index`.
     fn difference_step(&self, index: usize) -> f64;
@@ -24,7 +25,13 @@ pub struct Options {
     /// Carries the Jacobian on from step to step by rank-one corrections (Broyden) and takes differences anew only where
     /// it has ceased to serve. Saves most of the simulations; the Jacobian at the end is then approximate.
     pub carry_jacobian: bool,
+    /// Takes the differences of a long residual one after the other: where several searches run side by side, each would
+    /// hold a Jacobian of its own while it waits for the others.
+    pub one_of_many: bool,
 }
+
+/// Length of a residual up to which its differences are taken in parallel in any case.
+const SHORT: usize = 200_000;
 
 impl Default for Options {
     fn default() -> Self {
@@ -33,6 +40,7 @@ impl Default for Options {
             relative_cost: 1e-7,
             longest_step: 1.5,
             carry_jacobian: false,
+            one_of_many: false,
         }
     }
 }
@@ -45,6 +53,7 @@ impl Options {
             relative_cost: 1e-4,
             longest_step: 1.5,
             carry_jacobian: true,
+            one_of_many: true,
         }
     }
 }
@@ -62,12 +71,23 @@ pub struct Minimum {
     pub converged: bool,
 }
 
+impl Minimum {
+    /// Without what is as long as the residual: where only the end of the search counts, and many are kept.
+    #[must_use]
+    pub fn brief(mut self) -> Self {
+        self.residual = Vec::new();
+        self.jacobian = DMatrix::zeros(0, 0);
+        self
+    }
+}
+
 /// Minimises the sum of squares from `start`; `None` when the residual cannot be evaluated there.
-pub fn minimise(problem: &mut impl Problem, start: &[f64], options: Options) -> Option<Minimum> {
+pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Option<Minimum> {
     let mut search = Search::at(problem, start)?;
     let (mut iterations, mut converged) = (0, start.is_empty());
+    let in_parallel = !options.one_of_many || problem.residual_len() <= SHORT;
     if options.most_iterations > 0 {
-        search.jacobian = jacobian_at(problem, &search.x, &search.residual);
+        search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
     }
     // Whether the Jacobian was differenced where the search stands.
     let mut exact = true;
@@ -89,7 +109,7 @@ pub fn minimise(problem: &mut impl Problem, start: &[f64], options: Options) -> 
         let small = gained <= options.relative_cost * before;
         if small && !exact {
             // A carried Jacobian cannot tell a minimum from its own error.
-            search.jacobian = jacobian_at(problem, &search.x, &search.residual);
+            search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
             exact = true;
             continue;
         }
@@ -100,7 +120,7 @@ pub fn minimise(problem: &mut impl Problem, start: &[f64], options: Options) -> 
             search.correct(&step);
             exact = false;
         } else {
-            search.jacobian = jacobian_at(problem, &search.x, &search.residual);
+            search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
             exact = true;
         }
     }
@@ -146,7 +166,7 @@ struct Search {
 }
 
 impl Search {
-    fn at(problem: &mut impl Problem, start: &[f64]) -> Option<Self> {
+    fn at(problem: &impl Problem, start: &[f64]) -> Option<Self> {
         let mut x = start.to_vec();
         problem.clamp(&mut x);
         let mut residual = vec![0.0; problem.residual_len()];
@@ -167,7 +187,7 @@ impl Search {
     /// One step downhill, with more damping at each of `trials`; `None` where none was found.
     fn step(
         &mut self,
-        problem: &mut impl Problem,
+        problem: &impl Problem,
         options: Options,
         (normal, gradient): (&DMatrix<f64>, &DVector<f64>),
         trials: usize,
@@ -222,29 +242,62 @@ impl Search {
 }
 
 /// Forward-difference Jacobian; a direction that cannot be evaluated forwards is tried backwards, else it is zero.
-pub fn jacobian_at(problem: &mut impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
+///
+/// Its columns are found in parallel and do not depend on each other: the result is the same for any number of threads.
+pub fn jacobian_at(problem: &impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
+    differences(problem, x, residual, true)
+}
+
+fn differences(
+    problem: &impl Problem,
+    x: &[f64],
+    residual: &[f64],
+    in_parallel: bool,
+) -> DMatrix<f64> {
     let mut jacobian = DMatrix::zeros(residual.len(), x.len());
-    let mut moved = x.to_vec();
-    let mut there = vec![0.0; residual.len()];
-    for index in 0..x.len() {
-        for step in [
-            problem.difference_step(index),
-            -problem.difference_step(index),
-        ] {
-            moved[index] = x[index] + step;
-            let mut clamped = moved.clone();
-            problem.clamp(&mut clamped);
-            let inside = (clamped[index] - moved[index]).abs() < 1e-12;
-            if inside && problem.residual(&moved, &mut there) {
-                for (row, value) in jacobian.column_mut(index).iter_mut().enumerate() {
-                    *value = (there[row] - residual[row]) / step;
-                }
-                break;
-            }
+    if residual.is_empty() {
+        return jacobian;
+    }
+    // Column after column in memory.
+    let cells = jacobian.as_mut_slice();
+    if in_parallel {
+        cells
+            .par_chunks_mut(residual.len())
+            .enumerate()
+            .for_each(|(index, column)| difference(problem, x, residual, index, column));
+    } else {
+        for (index, column) in cells.chunks_mut(residual.len()).enumerate() {
+            difference(problem, x, residual, index, column);
         }
-        moved[index] = x[index];
     }
     jacobian
+}
+
+/// One column of the Jacobian into `column`, which is zero.
+fn difference(
+    problem: &impl Problem,
+    x: &[f64],
+    residual: &[f64],
+    index: usize,
+    column: &mut [f64],
+) {
+    let mut moved = x.to_vec();
+    for step in [
+        problem.difference_step(index),
+        -problem.difference_step(index),
+    ] {
+        moved[index] = x[index] + step;
+        let mut clamped = moved.clone();
+        problem.clamp(&mut clamped);
+        let inside = (clamped[index] - moved[index]).abs() < 1e-12;
+        if inside && problem.residual(&moved, column) {
+            for (value, here) in column.iter_mut().zip(residual) {
+                *value = (*value - here) / step;
+            }
+            return;
+        }
+    }
+    column.fill(0.0);
 }
 
 fn sum_of_squares(values: &[f64]) -> f64 {
@@ -262,7 +315,7 @@ mod tests {
     }
 
     impl Problem for Decay {
-        fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+        fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
             for (k, cell) in out.iter_mut().enumerate() {
                 *cell = x[0] * (-x[1].exp() * k as f64).exp() - self.data[k];
             }
@@ -291,7 +344,7 @@ mod tests {
 
     #[test]
     fn recovers_gain_and_rate_from_far_away() {
-        let minimum = minimise(&mut decay(), &[0.3, 0.5f64.ln()], Options::default()).unwrap();
+        let minimum = minimise(&decay(), &[0.3, 0.5f64.ln()], Options::default()).unwrap();
         assert!(
             (minimum.x[0] - 3.0).abs() < 1e-6 && (minimum.x[1].exp() - 0.2).abs() < 1e-6,
             "{minimum:?}"
@@ -305,7 +358,7 @@ mod tests {
             relative_cost: 1e-9,
             ..Options::thrifty()
         };
-        let minimum = minimise(&mut decay(), &[2.0, 0.25f64.ln()], thrifty).unwrap();
+        let minimum = minimise(&decay(), &[2.0, 0.25f64.ln()], thrifty).unwrap();
         assert!(
             (minimum.x[0] - 3.0).abs() < 1e-4 && (minimum.x[1].exp() - 0.2).abs() < 1e-4,
             "{minimum:?}"
@@ -314,16 +367,16 @@ mod tests {
 
     #[test]
     fn stays_within_bounds_and_says_so_when_nothing_can_be_evaluated() {
-        let mut bounded = Decay {
+        let bounded = Decay {
             data: vec![50.0; 30],
             can_evaluate: true,
         };
-        let minimum = minimise(&mut bounded, &[1.0, -3.0], Options::default()).unwrap();
+        let minimum = minimise(&bounded, &[1.0, -3.0], Options::default()).unwrap();
         assert!(minimum.x[0] <= 10.0);
-        let mut broken = Decay {
+        let broken = Decay {
             can_evaluate: false,
             ..decay()
         };
-        assert!(minimise(&mut broken, &[1.0, -3.0], Options::default()).is_none());
+        assert!(minimise(&broken, &[1.0, -3.0], Options::default()).is_none());
     }
 }

@@ -10,6 +10,7 @@
 //! An effect is one file under `effect/` and one line in its catalogue.
 
 pub mod effect;
+mod limited;
 mod linear;
 mod model;
 mod model_file;

@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
+use super::limited::applied;
 use super::shaft_angle::continuous;
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
@@ -95,7 +96,10 @@ impl Scenario {
         let (input, channel) = input_of(run).ok_or_else(|| ScenarioError::NoInput {
             run: run.name.clone(),
         })?;
-        let events: Vec<(f64, f64)> = run.points(channel).collect();
+        let mut events: Vec<(f64, f64)> = run.points(channel).collect();
+        if channel == Channel::VoltageCmd {
+            events = applied(run, &events);
+        }
         let start_s = events.first().map_or(f64::INFINITY, |first| first.0);
         let nothing = vec![f64::NAN; run.rows()];
         let current = run.column(Channel::Current).unwrap_or(&nothing);

@@ -36,7 +36,11 @@ pub(super) fn collect(
     let channels: Vec<Channel> = rows.channels().collect();
     let mut columns = vec![Vec::new(); channels.len()];
     let mut time_s = Vec::new();
+    let mut limited_rows = Vec::new();
     while let Some(row) = rows.next_row()? {
+        if row.is_limited() {
+            limited_rows.push(time_s.len());
+        }
         time_s.push(row.time_s);
         for (column, channel) in columns.iter_mut().zip(&channels) {
             column.push(row.get(*channel).unwrap_or(f64::NAN));
@@ -58,6 +62,7 @@ pub(super) fn collect(
         };
         run.set_column(channel, column, origin).map_err(wrap)?;
     }
+    run.set_limited_rows(limited_rows);
     run.rows_dropped = rows.rows_dropped();
     if run.column(Channel::Speed).is_none() && run.column(Channel::Angle).is_some() {
         run.notes.push(format!(

@@ -7,7 +7,9 @@ use crate::config_text::nearest;
 use crate::sample::Channel;
 
 /// Columns of ours that are no quantity; they are read past.
-const BOOKKEEPING: [&str; 4] = ["host_time_s", "seq", "status", "quality"];
+const BOOKKEEPING: [&str; 4] = ["host_time_s", "seq", "status", QUALITY];
+/// The one of them whose remarks are kept.
+const QUALITY: &str = "quality";
 
 /// One column that is wanted: where it stands and what is made of it.
 struct Wanted {
@@ -27,6 +29,8 @@ pub struct CsvRows<R> {
     file: String,
     headers: Vec<String>,
     wanted: Vec<Wanted>,
+    /// Where our own remarks stand; a foreign column of that name is none of ours.
+    quality_field: Option<usize>,
     whole_lines_only: bool,
     line: Line,
     /// Scratch: byte ranges of the cells of the present line.
@@ -54,9 +58,14 @@ impl<R: BufRead> CsvRows<R> {
             Some(map) => wanted_by_map(&headers, map, file)?,
             None => wanted_of_our_own(&headers, file, &mut warnings)?,
         };
+        let quality_field = match options.map {
+            Some(_) => None,
+            None => headers.iter().position(|header| header == QUALITY),
+        };
         Ok(Self {
             reader,
             file: file.to_owned(),
+            quality_field,
             headers,
             wanted,
             whole_lines_only: options.whole_lines_only,
@@ -71,7 +80,7 @@ impl<R: BufRead> CsvRows<R> {
         })
     }
 
-    /// The next row, with the quantities only; `None` at the end of the file.
+    /// The next row, with its quantities and, in our own files, the remarks on them; `None` at the end of the file.
     pub fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
         while self.line.read(&mut self.reader, &self.file)? {
             if self.line.is_blank() {
@@ -198,6 +207,10 @@ impl<R: BufRead> CsvRows<R> {
             });
         }
         self.last_s = Some(out.time_s);
+        if let Some(field) = self.quality_field {
+            let (from, to) = self.fields[field];
+            text[from..to].clone_into(&mut out.quality);
+        }
         Ok(Some(out))
     }
 }

@@ -4,6 +4,9 @@ use std::fmt::Write as _;
 
 use crate::sample::{Channel, Run};
 
+/// Said of a command where a limit of the drive held the output, so that the motor had another voltage.
+pub(super) const LIMITED: &str = "limited";
+
 /// One line of `samples.csv` before it is text.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
@@ -41,6 +44,14 @@ impl Row {
     pub fn remark(&mut self, channel: Channel, reason: &str) {
         let gap = if self.quality.is_empty() { "" } else { " " };
         let _ = write!(self.quality, "{gap}{}:{reason}", channel.key());
+    }
+
+    /// Whether a limit of the drive held the output.
+    pub fn is_limited(&self) -> bool {
+        let remarks = self.quality.split(' ');
+        remarks
+            .filter_map(|remark| remark.split_once(':'))
+            .any(|(key, reason)| key == Channel::VoltageCmd.key() && reason == LIMITED)
     }
 }
 

@@ -9,6 +9,7 @@
 
 use std::collections::VecDeque;
 
+use super::csv_write::LIMITED;
 use super::{Layout, Row};
 use crate::sample::{Applied, Channel, Command, Demand, Quality, Sample};
 
@@ -195,6 +196,9 @@ impl RowOrder {
                 Quality::Missing if channel.is_commanded() => {}
                 Quality::Missing => row.remark(*channel, "missing"),
             }
+        }
+        if sample.limited {
+            row.remark(Channel::VoltageCmd, LIMITED);
         }
         row
     }

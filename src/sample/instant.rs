@@ -54,6 +54,8 @@ pub struct Sample {
     pub status: Option<u16>,
     /// The drive's fault code, if it is in fault.
     pub fault: Option<u16>,
+    /// A limit of the drive held its output: the motor had another voltage than was commanded.
+    pub limited: bool,
     /// The last command that the drive applied, and when.
     pub applied: Option<Applied>,
     values: [Option<f64>; Channel::COUNT],

@@ -113,6 +113,8 @@ pub struct Run {
     columns: [Option<Vec<f64>>; Channel::COUNT],
     origins: [Origin; Channel::COUNT],
     sides: [Option<Side>; Channel::COUNT],
+    /// Rows, in order, at which the drive said that a limit of its own held the output.
+    limited_rows: Vec<usize>,
     /// Rows that were torn or unreadable and left out.
     pub rows_dropped: usize,
     /// Where fit and hold-out come from, what was derived and how: sentences for the reader.
@@ -173,6 +175,16 @@ impl Run {
     /// Says on which side of the power stage a voltage or current is taken.
     pub fn set_side(&mut self, channel: Channel, side: Side) {
         self.sides[channel.index()] = Some(side);
+    }
+
+    /// Says at which rows, in order, a limit of the drive held the output.
+    pub fn set_limited_rows(&mut self, rows: Vec<usize>) {
+        self.limited_rows = rows;
+    }
+
+    /// Rows at which the motor had another voltage than was commanded, because a limit of the drive held its output.
+    pub fn limited_rows(&self) -> &[usize] {
+        &self.limited_rows
     }
 
     /// The same run without one of its columns.
@@ -238,6 +250,10 @@ impl Run {
             origins: self.origins,
             sides: self.sides,
             notes: self.notes.clone(),
+            limited_rows: (self.limited_rows.iter())
+                .filter(|row| (from..to).contains(row))
+                .map(|row| row - from)
+                .collect(),
             ..Self::default()
         };
         for channel in Channel::ALL {

@@ -7,7 +7,8 @@ use super::progress::{Progress, StepState, StepView};
 use super::result::{CommissionResult, RunRecord, Truth};
 use crate::bench::{BenchFile, CheckReport, Plan, experiment_limits, next_bench};
 use crate::diagnosis::{
-    Diagnosis, ErrorOf, Evidence, Recipe, Rung, Score, compare, diagnose, recommend,
+    self, Diagnosis, ErrorOf, Evidence, Options, Recipe, Rung, Score, compare, diagnose_with,
+    recommend,
 };
 use crate::identification::output_error::FitError;
 use crate::identification::start;
@@ -240,8 +241,13 @@ impl Commission {
         self.step_done(FIRST_RUN + index, line, next);
     }
 
-    /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step.
-    pub fn analyse(&mut self, mut publish: impl FnMut(Progress)) -> Result<(), FitError> {
+    /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step, and
+    /// `diagnosing` hears of what the diagnosis does.
+    pub fn analyse(
+        &mut self,
+        mut publish: impl FnMut(Progress),
+        diagnosing: diagnosis::Progress<'_>,
+    ) -> Result<(), FitError> {
         let [fit, select, confirm, repeat] = &self.scenarios[..] else {
             return Err(FitError::TooFewRuns {
                 runs: self.scenarios.len(),
@@ -277,7 +283,12 @@ impl Commission {
         self.step_done(COMPARE, line, Task::Analyse);
         publish(self.progress());
 
-        let mut diagnosis = diagnose(&nameplate, evidence.clone(), true)?;
+        let options = Options {
+            until_floor: true,
+            progress: diagnosing,
+            ..Options::default()
+        };
+        let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), options)?;
         if let Some(bench) = &self.bench {
             let limits = experiment_limits(bench);
             let mut next = recommend(&diagnosis, &nameplate, &evidence, &limits)?;

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::Answer;
-use crate::cli::failure::{Failure, USAGE};
-use crate::cli::model_output;
+use crate::cli::failure::Failure;
+use crate::cli::{model_output, output};
 use crate::identification::scheme::Identified;
 use crate::plant::ModelFile;
 
@@ -20,11 +20,5 @@ pub(super) fn model(path: &Path, mut file: ModelFile, answer: &Answer) -> Result
         .map(|run| run.loaded.run.name.clone())
         .collect();
     file.history.fitted = model_output::fitted(&parameters);
-    std::fs::write(path, file.to_toml()).map_err(|error| {
-        Failure::with_help(
-            USAGE,
-            format!("{}: cannot write: {error}", path.display()),
-            "check the folder",
-        )
-    })
+    output::file(path, &file.to_toml())
 }

@@ -97,20 +97,20 @@ fn shown(
     evidence: &Evidence,
 ) -> Option<Vec<f64>> {
     let own = plan.measured(rival.model)?;
-    let mut problem = FreeRun::new(rival.model, &own, evidence.noise).ok()?;
+    let problem = FreeRun::new(rival.model, &own, evidence.noise).ok()?;
     let x = problem.start();
-    let none = difference(&mut problem, &x)?;
-    let jacobian = jacobian_at(&mut problem, &x, none.as_slice());
+    let none = difference(&problem, &x)?;
+    let jacobian = jacobian_at(&problem, &x, none.as_slice());
     let information = rival.information_in(&problem, &x);
     let response = Response::new(jacobian, information);
     truths
         .iter()
         .map(|(_, truth)| {
             let run = plan.measured(truth)?;
-            let mut problem = FreeRun::new(rival.model, &run, evidence.noise).ok()?;
+            let problem = FreeRun::new(rival.model, &run, evidence.noise).ok()?;
             // An offset does not look like rest: its start is one more unknown.
             let separation = if problem.start().len() == x.len() {
-                response.separation(&difference(&mut problem, &x)?)
+                response.separation(&difference(&problem, &x)?)
             } else {
                 linear(&run, rival, evidence.noise)?
             } / rival.inflation;

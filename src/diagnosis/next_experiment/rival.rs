@@ -26,7 +26,7 @@ pub(super) struct Rival<'a> {
 impl<'a> Rival<'a> {
     /// `model` as fitted to the training run.
     pub(super) fn new(model: &'a Model, evidence: &Evidence) -> Result<Self, FitError> {
-        let mut problem = FreeRun::new(model, &evidence.training, evidence.noise)?;
+        let problem = FreeRun::new(model, &evidence.training, evidence.noise)?;
         let x = problem.start();
         let mut residual = vec![0.0; problem.residual_len()];
         if !problem.residual(&x, &mut residual) {
@@ -34,7 +34,7 @@ impl<'a> Rival<'a> {
                 run: evidence.training.name.clone(),
             });
         }
-        let jacobian = jacobian_at(&mut problem, &x, &residual);
+        let jacobian = jacobian_at(&problem, &x, &residual);
         let normal = jacobian.tr_mul(&jacobian);
         let free = problem.free_slots();
         let passing: Vec<usize> = (0..x.len())

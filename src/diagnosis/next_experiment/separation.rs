@@ -13,16 +13,16 @@ use crate::plant::Scenario;
 
 /// `D` for a linear rival; `run` holds what the truth would show. `None` where the rival cannot be simulated.
 pub(super) fn linear(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
-    let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
+    let problem = FreeRun::new(rival.model, run, noise).ok()?;
     let x = problem.start();
-    let difference = difference(&mut problem, &x)?;
-    let jacobian = jacobian_at(&mut problem, &x, difference.as_slice());
+    let difference = difference(&problem, &x)?;
+    let jacobian = jacobian_at(&problem, &x, difference.as_slice());
     let information = rival.information_in(&problem, &x);
     Some(Response::new(jacobian, information).separation(&difference))
 }
 
 /// The rival's difference to the run, in units of the noise.
-pub(super) fn difference(problem: &mut FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
+pub(super) fn difference(problem: &FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
     let mut out = vec![0.0; problem.residual_len()];
     problem
         .residual(x, &mut out)
@@ -71,7 +71,7 @@ pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> 
     let problem = FreeRun::new(rival.model, run, noise).ok()?;
     let start = problem.start();
     let information = rival.information_in(&problem, &start);
-    let mut held = Held {
+    let held = Held {
         root: root(&information),
         start: start.clone(),
         run: problem,
@@ -81,7 +81,7 @@ pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> 
         relative_cost: 1e-2,
         ..Options::thrifty()
     };
-    Some(minimise(&mut held, &start, options)?.cost)
+    Some(minimise(&held, &start, options)?.cost)
 }
 
 /// A free run with the old data as a spring to where they hold the parameters.
@@ -93,7 +93,7 @@ struct Held<'a> {
 }
 
 impl Problem for Held<'_> {
-    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let rows = self.run.residual_len();
         let moved = DVector::from_iterator(
             x.len(),

@@ -61,10 +61,10 @@ struct Both<'a> {
 }
 
 impl Problem for Both<'_> {
-    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let rows = self.old.residual_len();
         let model = self.old.model_at(x);
-        let mut new = FreeRun::new(&model, self.new, self.evidence.noise).unwrap();
+        let new = FreeRun::new(&model, self.new, self.evidence.noise).unwrap();
         let there = new.start();
         new.residual(&there, &mut out[rows..]) && self.old.residual(x, &mut out[..rows])
     }
@@ -85,10 +85,8 @@ impl Problem for Both<'_> {
 fn chi2_of_both(model: &Model, evidence: &Evidence, new: &Scenario) -> f64 {
     let old = FreeRun::new(model, &evidence.training, evidence.noise).unwrap();
     let start = old.start();
-    let mut both = Both { old, new, evidence };
-    minimise(&mut both, &start, Options::default())
-        .unwrap()
-        .cost
+    let both = Both { old, new, evidence };
+    minimise(&both, &start, Options::default()).unwrap().cost
 }
 
 /// A case: what is true, what else it may be, and the run in hand.

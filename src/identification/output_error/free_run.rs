@@ -1,5 +1,7 @@
 //! The weighted residual of a free run as a function of the scaled free parameters.
 
+use std::sync::{Mutex, PoisonError};
+
 use super::FitError;
 use crate::identification::noise::NoiseFloor;
 use crate::numerics::levenberg_marquardt::Problem;
@@ -109,7 +111,8 @@ pub struct FreeRun<'a> {
     effect_states: usize,
     /// Which scored samples enter: `(sample, is_speed)`, in the order of time.
     rows: Vec<(usize, bool)>,
-    out: Trajectory,
+    /// Memory of simulations that are over, for the next ones: as much as there are threads at work on this problem.
+    spare: Mutex<Vec<Trajectory>>,
 }
 
 impl<'a> FreeRun<'a> {
@@ -172,7 +175,7 @@ impl<'a> FreeRun<'a> {
             noise,
             free,
             rows,
-            out: Trajectory::default(),
+            spare: Mutex::default(),
         })
     }
 
@@ -279,7 +282,18 @@ impl<'a> FreeRun<'a> {
         })
     }
 
-    pub fn trajectory(&mut self, x: &[f64]) -> Result<Trajectory, FitError> {
+    /// A trajectory to write over.
+    fn borrowed(&self) -> Trajectory {
+        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        spare.pop().unwrap_or_default()
+    }
+
+    fn give_back(&self, used: Trajectory) {
+        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        spare.push(used);
+    }
+
+    pub fn trajectory(&self, x: &[f64]) -> Result<Trajectory, FitError> {
         let start = self.initial_state(x);
         Ok(Plant::new(&self.model_at(x), self.scenario.input)?.simulate(self.scenario, start))
     }
@@ -297,22 +311,32 @@ impl<'a> FreeRun<'a> {
     }
 }
 
+/// What a simulation misses a measurement by, in units of the noise; `row` is `(sample, is_speed)`.
+pub fn weighted_residual(
+    (sample, is_speed): (usize, bool),
+    simulated: &Trajectory,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> f64 {
+    if is_speed {
+        (simulated.speed_rad_s[sample] - scenario.speed_rad_s[sample]) / noise.speed_rad_s
+    } else {
+        (simulated.current_a[sample] - scenario.current_a[sample]) / noise.current_a
+    }
+}
+
 impl Problem for FreeRun<'_> {
-    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let start = self.initial_state(x);
         let Ok(mut plant) = Plant::new(&self.model_at(x), self.scenario.input) else {
             return false;
         };
-        plant.simulate_into(self.scenario, start, &mut self.out);
-        for (cell, (sample, is_speed)) in out.iter_mut().zip(&self.rows) {
-            *cell = if *is_speed {
-                (self.out.speed_rad_s[*sample] - self.scenario.speed_rad_s[*sample])
-                    / self.noise.speed_rad_s
-            } else {
-                (self.out.current_a[*sample] - self.scenario.current_a[*sample])
-                    / self.noise.current_a
-            };
+        let mut simulated = self.borrowed();
+        plant.simulate_into(self.scenario, start, &mut simulated);
+        for (cell, row) in out.iter_mut().zip(&self.rows) {
+            *cell = weighted_residual(*row, &simulated, self.scenario, &self.noise);
         }
+        self.give_back(simulated);
         out.iter().all(|value| value.is_finite())
     }
 

@@ -18,7 +18,7 @@ use crate::plant::{Model, ModelError, ParameterRole, Scenario, Slot, State, Traj
 use crate::sample::{ParameterEstimate, Verdict};
 
 pub use covariance::BLOCK_S;
-pub use free_run::FreeRun;
+pub use free_run::{FreeRun, weighted_residual};
 
 use super::noise::NoiseFloor;
 use super::verdict::judge;
@@ -120,12 +120,12 @@ fn fit_from(
     noise: &NoiseFloor,
     options: Options,
 ) -> Result<Fit, FitError> {
-    let mut problem = FreeRun::new(start, scenario, *noise)?;
+    let problem = FreeRun::new(start, scenario, *noise)?;
     if problem.free_slots().is_empty() {
         return Err(FitError::NothingFree);
     }
     let x0 = problem.start();
-    let minimum = levenberg_marquardt::minimise(&mut problem, &x0, options).ok_or_else(|| {
+    let minimum = levenberg_marquardt::minimise(&problem, &x0, options).ok_or_else(|| {
         FitError::CannotSimulate {
             run: scenario.name.clone(),
         }
@@ -257,9 +257,9 @@ fn predict_from(
     noise: &NoiseFloor,
     options: Options,
 ) -> Result<(Prediction, f64), FitError> {
-    let mut problem = FreeRun::new(held, scenario, *noise)?.with_free_effect_states()?;
+    let problem = FreeRun::new(held, scenario, *noise)?.with_free_effect_states()?;
     let x0 = problem.start();
-    let minimum = levenberg_marquardt::minimise(&mut problem, &x0, options).ok_or_else(|| {
+    let minimum = levenberg_marquardt::minimise(&problem, &x0, options).ok_or_else(|| {
         FitError::CannotSimulate {
             run: scenario.name.clone(),
         }

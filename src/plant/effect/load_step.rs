@@ -5,6 +5,8 @@ pub(super) struct LoadStep;
 
 /// Time over which the step builds up, s; a true jump would leave its time without a slope to fit it by.
 const RISE_S: f64 = 0.01;
+/// Rise times after which the step has come, to the last bit.
+const SETTLED: f64 = 37.0;
 
 struct Step {
     level_n_m: f64,
@@ -53,6 +55,13 @@ impl Effect for LoadStep {
 impl Terms for Step {
     fn friction_n_m(&self, at: &Instant) -> f64 {
         let since = (at.time_s - self.time_s) / RISE_S;
-        self.level_n_m / (1.0 + (-since).exp())
+        // Beyond, the exponential is lost in the rounding of the one that it is added to, and costs most of a free run.
+        if since > SETTLED {
+            self.level_n_m
+        } else if since < -SETTLED {
+            0.0
+        } else {
+            self.level_n_m / (1.0 + (-since).exp())
+        }
     }
 }

@@ -59,6 +59,7 @@ impl State {
 
     fn found(&mut self, found: Found) {
         match found {
+            Found::Begun { .. } => {}
             Found::Screened { effect, share } => {
                 self.judged.entry(effect).or_default().share = Some(share);
                 self.working = Some("screening: one simulation for each effect".to_owned());

@@ -81,6 +81,11 @@ impl Answer {
         }
     }
 
+    /// Held-out error before and after, in units of the noise floor.
+    pub fn errors(&self) -> Option<(f64, f64)> {
+        Some((self.holdout_before?, self.holdout_after?))
+    }
+
     /// What the answer is called in the confusion matrix.
     pub fn column(&self) -> &'static str {
         match (self.verdict, self.effects.first()) {
@@ -172,11 +177,7 @@ fn named(case: &Case, effects: &[&'static str]) -> Outcome {
         .flatten()
         .copied()
         .collect();
-    let is_twin = |id: &&str| {
-        TWINS.iter().any(|twins| {
-            twins.contains(id) && twins.iter().any(|twin| twin != id && missed.contains(twin))
-        })
-    };
+    let is_twin = |id: &&str| missed.iter().any(|missed| are_twins(id, missed));
     match (strangers.is_empty(), found) {
         (true, all) if all == case.right.len() && all > 0 => Outcome::Right,
         (true, 1..) => Outcome::Partial,
@@ -184,6 +185,11 @@ fn named(case: &Case, effects: &[&'static str]) -> Outcome {
         (false, _) if strangers.iter().all(is_twin) => Outcome::Twin,
         (false, _) => Outcome::Wrong,
     }
+}
+
+/// Whether these are two names for what is the same to first order.
+pub(super) fn are_twins(a: &str, b: &str) -> bool {
+    a != b && (TWINS.iter()).any(|twins| twins.contains(&a) && twins.contains(&b))
 }
 
 /// Classes in the order of the tables.

@@ -10,6 +10,7 @@
 
 mod cases;
 mod judge;
+mod live;
 mod record;
 mod sizes;
 mod tally;
@@ -23,6 +24,7 @@ use serde::Serialize;
 
 pub use cases::{Case, Group};
 pub use judge::{Answer, Outcome};
+pub use live::{Heard, LiveAnswer, LiveLink};
 pub use record::Excitation;
 pub use tally::{Bounded, Matrix, Tally, matrix, median_errors};
 
@@ -56,6 +58,9 @@ pub struct Discovery {
     pub counts: Vec<GroupCount>,
     pub matrix: Matrix,
     pub answers: Vec<Answer>,
+    /// Mysteries that the whole program was given in real time; empty where that was not asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub live: Vec<LiveAnswer>,
 }
 
 /// Counts of one group, for one excitation.
@@ -95,6 +100,7 @@ pub fn discovery(
         counts: tally::counts(&answers),
         matrix: tally::matrix(&answers),
         answers,
+        live: Vec::new(),
     })
 }
 

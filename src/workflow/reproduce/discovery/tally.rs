@@ -25,20 +25,24 @@ impl Tally {
     pub fn of<'a>(answers: impl IntoIterator<Item = &'a Answer>) -> Self {
         let mut tally = Self::default();
         for answer in answers {
-            tally.sets += 1;
-            let count = match answer.outcome {
-                Outcome::Right => &mut tally.right,
-                Outcome::Twin => &mut tally.twin,
-                Outcome::Ambiguous => &mut tally.ambiguous,
-                Outcome::Partial => &mut tally.partial,
-                Outcome::NotExcited => &mut tally.not_excited,
-                Outcome::Abstained => &mut tally.abstained,
-                Outcome::Wrong => &mut tally.wrong,
-                Outcome::Failed => &mut tally.failed,
-            };
-            *count += 1;
+            tally.count(answer.outcome);
         }
         tally
+    }
+
+    pub(super) fn count(&mut self, outcome: Outcome) {
+        self.sets += 1;
+        let count = match outcome {
+            Outcome::Right => &mut self.right,
+            Outcome::Twin => &mut self.twin,
+            Outcome::Ambiguous => &mut self.ambiguous,
+            Outcome::Partial => &mut self.partial,
+            Outcome::NotExcited => &mut self.not_excited,
+            Outcome::Abstained => &mut self.abstained,
+            Outcome::Wrong => &mut self.wrong,
+            Outcome::Failed => &mut self.failed,
+        };
+        *count += 1;
     }
 
     pub fn wrong_share(self) -> Bounded {
@@ -102,11 +106,8 @@ pub(super) fn counts(answers: &[Answer]) -> Vec<GroupCount> {
 }
 
 /// Medians of the held-out error before and after, in units of the noise floor; none without answers.
-pub fn median_errors<'a>(answers: impl IntoIterator<Item = &'a Answer>) -> Option<(f64, f64)> {
-    let (before, after): (Vec<f64>, Vec<f64>) = answers
-        .into_iter()
-        .filter_map(|answer| Some((answer.holdout_before?, answer.holdout_after?)))
-        .unzip();
+pub fn median_errors(errors: impl IntoIterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
+    let (before, after): (Vec<f64>, Vec<f64>) = errors.into_iter().unzip();
     (!before.is_empty()).then(|| (median(&before), median(&after)))
 }
 

@@ -2,12 +2,12 @@
 
 use std::fmt::Write as _;
 
-use super::cells;
+use super::{cells, live};
 use crate::report::number::{fixed, significant};
 use crate::report::page::{Cell, Table};
 use crate::report::reproduce::{NamedTable, Reproduction, Section};
 use crate::workflow::reproduce::discovery::{
-    Answer, Bounded, Discovery, Excitation, Group, Matrix, Outcome, Tally, median_errors,
+    Answer, Bounded, Discovery, Excitation, Group, LiveLink, Matrix, Outcome, Tally, median_errors,
 };
 
 /// Heads of the columns of the matrix: numbers, which a row's label explains.
@@ -23,14 +23,21 @@ impl Discovery {
         Reproduction {
             title: "How often the diagnosis is right".to_owned(),
             subtitle: format!(
-                "Written by `drivebench reproduce discovery --sets {} --seed {}`: {} machines with a known truth, each diagnosed from two recorded runs.",
+                "Written by `drivebench reproduce discovery --sets {} --seed {}{}`: {} machines with a known truth, each diagnosed from two recorded runs.",
                 self.sets_in_each_cell,
                 self.seed,
-                self.answers.len()
+                self.live_option(),
+                self.answers.len() + self.live.len()
             ),
             lead: ("In short".to_owned(), self.in_short()),
-            sections: vec![
-                what_is_claimed(),
+            sections: self.sections(),
+        }
+    }
+
+    fn sections(&self) -> Vec<Section> {
+        let mut sections = vec![what_is_claimed()];
+        if !self.answers.is_empty() {
+            sections.extend([
                 how_it_is_done(),
                 self.by_excitation(),
                 self.by_effect(),
@@ -41,15 +48,35 @@ impl Discovery {
                 self.beside(Group::Pair, "pairs", PAIRS),
                 self.background(),
                 self.failures(),
-            ],
+            ]);
         }
+        if !self.live.is_empty() {
+            sections.push(live::section(&self.live));
+        }
+        sections
     }
 
     fn of(&self, keep: impl Fn(&Answer) -> bool) -> Vec<&Answer> {
         self.answers.iter().filter(|answer| keep(answer)).collect()
     }
 
+    fn live_option(&self) -> String {
+        match self.live.len() / LiveLink::ALL.len() {
+            0 => String::new(),
+            drives => format!(" --live {drives}"),
+        }
+    }
+
     fn in_short(&self) -> String {
+        let mut text = self.in_virtual_time();
+        text.extend(live::in_short(&self.live));
+        text.trim_start().to_owned()
+    }
+
+    fn in_virtual_time(&self) -> String {
+        if self.answers.is_empty() {
+            return String::new();
+        }
         let single = Tally::of(self.of(|a| a.group == Group::Single));
         let null = Tally::of(self.of(|a| a.group == Group::Null));
         let right = Bounded::new(single.right, single.sets);
@@ -71,7 +98,7 @@ impl Discovery {
         let rows = Excitation::ALL.iter().filter_map(|excitation| {
             let answers =
                 self.of(|a| a.group == Group::Single && a.excitation == excitation.name());
-            (!answers.is_empty()).then(|| tally_row(excitation.name().to_owned(), &answers))
+            (!answers.is_empty()).then(|| tally_row_of(excitation.name().to_owned(), &answers))
         });
         let mut paragraphs = vec![OUTCOMES.to_owned()];
         for excitation in Excitation::ALL {
@@ -103,7 +130,7 @@ impl Discovery {
         }
         let rows = classes.into_iter().map(|class| {
             let answers = self.of(|a| a.group == Group::Single && a.class == class);
-            tally_row(class.to_owned(), &answers)
+            tally_row_of(class.to_owned(), &answers)
         });
         Section {
             heading: "One hidden effect, by effect".to_owned(),
@@ -170,11 +197,11 @@ impl Discovery {
                 .copied()
                 .filter(|a| a.class == class || (group == Group::Null && a.excitation == class));
             let of_class: Vec<&Answer> = of_class.collect();
-            tally_row(class, &of_class)
+            tally_row_of(class, &of_class)
         });
         let mut rows: Vec<Vec<Cell>> = rows.collect();
         if rows.len() > 1 {
-            rows.push(tally_row("all".to_owned(), &answers));
+            rows.push(tally_row_of("all".to_owned(), &answers));
         }
         Section {
             heading: about.0.to_owned(),
@@ -185,7 +212,7 @@ impl Discovery {
 
     fn background(&self) -> Section {
         let rich = Excitation::Rich.name();
-        let mut rows = vec![tally_row(
+        let mut rows = vec![tally_row_of(
             "0".to_owned(),
             &self.of(|a| a.group == Group::Single && a.excitation == rich),
         )];
@@ -199,7 +226,7 @@ impl Discovery {
         }
         for level in levels {
             let answers = self.of(|a| a.group == Group::Background { level });
-            rows.push(tally_row(format!("{level}"), &answers));
+            rows.push(tally_row_of(format!("{level}"), &answers));
         }
         Section {
             heading: "Among unmodelled background".to_owned(),
@@ -285,7 +312,7 @@ fn how_it_is_done() -> Section {
     }
 }
 
-fn table(
+pub(super) fn table(
     sentence: &str,
     name: &str,
     head: Vec<&'static str>,
@@ -300,7 +327,7 @@ fn table(
     )
 }
 
-fn tally_head(first: &'static str) -> Vec<&'static str> {
+pub(super) fn tally_head(first: &'static str) -> Vec<&'static str> {
     vec![
         first,
         "sets",
@@ -318,9 +345,16 @@ fn tally_head(first: &'static str) -> Vec<&'static str> {
     ]
 }
 
-fn tally_row(label: String, answers: &[&Answer]) -> Vec<Cell> {
-    let tally = Tally::of(answers.iter().copied());
-    let errors = median_errors(answers.iter().copied());
+fn tally_row_of(label: String, answers: &[&Answer]) -> Vec<Cell> {
+    let errors = answers.iter().filter_map(|answer| answer.errors());
+    tally_row(
+        label,
+        Tally::of(answers.iter().copied()),
+        median_errors(errors),
+    )
+}
+
+pub(super) fn tally_row(label: String, tally: Tally, errors: Option<(f64, f64)>) -> Vec<Cell> {
     let error = |of: fn((f64, f64)) -> f64| {
         errors.map_or_else(|| "-".to_owned(), |e| significant(of(e), 3))
     };

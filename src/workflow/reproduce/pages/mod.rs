@@ -8,6 +8,7 @@ mod beyond;
 mod discovery;
 mod figure_2;
 mod figure_3;
+mod live;
 mod table_1;
 
 use std::fmt::Write as _;

@@ -1,0 +1,88 @@
+//! What it costs to name the missing effect: the screen alone, and whole diagnoses of 12 s at 1 kHz with a second run
+//! of the same length held out.
+
+mod common;
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use drivebench::diagnosis::{Evidence, Options, Thoroughness, diagnose_with, screen, silent};
+use drivebench::plant::{Model, Motor};
+
+/// Name of the case, a model for the truth, and the two runs that it gives.
+fn cases() -> [(&'static str, Evidence); 2] {
+    let baseline = Model::baseline(Motor::zk_22fc());
+    let mut rubbing = baseline
+        .with_effect("stribeck_friction")
+        .expect("an effect of the catalogue");
+    for active in &mut rubbing.effects {
+        active.values = vec![Some(0.1), Some(12.0)];
+    }
+    let evidence = |run, truth: &Model| Evidence::new(run, Some(common::record(truth, 2)), None);
+    [
+        (
+            "nothing_missing",
+            evidence(common::run_of_12_s(), &baseline),
+        ),
+        (
+            "stribeck_missing",
+            evidence(common::record(&rubbing, 1), &rubbing),
+        ),
+    ]
+}
+
+/// A nameplate that is some per cent off, as they are.
+fn nameplate() -> Model {
+    let mut model = Model::baseline(Motor::zk_22fc());
+    let off = [1.08, 0.93, 1.04, 0.95, 1.1];
+    for (slot, factor) in model.slots().iter().zip(off) {
+        if let Some(value) = model.get(slot) {
+            model.set(slot, value * factor);
+        }
+    }
+    model
+}
+
+fn screened(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("screen");
+    group.sample_size(20);
+    for (name, evidence) in cases() {
+        let (evidence, fit) = evidence
+            .with_baseline(&nameplate())
+            .expect("a rich run can be fitted");
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| screen(black_box(&fit), &evidence.training, &silent));
+        });
+    }
+    group.finish();
+}
+
+fn diagnosed(criterion: &mut Criterion) {
+    for (group, thoroughness) in [
+        ("diagnose", Thoroughness::Promising),
+        ("diagnose_everything", Thoroughness::Everything),
+    ] {
+        let mut group = criterion.benchmark_group(group);
+        group
+            .sample_size(12)
+            .measurement_time(Duration::from_secs(8));
+        for (name, evidence) in cases() {
+            let options = Options {
+                thoroughness,
+                ..Options::default()
+            };
+            group.bench_function(name, |bencher| {
+                bencher.iter(|| diagnose_with(&nameplate(), black_box(evidence.clone()), options));
+            });
+        }
+        group.finish();
+    }
+}
+
+criterion_group! {
+    name = benches;
+    config = common::settings();
+    targets = screened, diagnosed
+}
+criterion_main!(benches);

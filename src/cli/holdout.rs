@@ -1,0 +1,123 @@
+//! Whether another run can be judged by: of the same motor, moving, long enough, and not the data that are fitted.
+
+use super::output;
+use super::sanity_report::Judging;
+use crate::diagnosis::{Fingerprint, Kinship, fingerprint, matches, shared_samples};
+use crate::identification::sanity::{self, Kind};
+use crate::plant::{Model, Scenario};
+use crate::recording::LoadedRun;
+use crate::sample::Run;
+
+/// Shortest hold-out, s: twenty blocks that hold some transients of the current each.
+const SHORTEST_S: f64 = 1.0;
+/// Share of a hold-out's samples that may be those of the fitted run.
+const MOST_SHARED: f64 = 0.5;
+
+/// The run that is fitted, for comparing others with it.
+pub(super) struct Beside<'a> {
+    pub(super) model: &'a Model,
+    pub(super) fitted: &'a Scenario,
+    pub(super) judging: Judging,
+    pub(super) fingerprint: Option<Option<Fingerprint>>,
+}
+
+impl Beside<'_> {
+    /// `other` where it can serve as what `role` says. Where it cannot, the reason goes to stderr and to `notes`, and a
+    /// command that fits goes on without it; one that compares a model as given compares all the same.
+    pub(super) fn judge(
+        &mut self,
+        role: &str,
+        other: (LoadedRun, Scenario),
+        instead: &str,
+        notes: &mut Vec<String>,
+    ) -> Option<Scenario> {
+        let (loaded, scenario) = other;
+        let Some((reason, forbids)) = self.objection(&loaded.run, &scenario) else {
+            return Some(scenario);
+        };
+        let sets_aside = forbids && self.judging != Judging::AsGiven;
+        let sentence = if sets_aside {
+            format!("{role}: {reason}; it is not used, {instead}")
+        } else {
+            format!("{role}: {reason}")
+        };
+        output::warn(std::slice::from_ref(&sentence));
+        notes.push(sentence);
+        (!sets_aside).then_some(scenario)
+    }
+
+    /// What speaks against it, and whether nothing can be judged by it.
+    fn objection(&mut self, run: &Run, scenario: &Scenario) -> Option<(String, bool)> {
+        if shared_samples(self.fitted, scenario) > MOST_SHARED {
+            let same = "its samples are those of the run that is fitted, so that it tests nothing";
+            return Some((same.to_owned(), true));
+        }
+        let times = &scenario.sample_time_s;
+        let length_s = times[times.len() - 1] - times[0];
+        if length_s < SHORTEST_S {
+            let short = format!("it lasts {length_s:.3} s, and at least {SHORTEST_S} s are needed");
+            return Some((short, true));
+        }
+        let findings = sanity::examine(run, scenario, self.model);
+        if let Some(finding) = findings.iter().find(|finding| finding.refuses) {
+            let help = match finding.kind {
+                Kind::Unit | Kind::Swapped | Kind::Reversed => {
+                    finding.help.replace("--map ", "--map-holdout ")
+                }
+                _ => String::new(),
+            };
+            let separator = if help.is_empty() { "" } else { "; " };
+            return Some((format!("{}{separator}{help}", finding.sentence), true));
+        }
+        let (model, fitted) = (self.model, self.fitted);
+        let here = *self
+            .fingerprint
+            .get_or_insert_with(|| fingerprint(model, fitted));
+        let found = matches(here?, fingerprint(model, scenario)?);
+        (found.kinship != Kinship::Same).then(|| (found.sentence, found.kinship == Kinship::Other))
+    }
+}
+
+/// What a run does not say by itself: rows without a voltage, times without rows.
+pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
+    let mut cautions = Vec::new();
+    let channel = scenario.input_channel;
+    if let (crate::sample::Channel::Voltage, Some(cells)) = (channel, run.column(channel)) {
+        let begin_s = scenario.begin_s();
+        let rows = run.time_s().iter().filter(|time_s| **time_s >= begin_s);
+        let missing = run
+            .time_s()
+            .iter()
+            .zip(cells)
+            .filter(|(time_s, cell)| **time_s >= begin_s && !cell.is_finite())
+            .count();
+        if missing > 0 {
+            cautions.push(format!(
+                "{}: {} is empty in {missing} of {} rows: the value before is taken as held there",
+                run.name,
+                channel.key(),
+                rows.count()
+            ));
+        }
+    }
+    let times = &scenario.sample_time_s;
+    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let longest = times
+        .windows(2)
+        .max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
+    if let Some([from_s, to_s]) = longest
+        && to_s - from_s > LONG_GAP * period_s
+        && to_s - from_s > LONG_GAP_S
+    {
+        cautions.push(format!(
+            "{}: no rows between {from_s:.3} s and {to_s:.3} s: the voltage is taken as held through it, and what the motor \
+             really did there is taken for an error of the model; cut the file there",
+            run.name
+        ));
+    }
+    cautions
+}
+
+/// A time without rows that is worth a word: so many mean periods, and so many seconds.
+const LONG_GAP: f64 = 50.0;
+const LONG_GAP_S: f64 = 0.2;

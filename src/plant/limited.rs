@@ -1,0 +1,193 @@
+//! Where a limit of the drive held its output: the command is not what the motor had, the measured voltage is.
+//!
+//! ```text
+//! command    ____/------\____      between limited samples: the line through the measured voltages (at a current limit the
+//! measured   ____/--__--/____      drive follows R i + Ke w, which is nearly straight from sample to sample); beside them
+//!                 limited          that line, continued, until it crosses the command
+//! ```
+
+use crate::numerics::count::whole;
+use crate::sample::{Channel, Run};
+
+/// Inputs are held, so that a line is a staircase; its steps are about as long as this, s, and not more than so many.
+const STEP_S: f64 = 0.5e-3;
+const MOST_STEPS: usize = 50;
+
+/// One stretch of samples between which the limit was never released.
+struct Stretch {
+    /// `(time, measured voltage)`.
+    samples: Vec<(f64, f64)>,
+    /// Stamps of the samples beside it, at which the command held.
+    before_s: f64,
+    after_s: f64,
+}
+
+/// The commands `(time, V)`, held until the next, with those replaced that a limit of the drive kept from the motor.
+pub(super) fn applied(run: &Run, commands: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut events = commands.to_vec();
+    for stretch in stretches(run) {
+        events = replaced(&events, &stretch);
+    }
+    events
+}
+
+fn stretches(run: &Run) -> Vec<Stretch> {
+    let Some(measured) = run.column(Channel::Voltage) else {
+        return Vec::new();
+    };
+    let (times, limited) = (run.time_s(), run.limited_rows());
+    // A row of a command alone lies between two samples and says nothing of the limit.
+    let samples: Vec<usize> = (0..run.rows())
+        .filter(|&row| measured[row].is_finite())
+        .collect();
+    let is_limited: Vec<bool> = (samples.iter())
+        .map(|row| limited.binary_search(row).is_ok())
+        .collect();
+    let mut stretches = Vec::new();
+    let mut at = 0;
+    while at < samples.len() {
+        if !is_limited[at] {
+            at += 1;
+            continue;
+        }
+        let end = at
+            + is_limited[at..]
+                .iter()
+                .take_while(|limited| **limited)
+                .count();
+        let time = |place: usize| samples.get(place).map(|&row| times[row]);
+        stretches.push(Stretch {
+            samples: samples[at..end]
+                .iter()
+                .map(|&row| (times[row], measured[row]))
+                .collect(),
+            before_s: at
+                .checked_sub(1)
+                .and_then(time)
+                .unwrap_or(times[samples[at]]),
+            after_s: time(end).unwrap_or(times[samples[end - 1]]),
+        });
+        at = end;
+    }
+    stretches
+}
+
+fn replaced(events: &[(f64, f64)], stretch: &Stretch) -> Vec<(f64, f64)> {
+    let held = |time_s: f64| {
+        let next = events.partition_point(|event| event.0 <= time_s);
+        events[next.saturating_sub(1)].1
+    };
+    let (first, last) = (
+        stretch.samples[0],
+        stretch.samples[stretch.samples.len() - 1],
+    );
+    // Above or below the command: the side on which the limit held the output, so where it let go.
+    let excess: f64 = (stretch.samples.iter())
+        .map(|&(time_s, volts)| volts - held(time_s))
+        .sum();
+    let limit = |time_s: f64, line_v: f64| {
+        let command = held(time_s);
+        if excess < 0.0 {
+            command.min(line_v)
+        } else {
+            command.max(line_v)
+        }
+    };
+    let mut inside = Vec::new();
+    let mut pieces = |from_s: f64, to_s: f64, volts: &dyn Fn(f64) -> f64| {
+        let count = whole(((to_s - from_s) / STEP_S).ceil()).min(MOST_STEPS);
+        let share = |at: f64| from_s + (to_s - from_s) * at / count as f64;
+        inside.extend((0..count).map(|k| (share(k as f64), volts(share(k as f64 + 0.5)))));
+    };
+    let line = |a: (f64, f64), b: (f64, f64), time_s: f64| {
+        if b.0 > a.0 {
+            a.1 + (b.1 - a.1) * (time_s - a.0) / (b.0 - a.0)
+        } else {
+            a.1
+        }
+    };
+    let second = *stretch.samples.get(1).unwrap_or(&first);
+    pieces(stretch.before_s, first.0, &|t| {
+        limit(t, line(first, second, t))
+    });
+    for pair in stretch.samples.windows(2) {
+        pieces(pair[0].0, pair[1].0, &|t| line(pair[0], pair[1], t));
+    }
+    let last_but_one = stretch.samples[stretch.samples.len().saturating_sub(2)];
+    pieces(last.0, stretch.after_s, &|t| {
+        limit(t, line(last_but_one, last, t))
+    });
+    let after_s = stretch.after_s.max(last.0);
+    let mut out: Vec<(f64, f64)> = Vec::with_capacity(events.len() + inside.len());
+    out.extend(events.iter().filter(|event| event.0 < stretch.before_s));
+    out.extend(inside);
+    out.push((after_s, held(after_s)));
+    out.extend(events.iter().filter(|event| event.0 > after_s));
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::Origin;
+
+    /// A ramp of 10 V a sample, held by the drive at `30 + 2 k` V while it is beyond it.
+    fn run() -> Run {
+        let rows = 12_usize;
+        let mut run = Run::new("r", (0..rows).map(|k| 0.01 * k as f64).collect()).unwrap();
+        let command: Vec<f64> = (0..rows)
+            .map(|k| if k < 7 { 10.0 * k as f64 } else { 0.0 })
+            .collect();
+        let measured = (0..rows)
+            .map(|k| command[k].min(30.0 + 2.0 * k as f64))
+            .collect();
+        run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
+            .unwrap();
+        run.set_column(Channel::Voltage, measured, Origin::Measured)
+            .unwrap();
+        run
+    }
+
+    fn at(events: &[(f64, f64)], time_s: f64) -> f64 {
+        events[events.partition_point(|event| event.0 <= time_s) - 1].1
+    }
+
+    #[test]
+    fn without_a_limit_the_commands_stand() {
+        let run = run();
+        let commands: Vec<(f64, f64)> = run.points(Channel::VoltageCmd).collect();
+        assert_eq!(applied(&run, &commands), commands);
+    }
+
+    #[test]
+    fn between_limited_samples_the_measured_voltage_stands_and_outside_the_command() {
+        let mut run = run();
+        run.set_limited_rows(vec![4, 5, 6]);
+        let commands: Vec<(f64, f64)> = run.points(Channel::VoltageCmd).collect();
+        let events = applied(&run, &commands);
+        assert!(
+            events.windows(2).all(|pair| pair[0].0 < pair[1].0),
+            "{events:?}"
+        );
+        // Inside: 38 to 40 to 42 V; the command was 40 to 60 V.
+        for (time_s, volts) in [(0.0451, 39.0), (0.0551, 41.0)] {
+            assert!(
+                (at(&events, time_s) - volts).abs() < 0.1,
+                "{time_s} s: {events:?}"
+            );
+        }
+        // Before the line is crossed the command of 30 V holds; after the release it is back.
+        assert!((at(&events, 0.025) - 20.0).abs() < 1e-12);
+        assert!((at(&events, 0.035) - 30.0).abs() < 1e-12);
+        assert!(at(&events, 0.0725).abs() < 1e-12);
+        assert!((at(&events, 0.0651) - 43.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn a_limit_that_nobody_measured_changes_nothing() {
+        let mut run = run().without(Channel::Voltage);
+        run.set_limited_rows(vec![4, 5, 6]);
+        let commands: Vec<(f64, f64)> = run.points(Channel::VoltageCmd).collect();
+        assert_eq!(applied(&run, &commands), commands);
+    }
+}
