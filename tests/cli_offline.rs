@@ -288,6 +288,75 @@ fn diagnose_names_the_hidden_effect() {
 }
 
 #[test]
+fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
+    let found = on_hidden("diagnose {} --holdout {} --model {} --json", &[])
+        .expect(0)
+        .json();
+    let candidates = found["candidates"].as_array().unwrap();
+    let torque = &candidates[0]["reached"]["torque_n_m"];
+    let level = number(&candidates[0], "/parameters/stribeck_n_m/value");
+    // At standstill the hump is at its level.
+    assert!((number(torque, "/value") / level - 1.0).abs() < 1e-3);
+    assert_eq!(word(torque, "/unit"), "N.m");
+    assert!(torque["interval_95"][0].as_f64() < torque["interval_95"][1].as_f64());
+    let mut passed_over = 0;
+    for candidate in candidates {
+        let is_refitted = candidate["refitted"].as_bool().unwrap();
+        let factor = number(candidate, "/interval_factor");
+        assert!((factor - 1.0).abs() < 1e-9 || (factor - 2.0).abs() < 1e-9);
+        if is_refitted {
+            assert!(candidate["holdout_after"].is_number(), "{candidate}");
+        } else if word(candidate, "/status") != "possible" {
+            for key in [
+                "holdout_after",
+                "error_after",
+                "explained_percent",
+                "reached",
+            ] {
+                assert!(candidate[key].is_null(), "{key}: {candidate}");
+            }
+            passed_over += 1;
+        }
+    }
+    assert!(passed_over > 3, "{passed_over} of {}", candidates.len());
+}
+
+#[test]
+fn pages_are_whole_and_never_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    for (command, parts) in [
+        (
+            "diagnose {} --holdout {} --model {} --json --html {}",
+            vec![
+                "Ladder of models",
+                "Effects that were tried",
+                "noise floor",
+                "in this run",
+            ],
+        ),
+        (
+            "compare {} --holdout {} --model {} --json --html {}",
+            vec!["Above the noise floor", "Residual lights", "class=\"cell\""],
+        ),
+    ] {
+        let page = folder.path().join(format!("{}.html", parts.len()));
+        on_hidden(command, &[&page]).expect(0).json();
+        let html = fs::read_to_string(&page).unwrap();
+        for part in parts
+            .iter()
+            .chain(&["Where the model fails", "<svg", "</html>"])
+        {
+            assert!(html.contains(part), "{part} is missing in {command}");
+        }
+        for outside in ["http://", "https://", "NaN", "src="] {
+            assert!(!html.contains(outside), "{outside} in {command}");
+        }
+        on_hidden(command, &[&page]).expect(2).error();
+        assert_eq!(fs::read_to_string(&page).unwrap(), html);
+    }
+}
+
+#[test]
 fn without_a_holdout_the_run_is_split() {
     let runs = hidden();
     let paths = [runs.fit.as_path(), runs.model.as_path()];

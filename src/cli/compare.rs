@@ -4,9 +4,10 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
+use super::diagnose::title;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
-use super::{interrupt, output, progress};
+use super::{interrupt, model_output, output, pages, progress};
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -25,12 +26,18 @@ pub(super) struct Arguments {
     min_fit: Option<f64>,
     #[command(flatten)]
     evidence: EvidenceArguments,
+    /// Write the page: figures, lights, where the model fails; never overwritten
+    #[arg(long, value_name = "PAGE.html")]
+    html: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(path) = &arguments.html {
+        model_output::refuse_existing(path)?;
+    }
     let _endable = interrupt::endable()?;
     let shown = progress::begin("compare");
     let prepared = prepare(
@@ -50,6 +57,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     progress::stage("compares", 0);
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
     drop(shown);
+    if let Some(path) = &arguments.html {
+        let page = pages::comparison(
+            &title(&arguments.run, arguments.evidence.holdout.as_deref()),
+            &arguments.evidence.runs(&arguments.run),
+            &prepared.run.manifest.clone().unwrap_or_default(),
+            &comparison,
+        );
+        pages::write(path, &page)?;
+    }
     let mut value = serde_json::to_value(&comparison).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();

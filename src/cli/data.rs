@@ -135,6 +135,15 @@ pub(super) struct EvidenceArguments {
     pub(super) map: MapArguments,
 }
 
+impl EvidenceArguments {
+    /// The runs that are named, the one that is fitted first.
+    pub(super) fn runs<'a>(&'a self, run: &'a Path) -> Vec<&'a Path> {
+        let others = [&self.holdout, &self.confirm];
+        let others = others.into_iter().filter_map(|path| path.as_deref());
+        std::iter::once(run).chain(others).collect()
+    }
+}
+
 /// Everything that `compare`, `diagnose`, `add` and `remove` need.
 pub(super) struct Prepared {
     pub(super) run: LoadedRun,

@@ -5,7 +5,8 @@ use super::output;
 use crate::diagnosis::{AxisMap, Evidence, axis_map};
 use crate::identification::output_error;
 use crate::plant::effect::{Axis, DefinitionError};
-use crate::plant::{Effect, Model, Slot, effect};
+use crate::plant::{Effect, Model, effect};
+use crate::workflow::curve;
 
 /// What defines an effect that is not in the catalogue.
 #[derive(clap::Args, Clone, Debug, Default)]
@@ -186,27 +187,18 @@ fn table(
             axis,
         )?;
         output::message(&found.sentence);
-        found.knots.into_iter().map(four_digits).collect()
+        found.knots.into_iter().map(curve::four_digits).collect()
     } else {
         arguments.knots.clone()
     };
-    let settings = toml::Table::from_iter([
-        ("equation".to_owned(), toml::Value::from(equation)),
-        ("axis".to_owned(), axis.key().into()),
-        (
-            "knots".to_owned(),
-            toml::Value::Array(knots.into_iter().map(toml::Value::from).collect()),
-        ),
-    ]);
-    let (effect, _) = effect::define(id, &settings).map_err(|error| failure(&error, None))?;
-    hold_what_the_curve_holds(model, &fit.model, equation, axis);
+    let effect = curve::table(id, equation, axis, &knots).map_err(|error| failure(&error, None))?;
+    if let Some(held) = curve::hold_what_the_curve_holds(model, &fit.model, equation, axis) {
+        output::message(&format!(
+            "{held} is held: the curve would explain it as well"
+        ));
+    }
     output::message("provisional: the curve holds what the data show, not why; look for its cause");
     Ok(effect)
-}
-
-/// A knot that a person can read in a model file.
-fn four_digits(knot: f64) -> f64 {
-    format!("{knot:.3e}").parse().unwrap_or(knot)
 }
 
 fn chosen(maps: Vec<AxisMap>, equation: &str, axis: Axis) -> Result<AxisMap, Failure> {
@@ -234,30 +226,6 @@ fn chosen(maps: Vec<AxisMap>, equation: &str, axis: Axis) -> Result<AxisMap, Fai
                 format!("it gives {}; or give --knots", axes.join(", ")),
             )
         })
-}
-
-/// A curve over the current holds a resistance, one over the speed a back-EMF: beside the curve neither can be told,
-/// so that the parameter stays at what the baseline's fit gave it.
-fn hold_what_the_curve_holds(model: &mut Model, fitted: &Model, equation: &str, axis: Axis) {
-    let held = match (equation, axis) {
-        ("voltage", Axis::Current) => "resistance_ohm",
-        ("voltage", Axis::Speed) => "back_emf_v_s_per_rad",
-        _ => return,
-    };
-    if model.fixed.iter().any(|key| key == held) {
-        return;
-    }
-    let slot = fitted
-        .slots()
-        .into_iter()
-        .find(|slot: &Slot| slot.key() == held);
-    if let Some((slot, value)) = slot.and_then(|slot| Some((slot, fitted.get(&slot)?))) {
-        model.set(&slot, value);
-        model.fixed.push(held.to_owned());
-        output::message(&format!(
-            "{held} is held: the curve would explain it as well"
-        ));
-    }
 }
 
 #[cfg(test)]
@@ -300,11 +268,5 @@ mod tests {
                 .refuse_for("viscous_friction")
                 .is_ok()
         );
-    }
-
-    #[test]
-    fn knots_are_readable() {
-        assert!((four_digits(-118.716_712_5) + 118.7).abs() < 1e-12);
-        assert!(four_digits(0.0).abs() < 1e-300);
     }
 }

@@ -9,8 +9,8 @@ use super::discovery::{self, Shown};
 use super::failure::{Failure, USAGE};
 use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
-use super::{interrupt, model_output, output, progress};
-use crate::diagnosis::{Candidate, Diagnosis, Options, Status, diagnose_with};
+use super::{interrupt, model_output, output, pages, progress};
+use crate::diagnosis::{Candidate, Diagnosis, Options, Peak, Reached, Status, diagnose_with};
 use crate::sample::ParameterEstimate;
 use crate::workflow::Discovery;
 
@@ -18,6 +18,7 @@ use crate::workflow::Discovery;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench diagnose runs/a --model model.toml --holdout runs/b
+  drivebench diagnose runs/a --holdout runs/b --html page.html     the same with every picture
   drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
   drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first")]
 pub(super) struct Arguments {
@@ -35,6 +36,9 @@ pub(super) struct Arguments {
     on_screen: ScreenArguments,
     #[command(flatten)]
     next: NextArguments,
+    /// Write the page: ladder, where the model fails, every effect that was tried; never overwritten
+    #[arg(long, value_name = "PAGE.html")]
+    html: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -64,6 +68,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         ));
     }
     if let Some(path) = &on_screen.output {
+        model_output::refuse_existing(path)?;
+    }
+    if let Some(path) = &arguments.html {
         model_output::refuse_existing(path)?;
     }
     let mut attended = Some((interrupt::endable()?, progress::begin("diagnose")));
@@ -101,6 +108,16 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     place.recommend(&mut diagnosis, original, &prepared.evidence)?;
     let _endable = attended.map(|(endable, _)| endable);
     arguments.next.write(&diagnosis)?;
+    if let Some(path) = &arguments.html {
+        let page = pages::diagnosis(
+            &title(&arguments.run, arguments.evidence.holdout.as_deref()),
+            &arguments.evidence.runs(&arguments.run),
+            &prepared.run.manifest.clone().unwrap_or_default(),
+            &prepared.evidence,
+            &diagnosis,
+        )?;
+        pages::write(path, &page)?;
+    }
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
@@ -108,7 +125,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// The runs by the last part of their names.
-fn title(run: &Path, holdout: Option<&Path>) -> String {
+pub(super) fn title(run: &Path, holdout: Option<&Path>) -> String {
     let name = |path: &Path| {
         path.file_name()
             .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
@@ -137,6 +154,9 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
         );
         if matches!(candidate.status, Status::Supported | Status::Possible) {
             let _ = writeln!(text, "   {:<12} {}", "", sizes(candidate));
+            for peak in candidate.reached.iter().flat_map(Reached::peaks) {
+                let _ = writeln!(text, "   {:<12} {}", "", peak_text(&peak));
+            }
         }
     }
     for sentence in &diagnosis.equivalences {
@@ -164,6 +184,20 @@ fn sizes(candidate: &Candidate) -> String {
         .map(parameter_text)
         .collect::<Vec<_>>()
         .join(", ")
+}
+
+fn peak_text(peak: &Peak) -> String {
+    let std = peak
+        .std
+        .map_or_else(String::new, |std| format!(" +- {std:.1e}"));
+    let share = peak.percent_of_largest;
+    let share = share.map_or_else(String::new, |percent| {
+        format!(", {percent:.1} % of the largest")
+    });
+    format!(
+        "up to {:.3e}{std} {} in this run{share}",
+        peak.value, peak.unit
+    )
 }
 
 /// `key = value +- std unit`, or why there is no value.

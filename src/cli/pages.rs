@@ -1,16 +1,20 @@
 //! Fills in the report pages from what a run or a commissioning left.
 
+use std::io::Write as _;
 use std::path::Path;
 
-use super::data;
-use super::failure::Failure;
+use super::failure::{Failure, USAGE};
 use super::live::Rig;
 use super::recorded::Recorded;
+use super::{data, output};
 use crate::bench::{Outcome, Plan};
+use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, Evidence, Rung, Score, compare};
 use crate::identification::output_error;
-use crate::plant::{Model, Motor, Scenario};
+use crate::plant::{Input, Model, Motor, Scenario};
 use crate::recording::Manifest;
-use crate::report::{CommissionReport, ConfirmRun, Context, Facts, RunReport, Target};
+use crate::report::{
+    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, Target,
+};
 use crate::sample::ParameterEstimate;
 use crate::workflow::{CommissionResult, NamedEstimate};
 
@@ -106,6 +110,7 @@ pub(super) fn commission(
         estimates(&result.parameters),
     );
     let report = CommissionReport {
+        kind: "Commission",
         title: &rig.bench.name,
         context: &context,
         nameplate: Some(&nameplate),
@@ -123,6 +128,104 @@ pub(super) fn commission(
         html: report.html(),
         text: report.text(),
     })
+}
+
+/// The page of a diagnosis of recorded runs.
+pub(super) fn diagnosis(
+    title: &str,
+    folders: &[&Path],
+    manifest: &Manifest,
+    evidence: &Evidence,
+    found: &Diagnosis,
+) -> Result<String, Failure> {
+    let context = context(manifest, folders);
+    let is_electrical = evidence.training.input == Input::Voltage;
+    let mut evidence = evidence.clone();
+    if is_electrical {
+        // Without a floor of its own the first fit gave the scale.
+        evidence.noise = found.baseline.noise;
+    }
+    let added = !found.effects.is_empty();
+    let before = compare(&found.baseline.model, &evidence, ErrorOf::Structure)?;
+    let after = compare(&found.model.model, &evidence, ErrorOf::Structure)?;
+    let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
+    let simulated = |model: &Model| -> Result<_, Failure> {
+        if !is_electrical {
+            return Ok(None);
+        }
+        Ok(Some(
+            output_error::predict(model, shown, &evidence.noise)?.trajectory,
+        ))
+    };
+    let (line_before, line_after) = (
+        simulated(&found.baseline.model)?,
+        simulated(&found.model.model)?,
+    );
+    let rung = |model: &Model| -> Result<Option<Rung>, Failure> {
+        let Some(run) = evidence.confirm.as_ref().filter(|_| is_electrical) else {
+            return Ok(None);
+        };
+        Ok(Some(Rung {
+            effects: model.effect_ids(),
+            holdout_rmse: Score::of(model, run, &evidence.noise)?.nrms,
+        }))
+    };
+    let confirm = rung(&found.baseline.model)?
+        .zip(rung(&found.model.model)?)
+        .map(|(before, after)| [before, after]);
+    let report = CommissionReport {
+        kind: "Diagnosis",
+        title,
+        context: &context,
+        nameplate: None,
+        parameters_before: &found.baseline.parameters,
+        parameters_after: &found.model.parameters,
+        before: &before,
+        after: added.then_some(&after),
+        diagnosis: found,
+        ladder: &found.ladder,
+        confirm: confirm.as_ref(),
+        series: line_before.as_ref().map(|before| ConfirmRun {
+            scenario: shown,
+            before,
+            after: line_after.as_ref().filter(|_| added),
+            noise: &evidence.noise,
+        }),
+        truth: &[],
+    };
+    Ok(report.html())
+}
+
+/// The page of a comparison.
+pub(super) fn comparison(
+    title: &str,
+    folders: &[&Path],
+    manifest: &Manifest,
+    comparison: &Comparison,
+) -> String {
+    let context = context(manifest, folders);
+    let report = ComparisonReport {
+        title,
+        context: &context,
+        comparison,
+        parameters: &[],
+    };
+    report.html()
+}
+
+/// Writes a page where none is yet.
+pub(super) fn write(path: &Path, html: &str) -> Result<(), Failure> {
+    let failed = |error: std::io::Error| {
+        Failure::with_help(
+            USAGE,
+            format!("{}: cannot write: {error}", path.display()),
+            "name a file that does not exist yet, in a folder that does",
+        )
+    };
+    let mut file = std::fs::File::create_new(path).map_err(failed)?;
+    file.write_all(html.as_bytes()).map_err(failed)?;
+    output::message(&format!("page written to {}", path.display()));
+    Ok(())
 }
 
 fn truth_sentence(truth: &crate::workflow::Truth) -> String {

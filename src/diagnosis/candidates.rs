@@ -2,10 +2,11 @@
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
+use super::reached::Reached;
 use super::score::Score;
 use crate::identification::output_error::Fit;
 use crate::plant::Effect;
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, Verdict};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -28,14 +29,22 @@ pub struct Candidate {
     pub status: Status,
     /// Share of seeded block bootstraps of the hold-out in which it ranks first.
     pub probability: f64,
+    /// Whether the model was refitted with it. Where the screen's linear step was enough to rule it out, nothing that a
+    /// refit would give is reported: that step is no fit and may be worse than the baseline.
+    pub refitted: bool,
     #[serde(serialize_with = "by_key")]
     pub parameters: Vec<ParameterEstimate>,
+    /// What the standard deviations of the parameters were multiplied by: more than one where more than noise is left over,
+    /// so that they hold only if nothing else is missing.
+    pub interval_factor: f64,
+    /// How large it became on the training run.
+    pub reached: Option<Reached>,
     /// Training error before and after, in units of the noise.
     pub error_before: f64,
-    pub error_after: f64,
+    pub error_after: Option<f64>,
     pub holdout_before: f64,
-    pub holdout_after: f64,
-    pub explained_percent: f64,
+    pub holdout_after: Option<f64>,
+    pub explained_percent: Option<f64>,
     /// Smallest size of its first parameter that this run would have shown.
     pub minimum_detectable: Option<f64>,
     pub evidence: String,
@@ -65,6 +74,10 @@ pub(super) struct Refit {
     pub(super) minimum_detectable: f64,
     pub(super) visible: f64,
     pub(super) free_parameters: usize,
+    /// False where `fit` is the screen's linear step.
+    pub(super) refitted: bool,
+    /// Share of the unexplained error that it takes away to first order.
+    pub(super) screened_share: f64,
 }
 
 impl Refit {
@@ -72,14 +85,24 @@ impl Refit {
         self.effect.card().id
     }
 
-    /// The effect's own parameters.
+    /// The effect's own parameters; without a value where it was not refitted.
     pub(super) fn parameters(&self) -> Vec<ParameterEstimate> {
         let prefix = format!("{}.", self.id());
-        self.fit
-            .parameters
-            .iter()
-            .filter(|parameter| parameter.key.starts_with(&prefix))
-            .cloned()
+        let own = self.fit.parameters.iter();
+        let own = own.filter(|parameter| parameter.key.starts_with(&prefix));
+        own.cloned()
+            .map(|parameter| {
+                if self.refitted {
+                    return parameter;
+                }
+                ParameterEstimate {
+                    value: None,
+                    std: None,
+                    verdict: Verdict::Searching,
+                    reason: Some("not refitted: the screen ruled it out".to_owned()),
+                    ..parameter
+                }
+            })
             .collect()
     }
 }

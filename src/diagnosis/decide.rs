@@ -1,8 +1,6 @@
 //! The decision: paired block log-ratio test on the hold-out, share explained, rivals (DISCOVERY.md 2.8).
 
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
+use super::bootstrap;
 use super::candidates::Refit;
 use super::evidence::Evidence;
 use super::family::simple_form;
@@ -42,8 +40,6 @@ impl Default for Settings {
 
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
-const BOOTSTRAPS: usize = 1000;
-const BOOTSTRAP_SEED: u64 = 1;
 
 /// Mean log-ratio of the blocks' squared errors of `worse` over `better`, in its standard errors. Blocks grow until
 /// neighbours are independent, but there are never fewer than twenty where the run allows.
@@ -247,20 +243,5 @@ pub(super) fn first_rank_shares(refits: &[Refit]) -> Vec<f64> {
         .iter()
         .map(|refit| refit.holdout.blocks(BLOCK_S))
         .collect();
-    let n = blocks.iter().map(Vec::len).min().unwrap_or(0);
-    let mut wins = vec![0usize; refits.len()];
-    if n == 0 {
-        return vec![0.0; refits.len()];
-    }
-    let mut rng = ChaCha8Rng::seed_from_u64(BOOTSTRAP_SEED);
-    for _ in 0..BOOTSTRAPS {
-        let drawn: Vec<usize> = (0..n).map(|_| rng.random_range(0..n)).collect();
-        let error = |index: usize| drawn.iter().map(|block| blocks[index][*block]).sum::<f64>();
-        if let Some(first) = (0..refits.len()).min_by(|a, b| error(*a).total_cmp(&error(*b))) {
-            wins[first] += 1;
-        }
-    }
-    wins.iter()
-        .map(|wins| *wins as f64 / BOOTSTRAPS as f64)
-        .collect()
+    bootstrap::first_rank_shares(&blocks)
 }

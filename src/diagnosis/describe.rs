@@ -4,6 +4,7 @@ use super::candidates::{Candidate, Refit, Status};
 use super::decide::{Settings, explained, first_rank_shares, pays, z};
 use super::diagnose::{Diagnosis, DiagnosisVerdict};
 use super::evidence::Evidence;
+use super::reached;
 use super::score::Score;
 use super::screen::DETECTION_SIGMA;
 use super::search::Found;
@@ -20,14 +21,26 @@ pub(super) fn describe(
     let (refits, set) = (&found.first_round, &found.first_set);
     let floor = evidence.floor();
     let shares = first_rank_shares(refits);
+    let reached = reached::of_refits(refits, &evidence.training);
+    let pays_on_holdout: Vec<bool> = refits
+        .iter()
+        .map(|r| pays(base, &r.holdout, found.settings))
+        .collect();
+    // A linear step that pays has earned its figures: a fit would only be better.
+    let computed = |index: usize| refits[index].refitted || pays_on_holdout[index];
     let mut order: Vec<usize> = (0..refits.len()).collect();
     order.sort_by(|&a, &b| {
         let place = |index: usize| {
-            set.iter()
-                .position(|member| *member == index)
-                .unwrap_or(usize::MAX)
+            let in_set = set.iter().position(|member| *member == index);
+            in_set.unwrap_or(usize::MAX - usize::from(computed(index)))
         };
-        let error = |index: usize| refits[index].holdout.nrms;
+        let error = |index: usize| {
+            if computed(index) {
+                refits[index].holdout.nrms
+            } else {
+                -refits[index].screened_share
+            }
+        };
         place(a).cmp(&place(b)).then(error(a).total_cmp(&error(b)))
     });
     order
@@ -35,10 +48,8 @@ pub(super) fn describe(
         .enumerate()
         .map(|(rank, index)| {
             let refit = &refits[index];
-            let (pays, against_base) = (
-                pays(base, &refit.holdout, found.settings),
-                z(base, &refit.holdout, found.settings),
-            );
+            let (pays, computed) = (pays_on_holdout[index], computed(index));
+            let against_base = z(base, &refit.holdout, found.settings);
             let in_answer = found
                 .accepted
                 .iter()
@@ -58,12 +69,15 @@ pub(super) fn describe(
                 rank: rank + 1,
                 status,
                 probability: shares[index],
+                refitted: refit.refitted,
                 parameters: refit.parameters(),
+                interval_factor: refit.fit.interval_factor,
+                reached: reached[index],
                 error_before,
-                error_after: refit.fit.nrms,
+                error_after: computed.then_some(refit.fit.nrms),
                 holdout_before: base.nrms,
-                holdout_after: refit.holdout.nrms,
-                explained_percent: 100.0 * share,
+                holdout_after: computed.then_some(refit.holdout.nrms),
+                explained_percent: computed.then_some(100.0 * share),
                 minimum_detectable: Some(refit.minimum_detectable).filter(|size| size.is_finite()),
                 evidence: evidence_sentence(
                     refit,
@@ -98,6 +112,13 @@ fn evidence_sentence(
         Status::NotExcited => format!(
             "{} of less than {:.2e} {} would not show in this run: {}",
             card.name, refit.minimum_detectable, unit, card.excite
+        ),
+        Status::RuledOut if !refit.refitted => format!(
+            "{} explains {:.1} % of the error to first order and is not worth a refit; more than {:.2e} {} would have shown",
+            card.name,
+            100.0 * refit.screened_share.max(0.0),
+            refit.minimum_detectable,
+            unit
         ),
         Status::RuledOut => format!(
             "{} leaves the held-out error at {after:.2} of {before:.2} times the noise (z {z:.1}, {asked} is \
@@ -140,9 +161,12 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
     }
 }
 
-/// Unit of the parameter that gives the effect its size.
+/// Unit of the parameter that gives the effect its size, in words that can stand behind a number.
 fn unit_of_size(effect: &dyn Effect) -> &'static str {
     let specs = effect.parameters();
     let size = specs.iter().find(|spec| spec.is_coefficient());
-    size.unwrap_or(&specs[0]).unit
+    match size.unwrap_or(&specs[0]).unit {
+        "-" => "(a ratio)",
+        unit => unit,
+    }
 }

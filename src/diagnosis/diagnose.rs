@@ -123,7 +123,7 @@ pub fn diagnose_with(
 fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
     let floor = evidence.floor();
     let base = &found.baseline.score;
-    let candidates = describe(base, found.baseline.fit.nrms, evidence, &found);
+    let mut candidates = describe(base, found.baseline.fit.nrms, evidence, &found);
     let verdict = if wrong_curve(evidence, &found) {
         DiagnosisVerdict::Unexplained
     } else {
@@ -140,6 +140,14 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
         verdict,
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
     );
+    if !named {
+        // What pays although nothing is named is not in the answer.
+        for candidate in &mut candidates {
+            if candidate.status == Status::Supported {
+                candidate.status = Status::Possible;
+            }
+        }
+    }
     let (accepted, best) = if named {
         (found.accepted, &found.best)
     } else {

@@ -13,6 +13,7 @@
 //! The method is that of DISCOVERY.md; a name is given only for what pays on data that the fit has not seen.
 
 mod axis_map;
+mod bootstrap;
 mod candidates;
 mod compare;
 mod decide;
@@ -28,6 +29,7 @@ mod location;
 pub mod mechanical;
 pub mod next_experiment;
 mod progress;
+mod reached;
 mod refit;
 mod residual;
 mod score;
@@ -52,6 +54,7 @@ pub use next_experiment::{
     ExperimentLimits, NextExperiment, Recipe, equivalences, next_experiment, recommend,
 };
 pub use progress::{Event, Progress, Stage, silent};
+pub use reached::{Peak, Reached};
 pub use refit::Thoroughness;
 pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};

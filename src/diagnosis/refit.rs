@@ -88,9 +88,11 @@ pub(super) fn refit_all(
         };
         on.refit(candidate, &candidate.start, options)
     };
+    let fitted = screened.iter().enumerate();
+    let fitted = fitted.filter(|(rank, candidate)| promising(*rank, candidate));
     progress(Event::Begun {
         stage: Stage::Refit,
-        of: screened.len(),
+        of: fitted.count(),
     });
     let first: Vec<Result<Refit, FitError>> = screened
         .par_iter()
@@ -171,6 +173,7 @@ pub(super) fn polished(
     Ok(Refit {
         holdout: condensed(holdout, settings),
         fit,
+        refitted: true,
         ..refit.clone()
     })
 }
@@ -259,10 +262,13 @@ impl<'a> On<'a> {
             &evidence.noise,
             options,
         )?;
-        progress(Event::Refitted {
-            effect: candidate.effect.card().id,
-            error: fit.nrms,
-        });
+        let refitted = options.most_iterations > 0;
+        if refitted {
+            progress(Event::Refitted {
+                effect: candidate.effect.card().id,
+                error: fit.nrms,
+            });
+        }
         let holdout = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
         // Many are kept until one is chosen, and that one is fitted again (`polished`).
         let fit = Fit {
@@ -275,6 +281,8 @@ impl<'a> On<'a> {
             minimum_detectable: candidate.minimum_detectable,
             visible: candidate.visible,
             free_parameters: fit.free.len(),
+            refitted,
+            screened_share: candidate.share,
             fit,
         })
     }

@@ -37,6 +37,8 @@ pub(super) struct Screened {
     pub(super) start: Model,
     /// Reduction of the cost that the effect would bring, to first order.
     pub(super) gain: f64,
+    /// The same as a share of what the baseline's parameters leave unexplained.
+    pub(super) share: f64,
     /// Smallest size of the first parameter that this run would show (5 sigma, white noise); infinite where the run does
     /// not show it whatever its size.
     pub(super) minimum_detectable: f64,
@@ -142,7 +144,7 @@ impl<'a> Screen<'a> {
                 let screened = self.effect(*effect).ok()?;
                 progress(Event::Screened {
                     effect: effect.card().id,
-                    share: screened.gain / self.unexplained.norm_squared().max(f64::MIN_POSITIVE),
+                    share: screened.share,
                 });
                 Some(screened)
             })
@@ -303,6 +305,7 @@ impl<'a> Screen<'a> {
             effect,
             start,
             gain: best.gain,
+            share: best.gain / self.error().max(f64::MIN_POSITIVE),
             minimum_detectable: DETECTION_SIGMA / best.per_unit,
             visible: best.visible,
         }

@@ -6,4 +6,5 @@ pub mod least_squares;
 pub mod levenberg_marquardt;
 pub mod recursive_least_squares;
 pub mod reference_recursive_least_squares;
+pub mod root;
 pub mod statistics;

@@ -59,6 +59,24 @@ pub fn autocorrelation(values: &[f64], most: usize) -> Vec<f64> {
         .collect()
 }
 
+/// Lags over which whiteness is judged.
+pub const WHITENESS_LAGS: usize = 25;
+/// Half width of the 99 % band of a correlation, times the root of the number of samples.
+pub const BAND_99: f64 = 2.58;
+/// Share of lags outside that band up to which chance is to blame: by chance more than three of 25 in one run of 8,000.
+pub const OUTSIDE_BY_CHANCE: f64 = 0.12;
+
+/// Whether neighbouring values go together beyond chance; false also where there are too few to say.
+pub fn is_coloured(values: &[f64]) -> bool {
+    if values.len() < 4 * WHITENESS_LAGS {
+        return false;
+    }
+    let band = BAND_99 / (values.len() as f64).sqrt();
+    let correlations = autocorrelation(values, WHITENESS_LAGS);
+    let outside = correlations.iter().filter(|rho| rho.abs() > band).count() as f64;
+    outside > OUTSIDE_BY_CHANCE * WHITENESS_LAGS as f64
+}
+
 /// Ljung-Box statistic over `lags` and the probability of one as large if the values were white (Ljung and Box 1978).
 pub fn ljung_box(values: &[f64], lags: usize) -> Option<(f64, f64)> {
     let correlation = autocorrelation(values, lags);

@@ -30,6 +30,7 @@ use super::effect::Instant;
 use super::model::{Model, ModelError};
 use super::scenario::{Input, Scenario};
 use crate::numerics::count::whole;
+use crate::numerics::root;
 
 /// Longest sub-step with effects, s: drops at current reversals and Stribeck humps are resolved.
 const LONGEST_STEP_WITH_EFFECTS_S: f64 = 5e-4;
@@ -292,36 +293,12 @@ impl Plant {
             let there = plant.trial(state, at, t);
             plant.margin(&there, at, mode)
         };
-        let (mut low, mut high) = (0.0, h);
-        let mut at_low = self.margin(state, at, mode);
-        if at_low <= 0.0 {
+        let at_begin = self.margin(state, at, mode);
+        if at_begin <= 0.0 {
             return 0.0;
         }
-        let mut at_high = margin(self, h);
-        let mut last_was_low = None;
-        for _ in 0..20 {
-            let t = (low * at_high - high * at_low) / (at_high - at_low);
-            let there = margin(self, t);
-            if there.abs() < 1e-12 || high - low < 1e-9 * h {
-                return t;
-            }
-            // An end that stays twice in a row is weighted down, else the secant would creep.
-            let is_low = there > 0.0;
-            if is_low {
-                (low, at_low) = (t, there);
-            } else {
-                (high, at_high) = (t, there);
-            }
-            if last_was_low == Some(is_low) {
-                if is_low {
-                    at_high *= 0.5;
-                } else {
-                    at_low *= 0.5;
-                }
-            }
-            last_was_low = Some(is_low);
-        }
-        high
+        let at_end = margin(self, h);
+        root::falling_through_zero((0.0, at_begin), (h, at_end), h, 20, |t| margin(self, t))
     }
 
     /// How far a state is from the end of its mode; negative beyond.

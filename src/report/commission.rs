@@ -1,23 +1,18 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
-use super::failing;
-use super::number::{self, percent, significant};
+use super::findings::capitalised;
+use super::number::{percent, significant};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::{Band, Bar, BarChart, Panel, PanelPlot, Series, Style};
-use super::{Context, Target, tables};
-use crate::diagnosis::{
-    Comparison, Diagnosis, DiagnosisVerdict, FailureLocation, HoldoutFrom, Rung, SignalComparison,
-    Status,
-};
+use super::{Context, Target, compared, findings, tables};
+use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, HoldoutFrom, Rung};
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::{Input, Model, Scenario, Trajectory, effect};
+use crate::plant::{Input, Model, Scenario, Trajectory};
 use crate::sample::ParameterEstimate;
 use crate::units::rpm_from_rad_s;
 
 /// Standard deviations within which 99 of 100 normal residuals lie.
 const BAND_99: f64 = 2.576;
-/// Places that are worth a line each.
-const MOST_PLACES: usize = 4;
 
 /// The run that is plotted (the confirming one where there is one) with the free runs of both models.
 #[derive(Clone, Copy, Debug)]
@@ -32,6 +27,8 @@ pub struct ConfirmRun<'a> {
 /// Everything that the page of a commission is made of.
 #[derive(Clone, Debug)]
 pub struct CommissionReport<'a> {
+    /// What was done, as `Commission` or `Diagnosis`.
+    pub kind: &'a str,
     pub title: &'a str,
     pub context: &'a Context,
     /// For comparison with what was identified.
@@ -82,10 +79,12 @@ impl CommissionReport<'_> {
             (&[][..], self.parameters_before)
         };
         tables::parameter_section(&mut page, self.nameplate, before, after);
-        self.effect_section(&mut page);
+        findings::effects(&mut page, self.diagnosis);
         self.comparison_section(&mut page);
-        self.where_section(&mut page);
-        self.candidates_section(&mut page);
+        compared::places(&mut page, &self.comparisons());
+        findings::curves(&mut page, self.diagnosis);
+        findings::candidates(&mut page, self.diagnosis);
+        findings::next_run(&mut page, self.diagnosis);
         if self.context.target == Target::Emulator && !self.truth.is_empty() {
             page.section("Truth of the emulator");
             page.paragraph(
@@ -103,9 +102,9 @@ impl CommissionReport<'_> {
             target => format!(" on {}", target.name()),
         };
         match self.context.run_folders.len() {
-            0 => format!("Commission{target}"),
-            1 => format!("Commission{target}, one run"),
-            runs => format!("Commission{target}, {runs} runs"),
+            0 => format!("{}{target}", self.kind),
+            1 => format!("{}{target}, one run", self.kind),
+            runs => format!("{}{target}, {runs} runs", self.kind),
         }
     }
 
@@ -196,41 +195,6 @@ impl CommissionReport<'_> {
         });
     }
 
-    /// Card of each effect that was named.
-    fn effect_section(&self, page: &mut Page) {
-        let named: Vec<_> = self
-            .diagnosis
-            .effects
-            .iter()
-            .filter_map(|id| effect::find(id))
-            .collect();
-        if named.is_empty() {
-            return;
-        }
-        page.section("What was found");
-        for effect in named {
-            let card = effect.card();
-            page.paragraph(format!(
-                "{} ({}): {}",
-                capitalised(card.name),
-                card.id,
-                card.equation
-            ));
-            page.list(vec![
-                format!("Possible causes: {}.", card.causes),
-                format!("Looks like: {}.", card.looks_like),
-                format!("Remedy: {}.", card.remedy),
-            ]);
-        }
-        let rivals: Vec<String> = self
-            .diagnosis
-            .confusable
-            .iter()
-            .map(|[name, rival]| format!("{name} and {rival} cannot be told apart by these runs."))
-            .collect();
-        page.list(rivals);
-    }
-
     fn comparison_section(&self, page: &mut Page) {
         page.section("Model beside measurement");
         if let Some(run) = self.series {
@@ -243,185 +207,7 @@ impl CommissionReport<'_> {
                 ),
             );
         }
-        let mut rows = Vec::new();
-        for (name, unit, get) in SIGNALS {
-            for (label, comparison) in self.comparisons() {
-                if let Some(signal) = comparison.and_then(get) {
-                    rows.push(signal_row(name, unit, label, &signal));
-                }
-            }
-        }
-        page.table(Table {
-            head: vec![
-                "signal",
-                "model",
-                "held-out fit",
-                "held-out rms error",
-                "noise floor",
-                "training fit",
-                "training rms error",
-                "one-step rms error",
-            ],
-            rows,
-        });
-        page.list(
-            self.comparisons()
-                .into_iter()
-                .filter_map(|(label, comparison)| {
-                    let residual = comparison?.residual;
-                    let white = if residual.white { "only noise is left" } else { "there is more than noise in it" };
-                    Some(format!(
-                        "Residual of the {label}: {white} ({:.0} % of the autocorrelation lags lie outside their 99 % band; 1 % \
-                         is chance).",
-                        100.0 * residual.autocorrelation_outside_99_percent
-                    ))
-                })
-                .collect(),
-        );
-        let models: Vec<_> = self
-            .comparisons()
-            .into_iter()
-            .filter_map(|(label, comparison)| Some((label, &comparison?.residual)))
-            .collect();
-        failing::lights(page, &models);
-    }
-
-    fn where_section(&self, page: &mut Page) {
-        page.section("Where the model fails");
-        for (label, comparison) in self.comparisons() {
-            let Some(comparison) = comparison else {
-                continue;
-            };
-            let label = capitalised(label);
-            if comparison.locations.is_empty() {
-                page.paragraph(format!(
-                    "{label}: the error follows no speed, current, angle or time."
-                ));
-            } else {
-                page.paragraph(format!("{label}:"));
-                page.list(
-                    comparison
-                        .locations
-                        .iter()
-                        .take(MOST_PLACES)
-                        .map(place)
-                        .collect(),
-                );
-            }
-            failing::balances(page, comparison);
-            failing::map(page, comparison);
-            page.list(
-                comparison
-                    .limits
-                    .iter()
-                    .map(|limit| capitalised(limit))
-                    .collect(),
-            );
-        }
-    }
-
-    fn candidates_section(&self, page: &mut Page) {
-        page.section("Effects that were tried");
-        let rows = self.diagnosis.candidates.iter().map(|candidate| {
-            let status = match candidate.status {
-                Status::Supported => "supported",
-                Status::Possible => "possible",
-                Status::RuledOut => "ruled out",
-                Status::NotExcited => "not excited",
-            };
-            // A size is worth showing only where the effect pays; else the evidence says what would have been seen.
-            let paid = matches!(candidate.status, Status::Supported | Status::Possible);
-            let parameters: Vec<String> = candidate
-                .parameters
-                .iter()
-                .filter(|_| paid)
-                .map(|p| {
-                    let key = p.key.rsplit('.').next().unwrap_or(&p.key);
-                    format!(
-                        "{key} {} {} ({})",
-                        number::estimate(p),
-                        p.unit,
-                        p.verdict.name()
-                    )
-                })
-                .collect();
-            vec![
-                Cell::text(candidate.rank.to_string()),
-                Cell::code(candidate.effect),
-                Cell::text(status),
-                Cell::text(format!(
-                    "{} -> {}",
-                    significant(candidate.holdout_before, 3),
-                    significant(candidate.holdout_after, 3)
-                )),
-                Cell::text(format!(
-                    "{} %",
-                    number::fixed(candidate.explained_percent, 0)
-                )),
-                Cell::text(format!("{:.0} %", 100.0 * candidate.probability)),
-                Cell::text(if parameters.is_empty() {
-                    "-".to_owned()
-                } else {
-                    parameters.join("; ")
-                })
-                .with_note(capitalised(&candidate.evidence)),
-            ]
-        });
-        page.table(Table {
-            head: vec![
-                "rank",
-                "effect",
-                "status",
-                "held-out error",
-                "explains",
-                "ranks first",
-                "size ± std, evidence",
-            ],
-            rows: rows.collect(),
-        });
-    }
-}
-
-type Get = fn(&Comparison) -> Option<SignalComparison>;
-const SIGNALS: [(&str, &str, Get); 2] = [
-    ("speed", "rad/s", |comparison| {
-        comparison.signals.speed_rad_s
-    }),
-    ("current", "A", |comparison| comparison.signals.current_a),
-];
-
-fn signal_row(name: &str, unit: &str, label: &str, signal: &SignalComparison) -> Vec<Cell> {
-    let figure = |value: f64| {
-        let cell = Cell::text(format!("{} {unit}", significant(value, 3)));
-        if unit == "rad/s" && value.is_finite() {
-            cell.with_note(format!("{} r/min", significant(rpm_from_rad_s(value), 3)))
-        } else {
-            cell
-        }
-    };
-    vec![
-        Cell::text(name),
-        Cell::text(label),
-        Cell::text(percent(signal.holdout.fit_percent)),
-        figure(signal.holdout.rmse),
-        signal.noise_floor.map_or(Cell::text("not known"), figure),
-        Cell::text(percent(signal.fit_percent)),
-        figure(signal.rmse),
-        figure(signal.one_step_rmse),
-    ]
-}
-
-/// A place's sentence; r/min is added where it lies along the speed.
-fn place(location: &FailureLocation) -> String {
-    let sentence = capitalised(&location.sentence);
-    if location.variable == "speed_rad_s" {
-        format!(
-            "{sentence} [{} to {} r/min]",
-            number::fixed(rpm_from_rad_s(location.from), 0),
-            number::fixed(rpm_from_rad_s(location.to), 0)
-        )
-    } else {
-        sentence
+        compared::figures(page, &self.comparisons());
     }
 }
 
@@ -439,13 +225,6 @@ fn rung_name(rung: &Rung) -> String {
     } else {
         format!("baseline + {}", rung.effects.join(" + "))
     }
-}
-
-pub(super) fn capitalised(sentence: &str) -> String {
-    let mut characters = sentence.chars();
-    characters.next().map_or_else(String::new, |first| {
-        first.to_uppercase().chain(characters).collect()
-    })
 }
 
 const fn input_name(input: Input) -> (&'static str, &'static str) {

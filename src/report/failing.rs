@@ -1,6 +1,6 @@
 //! Where a model fails, as blocks of a page: lights with their bands, balances, shares, the map.
 
-use super::commission::capitalised;
+use super::findings::capitalised;
 use super::number::significant;
 use super::page::{Cell, Page, Table};
 use super::plot::MapChart;

@@ -11,9 +11,12 @@
 //! standard deviation and verdict ([`number`]); a value that is missing is a gap or a word, never a zero and never NaN.
 
 pub mod commission;
+mod compared;
+pub mod comparison;
 pub mod conventions;
 mod escape;
 mod failing;
+mod findings;
 pub mod number;
 pub mod page;
 pub mod plot;
@@ -23,6 +26,7 @@ mod style;
 mod tables;
 
 pub use commission::{CommissionReport, ConfirmRun};
+pub use comparison::ComparisonReport;
 pub use page::Page;
 pub use run::RunReport;
 

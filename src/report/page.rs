@@ -318,7 +318,7 @@ fn table_html(out: &mut String, table: &Table) {
             };
             let _ = write!(out, "<td{class}>{text}");
             if let Some(note) = &cell.note {
-                let _ = write!(out, "<br><small>{}</small>", escape(note));
+                let _ = write!(out, "<small>{}</small>", escape(note));
             }
             out.push_str("</td>");
         }

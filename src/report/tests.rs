@@ -141,12 +141,15 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         rank,
         status,
         probability,
+        refitted: true,
         parameters,
+        interval_factor: 1.0,
+        reached: None,
         error_before: 5.0,
-        error_after: after,
+        error_after: Some(after),
         holdout_before: 5.1,
-        holdout_after: after,
-        explained_percent: 100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0)),
+        holdout_after: Some(after),
+        explained_percent: Some(100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0))),
         minimum_detectable: Some(0.004),
         evidence: format!(
             "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
@@ -257,6 +260,7 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
     after.extend(diagnosis.candidates[0].parameters.clone());
     let (old, new) = (comparison(5.0), comparison(1.01));
     let report = CommissionReport {
+        kind: "Commission",
         title: "ZK-22FC",
         context: &context(),
         nameplate: Some(&Model::baseline(Motor::zk_22fc())),
@@ -355,6 +359,7 @@ fn commission(truth: &Model, name: &str) -> String {
     };
     let confirmed = [rung(&found.baseline.model), rung(&found.model.model)];
     let report = CommissionReport {
+        kind: "Commission",
         title: "ZK-22FC on the emulator",
         context: &context(),
         nameplate: Some(&nameplate),

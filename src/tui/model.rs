@@ -40,6 +40,8 @@ pub(super) struct Model {
     pub(super) worker: WorkerState,
     pub(super) screen: Screen,
     pub(super) help: bool,
+    /// First row of the help that is shown.
+    pub(super) help_row: usize,
     /// On hardware a start is asked for twice.
     pub(super) confirm_start: bool,
     /// Index into [`ZOOM_S`].
@@ -69,6 +71,7 @@ impl Model {
             worker: WorkerState::Working,
             screen: Screen::Live,
             help: false,
+            help_row: 0,
             confirm_start: false,
             zoom: 0,
             scroll: 0,

@@ -72,6 +72,10 @@ impl Model {
         match press {
             Press::Stop => return self.stop(),
             Press::Interrupt => return self.interrupt(),
+            Press::Scroll(rows) if self.help => {
+                let rows = isize::try_from(rows).unwrap_or(0);
+                self.help_row = self.help_row.saturating_add_signed(rows);
+            }
             _ if self.help => self.help = false,
             Press::Yes if confirming && self.waits_for_start() => return vec![start()],
             _ if confirming => self.say("not started"),
@@ -81,7 +85,7 @@ impl Model {
             Press::Mark => return self.mark(),
             Press::Diagnose if self.has_report() => return vec![Effect::Leave(Exit::Diagnosis)],
             Press::Diagnose => self.say("not yet: the diagnosis begins where the report ends"),
-            Press::Help => self.help = true,
+            Press::Help => (self.help, self.help_row) = (true, 0),
             Press::Freeze => self.freeze(),
             Press::Zoom => self.zoom = (self.zoom + 1) % ZOOM_S.len(),
             Press::NextScreen => self.turn_to_neighbour(1),

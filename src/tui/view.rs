@@ -58,7 +58,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
             height: area.height - 1,
             ..area
         };
-        help::help(under_top, buffer);
+        help::help(model.help_row, under_top, buffer);
     }
 }
 

@@ -6,12 +6,14 @@
 //!
 //! Pure: it owns a model and its evidence, and knows no thread, file or screen.
 
+use super::curve;
 use crate::diagnosis::{
-    self, AddResult, Comparison, Diagnosis, ErrorOf, Event, Evidence, ExperimentLimits, Fitted,
-    NextExperiment, Options, Rung, compare, diagnose_with, recommend,
+    self, AddResult, AxisMap, Comparison, Diagnosis, ErrorOf, Event, Evidence, ExperimentLimits,
+    Fitted, NextExperiment, Options, Rung, compare, diagnose_with, recommend,
 };
 use crate::identification::output_error::FitError;
-use crate::plant::{Input, Model, effect};
+use crate::plant::effect::{self, Axis};
+use crate::plant::{Input, Model};
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +21,8 @@ pub enum Order {
     Diagnose,
     Add(&'static str),
     Remove(&'static str),
+    /// The curve that the error follows, by its place in the diagnosis' axis map, as an effect without a name.
+    AddCurve(usize),
     /// Keep the model; carried out by whoever owns the files.
     Write,
 }
@@ -50,6 +54,8 @@ pub struct Discovery {
     limits: Option<ExperimentLimits>,
     fitted: Option<Fitted>,
     ladder: Vec<Rung>,
+    /// What the error of the model as it stands follows.
+    curves: Vec<AxisMap>,
 }
 
 impl Discovery {
@@ -62,6 +68,7 @@ impl Discovery {
             limits: None,
             fitted: None,
             ladder: Vec::new(),
+            curves: Vec::new(),
         }
     }
 
@@ -88,6 +95,7 @@ impl Discovery {
             Order::Diagnose => self.diagnose(tell),
             Order::Add(id) => self.change(id, true, tell),
             Order::Remove(id) => self.change(id, false, tell),
+            Order::AddCurve(place) => self.add_curve(place, tell),
             Order::Write => Ok(()),
         };
         if let Err(error) = done {
@@ -122,6 +130,7 @@ impl Discovery {
             });
         }
         self.fitted = Some(diagnosis.baseline.clone());
+        self.curves.clone_from(&diagnosis.axis_map);
         tell(News::Diagnosed(Box::new(diagnosis.clone())));
         let Some(limits) = &self.limits else {
             return Ok(());
@@ -133,7 +142,10 @@ impl Discovery {
     }
 
     fn change(&mut self, id: &'static str, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
-        let Some(effect) = effect::find(id) else {
+        let mut present = self.model.effects.iter();
+        let present = present.find(|active| active.id() == id);
+        let known = present.map(|active| active.effect);
+        let Some(effect) = known.or_else(|| effect::find(id)) else {
             tell(News::Failed(format!(
                 "effect {id:?} is not in the catalogue"
             )));
@@ -147,6 +159,43 @@ impl Discovery {
             self.model.without_effect(id)?;
             diagnosis::remove(effect, &self.model, evidence)?
         };
+        self.changed(result, adds, tell)
+    }
+
+    /// The curve keeps the error low while its cause is looked for.
+    fn add_curve(&mut self, place: usize, tell: Tell<'_>) -> Result<(), FitError> {
+        let map = self.curves.get(place);
+        let Some((map, axis)) = map.and_then(|map| Some((map, Axis::from_key(map.axis)?))) else {
+            let reason = "the error follows no axis that a table could run over";
+            tell(News::Failed(reason.to_owned()));
+            return Ok(());
+        };
+        let axis_name = axis.key().split('_').next().unwrap_or_default();
+        let id = format!("table_{}_{axis_name}", map.equation);
+        if self.model.has(&id) {
+            let reason =
+                format!("{id} is in the model already: without it the curve is found anew");
+            tell(News::Failed(reason));
+            return Ok(());
+        }
+        let knots: Vec<f64> = map.knots.iter().copied().map(curve::four_digits).collect();
+        let effect = match curve::table(&id, map.equation, axis, &knots) {
+            Ok(effect) => effect,
+            Err(error) => {
+                tell(News::Failed(format!("{error}; {}", error.help)));
+                return Ok(());
+            }
+        };
+        let mut model = self.model.clone();
+        if let Some(fitted) = &self.fitted {
+            curve::hold_what_the_curve_holds(&mut model, &fitted.model, map.equation, axis);
+        }
+        let result = diagnosis::add(effect, &model, self.evidence.clone())?;
+        self.changed(result, true, tell)
+    }
+
+    /// Takes over what was accepted, and searches on.
+    fn changed(&mut self, result: AddResult, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
         let accepted = result.accepted;
         if accepted {
             self.model = result.fit.model.clone();
@@ -182,6 +231,58 @@ mod tests {
                 .push(item);
         });
         news.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    #[test]
+    fn an_error_without_a_name_is_held_by_its_curve() {
+        let mut truth = Model::baseline(Motor::zk_22fc());
+        let settings =
+            "equation = \"torque\"\nexpression = \"a*exp(-((w-118)/15)^2)\"\nparameters = [\"a\"]";
+        let (bump, _) = effect::define("custom", &settings.parse().unwrap()).unwrap();
+        truth.effects.push(crate::plant::ActiveEffect {
+            effect: bump,
+            values: vec![Some(0.18)],
+        });
+        let record = |shift: usize| {
+            let mut events = vec![(0.0, 0.0)];
+            for step in 0..22_usize {
+                let level = [30.0, 60.0, 45.0, 20.0, 52.0, 70.0, -30.0, 38.0][(step + shift) % 8];
+                let begin_s = 0.5 + 0.25 * step as f64;
+                events.push((begin_s, level));
+                events.push((begin_s + 0.12, level + 5.0));
+            }
+            testing::record(&truth, events, 0.002, 6.0, shift as u64 + 1)
+        };
+        let evidence = Evidence::new(record(0), Some(record(3)), None);
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut discovery = Discovery::new(model, evidence, false);
+        let nothing = told(&mut discovery, Order::AddCurve(0));
+        assert!(matches!(&nothing[..], [News::Failed(_)]), "{nothing:?}");
+        let news = told(&mut discovery, Order::Diagnose);
+        let Some(News::Diagnosed(diagnosis)) = news.last() else {
+            panic!("no answer: {:?}", news.last());
+        };
+        assert_eq!(diagnosis.verdict, DiagnosisVerdict::Unexplained);
+        // Nothing is in an answer that names nothing.
+        let mut statuses = diagnosis.candidates.iter().map(|found| found.status);
+        assert!(statuses.all(|status| status != diagnosis::Status::Supported));
+        assert_eq!(diagnosis.axis_map[0].axis, "speed_rad_s");
+        let news = told(&mut discovery, Order::AddCurve(0));
+        assert!(
+            matches!(&news[0], News::Added(result) if result.accepted),
+            "{:?}",
+            news[0]
+        );
+        let [before, after] = discovery.ladder() else {
+            panic!("{:?}", discovery.ladder());
+        };
+        assert!(
+            after.holdout_rmse < 0.6 * before.holdout_rmse,
+            "{before:?} {after:?}"
+        );
+        assert_eq!(after.effects, ["table_torque_speed"]);
+        let removed = told(&mut discovery, Order::Remove("table_torque_speed"));
+        assert!(matches!(&removed[..], [News::Removed(result)] if !result.accepted));
     }
 
     /// Steps both ways of a motor with a fan, which is not in the model.

@@ -12,6 +12,7 @@
 //! The driver (`cli`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
 mod commission;
+pub mod curve;
 mod discovery;
 mod escalate;
 mod named_estimate;

@@ -65,12 +65,15 @@ pub(super) fn of_trials(
             rank: rank + 1,
             status,
             probability,
+            refitted: judged.is_some(),
             parameters: trial.parameters(),
+            interval_factor: 1.0,
+            reached: None,
             error_before,
-            error_after: judged.map_or(error_before, |judged| judged.fit.rms() / scale.unit_n_m),
+            error_after: judged.map(|judged| judged.fit.rms() / scale.unit_n_m),
             holdout_before: base.rmse / scale.unit_n_m,
-            holdout_after: judged.map_or(base.rmse, |judged| judged.holdout.rmse) / scale.unit_n_m,
-            explained_percent: 100.0 * share,
+            holdout_after: judged.map(|judged| judged.holdout.rmse / scale.unit_n_m),
+            explained_percent: judged.map(|_| 100.0 * share),
             minimum_detectable: judged
                 .map(|judged| judged.minimum_detectable)
                 .filter(|size| size.is_finite()),

@@ -1,8 +1,6 @@
 //! How well a torque balance holds on rows that the fit has not seen, and whether one holds better than another.
 
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
+use crate::diagnosis::bootstrap;
 use crate::identification::torque_rows::TorqueRows;
 use crate::numerics::count::whole;
 use crate::numerics::statistics;
@@ -16,8 +14,6 @@ const TOO_FEW: usize = 8;
 const FINE: f64 = 200.0;
 /// Correlation times in a block.
 const CORRELATION_TIMES: f64 = 5.0;
-const BOOTSTRAPS: usize = 1000;
-const BOOTSTRAP_SEED: u64 = 1;
 
 /// Residuals of a torque balance.
 #[derive(Clone, Debug)]
@@ -138,20 +134,5 @@ pub(super) fn first_rank_shares(scores: &[&Score]) -> Vec<f64> {
         .iter()
         .map(|score| score.blocks(block_s.max(f64::MIN_POSITIVE)))
         .collect();
-    let n = blocks.iter().map(Vec::len).min().unwrap_or(0);
-    let mut wins = vec![0_usize; scores.len()];
-    if n == 0 {
-        return vec![0.0; scores.len()];
-    }
-    let mut rng = ChaCha8Rng::seed_from_u64(BOOTSTRAP_SEED);
-    for _ in 0..BOOTSTRAPS {
-        let drawn: Vec<usize> = (0..n).map(|_| rng.random_range(0..n)).collect();
-        let error = |index: usize| drawn.iter().map(|block| blocks[index][*block]).sum::<f64>();
-        if let Some(first) = (0..scores.len()).min_by(|a, b| error(*a).total_cmp(&error(*b))) {
-            wins[first] += 1;
-        }
-    }
-    wins.iter()
-        .map(|wins| *wins as f64 / BOOTSTRAPS as f64)
-        .collect()
+    bootstrap::first_rank_shares(&blocks)
 }

@@ -2,9 +2,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::numerics::count::whole;
 use crate::numerics::least_squares::{clustered, inverse_where_determined};
 use crate::numerics::levenberg_marquardt::Minimum;
+use crate::numerics::statistics;
 use crate::plant::Scenario;
 
 /// Length of one block, s.
@@ -26,4 +28,37 @@ pub(super) fn at_minimum(
         .collect();
     let residual = DVector::from_column_slice(&minimum.residual);
     clustered(&minimum.jacobian, &residual, &blocks, bread, &determined)
+}
+
+/// What standard deviations are multiplied by where more than noise is left over (DISCOVERY.md 2.12).
+const WIDENED: f64 = 2.0;
+/// Error in units of the noise above which more than noise is left over.
+const ABOVE_THE_NOISE: f64 = 1.1;
+
+/// Factor on every standard deviation of a fit. Blocks cover what neighbouring samples share, but not what a missing effect
+/// puts into whole stretches of the run: where the error stands above the noise, or is coloured, the interval is doubled.
+/// It then holds if nothing else is missing.
+pub(super) fn interval_factor(
+    minimum: &Minimum,
+    rows: &[(usize, bool)],
+    noise: &NoiseFloor,
+) -> f64 {
+    let residual = minimum.residual.as_slice();
+    let count = residual.len().max(1) as f64;
+    let nrms = (residual.iter().map(|value| value * value).sum::<f64>() / count).sqrt();
+    let above = noise.source != FloorSource::None && nrms > noise.tolerance(ABOVE_THE_NOISE);
+    let is_coloured = |speed: bool| {
+        let of_signal: Vec<f64> = rows
+            .iter()
+            .zip(residual)
+            .filter(|((_, is_speed), _)| *is_speed == speed)
+            .map(|(_, value)| *value)
+            .collect();
+        statistics::is_coloured(&of_signal)
+    };
+    if above || is_coloured(false) || is_coloured(true) {
+        WIDENED
+    } else {
+        1.0
+    }
 }

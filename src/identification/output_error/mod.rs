@@ -71,6 +71,9 @@ pub struct Fit {
     pub noise: NoiseFloor,
     /// Every parameter of the model, in the order of its slots.
     pub parameters: Vec<ParameterEstimate>,
+    /// What the standard deviations above were multiplied by: more than one where more than noise is left over, so that
+    /// they hold only if nothing else is missing.
+    pub interval_factor: f64,
     /// Root of the mean square of the weighted residual on the scored samples.
     pub nrms: f64,
     pub start: State,
@@ -128,7 +131,8 @@ fn fit_from(
         }
     })?;
     let model = problem.model_at(&minimum.x);
-    let parameters = estimates(&model, &problem, &minimum, scenario);
+    let interval_factor = covariance::interval_factor(&minimum, problem.rows(), noise);
+    let parameters = estimates(&model, &problem, &minimum, scenario, interval_factor);
     Ok(Fit {
         nrms: (minimum.cost / problem.residual_len().max(1) as f64).sqrt(),
         start: problem.initial_state(&minimum.x),
@@ -137,6 +141,7 @@ fn fit_from(
         noise: *noise,
         model,
         parameters,
+        interval_factor,
         minimum,
     })
 }
@@ -147,6 +152,7 @@ fn estimates(
     problem: &FreeRun<'_>,
     minimum: &Minimum,
     scenario: &Scenario,
+    interval_factor: f64,
 ) -> Vec<ParameterEstimate> {
     let covariance = covariance::at_minimum(minimum, problem.rows(), scenario);
     let times = &scenario.sample_time_s;
@@ -180,7 +186,7 @@ fn estimates(
             let variance = covariance[(index, index)];
             let std = variance
                 .is_finite()
-                .then(|| variance.max(0.0).sqrt() * slopes[index].abs());
+                .then(|| interval_factor * variance.max(0.0).sqrt() * slopes[index].abs());
             let mut judged = judge(slot, value.unwrap_or(f64::NAN), std, period_s);
             if !minimum.converged && judged.verdict == Verdict::Settled {
                 judged.verdict = Verdict::Searching;

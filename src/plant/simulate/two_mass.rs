@@ -11,6 +11,7 @@
 use super::equations::Equations;
 use super::shaft_flow::{Flow, Sparse, X};
 use super::state::{Mode, State};
+use crate::numerics::root;
 use crate::plant::effect::{Coupling, Instant};
 
 /// Changes of mode within one sub-step beyond which both sides are taken as coming to rest.
@@ -426,30 +427,8 @@ impl TwoMass {
                 }
             }
         }
-        let mut last_was_low = None;
-        for _ in 0..30 {
-            let t = (low * at_high - high * at_low) / (at_high - at_low);
-            let there = margin(t);
-            if there.abs() < 1e-12 || high - low < 1e-9 * h {
-                return Some(t);
-            }
-            // An end that stays twice in a row is weighted down, else the secant would creep.
-            let is_low = there > 0.0;
-            if is_low {
-                (low, at_low) = (t, there);
-            } else {
-                (high, at_high) = (t, there);
-            }
-            if last_was_low == Some(is_low) {
-                if is_low {
-                    at_high *= 0.5;
-                } else {
-                    at_low *= 0.5;
-                }
-            }
-            last_was_low = Some(is_low);
-        }
-        Some(high)
+        let (low, high) = ((low, at_low), (high, at_high));
+        Some(root::falling_through_zero(low, high, h, 30, margin))
     }
 
     /// State after `h` if no mode changes.

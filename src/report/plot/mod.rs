@@ -5,12 +5,14 @@
 //! ratios  -> curves over a logarithmic axis (errors of many schemes), one legend
 //! rungs   -> bars with the noise floor as the goal
 //! error over speed x current -> map
+//! what an equation lacks over one axis -> axis_chart
 //! ```
 //!
 //! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
 //! in grey or shown on a dark screen says the same.
 
 pub mod axis;
+mod axis_chart;
 mod bars;
 mod curves;
 pub mod decimate;
@@ -18,6 +20,7 @@ mod draw;
 mod map;
 mod panels;
 
+pub use axis_chart::AxisChart;
 pub use bars::{Bar, BarChart};
 pub use curves::{CurveChart, CurvePanel};
 pub use map::MapChart;

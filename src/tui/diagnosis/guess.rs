@@ -89,14 +89,19 @@ fn answer(diagnosis: &Diagnosis) -> String {
 }
 
 fn reason(candidate: &Candidate) -> String {
-    let (before, after) = (candidate.holdout_before, candidate.holdout_after);
+    let before = candidate.holdout_before;
+    let after = candidate.holdout_after;
+    let after = after.map_or("?".to_owned(), |after| format!("{after:.2}"));
     match candidate.status {
         Status::Supported => "supported".to_owned(),
         Status::Possible => {
-            format!("possible, but leaves more: {before:.2} -> {after:.2} times the noise")
+            format!("possible, but leaves more: {before:.2} -> {after} times the noise")
+        }
+        Status::RuledOut if candidate.holdout_after.is_none() => {
+            "ruled out at first sight: it explains next to nothing".to_owned()
         }
         Status::RuledOut => {
-            format!("ruled out: held-out error {before:.2} -> {after:.2} times the noise")
+            format!("ruled out: held-out error {before:.2} -> {after} times the noise")
         }
         Status::NotExcited => "not to be seen in this run".to_owned(),
     }

@@ -12,6 +12,10 @@ pub(super) enum Press {
     Remove,
     Map,
     Next,
+    /// The curve that the error follows.
+    Curve,
+    /// That curve as an effect without a name.
+    Table,
     Guess,
     Write,
     Help,
@@ -22,13 +26,14 @@ pub(super) enum Press {
 }
 
 /// Keys as the help shows them.
-pub(super) const HELP: [(&str, &str); 10] = [
+pub(super) const HELP: [(&str, &str); 11] = [
     ("Up Down", "select an effect; scroll a page"),
     ("Enter", "the card of the effect: equation, causes, remedy"),
     ("a", "add it: refitted, judged on the hold-out, or refused"),
     ("r", "remove it: refused where it is needed"),
     ("m", "error over speed x current, each equation in turn"),
     ("n", "what these runs do not tell, and the run that would"),
+    ("c t", "the curve that an unexplained error follows; add it"),
     ("g", "guess first: no names until you have given one"),
     ("w", "write the model to a new file"),
     ("Esc ?", "back; this help"),
@@ -53,6 +58,8 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
             'r' => Press::Remove,
             'm' => Press::Map,
             'n' => Press::Next,
+            'c' => Press::Curve,
+            't' => Press::Table,
             'g' => Press::Guess,
             'w' => Press::Write,
             '?' => Press::Help,

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::guess::{Guess, Guessing};
-use crate::diagnosis::{AddResult, Candidate, Comparison, Diagnosis, NextExperiment};
+use crate::diagnosis::{AddResult, AxisMap, Candidate, Comparison, Diagnosis, NextExperiment};
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::effect;
+use crate::plant::effect::{self, Axis};
 
 /// An effect while the search is under way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,6 +40,9 @@ impl Step {
 /// Multiple of the noise up to which an error is at the floor, as the diagnosis itself judges it.
 const AT_THE_FLOOR: f64 = 1.1;
 
+/// Share of the error from which on a curve is worth showing.
+const FOLLOWS: f64 = 0.1;
+
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Over {
     #[default]
@@ -50,7 +53,10 @@ pub(super) enum Over {
     Map(usize),
     /// What these runs do not tell, and the run that would, from this line on.
     Next(usize),
-    Help,
+    /// The curve that the error follows along this axis of [`State::curves`], from this row on.
+    Curve(usize, usize),
+    /// From this row on.
+    Help(usize),
 }
 
 /// What a row of the list stands for.
@@ -169,6 +175,15 @@ impl State {
                 .unwrap_or(0)
         };
         chosen.unwrap_or_else(first)
+    }
+
+    /// What the unexplained error follows, where it follows anything that a table can hold, each with its place in the
+    /// diagnosis; the clearest first.
+    pub(super) fn curves(&self) -> Vec<(usize, &AxisMap)> {
+        let maps = self.diagnosis.iter().flat_map(|found| &found.axis_map);
+        maps.enumerate()
+            .filter(|(_, map)| map.r2 >= FOLLOWS && Axis::from_key(map.axis).is_some())
+            .collect()
     }
 
     pub(super) fn is_floor_known(&self) -> bool {

@@ -123,6 +123,10 @@ impl State {
         self.judged.clear();
         self.taken.clear();
         self.selected = None;
+        if let Guessing::Guessed(_) = self.guessing {
+            // It was a guess at what was missing then.
+            self.guessing = Guessing::Off;
+        }
         self.working = Some("searching what is missing now".to_owned());
     }
 
@@ -132,8 +136,8 @@ impl State {
             Press::Interrupt => return Some(Effect::Leave(Exit::Interrupted)),
             Press::Quit if self.over != Over::Nothing => self.over = Over::Nothing,
             Press::Quit => return Some(Effect::Leave(self.exit())),
-            _ if self.over == Over::Help => self.over = Over::Nothing,
             Press::Move(rows) => self.go(rows),
+            _ if matches!(self.over, Over::Help(_)) => self.over = Over::Nothing,
             Press::Open => self.open(),
             Press::Add => return self.add(),
             Press::Remove => return self.remove(),
@@ -141,7 +145,9 @@ impl State {
             Press::Next => self.next(),
             Press::Guess => self.guess(),
             Press::Write => return self.write(),
-            Press::Help => self.over = Over::Help,
+            Press::Curve => self.curve(),
+            Press::Table => return self.table(),
+            Press::Help => self.over = Over::Help(0),
             Press::Back => self.back(),
             Press::Other => {}
         }
@@ -162,7 +168,9 @@ impl State {
 
     fn go(&mut self, by: i32) {
         let by = isize::try_from(by).unwrap_or(0);
-        if let Over::Card(line) | Over::Next(line) = &mut self.over {
+        if let Over::Card(line) | Over::Next(line) | Over::Help(line) | Over::Curve(_, line) =
+            &mut self.over
+        {
             *line = line.saturating_add_signed(by);
             return;
         }
@@ -269,6 +277,55 @@ impl State {
             }
             _ => Over::Next(0),
         };
+    }
+
+    /// Goes through the curves that the error follows.
+    fn curve(&mut self) {
+        let curves = self.curves().len();
+        self.over = match self.over {
+            _ if self.guessing == Guessing::Choosing => {
+                self.say(GUESS_FIRST);
+                Over::Nothing
+            }
+            _ if self.diagnosis.is_none() => {
+                self.say("not yet: the curve is drawn where no effect explains the error");
+                self.over
+            }
+            _ if curves == 0 => {
+                self.say("there is no curve: the error is explained, or follows no axis");
+                Over::Nothing
+            }
+            Over::Curve(index, _) if index + 1 < curves => Over::Curve(index + 1, 0),
+            Over::Curve(..) => Over::Nothing,
+            _ => Over::Curve(0, 0),
+        };
+    }
+
+    /// Adds the curve in sight, else the clearest.
+    fn table(&mut self) -> Option<Effect> {
+        if let Some(work) = &self.working {
+            let text = format!("not yet: {work}");
+            self.say(text);
+            return None;
+        }
+        let index = if let Over::Curve(index, _) = self.over {
+            index
+        } else {
+            0
+        };
+        let curve = self
+            .curves()
+            .get(index)
+            .map(|(place, map)| (*place, map.equation, map.axis));
+        let Some((place, equation, axis)) = curve.filter(|_| self.guessing != Guessing::Choosing)
+        else {
+            self.curve();
+            return None;
+        };
+        self.order(format!(
+            "fitting the curve of the {equation} error over {axis}"
+        ));
+        Some(Effect::Order(Order::AddCurve(place)))
     }
 
     fn guess(&mut self) {

@@ -1,12 +1,10 @@
-//! Keys, and what the panels mean.
+//! What the keys and the panels of the live screen mean.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
-use ratatui::text::{Line, Span};
-use ratatui::widgets::{Block, Clear, Paragraph, Widget, Wrap};
 
 use crate::tui::keys::HELP;
-use crate::tui::theme;
+use crate::tui::widget;
 
 const MEANING: [&str; 5] = [
     "The model runs free under the applied voltage: where it leaves the measurement, it misses something.",
@@ -17,28 +15,6 @@ const MEANING: [&str; 5] = [
 ];
 
 /// In the middle of the area; the screen beneath stays live, and Space still stops.
-pub(crate) fn help(area: Rect, buffer: &mut Buffer) {
-    let (width, height) = (area.width.min(76), area.height.min(24));
-    let place = Rect {
-        x: area.x + (area.width - width) / 2,
-        y: area.y + (area.height - height) / 2,
-        width,
-        height,
-    };
-    Clear.render(place, buffer);
-    let mut lines: Vec<Line<'static>> = HELP
-        .iter()
-        .map(|(keys, meaning)| {
-            Line::from(vec![
-                Span::styled(format!(" {keys:<11}"), theme::BOLD),
-                Span::raw(*meaning),
-            ])
-        })
-        .collect();
-    lines.push(Line::default());
-    lines.extend(MEANING.iter().map(|text| Line::raw(format!(" {text}"))));
-    Paragraph::new(lines)
-        .wrap(Wrap { trim: false })
-        .block(Block::bordered().title(" help, any key closes it "))
-        .render(place, buffer);
+pub(crate) fn help(first: usize, area: Rect, buffer: &mut Buffer) {
+    widget::help::help(&HELP, &MEANING, first, area, buffer);
 }

@@ -6,6 +6,7 @@ use ratatui::text::Line;
 use ratatui::widgets::Widget;
 
 use crate::tui::model::Model;
+use crate::tui::text::keys_that_fit;
 use crate::tui::theme;
 
 pub(crate) fn hints(model: &Model, area: Rect, buffer: &mut Buffer) {
@@ -17,14 +18,17 @@ pub(crate) fn hints(model: &Model, area: Rect, buffer: &mut Buffer) {
     let screens = model.screens();
     let here = screens.iter().position(|screen| *screen == model.screen);
     let next = screens[(here.unwrap_or(0) + 1) % screens.len()].name();
-    let keys = if model.waits_for_start() {
-        format!(" Enter start  Space stop  q quit  ? help  Tab {next}")
+    let next = format!("Tab {next}");
+    let next = next.as_str();
+    let keys: &[&str] = if model.waits_for_start() {
+        &["Enter start", "Space stop", next]
     } else if model.has_report() {
-        format!(" d diagnosis by hand  q quit  ? help  Tab {next}  Up Down scroll")
+        &["d diagnosis by hand", next, "Up Down scroll"]
     } else if model.is_finished() {
-        format!(" q quit  ? help  Tab {next}  f freeze  z zoom")
+        &[next, "f freeze", "z zoom"]
     } else {
-        format!(" Space stop  ? help  Tab {next}  f freeze  z zoom  m mark  q quit")
+        &["Space stop", next, "f freeze", "z zoom", "m mark"]
     };
+    let keys = keys_that_fit(keys, "? help  q quit", usize::from(area.width));
     Line::styled(keys, theme::DIM).render(area, buffer);
 }

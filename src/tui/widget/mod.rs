@@ -1,6 +1,7 @@
 //! One file per widget, each a function of its data and an area; every one copes with any size.
 
 pub(super) mod banner;
+pub(super) mod help;
 pub(super) mod hints;
 pub(super) mod link_panel;
 pub(super) mod notices;

@@ -194,7 +194,8 @@ fn a_placebo_with_a_mean_passes_by_its_mean_and_by_nothing_else() {
         };
         (0..25).map(|_| one(rng.random_range(0.1..0.9))).collect()
     };
-    let share = |one: &Candidate| 1.0 - (one.holdout_after / one.holdout_before).powi(2);
+    let share =
+        |one: &Candidate| 1.0 - (one.holdout_after.expect("refitted") / one.holdout_before).powi(2);
     let passed = |found: &[Candidate]| {
         let is_supported = |one: &&Candidate| one.status == Status::Supported;
         found.iter().filter(is_supported).count()

@@ -6,7 +6,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget};
 
-use super::{bar, titled};
+use super::{bar, titled_with};
 use crate::diagnosis::{Candidate, Status};
 use crate::plant::Effect;
 use crate::sample::ParameterEstimate;
@@ -17,10 +17,13 @@ use crate::tui::theme;
 
 const BAR: usize = 8;
 const NARROW_BAR: usize = 4;
+/// Below this width a share is a number alone, and below the next a status is its mark alone.
+const NARROW: usize = 86;
+const SLIM: usize = 70;
 /// From this width on there is room for the name of the size, and for what would have been seen.
 const WIDE: usize = 110;
 /// Standard deviations on either side of a value: its 95 % interval.
-const INTERVAL: f64 = 1.96;
+pub(super) const INTERVAL: f64 = 1.96;
 
 pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
@@ -33,8 +36,8 @@ pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &
     } else {
         "effects: status, share explained, size ± 95 %"
     };
-    let inner = titled(title, area, buffer);
     let rows = state.rows();
+    let inner = titled_with(title, &place(state, &rows, area), area, buffer);
     if rows.is_empty() {
         Line::styled(" none yet", theme::DIM).render(inner, buffer);
         return;
@@ -84,28 +87,54 @@ fn spans(row: &Row<'_>, width: usize) -> Vec<Span<'static>> {
         }
         Row::Candidate(candidate) => {
             let (word, style) = status(candidate.status);
+            let word = if width < SLIM {
+                word.chars().take(1).chain([' ']).collect()
+            } else {
+                format!("{word:<13} ")
+            };
             let mut spans = vec![
-                Span::styled(format!("{word:<13} "), style),
+                Span::styled(word, style),
                 Span::raw(format!("{:<24} ", candidate.effect)),
             ];
             // What would not have shown explains nothing that could be believed.
             let is_seen = candidate.status != Status::NotExcited;
-            let bar_length = if width >= WIDE { BAR } else { NARROW_BAR };
-            let explained = is_seen.then_some(candidate.explained_percent / 100.0);
+            let bar_length = match width {
+                WIDE.. => BAR,
+                NARROW.. => NARROW_BAR,
+                _ => 0,
+            };
+            let explained = candidate.explained_percent.filter(|_| is_seen);
+            let explained = explained.map(|percent| percent / 100.0);
             spans.extend(share(explained, bar_length));
             let is_named = matches!(candidate.status, Status::Supported | Status::Possible);
             let text = if is_named {
                 size(candidate, width >= WIDE)
+            } else if width < SLIM {
+                detectable(candidate).map(|text| text.trim_start_matches("seen ").to_owned())
             } else {
                 detectable(candidate)
             };
             spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
             if let (true, Some(text)) = (width >= WIDE && is_named, detectable(candidate)) {
-                spans.push(Span::styled(format!("  {text}"), theme::DIM));
+                let used: usize = spans.iter().map(Span::width).sum();
+                // Half a unit would be another unit.
+                if used + text.chars().count() + 4 <= width {
+                    spans.push(Span::styled(format!("  {text}"), theme::DIM));
+                }
             }
             spans
         }
     }
+}
+
+/// Which rows of how many are in sight, where not all are.
+fn place(state: &State, rows: &[Row<'_>], area: Rect) -> String {
+    let room = usize::from(area.height.saturating_sub(1)).max(1);
+    if rows.len() <= room {
+        return String::new();
+    }
+    let first = (state.selected(rows) + 1).saturating_sub(room);
+    format!("{}-{} of {}", first + 1, first + room, rows.len())
 }
 
 fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
@@ -117,7 +146,7 @@ fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
         Span::raw(full),
         Span::styled(empty, theme::DIM),
         Span::raw(format!(
-            " {:>3.0} %",
+            "{:>4.0} %",
             (100.0 * share.clamp(-9.0, 1.0)).round() + 0.0
         )),
     ]
@@ -150,6 +179,11 @@ fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
     Some(format!("{name}{}", interval(parameter)))
 }
 
+/// A ratio has no unit to show.
+fn shown_unit(unit: &str) -> &str {
+    if unit == "-" { "" } else { unit }
+}
+
 fn size_key(effect: &dyn Effect) -> &'static str {
     let specs = effect.parameters();
     let of_size = specs.iter().find(|spec| spec.is_coefficient());
@@ -164,7 +198,9 @@ pub(super) fn interval(estimate: &ParameterEstimate) -> String {
         return "-".to_owned();
     };
     let value = with_std(value, estimate.std.map(|std| INTERVAL * std));
-    format!("{value} {}", estimate.unit)
+    format!("{value} {}", shown_unit(estimate.unit))
+        .trim_end()
+        .to_owned()
 }
 
 /// The smallest size that would have been seen.
@@ -179,5 +215,9 @@ pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
     let least = candidate
         .minimum_detectable
         .filter(|size| size.is_finite())?;
-    Some(format!("seen from {least:.1e} {unit}"))
+    Some(
+        format!("seen from {least:.1e} {}", shown_unit(unit))
+            .trim_end()
+            .to_owned(),
+    )
 }

@@ -3,10 +3,12 @@
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
-use super::candidates::{detectable, interval, status};
+use super::candidates::{INTERVAL, detectable, interval, status};
 use super::{block, page, titled};
+use crate::diagnosis::Reached;
 use crate::tui::diagnosis::guess::Guessing;
 use crate::tui::diagnosis::state::{Row, State};
+use crate::tui::text::with_std;
 
 pub(in crate::tui::diagnosis) fn card(
     state: &State,
@@ -38,12 +40,28 @@ pub(in crate::tui::diagnosis) fn card(
             lines.push(block(key, text));
         }
         lines.extend(detectable(candidate).map(|text| block("visible", text)));
+        for peak in candidate.reached.iter().flat_map(Reached::peaks) {
+            let std = peak.std.map(|std| INTERVAL * std);
+            let share = peak.percent_of_largest;
+            let share = share.map_or_else(String::new, |percent| {
+                format!(", {percent:.1} % of the largest there")
+            });
+            let text = format!("up to {} {}{share}", with_std(peak.value, std), peak.unit);
+            lines.push(block("in this run", text));
+        }
+        if candidate.interval_factor > 1.0 {
+            let text =
+                "doubled, as more than noise is left over: they hold if nothing else is missing";
+            lines.push(block("intervals", text));
+        }
+        let error = candidate.error_after.map_or_else(
+            || "not refitted".to_owned(),
+            |after| format!("training error {:.2} -> {after:.2}", candidate.error_before),
+        );
         let text = format!(
-            "{}; first in {:.0} % of the bootstraps of the hold-out; training error {:.2} -> {:.2}",
+            "{}; first in {:.0} % of the bootstraps of the hold-out; {error}",
             candidate.rank,
             100.0 * candidate.probability,
-            candidate.error_before,
-            candidate.error_after
         );
         lines.push(block("rank", text));
     }

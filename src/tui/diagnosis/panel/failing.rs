@@ -9,13 +9,13 @@ use ratatui::widgets::{Paragraph, Widget, Wrap};
 use super::titled;
 use crate::diagnosis::{Comparison, ResidualLights};
 use crate::tui::diagnosis::state::State;
-use crate::tui::text::number;
+use crate::tui::text::{number, wrapped};
 use crate::tui::theme;
 
 /// Places that are told.
 const MOST_PLACES: usize = 3;
 /// Below this width the signals have a row each, where there are so many rows.
-const WIDE: u16 = 100;
+const WIDE: u16 = 106;
 const TALL: u16 = 4;
 
 pub(in crate::tui::diagnosis) fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
@@ -69,7 +69,7 @@ fn lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
     } else {
         vec![Line::from(figures)]
     };
-    lines.push(lights(&comparison.residual));
+    lines.push(lights(&comparison.residual, area.width));
     let places = comparison.locations.iter().take(MOST_PLACES);
     lines.extend(places.map(|place| Line::raw(format!(" - {}", place.sentence))));
     if comparison.locations.is_empty() {
@@ -89,8 +89,22 @@ fn lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
     lines
 }
 
+/// Rows that there is something for, with the title.
+pub(in crate::tui::diagnosis) fn rows(state: &State, width: u16) -> u16 {
+    let area = Rect::new(0, 0, width, TALL);
+    let rows: usize = state.comparison.as_ref().map_or(1, |comparison| {
+        let lines = lines(comparison, area);
+        let wide = usize::from(width);
+        lines
+            .iter()
+            .map(|line| wrapped(&line.to_string(), wide.saturating_sub(1)).len())
+            .sum()
+    });
+    u16::try_from(rows + 1).unwrap_or(u16::MAX)
+}
+
 /// One light for each question; the word says what the colour does.
-fn lights(residual: &ResidualLights) -> Line<'static> {
+fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
     if !residual.enough_samples {
         return Line::styled(
             " residual: too few samples to say whether only noise is left",
@@ -105,7 +119,7 @@ fn lights(residual: &ResidualLights) -> Line<'static> {
         };
         Span::styled(text, style)
     };
-    Line::from(vec![
+    let mut line = Line::from(vec![
         Span::raw(" residual: "),
         light(residual.white, "white", "not white"),
         light(
@@ -113,12 +127,14 @@ fn lights(residual: &ResidualLights) -> Line<'static> {
             "independent of the input",
             "goes with the input",
         ),
-        Span::styled(
-            format!(
-                "({:.0} % of lags outside)",
-                100.0 * residual.autocorrelation_outside_99_percent
-            ),
-            theme::DIM,
-        ),
-    ])
+    ]);
+    let lags = format!(
+        "({:.0} % of lags outside)",
+        100.0 * residual.autocorrelation_outside_99_percent
+    );
+    // Not on a row of its own.
+    if line.width() + lags.len() <= usize::from(width) {
+        line.push_span(Span::styled(lags, theme::DIM));
+    }
+    line
 }

@@ -8,12 +8,13 @@ use ratatui::widgets::{Paragraph, Widget};
 use super::titled;
 use crate::diagnosis::{AddResult, Comparison};
 use crate::tui::diagnosis::state::{State, Step};
-use crate::tui::text::number;
+use crate::tui::text::{cut, number, wrapped};
 use crate::tui::theme;
 
 /// Longest bar.
 const LONGEST: usize = 60;
 const NAME: usize = 26;
+const MOST_ROWS_OF_A_CHANGE: usize = 3;
 
 pub(in crate::tui::diagnosis) fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
@@ -27,9 +28,7 @@ pub(in crate::tui::diagnosis) fn ladder(state: &State, area: Rect, buffer: &mut 
     };
     let inner = titled(title, area, buffer);
     let mut lines = Vec::new();
-    if let Some((added, result)) = &state.change {
-        lines.push(change(*added, result));
-    }
+    lines.extend(changes(state, inner.width));
     let room = usize::from(inner.height).saturating_sub(lines.len());
     let largest = state
         .ladder
@@ -41,6 +40,24 @@ pub(in crate::tui::diagnosis) fn ladder(state: &State, area: Rect, buffer: &mut 
     let steps = state.ladder.iter().skip(hidden);
     lines.extend(steps.map(|step| rung(step, largest, floor, usize::from(inner.width))));
     Paragraph::new(lines).render(inner, buffer);
+}
+
+/// What the last key did, in as many rows as that takes.
+fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
+    let Some((added, result)) = &state.change else {
+        return Vec::new();
+    };
+    let line = change(*added, result);
+    let rows = wrapped(&line.to_string(), usize::from(width).saturating_sub(1));
+    let most = rows.len().min(MOST_ROWS_OF_A_CHANGE);
+    let rows = rows.into_iter().take(most);
+    rows.map(|row| Line::styled(format!(" {row}"), line.style))
+        .collect()
+}
+
+/// Rows that the last change takes.
+pub(in crate::tui::diagnosis) fn change_rows(state: &State, width: u16) -> u16 {
+    u16::try_from(changes(state, width).len()).unwrap_or(0)
 }
 
 fn rung(step: &Step, largest: f64, floor: bool, width: usize) -> Line<'static> {
@@ -56,7 +73,7 @@ fn rung(step: &Step, largest: f64, floor: bool, width: usize) -> Line<'static> {
         })
         .collect();
     let at_floor = step.at_floor;
-    let name: String = step.name.chars().take(NAME).collect();
+    let name = cut(&step.name, NAME);
     Line::from(vec![
         Span::raw(format!(" {name:<NAME$} ")),
         Span::styled(

@@ -2,6 +2,7 @@
 
 pub(super) mod candidates;
 pub(super) mod card;
+pub(super) mod curve;
 pub(super) mod failing;
 pub(super) mod help;
 pub(super) mod ladder;
@@ -13,14 +14,25 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Paragraph, Widget, Wrap};
 
+use crate::tui::text::cut;
 use crate::tui::theme;
 
 /// A rule with a title above a panel; returns what is left below it.
 fn titled(title: &str, area: Rect, buffer: &mut Buffer) -> Rect {
-    let block = Block::new()
+    titled_with(title, "", area, buffer)
+}
+
+/// The same with a word at the right end, where there is room for it.
+fn titled_with(title: &str, right: &str, area: Rect, buffer: &mut Buffer) -> Rect {
+    let title = cut(title, usize::from(area.width).saturating_sub(2));
+    let needed = title.chars().count() + right.chars().count() + 5;
+    let mut block = Block::new()
         .borders(Borders::TOP)
         .border_style(theme::DIM)
         .title(format!(" {title} "));
+    if !right.is_empty() && needed <= usize::from(area.width) {
+        block = block.title(Line::from(format!(" {right} ")).right_aligned());
+    }
     let inner = block.inner(area);
     block.render(area, buffer);
     inner

@@ -2,10 +2,13 @@
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
+use ratatui::text::Line;
 
 use super::{block, page, titled};
+use crate::diagnosis::next_experiment::SEPARATED;
 use crate::tui::diagnosis::state::State;
 use crate::tui::text::number;
+use crate::tui::theme;
 
 pub(in crate::tui::diagnosis) fn next(
     state: &State,
@@ -29,9 +32,22 @@ pub(in crate::tui::diagnosis) fn next(
     }
     if let Some(next) = &state.next {
         lines.push(block("next run", next.sentence.clone()));
+        if !next.menu.is_empty() {
+            let text = format!("expected separation of each run; it tells from {SEPARATED:.0} on");
+            lines.push(block("compared", text));
+        }
         for entry in &next.menu {
-            let text = format!("expected separation {}", number(entry.expected_separation));
-            lines.push(block(entry.program, text));
+            let (mark, style) = if entry.expected_separation >= SEPARATED {
+                ("✓", theme::GOOD)
+            } else {
+                ("·", theme::DIM)
+            };
+            let text = format!(
+                "{mark} {:<20} {:>10}",
+                entry.program,
+                number(entry.expected_separation)
+            );
+            lines.push(Line::styled(text, style));
         }
     }
     if lines.is_empty() {

@@ -8,8 +8,8 @@ use ratatui::backend::TestBackend;
 
 use crate::diagnosis::{
     AddResult, Candidate, Comparison, Diagnosis, DiagnosisVerdict, ErrorMap, ErrorOf,
-    Event as Found, Evidence, FailureLocation, Fitted, HoldoutFrom, ResidualLights, Rung, Status,
-    compare,
+    Event as Found, Evidence, FailureLocation, Fitted, HoldoutFrom, Peak, Reached, ResidualLights,
+    Rung, Status, compare,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Model, Motor, testing};
@@ -52,11 +52,23 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
             verdict: Verdict::Settled,
             reason: None,
         }],
+        refitted: true,
+        interval_factor: 2.0,
+        reached: Some(Reached {
+            torque_n_m: Some(Peak {
+                value: 0.2,
+                std: Some(0.01),
+                interval_95: Some([0.18, 0.22]),
+                unit: "N.m",
+                percent_of_largest: Some(7.2),
+            }),
+            ..Reached::default()
+        }),
         error_before: 4.8,
-        error_after: 1.01,
+        error_after: Some(1.01),
         holdout_before: 5.1,
-        holdout_after: after,
-        explained_percent: 100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0),
+        holdout_after: Some(after),
+        explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
         minimum_detectable: Some(0.002),
         evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
     }

@@ -29,7 +29,9 @@ fn every_state() -> Vec<State> {
             Over::Map(0),
             Over::Map(1),
             Over::Next(1),
-            Over::Help,
+            Over::Help(0),
+            Over::Help(7),
+            Over::Curve(0, 2),
         ] {
             let mut state = states[index].clone();
             state.over = over;
@@ -290,7 +292,7 @@ fn a_worker_that_has_gone_is_told() {
 fn the_help_names_every_key_that_does_something() {
     let named: Vec<&str> = HELP.iter().flat_map(|(keys, _)| keys.split(' ')).collect();
     for key in [
-        "Up", "Down", "Enter", "Esc", "Ctrl-C", "a", "r", "m", "n", "g", "w", "?", "q",
+        "Up", "Down", "Enter", "Esc", "Ctrl-C", "a", "r", "m", "n", "c", "t", "g", "w", "?", "q",
     ] {
         assert!(named.contains(&key), "{key}");
     }

@@ -36,7 +36,7 @@ fn what_lies_over_the_screen() {
     assert_snapshot!("card_80x24", text(&state, 80, 24));
     state.over = Over::Map(0);
     assert_snapshot!("map_80x24", text(&state, 80, 24));
-    state.over = Over::Help;
+    state.over = Over::Help(0);
     assert_snapshot!("help_80x24", text(&state, 80, 24));
 }
 
@@ -57,7 +57,8 @@ fn state() -> impl Strategy<Value = State> {
         Just(Over::Map(0)),
         Just(Over::Map(1)),
         (0..400_usize).prop_map(Over::Next),
-        Just(Over::Help),
+        (0..400_usize).prop_map(Over::Help),
+        (0..3_usize, 0..40_usize).prop_map(|(index, row)| Over::Curve(index, row)),
     ];
     let verdict = prop_oneof![
         Just(DiagnosisVerdict::Effect),
@@ -87,7 +88,7 @@ fn state() -> impl Strategy<Value = State> {
             answer.sentence.clone_from(&words);
             answer.holdout_before = numbers[0];
             for (candidate, number) in answer.candidates.iter_mut().zip(&numbers) {
-                candidate.explained_percent = *number;
+                candidate.explained_percent = Some(*number);
                 candidate.minimum_detectable = Some(*number);
                 candidate.parameters[0].value = Some(*number);
                 candidate.parameters[0].std = Some(numbers[7]);
@@ -135,7 +136,9 @@ fn every_small_size() {
             Over::Card(2),
             Over::Map(0),
             Over::Next(1),
-            Over::Help,
+            Over::Help(0),
+            Over::Help(7),
+            Over::Curve(0, 2),
         ] {
             let mut state = state.clone();
             state.over = over;

@@ -1,0 +1,257 @@
+//! What a diagnosis found, as blocks of a page: cards, curves, candidates, the next run.
+
+use super::number::{self, significant};
+use super::page::{Cell, Page, Table};
+use super::plot::AxisChart;
+use crate::diagnosis::next_experiment::SEPARATED;
+use crate::diagnosis::{AxisMap, Candidate, Diagnosis, Peak, Reached, Status};
+use crate::plant::effect;
+use crate::sample::ParameterEstimate;
+
+/// Standard deviations on either side of a value: its 95 % interval.
+const INTERVAL: f64 = 1.96;
+/// Share of an error from which on the curve that it follows is worth a picture, and pictures at most.
+const FOLLOWS: f64 = 0.1;
+const MOST_CURVES: usize = 3;
+
+pub(super) fn capitalised(sentence: &str) -> String {
+    let mut characters = sentence.chars();
+    characters.next().map_or_else(String::new, |first| {
+        first.to_uppercase().chain(characters).collect()
+    })
+}
+
+/// Card of each effect that was named, and what it cannot be told from.
+pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis) {
+    let named: Vec<_> = diagnosis
+        .effects
+        .iter()
+        .filter_map(|id| effect::find(id))
+        .collect();
+    if named.is_empty() {
+        return;
+    }
+    page.section("What was found");
+    for effect in named {
+        let card = effect.card();
+        page.paragraph(format!(
+            "{} ({}): {}",
+            capitalised(card.name),
+            card.id,
+            card.equation
+        ));
+        page.list(vec![
+            format!("Possible causes: {}.", card.causes),
+            format!("Looks like: {}.", card.looks_like),
+            format!("Remedy: {}.", card.remedy),
+        ]);
+    }
+    let mut rivals: Vec<String> = diagnosis
+        .confusable
+        .iter()
+        .map(|[name, rival]| format!("{name} and {rival} cannot be told apart by these runs."))
+        .collect();
+    let never = diagnosis.equivalences.iter();
+    rivals.extend(never.map(|sentence| format!("{}.", capitalised(sentence))));
+    page.list(rivals);
+}
+
+/// The curves that an unexplained error follows.
+pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
+    if diagnosis.axis_map.is_empty() {
+        return;
+    }
+    page.section("What the error follows");
+    let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) = diagnosis
+        .axis_map
+        .iter()
+        .partition(|map| map.r2 >= FOLLOWS && map.knots.len() > 1);
+    for map in followed.iter().take(MOST_CURVES) {
+        let unit = if map.equation == "voltage" {
+            "V"
+        } else {
+            "N.m"
+        };
+        let chart = AxisChart {
+            title: format!("what the {} equation lacks, {unit}", map.equation),
+            axis: axis_name(map.axis),
+            knots: &map.knots,
+            values: &map.values,
+            std: &map.std,
+        };
+        page.figure(
+            chart.svg(&format!(
+                "{} error over {}",
+                map.equation,
+                axis_name(map.axis)
+            )),
+            format!(
+                "{}. The band is the 95 % interval; a loss is positive.",
+                capitalised(&map.sentence)
+            ),
+        );
+    }
+    let others = followed.into_iter().skip(MOST_CURVES).chain(rest);
+    page.list(
+        others
+            .map(|map| format!("{}.", capitalised(&map.sentence)))
+            .collect(),
+    );
+    page.paragraph(
+        "No effect of the catalogue has this form. The curve can be added as it is, with the command drivebench add table, so that the \
+         error falls while its cause is looked for.",
+    );
+}
+
+const fn axis_name(axis: &str) -> &'static str {
+    match axis.as_bytes() {
+        b"speed_rad_s" => "speed, rad/s",
+        b"current_a" => "current, A",
+        b"voltage_v" => "voltage, V",
+        b"angle_rad" => "angle, rad",
+        b"time_s" => "time, s",
+        _ => "frequency, Hz",
+    }
+}
+
+/// Every effect that was tried: status, error, share, size with interval, what it reached.
+pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
+    page.section("Effects that were tried");
+    if diagnosis.candidates.iter().any(|c| !c.refitted) {
+        page.paragraph(
+            "A dash stands where the first-order screen was enough to rule an effect out: it was not refitted.",
+        );
+    }
+    if diagnosis
+        .candidates
+        .iter()
+        .any(|c| c.interval_factor > 1.0 && has_paid(c))
+    {
+        page.paragraph(
+            "More than noise is left beside some of these effects: their intervals are doubled, and hold if nothing else is \
+             missing.",
+        );
+    }
+    page.table(Table {
+        head: vec![
+            "rank",
+            "effect",
+            "status",
+            "held-out error",
+            "explains",
+            "ranks first",
+            "size ± 95 %, evidence",
+        ],
+        rows: diagnosis.candidates.iter().map(row).collect(),
+    });
+}
+
+const fn has_paid(candidate: &Candidate) -> bool {
+    matches!(candidate.status, Status::Supported | Status::Possible)
+}
+
+fn row(candidate: &Candidate) -> Vec<Cell> {
+    let status = match candidate.status {
+        Status::Supported => "supported",
+        Status::Possible => "possible",
+        Status::RuledOut => "ruled out",
+        Status::NotExcited => "not excited",
+    };
+    let dash = || "-".to_owned();
+    // A size is worth showing only where the effect pays; else the evidence says what would have been seen.
+    let sizes: Vec<String> = candidate
+        .parameters
+        .iter()
+        .filter(|_| has_paid(candidate))
+        .map(size)
+        .chain(
+            candidate
+                .reached
+                .iter()
+                .filter(|_| has_paid(candidate))
+                .flat_map(Reached::peaks)
+                .map(|peak| reached(&peak)),
+        )
+        .collect();
+    vec![
+        Cell::text(candidate.rank.to_string()),
+        Cell::code(candidate.effect),
+        Cell::text(status),
+        Cell::text(candidate.holdout_after.map_or_else(dash, |after| {
+            format!(
+                "{} -> {}",
+                significant(candidate.holdout_before, 3),
+                significant(after, 3)
+            )
+        })),
+        Cell::text(
+            candidate
+                .explained_percent
+                .map_or_else(dash, |percent| format!("{} %", number::fixed(percent, 0))),
+        ),
+        Cell::text(format!("{:.0} %", 100.0 * candidate.probability)),
+        Cell::text(if sizes.is_empty() {
+            dash()
+        } else {
+            sizes.join("; ")
+        })
+        .with_note(capitalised(&candidate.evidence)),
+    ]
+}
+
+/// Key, value with its 95 % interval, unit.
+fn size(parameter: &ParameterEstimate) -> String {
+    let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
+    let unit = if parameter.unit == "-" {
+        ""
+    } else {
+        parameter.unit
+    };
+    let text = match (parameter.value, parameter.std) {
+        (Some(value), Some(std)) => number::with_std(value, INTERVAL * std),
+        _ => number::estimate(parameter),
+    };
+    format!("{key} {text} {unit}").trim_end().to_owned()
+}
+
+fn reached(peak: &Peak) -> String {
+    let value = number::with_std(peak.value, peak.std.map_or(f64::NAN, |std| INTERVAL * std));
+    let share = peak.percent_of_largest;
+    let share = share.map_or_else(String::new, |percent| {
+        format!(" ({} % of the largest)", significant(percent, 2))
+    });
+    format!("up to {value} {} in this run{share}", peak.unit)
+}
+
+/// The run that would tell more.
+pub(super) fn next_run(page: &mut Page, diagnosis: &Diagnosis) {
+    let Some(next) = &diagnosis.next_experiment else {
+        return;
+    };
+    page.section("Next run");
+    page.paragraph(format!(
+        "{}.",
+        capitalised(next.sentence.trim_end_matches('.'))
+    ));
+    if next.menu.is_empty() {
+        return;
+    }
+    page.paragraph(format!(
+        "Every run that the limits allow, with the separation that is expected of it; it tells from {SEPARATED:.0} on."
+    ));
+    let rows = next.menu.iter().map(|entry| {
+        vec![
+            Cell::code(entry.program),
+            Cell::text(significant(entry.expected_separation, 3)),
+            Cell::text(if entry.expected_separation >= SEPARATED {
+                "tells"
+            } else {
+                "does not"
+            }),
+        ]
+    });
+    page.table(Table {
+        head: vec!["run", "expected separation", "verdict"],
+        rows: rows.collect(),
+    });
+}

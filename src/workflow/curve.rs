@@ -1,0 +1,80 @@
+//! A learned curve as an effect of the model, while its name is still unknown.
+
+use crate::plant::effect::{self, Axis, DefinitionError};
+use crate::plant::{Effect, Model, Slot};
+
+/// A table over these knots, its values yet to be fitted.
+///
+/// # Errors
+/// Knots that do not rise, or too few or too many of them.
+pub fn table(
+    id: &str,
+    equation: &str,
+    axis: Axis,
+    knots: &[f64],
+) -> Result<&'static dyn Effect, DefinitionError> {
+    let settings = toml::Table::from_iter([
+        ("equation".to_owned(), toml::Value::from(equation)),
+        ("axis".to_owned(), axis.key().into()),
+        (
+            "knots".to_owned(),
+            toml::Value::Array(knots.iter().copied().map(toml::Value::from).collect()),
+        ),
+    ]);
+    effect::define(id, &settings).map(|(effect, _)| effect)
+}
+
+/// A knot that a person can read in a model file.
+pub fn four_digits(knot: f64) -> f64 {
+    format!("{knot:.3e}").parse().unwrap_or(knot)
+}
+
+/// A curve over the current holds a resistance, one over the speed a back-EMF: beside the curve neither can be told, so that
+/// the parameter is fixed at what the baseline's fit gave it. Returns its key where that was done.
+pub fn hold_what_the_curve_holds(
+    model: &mut Model,
+    fitted: &Model,
+    equation: &str,
+    axis: Axis,
+) -> Option<&'static str> {
+    let held = match (equation, axis) {
+        ("voltage", Axis::Current) => "resistance_ohm",
+        ("voltage", Axis::Speed) => "back_emf_v_s_per_rad",
+        _ => return None,
+    };
+    if model.fixed.iter().any(|key| key == held) {
+        return None;
+    }
+    let slot = fitted
+        .slots()
+        .into_iter()
+        .find(|slot: &Slot| slot.key() == held)?;
+    model.set(&slot, fitted.get(&slot)?);
+    model.fixed.push(held.to_owned());
+    Some(held)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Motor;
+
+    #[test]
+    fn knots_are_readable() {
+        assert!((four_digits(-118.716_712_5) + 118.7).abs() < 1e-12);
+        assert!(four_digits(0.0).abs() < 1e-300);
+    }
+
+    #[test]
+    fn a_curve_over_the_current_takes_the_resistance_out_of_the_fit() {
+        let fitted = Model::baseline(Motor::zk_22fc());
+        let mut model = fitted.clone();
+        let held = hold_what_the_curve_holds(&mut model, &fitted, "voltage", Axis::Current);
+        assert_eq!(held, Some("resistance_ohm"));
+        assert_eq!(model.fixed, ["resistance_ohm"]);
+        let again = hold_what_the_curve_holds(&mut model, &fitted, "voltage", Axis::Current);
+        assert!(again.is_none() && model.fixed.len() == 1);
+        let torque = hold_what_the_curve_holds(&mut model, &fitted, "torque", Axis::Speed);
+        assert!(torque.is_none());
+    }
+}
