@@ -41,6 +41,8 @@ pub struct NextExperiment {
     pub bench: Option<String>,
     /// The rivals; none where an effect is to be seen that the runs in hand did not excite.
     pub pair: Option<[&'static str; 2]>,
+    /// Every pair that the recommended run was asked to tell apart.
+    pub pairs: Vec<PairEntry>,
     /// The effects that become visible, where there is no pair.
     pub reveals: Vec<&'static str>,
     /// Expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
@@ -53,6 +55,17 @@ pub struct NextExperiment {
     pub peaks: Option<Peaks>,
     #[serde(skip)]
     pub recipe: Option<Recipe>,
+}
+
+/// One pair of rivals: what the recommended run tells of it, and the run that would tell most.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PairEntry {
+    pub pair: [&'static str; 2],
+    /// In the recommended run.
+    pub expected_separation: f64,
+    /// Best run of the menu for this pair alone, with its separation from linear fits.
+    pub best_program: &'static str,
+    pub best_separation: f64,
 }
 
 /// One run of the menu and what it would tell.

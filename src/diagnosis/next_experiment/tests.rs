@@ -15,6 +15,8 @@ const LIMITS: ExperimentLimits = ExperimentLimits {
     rms_current_a: 5.7,
     travel_rad: None,
     duration_s: 30.0,
+    slew_v_per_s: f64::INFINITY,
+    period_s: PERIOD_S,
 };
 const PERIOD_S: f64 = 0.004;
 
