@@ -81,8 +81,8 @@ pub struct Scenario {
     pub scored: Range<usize>,
 }
 
-/// Supply to which a sag is referred, V.
-const REFERENCE_SUPPLY_V: f64 = 110.0;
+/// Supply to which a sag is referred, V: in the model file and in the configuration of the emulator.
+pub const REFERENCE_SUPPLY_V: f64 = 110.0;
 
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;

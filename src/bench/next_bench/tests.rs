@@ -15,7 +15,6 @@ fn evidence(model: &Model) -> Evidence {
 fn every_recipe_is_a_bench_file_that_plans_within_the_drive_s_limits() {
     let model = Model::baseline(Motor::zk_22fc());
     let bench = BenchFile::embedded_default();
-    let evidence = evidence(&model);
     let recipes = menu_within(&model, &experiment_limits(&bench));
     assert!(recipes.len() > 9, "{} recipes", recipes.len());
     for recipe in &recipes {

@@ -194,9 +194,11 @@ fn tidy(segment: Segment) -> Segment {
     }
 }
 
-/// Every run begins at rest, for its own noise floor.
-fn rest() -> Segment {
-    Segment::Standstill(Standstill { seconds: 0.5 })
+/// Every run begins at rest, for its own noise floor: the more samples, the surer the floor.
+fn rest(reach: &Reach) -> Segment {
+    Segment::Standstill(Standstill {
+        seconds: (100.0 * reach.period_s).clamp(0.5, 1.0),
+    })
 }
 
 fn ramp(from_v: f64, to_v: f64, seconds: f64) -> Segment {
@@ -246,7 +248,7 @@ fn slow_ramp(reach: &Reach) -> Vec<Segment> {
     // No faster than half of what the current allows.
     let quarter_s = (2.0 * arrival_s(reach, 1.0)).max(2.5);
     vec![
-        rest(),
+        rest(reach),
         ramp(0.0, -full_v, quarter_s),
         ramp(-full_v, full_v, 2.0 * quarter_s),
         ramp(full_v, 0.0, quarter_s),
@@ -266,13 +268,13 @@ fn fast_dither(reach: &Reach) -> Vec<Segment> {
         })
     };
     // Large and small: play in a coupling does not grow with the torque.
-    vec![rest(), part(reach.quick_v, 1), part(0.4 * reach.quick_v, 2)]
+    vec![rest(reach), part(reach.quick_v, 1), part(0.4 * reach.quick_v, 2)]
 }
 
 fn hard_cycling(reach: &Reach) -> Vec<Segment> {
     let levels = [1.0, -1.0, 1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0];
     vec![
-        rest(),
+        rest(reach),
         steps(
             shares(reach.full_v, &levels),
             arrival_s(reach, 2.0).max(0.2) + 0.15,
@@ -285,7 +287,7 @@ fn staircase(reach: &Reach) -> Vec<Segment> {
         0.25, 0.5, 0.75, 1.0, 0.6, 0.0, -0.25, -0.5, -0.75, -1.0, -0.6, 0.0,
     ];
     vec![
-        rest(),
+        rest(reach),
         steps(
             shares(reach.full_v, &levels),
             arrival_s(reach, 0.6).max(0.2) + 0.5,
@@ -295,7 +297,7 @@ fn staircase(reach: &Reach) -> Vec<Segment> {
 
 fn slow_sine(reach: &Reach) -> Vec<Segment> {
     vec![
-        rest(),
+        rest(reach),
         Segment::Sine(Sine {
             amplitude_v: reach.creep_v,
             frequency_hz: 0.4,
@@ -313,7 +315,7 @@ fn heat_and_repeat(reach: &Reach) -> Vec<Segment> {
     let part = || steps(shares(reach.full_v, &[0.5, -0.5, 0.0]), hold_s);
     let heat = shares(reach.full_v, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 0.0]);
     vec![
-        rest(),
+        rest(reach),
         part(),
         steps(heat, arrival_s(reach, 2.0).max(0.2) + 0.05),
         part(),
@@ -322,7 +324,7 @@ fn heat_and_repeat(reach: &Reach) -> Vec<Segment> {
 
 fn random_levels(reach: &Reach) -> Vec<Segment> {
     vec![
-        rest(),
+        rest(reach),
         Segment::Prbs(Prbs {
             amplitude_v: 0.6 * reach.full_v,
             clock_s: arrival_s(reach, 0.4).max(10.0 * reach.period_s),
@@ -335,7 +337,7 @@ fn random_levels(reach: &Reach) -> Vec<Segment> {
 }
 
 fn steady_hold(reach: &Reach) -> Vec<Segment> {
-    vec![rest(), steps(vec![0.5 * reach.full_v], 4.0)]
+    vec![rest(reach), steps(vec![0.5 * reach.full_v], 4.0)]
 }
 
 fn current_reversals(reach: &Reach) -> Vec<Segment> {
@@ -343,7 +345,7 @@ fn current_reversals(reach: &Reach) -> Vec<Segment> {
         1.0, -1.0, 0.5, -0.5, 0.0, 0.7, -0.7, 0.3, -0.3, 0.0, 1.0, 0.0, -1.0, 0.0,
     ];
     vec![
-        rest(),
+        rest(reach),
         steps(
             shares(reach.quick_v, &levels),
             reversal_s(reach, reach.quick_v).max(0.12),
@@ -372,7 +374,7 @@ fn dither_at_speed(reach: &Reach) -> Vec<Segment> {
         })
     };
     vec![
-        rest(),
+        rest(reach),
         part(0.0, 0.0, 1.0, 1),
         part(0.0, level_v, change_s, 2),
         part(level_v, level_v, 1.0, 3),

@@ -29,8 +29,10 @@ pub use menu::Recipe;
 pub use planned::Peaks;
 pub use recommend::{menu_within, next_experiment, recommend};
 
-/// Difference of the squared errors, in units of the noise, below which a run tells nothing apart.
-pub const SEPARATED: f64 = 20.0;
+/// Difference of the squared errors, in units of the noise, below which a run tells nothing apart: the block test of the
+/// decision asks for three standard errors, and its standard error is that of about `4.4/sqrt(D)` (counted on emulated runs
+/// with a difference spread over the run as excitations spread it; 2/sqrt(D) where every block has the same share).
+pub const SEPARATED: f64 = 150.0;
 
 /// What to run next, or that no run of this kind will do.
 #[derive(Clone, Debug, Serialize)]
@@ -63,9 +65,19 @@ pub struct PairEntry {
     pub pair: [&'static str; 2],
     /// In the recommended run.
     pub expected_separation: f64,
+    /// What a diagnosis of that run asks for: [`SEPARATED`], and a share of what the effect itself would explain there.
+    pub needed: f64,
     /// Best run of the menu for this pair alone, with its separation from linear fits.
     pub best_program: &'static str,
     pub best_separation: f64,
+    pub best_needed: f64,
+}
+
+impl PairEntry {
+    /// Whether the recommended run tells the pair apart.
+    pub fn is_told(&self) -> bool {
+        self.expected_separation >= self.needed
+    }
 }
 
 /// One run of the menu and what it would tell.

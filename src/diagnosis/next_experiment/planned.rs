@@ -39,6 +39,10 @@ pub(super) struct Planned {
 }
 
 impl Planned {
+    pub(super) fn rows(&self) -> usize {
+        self.blank.samples()
+    }
+
     /// The run as it would be measured, without noise, if `truth` were true.
     pub(super) fn measured(&self, truth: &Model) -> Option<Scenario> {
         let mut run = self.blank.clone();

@@ -64,8 +64,14 @@ impl Response {
         Some(self.separation(&difference(&mut problem, &x)?))
     }
 
+    /// The same where nothing holds the rival but the run itself.
+    pub(super) fn without_memory(mut self) -> Self {
+        self.information.fill(0.0);
+        self
+    }
+
     /// What is left of `difference` when the rival has moved as far as the old data allow.
-    fn separation(&self, difference: &DVector<f64>) -> f64 {
+    pub(super) fn separation(&self, difference: &DVector<f64>) -> f64 {
         self.step(difference).map_or_else(
             || difference.norm_squared(),
             |step| {
@@ -95,6 +101,8 @@ impl Response {
 
 /// The same with the rival fitted in full, so that one that bends does not pass for one that cannot.
 pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
+    let placed = rival.placed(run, noise);
+    let rival = &placed.as_ref().map_or_else(|| rival.clone(), |model| rival.with(model));
     let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
     let start = problem.start();
     let (response, difference) = Response::of(rival, run, noise)?;

@@ -1,7 +1,7 @@
 //! A recommendation as sentences.
 
 use super::planned::Planned;
-use super::{PairEntry, SEPARATED};
+use super::PairEntry;
 use crate::plant::effect;
 
 /// Names of a list that are said; the rest is counted.
@@ -14,35 +14,33 @@ pub(super) fn pairs(
     program: impl Fn(&str) -> &'static str,
 ) -> String {
     let mut sentences = Vec::new();
-    let (told, hidden): (Vec<_>, Vec<_>) = pairs
-        .iter()
-        .partition(|pair| pair.expected_separation >= SEPARATED);
-    if !told.is_empty() {
+    let (told, hidden): (Vec<_>, Vec<_>) = pairs.iter().partition(|pair| pair.is_told());
+    if let Some(first) = told.first() {
         let rivals: Vec<String> = told
             .iter()
             .map(|told| {
-                let [a, b] = told.pair;
+                let [a, b] = told.pair.map(name);
                 let separation = figure(told.expected_separation);
-                format!("{} from {} (separation {separation})", name(a), name(b))
+                format!("{a} from {b} (separation {separation})")
             })
             .collect();
         sentences.push(format!(
-            "run {}: it tells {}; {SEPARATED:.0} would do",
+            "run {}: it tells {}; {} would do",
             described(plan),
-            rivals.join(" and ")
+            rivals.join(" and "),
+            figure(first.needed)
         ));
     }
     for entry in hidden {
         let [a, b] = entry.pair.map(name);
-        let best = figure(entry.best_separation);
         let run = program(entry.best_program);
-        sentences.push(if entry.best_separation >= SEPARATED && !told.is_empty() {
+        let (best, needed) = (figure(entry.best_separation), figure(entry.best_needed));
+        sentences.push(if entry.best_separation >= entry.best_needed {
             format!("{a} and {b} need another run after it: {run} (separation {best})")
         } else {
-            let best = figure(entry.best_separation.min(SEPARATED - 1.0));
             format!(
                 "no run of this kind will separate {a} and {b} within the limits: the best, {run}, gives a separation \
-                 of {best}, {SEPARATED:.0} are needed"
+                 of {best}, {needed} are needed"
             )
         });
     }

@@ -129,11 +129,6 @@ fn with_the_true_values_the_hosts_form_explains_each_effect_but_for_a_few_percen
             model.effects[0].values[at] = Some(value.unwrap().1);
         }
         let scenario = recorded(&[effect]);
-        if id == "supply_sag" {
-            // The host takes the highest voltage of the run for the supply's, the drive has its bus.
-            let share = scenario.supply_v() / BUS_V;
-            model.effects[0].values[0] = model.effects[0].values[0].map(|ohm| ohm * share * share);
-        }
         if id == "backlash" {
             // A small difference moves the instants at which the flanks meet: only a fit finds the motion again.
             let noise = NoiseFloor {
