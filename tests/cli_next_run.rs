@@ -10,7 +10,7 @@ use std::path::Path;
 use program::{drivebench, line, only_folder};
 use serde_json::Value;
 
-/// The default bench with a weak sequence, no slew of its own and little time.
+/// The default bench with a weak sequence and little time.
 fn weak_bench(emulator: &Path) -> String {
     let default = include_str!("../bench-configs/benches/zk-22fc-emulated.toml");
     let (head, _) = default
@@ -21,9 +21,8 @@ fn weak_bench(emulator: &Path) -> String {
             "config = \"zk-22fc-hidden\"",
             &format!("config = \"{}\"", emulator.display()),
         )
-        .replace("slew_v_per_s = 200.0", "")
         .replace("time_s = 30.0", "time_s = 7.5");
-    assert!(head.contains("time_s = 7.5") && !head.contains("\nslew_v_per_s"));
+    assert!(head.contains("time_s = 7.5"));
     let levels = "[20.0, 60.0, 35.0, 80.0, 50.0]";
     format!(
         "{head}\n[[sequence]]\nstandstill = {{ seconds = 0.6 }}\n[[sequence]]\n\
@@ -39,7 +38,9 @@ fn recorded(bench: &Path, out: &Path) -> std::path::PathBuf {
 
 fn diagnosed(run: &Path, bench: &Path, next: &Path) -> Value {
     let arguments = "diagnose {} --bench {} --next-bench {} --json";
-    drivebench(line(arguments, &[run, bench, next])).expect(0).json()
+    drivebench(line(arguments, &[run, bench, next]))
+        .expect(0)
+        .json()
 }
 
 #[test]
@@ -52,13 +53,18 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     fs::write(&emulator, format!("{plain}{hidden}")).expect("a file");
     fs::write(&bench, weak_bench(&emulator)).expect("a file");
 
-    let weak = diagnosed(&recorded(&bench, &at("weak")), &bench, &next);
+    let run = recorded(&bench, &at("weak"));
+    let weak = diagnosed(&run, &bench, &next);
     assert_eq!(weak["verdict"], "ambiguous", "{}", weak["sentence"]);
     let rivals = weak["confusable"].to_string();
     assert!(rivals.contains("current_offset"), "{rivals}");
     let recommended = &weak["next_experiment"];
     let expected = recommended["expected_separation"].as_f64();
     assert!(expected.is_some_and(|d| d > 1e3), "{recommended}");
+
+    let arguments = "diagnose {} --bench {}";
+    let missing = drivebench(line(arguments, &[&run, &at("no.toml")])).expect(2);
+    assert!(missing.error().contains("no.toml"), "{}", missing.stderr);
 
     // Exactly the file that was written; the drive keeps the limits that the plan promised.
     let run = recorded(&next, &at("next"));

@@ -268,7 +268,11 @@ fn fast_dither(reach: &Reach) -> Vec<Segment> {
         })
     };
     // Large and small: play in a coupling does not grow with the torque.
-    vec![rest(reach), part(reach.quick_v, 1), part(0.4 * reach.quick_v, 2)]
+    vec![
+        rest(reach),
+        part(reach.quick_v, 1),
+        part(0.4 * reach.quick_v, 2),
+    ]
 }
 
 fn hard_cycling(reach: &Reach) -> Vec<Segment> {

@@ -1,7 +1,7 @@
 //! A recommendation as sentences.
 
-use super::planned::Planned;
 use super::PairEntry;
+use super::planned::Planned;
 use crate::plant::effect;
 
 /// Names of a list that are said; the rest is counted.

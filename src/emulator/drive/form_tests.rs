@@ -15,8 +15,6 @@ use crate::sample::{Channel, Origin, Run};
 /// Noise of the usual sensors: it weighs current against speed.
 const CURRENT_A: f64 = 0.03;
 const SPEED_RAD_S: f64 = 0.15;
-/// Of the embedded drives, V.
-const BUS_V: f64 = 120.0;
 /// Share of an effect's work that its form may leave to the host's form with the true values, before any fit (for
 /// backlash: after one).
 const MOST_LEFT: f64 = 0.05;
