@@ -83,6 +83,7 @@ impl CommissionReport<'_> {
         };
         tables::parameter_section(&mut page, self.nameplate, before, after);
         self.effect_section(&mut page);
+        self.next_section(&mut page);
         self.comparison_section(&mut page);
         self.where_section(&mut page);
         self.candidates_section(&mut page);
@@ -229,6 +230,14 @@ impl CommissionReport<'_> {
             .map(|[name, rival]| format!("{name} and {rival} cannot be told apart by these runs."))
             .collect();
         page.list(rivals);
+    }
+
+    /// The run that would tell what these do not.
+    fn next_section(&self, page: &mut Page) {
+        if let Some(next) = &self.diagnosis.next_experiment {
+            page.section("Next run");
+            page.paragraph(format!("{}.", capitalised(&next.sentence)));
+        }
     }
 
     fn comparison_section(&self, page: &mut Page) {
