@@ -69,11 +69,12 @@ fn next_run(result: &CommissionResult, records: &[Recorded]) -> Option<String> {
     let next = result.diagnosis.next_experiment.as_ref()?;
     let mut text = format!("next: {}\n", next.sentence);
     if let (Some(_), Some(record)) = (&next.bench, records.first()) {
-        let path = record.folder.file(RunFile::NextBench);
-        let path = path.display();
+        let (path, held) = (record.folder.file(RunFile::NextBench), record.folder.path());
         let _ = writeln!(
             text,
-            "      drivebench run {path}\n      drivebench diagnose RUN --bench {path}     on the run that this makes"
+            "      drivebench run {}\n      drivebench diagnose NEW_RUN --holdout {}",
+            path.display(),
+            held.display()
         );
     }
     Some(text)

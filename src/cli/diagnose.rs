@@ -18,6 +18,8 @@ use crate::workflow::Discovery;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench diagnose runs/a --model model.toml --holdout runs/b
+  drivebench diagnose runs/a --next-bench next.toml     and, where two effects are not told apart, the run that would:
+  drivebench run next.toml && drivebench diagnose runs/NEW --holdout runs/a
   drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
   drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first")]
 pub(super) struct Arguments {
@@ -90,7 +92,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         diagnose(original, prepared.evidence.clone(), arguments.until_floor)?
     };
     place.recommend(&mut diagnosis, original, &prepared.evidence)?;
-    arguments.next.write(&diagnosis)?;
+    arguments.next.write(&diagnosis, &arguments.run)?;
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();

@@ -3,14 +3,13 @@
 //! ```text
 //! menu: recipes (ramp, dither, cycling, ...) --planned within the limits--> Planned: commands, sample times
 //!                                                                              |  simulated with rival A
-//!                  how rival B can change in that run -----------------------> separation D(A|B), and D(B|A)
+//! present data --J'J--> what rival B may still change   --------------------> separation D(A|B), and D(B|A)
 //!                                                                              |
 //!                            the best, refitted in full <--- the smaller of the two, over c-hat
 //! ```
 //!
 //! DISCOVERY.md 2.11, after the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
-//! run is the one in which the rival still differs when it has been fitted to it. A run is recommended only where its
-//! diagnosis, by the rules of `decide`, would tell the rivals apart.
+//! run is the one in which the rival still differs when it has been fitted to the old data and the new.
 
 mod equivalence;
 mod limits;
@@ -48,9 +47,9 @@ pub struct NextExperiment {
     pub pairs: Vec<PairEntry>,
     /// The effects that become visible, where there is no pair.
     pub reveals: Vec<&'static str>,
-    /// Expected difference of the squared errors of the wrong and the right one in the recommended run after both have been
-    /// fitted to it, in units of the noise variance and divided by c-hat, which is above one where the model does not
-    /// explain the present data to the noise.
+    /// Expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
+    /// units of the noise variance and divided by c-hat, which is above one where the model does not explain the present
+    /// data to the noise.
     pub expected_separation: f64,
     /// Every recipe that the limits allow with the same figure, from linear fits, best first.
     pub menu: Vec<MenuEntry>,

@@ -28,7 +28,7 @@ const TOLD_APART: f64 = 0.03;
 struct Question<'a> {
     rivals: Vec<Rival<'a>>,
     /// The answer without its effect.
-    base: &'a Model,
+    base: Rival<'a>,
     /// Names of the answer's effect and of the rival's, for each rival after the first.
     names: Vec<[&'static str; 2]>,
 }
@@ -58,14 +58,14 @@ impl Question<'_> {
             .par_iter()
             .map(|rival| {
                 let run = plan.measured(rival.model)?;
-                let (response, _) = Response::of(rival.model, &run, noise)?;
+                let (response, _) = Response::of(rival, &run, noise)?;
                 Some((run, response))
             })
             .collect();
         let direction = |truth: usize, rival: usize| {
             let (run, _) = seen[truth].as_ref()?;
             let (_, response) = seen[rival].as_ref()?;
-            response.separation_from(run, self.rivals[rival].model, noise)
+            response.separation_from(run, &self.rivals[rival], noise)
         };
         let separations = (0..self.names.len())
             .map(|pair| {
@@ -74,8 +74,8 @@ impl Question<'_> {
             })
             .collect();
         let explainable = seen[0].as_ref().and_then(|(run, _)| {
-            let (response, difference) = Response::of(self.base, run, noise)?;
-            Some(response.separation(&difference) / self.rivals[0].inflation)
+            let (response, difference) = Response::of(&self.base, run, noise)?;
+            Some(response.without_memory().separation(&difference) / self.rivals[0].inflation)
         });
         let residuals = 2.0 * plan.rows() as f64;
         let gained = explainable.filter(|d| d.is_finite()).unwrap_or(0.0);
@@ -202,7 +202,7 @@ fn tell_apart(
         .collect::<Result<Vec<_>, FitError>>()?;
     let question = Question {
         rivals,
-        base,
+        base: Rival::new(base, evidence)?,
         names,
     };
     let tried = tried(&question, models, evidence, limits);

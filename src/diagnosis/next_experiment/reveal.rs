@@ -97,13 +97,13 @@ fn shown(
     evidence: &Evidence,
 ) -> Option<Vec<f64>> {
     let own = plan.measured(rival.model)?;
-    let (response, _) = Response::of(rival.model, &own, evidence.noise)?;
+    let (response, _) = Response::of(rival, &own, evidence.noise)?;
     truths
         .iter()
         .map(|(_, truth)| {
             let run = plan.measured(truth)?;
             let separation =
-                response.separation_from(&run, rival.model, evidence.noise)? / rival.inflation;
+                response.separation_from(&run, rival, evidence.noise)? / rival.inflation;
             Some(if separation.is_finite() {
                 separation
             } else {

@@ -1,8 +1,7 @@
-//! How far a rival stays from the truth in a planned run after it has been fitted to that run.
+//! How far a rival stays from the truth in a planned run after it has been fitted to the old data and the new.
 //!
-//! `D(A|B) = min over dx of |d + S dx|^2`, `d = (y_A - y_B)/sigma` in the new run, `S` the Jacobian of B there. DISCOVERY.md
-//! 2.11 adds `dx'F dx`, what the old data hold against the step: a diagnosis judges the new run by itself, so it is left
-//! out, and fitting old and new together separates at least as well.
+//! `D(A|B) = min over dx of |d + S dx|^2 + dx'F dx`, `d = (y_A - y_B)/sigma` in the new run, `S` the Jacobian of B there,
+//! `F` its information from the old data (DISCOVERY.md 2.11).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -10,7 +9,13 @@ use super::rival::Rival;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FreeRun;
 use crate::numerics::levenberg_marquardt::{Options, Problem, jacobian_at, minimise};
-use crate::plant::{Model, ParameterRole, Scenario, Slot};
+use crate::plant::Scenario;
+
+/// `D` for a linear rival; `run` holds what the truth would show. `None` where the rival cannot be simulated.
+pub(super) fn linear(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
+    let (response, difference) = Response::of(rival, run, noise)?;
+    Some(response.separation(&difference))
+}
 
 /// The rival's difference to the run, in units of the noise.
 fn difference(problem: &mut FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
@@ -23,50 +28,62 @@ fn difference(problem: &mut FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
 /// How a rival can change in a run.
 pub(super) struct Response {
     jacobian: DMatrix<f64>,
+    information: DMatrix<f64>,
 }
 
 impl Response {
-    /// Of this rival in `run`, with its difference to what the run holds. `None` where it cannot be simulated.
+    /// Of this rival in `run`, with its difference to what the run holds.
     pub(super) fn of(
-        model: &Model,
+        rival: &Rival<'_>,
         run: &Scenario,
         noise: NoiseFloor,
     ) -> Option<(Self, DVector<f64>)> {
-        let mut problem = FreeRun::new(model, run, noise).ok()?;
+        let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
         let x = problem.start();
         let difference = difference(&mut problem, &x)?;
-        let jacobian = jacobian_at(&mut problem, &x, difference.as_slice());
-        Some((Self { jacobian }, difference))
+        let response = Self {
+            jacobian: jacobian_at(&mut problem, &x, difference.as_slice()),
+            information: rival.information_in(&problem, &x),
+        };
+        Some((response, difference))
     }
 
-    /// `D` for a linear rival and another truth in the same run.
+    /// `D` for another truth in the same run.
     pub(super) fn separation_from(
         &self,
         run: &Scenario,
-        model: &Model,
+        rival: &Rival<'_>,
         noise: NoiseFloor,
     ) -> Option<f64> {
-        let mut problem = FreeRun::new(model, run, noise).ok()?;
+        let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
         let x = problem.start();
-        if x.len() != self.jacobian.ncols() {
+        if x.len() != self.information.nrows() {
             // An offset does not look like rest: its start is one more unknown.
-            let (there, difference) = Self::of(model, run, noise)?;
-            return Some(there.separation(&difference));
+            return linear(run, rival, noise);
         }
         Some(self.separation(&difference(&mut problem, &x)?))
     }
 
-    /// What is left of `difference` when the rival has moved as it likes.
+    /// The same where nothing holds the rival but the run itself.
+    pub(super) fn without_memory(mut self) -> Self {
+        self.information.fill(0.0);
+        self
+    }
+
+    /// What is left of `difference` when the rival has moved as far as the old data allow.
     pub(super) fn separation(&self, difference: &DVector<f64>) -> f64 {
         self.step(difference).map_or_else(
             || difference.norm_squared(),
-            |step| (difference + &self.jacobian * &step).norm_squared(),
+            |step| {
+                let left = difference + &self.jacobian * &step;
+                left.norm_squared() + step.dot(&(&self.information * &step))
+            },
         )
     }
 
     /// The rival's best move against `difference`.
     fn step(&self, difference: &DVector<f64>) -> Option<DVector<f64>> {
-        let normal = self.jacobian.tr_mul(&self.jacobian);
+        let normal = self.jacobian.tr_mul(&self.jacobian) + &self.information;
         let gradient = self.jacobian.tr_mul(difference);
         // Scaled to a unit diagonal, with a hair for directions that nothing determines.
         let scale: Vec<f64> = (0..normal.nrows())
@@ -82,33 +99,15 @@ impl Response {
     }
 }
 
-/// Longest step of a scaled parameter.
-const LONGEST_STEP: f64 = 1.5;
-/// Places of an event from which a rival is refitted.
-const BEST_PLACES: usize = 2;
-
 /// The same with the rival fitted in full, so that one that bends does not pass for one that cannot.
 pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
-    // An event of the runs in hand stands anywhere in this one, and may have the other sign there.
-    let mut placed: Vec<(f64, Model)> = places(rival.model, run)
-        .into_iter()
-        .filter_map(|model| {
-            let (response, difference) = Response::of(&model, run, noise)?;
-            Some((response.separation(&difference), model))
-        })
-        .collect();
-    placed.sort_by(|a, b| a.0.total_cmp(&b.0));
-    placed
-        .iter()
-        .take(BEST_PLACES)
-        .filter_map(|(_, model)| refitted_from(run, model, noise))
-        .min_by(f64::total_cmp)
-}
-
-fn refitted_from(run: &Scenario, model: &Model, noise: NoiseFloor) -> Option<f64> {
-    let mut problem = FreeRun::new(model, run, noise).ok()?;
+    let placed = rival.placed(run, noise);
+    let rival = &placed
+        .as_ref()
+        .map_or_else(|| rival.clone(), |model| rival.with(model));
+    let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
     let start = problem.start();
-    let (response, difference) = Response::of(model, run, noise)?;
+    let (response, difference) = Response::of(rival, run, noise)?;
     // Most of the way is linear.
     let mut begin = start.clone();
     if let Some(step) = response.step(&difference) {
@@ -118,39 +117,70 @@ fn refitted_from(run: &Scenario, model: &Model, noise: NoiseFloor) -> Option<f64
         problem.clamp(&mut begin);
     }
     let mut out = vec![0.0; problem.residual_len()];
-    let begins_well = problem.residual(&begin, &mut out)
-        && out.iter().map(|value| value * value).sum::<f64>() <= difference.norm_squared();
+    if !problem.residual(&begin, &mut out) {
+        begin.clone_from(&start);
+    }
+    let mut held = Held {
+        root: root(&response.information),
+        start,
+        run: problem,
+    };
     let options = Options {
         most_iterations: 12,
         relative_cost: 1e-2,
         longest_step: LONGEST_STEP,
         ..Options::thrifty()
     };
-    let from = if begins_well { &begin } else { &start };
-    Some(minimise(&mut problem, from, options)?.cost)
+    Some(minimise(&mut held, &begin, options)?.cost)
 }
 
-/// The model with its events at every place of their grids; the model alone where it has none.
-fn places(model: &Model, run: &Scenario) -> Vec<Model> {
-    let length_s = run.sample_time_s.last().copied().unwrap_or(0.0) - run.begin_s();
-    let mut places = vec![model.clone()];
-    for slot in model.free_slots() {
-        if !slot.has_role(ParameterRole::EventTime) {
-            continue;
-        }
-        let Slot::Effect { spec, .. } = &slot else {
-            continue;
-        };
-        places = places
-            .iter()
-            .flat_map(|place| {
-                spec.shapes.iter().map(|share| {
-                    let mut there = place.clone();
-                    there.set(&slot, share * length_s);
-                    there
-                })
-            })
-            .collect();
+/// Longest step of a scaled parameter.
+const LONGEST_STEP: f64 = 1.5;
+
+/// A free run with the old data as a spring to where they hold the parameters.
+struct Held<'a> {
+    run: FreeRun<'a>,
+    /// `root' root` is the information.
+    root: DMatrix<f64>,
+    start: Vec<f64>,
+}
+
+impl Problem for Held<'_> {
+    fn residual(&mut self, x: &[f64], out: &mut [f64]) -> bool {
+        let rows = self.run.residual_len();
+        let moved = DVector::from_iterator(
+            x.len(),
+            x.iter().zip(&self.start).map(|(here, start)| here - start),
+        );
+        out[rows..].copy_from_slice((&self.root * moved).as_slice());
+        self.run.residual(x, &mut out[..rows])
     }
-    places
+
+    fn residual_len(&self) -> usize {
+        self.run.residual_len() + self.root.nrows()
+    }
+
+    fn difference_step(&self, index: usize) -> f64 {
+        self.run.difference_step(index)
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        self.run.clamp(x);
+    }
+}
+
+/// A square root of a matrix that may be singular: scaled eigenvalues, the negative ones of rounding left out.
+fn root(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = matrix.nrows();
+    let scale: Vec<f64> = (0..n)
+        .map(|k| matrix[(k, k)])
+        .map(|value| if value > 0.0 { value.sqrt() } else { 1.0 })
+        .collect();
+    let scaled = DMatrix::from_fn(n, n, |row, column| {
+        matrix[(row, column)] / (scale[row] * scale[column])
+    });
+    let eigen = scaled.symmetric_eigen();
+    DMatrix::from_fn(n, n, |row, column| {
+        eigen.eigenvalues[row].max(0.0).sqrt() * eigen.eigenvectors[(column, row)] * scale[column]
+    })
 }
