@@ -26,11 +26,14 @@ pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
         rms_current_a: bench.motor.rated_current_a,
         travel_rad: limits.travel_rad,
         duration_s: limits.time_s,
+        // A slew that the bench leaves open is there for the current, which is planned.
+        slew_v_per_s: bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY),
+        period_s: bench.link.rate_hz.recip(),
     }
 }
 
 /// The bench with the recipe as its sequence, as the text of a file whose head says what it is for. The slew limit is the
-/// recipe's own: what it protects, the current, has been planned. What the bench does not know of the motor is taken
+/// recipe's own, planned within that of the bench where it has one. What the bench does not know of the motor is taken
 /// from `model`.
 pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &str) -> String {
     let mut next = bench.clone();

@@ -1,5 +1,7 @@
 //! `commission`: the whole loop, guided; the screen and the headless run drive the same state machine.
 
+use std::fmt::Write as _;
+
 use super::discovery::{self, Shown};
 use super::escalate::{escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
@@ -64,6 +66,22 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     finish(json, &done.result, &done.text)
 }
 
+/// The run that would tell what these do not, and how to make it.
+fn next_run(result: &CommissionResult, records: &[Recorded]) -> Option<String> {
+    let next = result.diagnosis.next_experiment.as_ref()?;
+    let mut text = format!("next: {}\n", next.sentence);
+    if let (Some(_), Some(record)) = (&next.bench, records.first()) {
+        let (path, held) = (record.folder.file(RunFile::NextBench), record.folder.path());
+        let _ = writeln!(
+            text,
+            "      drivebench run {}\n      drivebench diagnose NEW_RUN --holdout {}",
+            path.display(),
+            held.display()
+        );
+    }
+    Some(text)
+}
+
 /// What the loop leaves behind.
 struct Done {
     result: CommissionResult,
@@ -117,11 +135,7 @@ fn commission(
     for part in [
         result.escalation.as_ref().map(EscalationResult::text),
         result.nameplate.as_ref().map(Comparison::text),
-        result
-            .diagnosis
-            .next_experiment
-            .as_ref()
-            .map(|next| format!("next: {}\n", next.sentence)),
+        next_run(&result, &records),
     ]
     .into_iter()
     .flatten()
@@ -235,6 +249,11 @@ fn save(workflow: &Commission, rig: &Rig, records: &[Recorded]) -> Result<String
         })
         .collect();
     let page = pages::commission(workflow.scenarios(), result, rig)?.html;
+    let next = &result.diagnosis.next_experiment;
+    let bench = next.as_ref().and_then(|next| next.bench.as_ref());
+    if let (Some(text), Some(record)) = (bench, records.first()) {
+        record.folder.write(RunFile::NextBench, text)?;
+    }
     let mut reports = Vec::new();
     for record in records {
         let folder = &record.folder;

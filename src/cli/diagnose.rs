@@ -19,6 +19,8 @@ use crate::workflow::Discovery;
 #[command(after_help = "Examples:
   drivebench diagnose runs/a --model model.toml --holdout runs/b
   drivebench diagnose runs/a --holdout runs/b --html page.html     the same with every picture
+  drivebench diagnose runs/a --next-bench next.toml     and, where two effects are not told apart, the run that would:
+  drivebench run next.toml && drivebench diagnose runs/NEW --holdout runs/a
   drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
   drivebench diagnose runs/a --holdout runs/b --screen --guess     name it yourself first")]
 pub(super) struct Arguments {
@@ -107,7 +109,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     progress::stage("looks for the run that would tell more", 0);
     place.recommend(&mut diagnosis, original, &prepared.evidence)?;
     let _endable = attended.map(|(endable, _)| endable);
-    arguments.next.write(&diagnosis)?;
+    arguments.next.write(&diagnosis, &arguments.run)?;
     if let Some(path) = &arguments.html {
         let page = pages::diagnosis(
             &title(&arguments.run, arguments.evidence.holdout.as_deref()),

@@ -1,6 +1,6 @@
 //! The recommended next run of `diagnose`: whose limits it keeps, and its bench file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -54,8 +54,9 @@ impl NextArguments {
         })
     }
 
-    /// Writes the bench file, where one is asked for and there is one.
-    pub(super) fn write(&self, diagnosis: &Diagnosis) -> Result<(), Failure> {
+    /// Writes the bench file, where one is asked for and there is one; the diagnosed `run` is the hold-out of the next
+    /// diagnosis, which so judges both.
+    pub(super) fn write(&self, diagnosis: &Diagnosis, run: &Path) -> Result<(), Failure> {
         let Some(path) = &self.next_bench else {
             return Ok(());
         };
@@ -70,7 +71,13 @@ impl NextArguments {
             ));
             return Ok(());
         };
-        output::file(path, text)
+        output::file(path, text)?;
+        output::message(&format!(
+            "{0} is written: drivebench run {0}, then drivebench diagnose NEW_RUN --holdout {1}",
+            path.display(),
+            run.display()
+        ));
+        Ok(())
     }
 }
 

@@ -59,6 +59,9 @@ pub struct Diagnosis {
     pub baseline: Fitted,
     #[serde(skip)]
     pub model: Fitted,
+    /// Fitted models with a rival of the only effect in its place, where the search has kept them.
+    #[serde(skip)]
+    pub rivals: Vec<(&'static str, Model)>,
 }
 
 /// How a diagnosis is done.
@@ -148,6 +151,16 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
             }
         }
     }
+    let rivals = match &found.accepted[..] {
+        [only] => found
+            .first_set
+            .iter()
+            .map(|&index| &found.first_round[index])
+            .filter(|refit| only.rivals.contains(&refit.id()))
+            .map(|refit| (refit.id(), refit.fit.model.clone()))
+            .collect(),
+        _ => Vec::new(),
+    };
     let (accepted, best) = if named {
         (found.accepted, &found.best)
     } else {
@@ -185,6 +198,7 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
         next_experiment: None,
         baseline: Fitted::from(&found.baseline.fit),
         model: Fitted::from(&best.fit),
+        rivals,
     };
     diagnosis.sentence = sentence(&diagnosis);
     let named = diagnosis.effects.iter();

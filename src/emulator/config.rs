@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::truth::effect::HiddenEffect;
+use super::truth::effect::{FluxSaturation, HiddenEffect};
 use super::truth::{MotorTruth, NoiseConfig, QuantisationConfig};
 use crate::config_text::{self, ConfigError};
 
@@ -74,6 +74,12 @@ pub enum EmulatorConfigError {
         allowed: &'static str,
     },
     #[error(
+        "{file}: saturation_per_a2 of the hidden effect flux_saturation = {value} is not allowed (expected 0 to {most:.1e} on \
+         this motor: beyond, the back-EMF at rated speed falls faster with the current than the voltage of the \
+         resistance grows, and the current runs away)"
+    )]
+    RunsAway { file: String, value: f64, most: f64 },
+    #[error(
         "{file}: two hidden effects put a second inertia behind the shaft (expected one at most)"
     )]
     TwoShafts { file: String },
@@ -89,6 +95,9 @@ impl EmulatorConfigError {
             Self::Value { .. } | Self::Hidden { .. } => {
                 "see bench-configs/emulators/example.toml for every key, its unit and its default"
                     .to_owned()
+            }
+            Self::RunsAway { .. } => {
+                "a smaller size, or a motor with more resistance; [limits] current_limit_a counts too".to_owned()
             }
             Self::TwoShafts { .. } => {
                 "keep either elastic_coupling or backlash; backlash is elastic too".to_owned()
@@ -301,6 +310,22 @@ impl EmulatorConfig {
                 });
             }
         }
+        let most = FluxSaturation::largest_stable(
+            &self.motor,
+            self.limits.current_limit_a,
+            self.tolerance,
+        );
+        for effect in &self.hidden {
+            if let HiddenEffect::FluxSaturation(flux) = effect
+                && flux.saturation_per_a2 > most
+            {
+                return Err(EmulatorConfigError::RunsAway {
+                    file: file.to_owned(),
+                    value: flux.saturation_per_a2,
+                    most,
+                });
+            }
+        }
         if self
             .hidden
             .iter()
@@ -453,6 +478,19 @@ mod tests {
             assert!(error.to_string().contains(to), "{error}");
             assert_eq!(error.help(), format!("did you mean `{from}`?"));
         }
+    }
+
+    #[test]
+    fn a_flux_that_lets_the_current_run_away_is_refused_with_the_largest_size() {
+        let with = |size: &str| {
+            let text = format!(
+                "{EXAMPLE}\n[[hidden]]\nid = \"flux_saturation\"\nsaturation_per_a2 = {size}\n"
+            );
+            EmulatorConfig::parse("e.toml", &text)
+        };
+        assert!(with("4e-4").is_ok());
+        let error = with("6e-4").unwrap_err();
+        assert!(error.to_string().contains("0 to 5.4e-4"), "{error}");
     }
 
     #[test]

@@ -31,6 +31,6 @@ pub use linear::{Linear, LinearStep};
 pub use model::{ActiveEffect, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
-pub use scenario::{Input, Scenario, ScenarioError};
+pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
 pub use simulate::{Plant, State, Trajectory};
 pub use typical_size::typical_size;

@@ -82,8 +82,8 @@ pub struct Scenario {
     pub scored: Range<usize>,
 }
 
-/// Supply to which a sag is referred, V.
-const REFERENCE_SUPPLY_V: f64 = 110.0;
+/// Supply to which a sag is referred, V: in the model file and in the configuration of the emulator.
+pub const REFERENCE_SUPPLY_V: f64 = 110.0;
 
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
@@ -233,20 +233,35 @@ impl Scenario {
         (training, holdout)
     }
 
-    /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later.
+    /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later. The first
+    /// instants of a bumpless start, which takes over what the sensor of the voltage showed, do not belong to it.
     pub fn leading_standstill(&self) -> Range<usize> {
         let largest = self
             .events
             .iter()
             .fold(0.0, |most, event| f64::max(most, event.1.abs()));
-        let moved_s = self
-            .events
+        let moves = |event: &&(f64, f64)| event.1.abs() > NEARLY_ZERO * largest;
+        let taken_over = self.events.iter().take_while(moves).count();
+        let bumpless = taken_over <= BUMPLESS_EVENTS
+            && self.events[..taken_over]
+                .iter()
+                .all(|event| event.1.abs() <= BUMPLESS_SHARE * largest);
+        let (begin, begin_s) = match self.events.get(taken_over) {
+            Some(event) if bumpless => (taken_over, event.0),
+            _ => (0, f64::NEG_INFINITY),
+        };
+        let moved_s = self.events[begin..]
             .iter()
-            .find(|(_, value)| value.abs() > NEARLY_ZERO * largest)
+            .find(moves)
             .map_or(f64::INFINITY, |event| event.0);
-        0..self.sample_time_s.partition_point(|time| *time < moved_s)
+        let sample = |limit_s: f64| self.sample_time_s.partition_point(|time| *time < limit_s);
+        sample(begin_s)..sample(moved_s)
     }
 }
+
+/// Commands, and their largest share of the largest input, that a bumpless start takes to come to zero.
+const BUMPLESS_EVENTS: usize = 2;
+const BUMPLESS_SHARE: f64 = 0.05;
 
 /// Share of the largest input that moves nothing: what a bumpless start leaves behind.
 const NEARLY_ZERO: f64 = 0.002;

@@ -13,6 +13,8 @@ pub enum RunFile {
     Model,
     Result,
     Report,
+    /// The run that would tell more, as a bench file.
+    NextBench,
 }
 
 impl RunFile {
@@ -22,6 +24,7 @@ impl RunFile {
             Self::Model => "model.toml",
             Self::Result => "result.json",
             Self::Report => "report.html",
+            Self::NextBench => "next-bench.toml",
         }
     }
 }

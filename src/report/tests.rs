@@ -202,6 +202,7 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         sentence: sentence.to_owned(),
         equivalences: vec![],
         next_experiment: None,
+        rivals: Vec::new(),
         axis_map: Vec::new(),
         baseline: no_fit(),
         model: no_fit(),

@@ -15,8 +15,7 @@ fn evidence(model: &Model) -> Evidence {
 fn every_recipe_is_a_bench_file_that_plans_within_the_drive_s_limits() {
     let model = Model::baseline(Motor::zk_22fc());
     let bench = BenchFile::embedded_default();
-    let evidence = evidence(&model);
-    let recipes = menu_within(&model, &evidence, &experiment_limits(&bench));
+    let recipes = menu_within(&model, &experiment_limits(&bench));
     assert!(recipes.len() > 9, "{} recipes", recipes.len());
     for recipe in &recipes {
         let text = next_bench(&bench, recipe, &model, "Run this, because of that.");
@@ -43,7 +42,7 @@ fn runs_without_a_bench_get_one_with_the_motor_and_the_limits_that_they_show() {
     let evidence = evidence(&model);
     let limits = ExperimentLimits::seen_in(&evidence);
     let bench = bench_for(&model, &limits, 1000.0);
-    for recipe in &menu_within(&model, &evidence, &limits) {
+    for recipe in &menu_within(&model, &limits) {
         let text = next_bench(&bench, recipe, &model, "why");
         let read = BenchFile::parse("next.toml", &text).unwrap();
         let plate = read.nameplate().unwrap();

@@ -106,6 +106,7 @@ pub(super) fn diagnose_with(
             .copied()
             .collect(),
         next_experiment: None,
+        rivals: Vec::new(),
         axis_map: Vec::new(),
         baseline: fitted(baseline),
         model: fitted(&found.fit),

@@ -1,6 +1,7 @@
 //! What a recommended run may reach.
 
 use crate::diagnosis::Evidence;
+use crate::numerics::statistics::median;
 use crate::plant::Scenario;
 
 /// Largest magnitudes of a run that is still to be made.
@@ -14,6 +15,10 @@ pub struct ExperimentLimits {
     /// Distance from the angle at the start; none: the shaft turns freely.
     pub travel_rad: Option<f64>,
     pub duration_s: f64,
+    /// Largest change of the voltage; infinite: as fast as the current allows.
+    pub slew_v_per_s: f64,
+    /// Time between two commands.
+    pub period_s: f64,
 }
 
 /// Longest run where nothing else limits it, s.
@@ -29,6 +34,8 @@ impl ExperimentLimits {
             rms_current_a: 0.0,
             travel_rad: None,
             duration_s: LONGEST_RUN_S,
+            slew_v_per_s: 0.0,
+            period_s: period_s(&evidence.training),
         };
         let mut runs = vec![&evidence.training];
         // A split hold-out is the same run.
@@ -42,6 +49,7 @@ impl ExperimentLimits {
         for run in runs {
             let voltages: Vec<f64> = run.events.iter().map(|event| event.1).collect();
             limits.voltage_v = limits.voltage_v.max(largest(&voltages));
+            limits.slew_v_per_s = limits.slew_v_per_s.max(slew_v_per_s(run));
             limits.current_a = limits.current_a.max(largest(&run.current_a));
             limits.speed_rad_s = limits.speed_rad_s.max(largest(&run.speed_rad_s));
             let duration_s = duration_s(run);
@@ -54,6 +62,7 @@ impl ExperimentLimits {
             &mut limits.current_a,
             &mut limits.speed_rad_s,
             &mut limits.rms_current_a,
+            &mut limits.slew_v_per_s,
         ] {
             if *limit <= 0.0 {
                 *limit = f64::INFINITY;
@@ -68,6 +77,27 @@ fn largest(values: &[f64]) -> f64 {
     values
         .iter()
         .fold(0.0, |most, value| f64::max(most, value.abs()))
+}
+
+/// Time between two samples, s.
+fn period_s(run: &Scenario) -> f64 {
+    let steps: Vec<f64> = run
+        .sample_time_s
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .collect();
+    // A stamp carries rounding; nobody asks for more than microseconds.
+    (median(&steps) * 1e6).round() * 1e-6
+}
+
+/// Largest change of the voltage from one event to the next, which is made within a sample.
+fn slew_v_per_s(run: &Scenario) -> f64 {
+    let changes: Vec<f64> = run
+        .events
+        .windows(2)
+        .map(|pair| pair[1].1 - pair[0].1)
+        .collect();
+    largest(&changes) / period_s(run).max(f64::MIN_POSITIVE)
 }
 
 fn mean_square(values: &[f64]) -> f64 {

@@ -29,8 +29,10 @@ pub use menu::Recipe;
 pub use planned::Peaks;
 pub use recommend::{menu_within, next_experiment, recommend};
 
-/// Difference of the squared errors, in units of the noise, below which a run tells nothing apart.
-pub const SEPARATED: f64 = 20.0;
+/// Difference of the squared errors, in units of the noise, below which a run tells nothing apart: the block test of the
+/// decision asks for three standard errors, and its standard error is that of about `4.4/sqrt(D)` (counted on emulated runs
+/// with a difference spread over the run as excitations spread it; 2/sqrt(D) where every block has the same share).
+pub const SEPARATED: f64 = 150.0;
 
 /// What to run next, or that no run of this kind will do.
 #[derive(Clone, Debug, Serialize)]
@@ -41,6 +43,8 @@ pub struct NextExperiment {
     pub bench: Option<String>,
     /// The rivals; none where an effect is to be seen that the runs in hand did not excite.
     pub pair: Option<[&'static str; 2]>,
+    /// Every pair that the recommended run was asked to tell apart.
+    pub pairs: Vec<PairEntry>,
     /// The effects that become visible, where there is no pair.
     pub reveals: Vec<&'static str>,
     /// Expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
@@ -53,6 +57,27 @@ pub struct NextExperiment {
     pub peaks: Option<Peaks>,
     #[serde(skip)]
     pub recipe: Option<Recipe>,
+}
+
+/// One pair of rivals: what the recommended run tells of it, and the run that would tell most.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PairEntry {
+    pub pair: [&'static str; 2],
+    /// In the recommended run.
+    pub expected_separation: f64,
+    /// What a diagnosis of that run asks for: [`SEPARATED`], and a share of what the effect itself would explain there.
+    pub needed: f64,
+    /// Best run of the menu for this pair alone, with its separation from linear fits.
+    pub best_program: &'static str,
+    pub best_separation: f64,
+    pub best_needed: f64,
+}
+
+impl PairEntry {
+    /// Whether the recommended run tells the pair apart.
+    pub fn is_told(&self) -> bool {
+        self.expected_separation >= self.needed
+    }
 }
 
 /// One run of the menu and what it would tell.

@@ -6,7 +6,6 @@ use super::limits::ExperimentLimits;
 use super::menu::{Reach, Recipe, recipe};
 use crate::excitation::{Output, Program};
 use crate::numerics::count::whole;
-use crate::numerics::statistics::median;
 use crate::plant::{Input, Model, MotorKey, Plant, Scenario, State};
 use crate::sample::Channel;
 
@@ -40,6 +39,10 @@ pub(super) struct Planned {
 }
 
 impl Planned {
+    pub(super) fn rows(&self) -> usize {
+        self.blank.samples()
+    }
+
     /// The run as it would be measured, without noise, if `truth` were true.
     pub(super) fn measured(&self, truth: &Model) -> Option<Scenario> {
         let mut run = self.blank.clone();
@@ -52,10 +55,9 @@ impl Planned {
 pub(super) fn planned(
     index: usize,
     models: &[&Model],
-    training: &Scenario,
     limits: &ExperimentLimits,
 ) -> Option<Planned> {
-    let period_s = period_s(training);
+    let period_s = limits.period_s.clamp(SHORTEST_PERIOD_S, LONGEST_PERIOD_S);
     let whole_reach = reach(models.first()?, limits, period_s)?;
     let mut share = 1.0;
     for _ in 0..MOST_TRIALS {
@@ -127,15 +129,6 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
     })
 }
 
-fn period_s(training: &Scenario) -> f64 {
-    let steps: Vec<f64> = training
-        .sample_time_s
-        .windows(2)
-        .map(|pair| pair[1] - pair[0])
-        .collect();
-    median(&steps).clamp(SHORTEST_PERIOD_S, LONGEST_PERIOD_S)
-}
-
 /// Voltages for this motor; `None` for a model without an electrical half.
 fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reach> {
     let motor = |key| model.motor.get(key);
@@ -152,12 +145,14 @@ fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reac
     // While the voltage rises at s, the back-EMF lags by s R J/Ke^2: that over R is the current (PHYSICS.md).
     let accelerating_a = (0.9 * (current_a - load_a)).max(0.1 * current_a);
     let slew_v_per_s = accelerating_a * back_emf * back_emf / inertia;
+    let quick_v = voltage_v.min(current_a * resistance);
     let reach = Reach {
         full_v,
-        quick_v: voltage_v.min(current_a * resistance),
+        quick_v,
         creep_v: full_v.min(2.0 * idle_v + 0.08 * full_v),
         // Faster than in a twentieth of a second is no slew.
-        slew_v_per_s: slew_v_per_s.min(full_v / 0.05),
+        slew_v_per_s: slew_v_per_s.min(full_v / 0.05).min(limits.slew_v_per_s),
+        quick_slew_v_per_s: (2.0 * quick_v / period_s).min(limits.slew_v_per_s),
         period_s,
     };
     (reach.full_v > 0.0 && reach.slew_v_per_s > 0.0 && reach.full_v.is_finite()).then_some(reach)
@@ -170,6 +165,7 @@ impl Reach {
             quick_v: share * self.quick_v,
             creep_v: share * self.creep_v,
             slew_v_per_s: share * self.slew_v_per_s,
+            quick_slew_v_per_s: share * self.quick_slew_v_per_s,
             period_s: self.period_s,
         }
     }

@@ -7,8 +7,8 @@ use super::menu::{COUNT, Recipe};
 use super::planned::{Planned, planned};
 use super::reveal::reveal;
 use super::rival::Rival;
-use super::separation::{linear, refitted};
-use super::{MenuEntry, NextExperiment, SEPARATED, words};
+use super::separation::{Response, refitted};
+use super::{MenuEntry, NextExperiment, PairEntry, SEPARATED, words};
 use crate::diagnosis::Settings;
 use crate::diagnosis::refit::refit_one;
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
@@ -17,28 +17,97 @@ use crate::plant::{Input, Model, effect};
 
 /// Pairs that one run is asked to tell apart.
 const MOST_PAIRS: usize = 3;
-/// Runs of the menu whose separation is found with a full refit of the rival.
+/// Runs of the menu whose separation is found with a full refit of the rival, at most.
 const FINALISTS: usize = 3;
+/// Gain of merit for which one more run of the menu is refitted: a third more of the separation.
+const WORTH_A_REFIT: f64 = 0.3;
+/// A diagnosis tells two effects apart where the worse one leaves 2 % more of the squared error that the better one
+/// explains, or of the noise (DISCOVERY.md 2.8); here with a half more, because the prediction is no better than that.
+const TOLD_APART: f64 = 0.03;
 
-/// Two models that the runs in hand do not tell apart.
-struct Pair<'a> {
-    names: [&'static str; 2],
-    rivals: [Rival<'a>; 2],
+/// Models that the runs in hand do not tell apart: the answer first, then its rivals.
+struct Question<'a> {
+    rivals: Vec<Rival<'a>>,
+    /// The answer without its effect.
+    base: Rival<'a>,
+    /// Names of the answer's effect and of the rival's, for each rival after the first.
+    names: Vec<[&'static str; 2]>,
 }
 
-impl Pair<'_> {
-    /// Factor by which the squared errors of the better rival count less than white noise.
-    fn inflation(&self) -> f64 {
-        self.rivals[0].inflation.min(self.rivals[1].inflation)
+/// A run of the menu and how far it separates each pair.
+struct Tried {
+    plan: Planned,
+    separations: Vec<f64>,
+    /// Separation from which a diagnosis of the run would tell a pair apart.
+    needed: f64,
+}
+
+impl Question<'_> {
+    /// Factor by which the squared errors of the better rival of a pair count less than white noise.
+    fn inflation(&self, pair: usize) -> f64 {
+        self.rivals[0]
+            .inflation
+            .min(self.rivals[pair + 1].inflation)
+    }
+
+    /// For each pair the smaller of the two directions from linear fits, over the pair's inflation; and the separation
+    /// that is needed in this run.
+    fn ask(&self, plan: Planned, evidence: &Evidence) -> Tried {
+        let noise = evidence.noise;
+        let seen: Vec<_> = self
+            .rivals
+            .par_iter()
+            .map(|rival| {
+                let run = plan.measured(rival.model)?;
+                let (response, _) = Response::of(rival, &run, noise)?;
+                Some((run, response))
+            })
+            .collect();
+        let direction = |truth: usize, rival: usize| {
+            let (run, _) = seen[truth].as_ref()?;
+            let (_, response) = seen[rival].as_ref()?;
+            response.separation_from(run, &self.rivals[rival], noise)
+        };
+        let separations = (0..self.names.len())
+            .map(|pair| {
+                let both = [direction(0, pair + 1), direction(pair + 1, 0)];
+                smaller(both) / self.inflation(pair)
+            })
+            .collect();
+        let explainable = seen[0].as_ref().and_then(|(run, _)| {
+            let (response, difference) = Response::of(&self.base, run, noise)?;
+            Some(response.without_memory().separation(&difference) / self.rivals[0].inflation)
+        });
+        let residuals = 2.0 * plan.rows() as f64;
+        let gained = explainable.filter(|d| d.is_finite()).unwrap_or(0.0);
+        Tried {
+            plan,
+            separations,
+            needed: SEPARATED.max(TOLD_APART * gained.max(residuals)),
+        }
+    }
+
+    /// The same with the rivals refitted in full.
+    fn refitted(&self, plan: &Planned, evidence: &Evidence) -> Vec<f64> {
+        (0..self.names.len())
+            .into_par_iter()
+            .map(|pair| {
+                let one_way = |truth: usize, rival: usize| {
+                    let run = plan.measured(self.rivals[truth].model)?;
+                    refitted(&run, &self.rivals[rival], evidence.noise)
+                };
+                let (there, back) = rayon::join(|| one_way(0, pair + 1), || one_way(pair + 1, 0));
+                smaller([there, back]) / self.inflation(pair)
+            })
+            .collect()
     }
 }
 
-/// How a separation is found.
-type Measure = fn(
-    &crate::plant::Scenario,
-    &Rival<'_>,
-    crate::identification::noise::NoiseFloor,
-) -> Option<f64>;
+/// A rival that cannot be simulated there promises nothing.
+fn smaller(directions: [Option<f64>; 2]) -> f64 {
+    let promised = |found: Option<f64>| found.filter(|value| value.is_finite()).unwrap_or(0.0);
+    promised(directions[0]).min(promised(directions[1]))
+}
 
 /// The run after this diagnosis: for the pairs that it could not tell apart, else, where nothing was found, for what the
 /// runs did not excite. `None` where there is nothing to ask, or no voltage to ask it with. `original` is the model
@@ -70,6 +139,11 @@ pub fn recommend(
     }
     let mut others = Vec::new();
     for names in diagnosis.confusable.iter().take(MOST_PAIRS) {
+        let kept = diagnosis.rivals.iter().find(|rival| rival.0 == names[1]);
+        if let Some((_, model)) = kept {
+            others.push((*names, model.clone()));
+            continue;
+        }
         let Some(rival) = effect::find(names[1]) else {
             continue;
         };
@@ -78,11 +152,13 @@ pub fn recommend(
         let refit = refit_one(evidence, &base, original, rival, Settings::default())?;
         others.push((*names, refit.fit.model));
     }
-    let pairs = others
-        .iter()
-        .map(|(names, other)| pair(*names, [&diagnosis.model.model, other], evidence))
-        .collect::<Result<Vec<Pair<'_>>, FitError>>()?;
-    Ok(tell_apart(&pairs, evidence, limits))
+    let Some(base) = without_effect(&diagnosis.model.model, &others) else {
+        return Ok(None);
+    };
+    let mut models = vec![&diagnosis.model.model];
+    models.extend(others.iter().map(|(_, model)| model));
+    let names = others.iter().map(|(names, _)| *names).collect();
+    tell_apart(&models, &base, names, evidence, limits)
 }
 
 /// The run that separates two fitted models best, within the limits. `evidence` is what both were fitted to, with the
@@ -97,114 +173,180 @@ pub fn next_experiment(
         ids.find(|id| !other.has(id)).unwrap_or("baseline")
     };
     let names = [own(rivals[0], rivals[1]), own(rivals[1], rivals[0])];
-    let pair = pair(names, rivals, evidence)?;
-    Ok(tell_apart(&[pair], evidence, limits))
+    let base = rivals[0].without_effect(names[0])?;
+    tell_apart(&rivals, &base, vec![names], evidence, limits)
 }
 
 /// Every recipe of the menu that this model can run within the limits.
-pub fn menu_within(model: &Model, evidence: &Evidence, limits: &ExperimentLimits) -> Vec<Recipe> {
+pub fn menu_within(model: &Model, limits: &ExperimentLimits) -> Vec<Recipe> {
     (0..COUNT)
-        .filter_map(|index| planned(index, &[model], &evidence.training, limits))
+        .filter_map(|index| planned(index, &[model], limits))
         .map(|plan| plan.recipe)
         .collect()
 }
 
-fn pair<'a>(
-    names: [&'static str; 2],
-    models: [&'a Model; 2],
-    evidence: &Evidence,
-) -> Result<Pair<'a>, FitError> {
-    let [a, b] = models;
-    Ok(Pair {
-        names,
-        rivals: [Rival::new(a, evidence)?, Rival::new(b, evidence)?],
-    })
+/// The model without the first pair's effect.
+fn without_effect(model: &Model, others: &[([&'static str; 2], Model)]) -> Option<Model> {
+    model.without_effect(others.first()?.0[0]).ok()
 }
 
 fn tell_apart(
-    pairs: &[Pair<'_>],
+    models: &[&Model],
+    base: &Model,
+    names: Vec<[&'static str; 2]>,
     evidence: &Evidence,
     limits: &ExperimentLimits,
-) -> Option<NextExperiment> {
-    let models: Vec<&Model> = pairs
-        .iter()
-        .flat_map(|pair| pair.rivals.iter().map(|rival| rival.model))
-        .collect();
-    let plans: Vec<Planned> = (0..COUNT)
-        .into_par_iter()
-        .filter_map(|index| planned(index, &models, &evidence.training, limits))
-        .collect();
-    let measured = |plan: &Planned, measure: Measure| -> Vec<f64> {
-        pairs
-            .par_iter()
-            .map(|pair| separation(plan, pair, evidence, measure))
-            .collect()
+) -> Result<Option<NextExperiment>, FitError> {
+    let rivals = models
+        .par_iter()
+        .map(|model| Rival::new(model, evidence))
+        .collect::<Result<Vec<_>, FitError>>()?;
+    let question = Question {
+        rivals,
+        base: Rival::new(base, evidence)?,
+        names,
     };
-    let mut tried: Vec<(&Planned, Vec<f64>)> = plans
-        .par_iter()
-        .map(|plan| (plan, measured(plan, linear)))
-        .collect();
-    tried.sort_by(|a, b| merit(&b.1).total_cmp(&merit(&a.1)));
-    let menu = tried
+    let tried = tried(&question, models, evidence, limits);
+    let Some((chosen, separations)) = best(&question, &tried, evidence) else {
+        return Ok(None);
+    };
+    let pairs = pair_entries(&question, &tried, chosen, &separations);
+    let separable = pairs.iter().any(PairEntry::is_told);
+    let Some(first) = pairs
         .iter()
-        .map(|(plan, separations)| MenuEntry {
-            program: plan.recipe.id,
-            expected_separation: smallest(separations),
-        })
-        .collect();
-    let (plan, separations) = tried
-        .par_iter()
-        .take(FINALISTS)
-        .map(|(plan, _)| (*plan, measured(plan, refitted)))
-        .collect::<Vec<_>>()
-        .into_iter()
-        .max_by(|a, b| merit(&a.1).total_cmp(&merit(&b.1)))?;
-    let separable = separations.iter().any(|value| *value >= SEPARATED);
-    let named: Vec<([&'static str; 2], f64)> = pairs
-        .iter()
-        .map(|pair| pair.names)
-        .zip(separations.iter().copied())
-        .collect();
-    let first = named
-        .iter()
-        .find(|(_, value)| *value >= SEPARATED)
-        .or(named.first())?;
-    Some(NextExperiment {
-        sentence: words::pairs(plan, &named),
+        .find(|pair| pair.is_told())
+        .or(pairs.first())
+        .cloned()
+    else {
+        return Ok(None);
+    };
+    let plan = &tried[chosen].plan;
+    let mut sentence = words::pairs(plan, &pairs, |program| name_of(&tried, program));
+    if !separable && limits.slew_v_per_s.is_finite() {
+        let free = ExperimentLimits {
+            slew_v_per_s: f64::INFINITY,
+            ..*limits
+        };
+        let freely = self::tried(&question, models, evidence, &free);
+        if let Some((quicker, separations)) = best(&question, &freely, evidence) {
+            let quicker = &freely[quicker];
+            let largest = separations.iter().copied().fold(0.0, f64::max);
+            if largest >= quicker.needed {
+                sentence.push_str(&words::with_more_slew(&quicker.plan, largest));
+            }
+        }
+    }
+    Ok(Some(NextExperiment {
+        sentence,
         bench: None,
-        pair: Some(first.0),
+        pair: Some(first.pair),
         reveals: Vec::new(),
-        expected_separation: first.1,
-        menu,
+        expected_separation: first.expected_separation,
+        menu: tried
+            .iter()
+            .map(|tried| MenuEntry {
+                program: tried.plan.recipe.id,
+                expected_separation: smallest(&tried.separations),
+            })
+            .collect(),
         peaks: separable.then_some(plan.peaks),
         recipe: separable.then(|| plan.recipe.clone()),
-    })
+        pairs,
+    }))
 }
 
-/// The smaller of the two directions over the pair's inflation.
-fn separation(plan: &Planned, pair: &Pair<'_>, evidence: &Evidence, measure: Measure) -> f64 {
-    let [a, b] = &pair.rivals;
-    let worst = [(a, b), (b, a)]
-        .par_iter()
-        .map(|(truth, rival)| {
-            let run = plan.measured(truth.model)?;
-            measure(&run, rival, evidence.noise)
+/// The menu, best first.
+fn tried(
+    question: &Question<'_>,
+    models: &[&Model],
+    evidence: &Evidence,
+    limits: &ExperimentLimits,
+) -> Vec<Tried> {
+    let mut tried: Vec<Tried> = (0..COUNT)
+        .into_par_iter()
+        .filter_map(|index| {
+            let plan = planned(index, models, limits)?;
+            Some(question.ask(plan, evidence))
         })
-        // A rival that cannot be simulated there promises nothing.
-        .map(|found| found.filter(|value| value.is_finite()).unwrap_or(0.0))
-        .reduce(|| f64::INFINITY, f64::min);
-    worst / pair.inflation()
+        .collect();
+    let merit = |tried: &Tried| merit(&tried.separations, tried.needed);
+    tried.sort_by(|a, b| merit(b).total_cmp(&merit(a)));
+    tried
 }
 
-/// Most pairs told apart first, then how far.
-fn merit(separations: &[f64]) -> f64 {
-    separations
+/// Index of the run that is best when the rivals are refitted in full, and its separations: the linear order is asked
+/// from its top until the next one could not be much better.
+fn best(
+    question: &Question<'_>,
+    tried: &[Tried],
+    evidence: &Evidence,
+) -> Option<(usize, Vec<f64>)> {
+    let mut best: Option<(f64, usize, Vec<f64>)> = None;
+    for (index, next) in tried.iter().take(FINALISTS).enumerate() {
+        let so_far = best
+            .as_ref()
+            .map_or(f64::NEG_INFINITY, |(merit, ..)| *merit);
+        if so_far + WORTH_A_REFIT >= merit(&next.separations, next.needed) {
+            break;
+        }
+        let found = question.refitted(&next.plan, evidence);
+        let merit = merit(&found, next.needed);
+        if merit > so_far {
+            best = Some((merit, index, found));
+        }
+    }
+    best.map(|(_, index, found)| (index, found))
+}
+
+fn pair_entries(
+    question: &Question<'_>,
+    tried: &[Tried],
+    chosen: usize,
+    separations: &[f64],
+) -> Vec<PairEntry> {
+    question
+        .names
         .iter()
-        .map(|value| {
-            let told = if *value >= SEPARATED { 1e3 } else { 0.0 };
-            told + (1.0 + value).ln()
+        .zip(separations)
+        .enumerate()
+        .filter_map(|(index, (pair, separation))| {
+            // The run in which most beyond what is needed can be expected.
+            let own = |tried: &Tried| tried.separations[index];
+            let beyond = |tried: &Tried| own(tried) / tried.needed;
+            let best = tried
+                .iter()
+                .max_by(|a, b| beyond(a).total_cmp(&beyond(b)))?;
+            let here = &tried[chosen];
+            let chosen_is_best = best.plan.recipe.id == here.plan.recipe.id;
+            Some(PairEntry {
+                pair: *pair,
+                expected_separation: *separation,
+                needed: here.needed,
+                best_program: best.plan.recipe.id,
+                best_separation: if chosen_is_best {
+                    *separation
+                } else {
+                    own(best)
+                },
+                best_needed: best.needed,
+            })
         })
-        .sum()
+        .collect()
+}
+
+/// The name of a recipe in a sentence.
+fn name_of(tried: &[Tried], program: &str) -> &'static str {
+    let mut all = tried.iter().map(|tried| &tried.plan.recipe);
+    all.find(|recipe| recipe.id == program)
+        .map_or("", |recipe| recipe.name)
+}
+
+/// Most pairs told apart first, then how far the closest of them, then the others.
+fn merit(separations: &[f64], needed: f64) -> f64 {
+    let told = separations.iter().filter(|value| **value >= needed).count();
+    let beyond = |value: f64| (1.0 + value / needed).ln();
+    let sum: f64 = separations.iter().copied().map(beyond).sum();
+    1e3 * told as f64 + beyond(smallest(separations)) + 0.1 * sum
 }
 
 fn smallest(separations: &[f64]) -> f64 {

@@ -6,11 +6,10 @@ use super::limits::ExperimentLimits;
 use super::menu::COUNT;
 use super::planned::{Planned, planned};
 use super::rival::Rival;
-use super::separation::{Response, difference, linear};
+use super::separation::Response;
 use super::{MenuEntry, NextExperiment, SEPARATED, words};
 use crate::diagnosis::Evidence;
-use crate::identification::output_error::{FitError, FreeRun};
-use crate::numerics::levenberg_marquardt::jacobian_at;
+use crate::identification::output_error::FitError;
 use crate::plant::{ActiveEffect, Model, effect, typical_size};
 
 /// The run in which most of `unseen` would show at their typical size, against a baseline that is fitted again.
@@ -33,7 +32,7 @@ pub(super) fn reveal(
     let mut tried: Vec<(Planned, Vec<f64>)> = (0..COUNT)
         .into_par_iter()
         .filter_map(|index| {
-            let plan = planned(index, &models, &evidence.training, limits)?;
+            let plan = planned(index, &models, limits)?;
             let shown = shown(&plan, &rival, &truths, evidence)?;
             Some((plan, shown))
         })
@@ -77,6 +76,7 @@ pub(super) fn reveal(
         sentence: words::reveals(plan, &reveals, &hidden),
         bench: None,
         pair: None,
+        pairs: Vec::new(),
         expected_separation: if found {
             weakest(shown)
         } else {
@@ -97,23 +97,13 @@ fn shown(
     evidence: &Evidence,
 ) -> Option<Vec<f64>> {
     let own = plan.measured(rival.model)?;
-    let problem = FreeRun::new(rival.model, &own, evidence.noise).ok()?;
-    let x = problem.start();
-    let none = difference(&problem, &x)?;
-    let jacobian = jacobian_at(&problem, &x, none.as_slice());
-    let information = rival.information_in(&problem, &x);
-    let response = Response::new(jacobian, information);
+    let (response, _) = Response::of(rival, &own, evidence.noise)?;
     truths
         .iter()
         .map(|(_, truth)| {
             let run = plan.measured(truth)?;
-            let problem = FreeRun::new(rival.model, &run, evidence.noise).ok()?;
-            // An offset does not look like rest: its start is one more unknown.
-            let separation = if problem.start().len() == x.len() {
-                response.separation(&difference(&problem, &x)?)
-            } else {
-                linear(&run, rival, evidence.noise)?
-            } / rival.inflation;
+            let separation =
+                response.separation_from(&run, rival, evidence.noise)? / rival.inflation;
             Some(if separation.is_finite() {
                 separation
             } else {

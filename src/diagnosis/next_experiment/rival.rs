@@ -3,15 +3,17 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::diagnosis::Evidence;
-use crate::identification::output_error::{FitError, FreeRun};
+use crate::identification::noise::NoiseFloor;
+use crate::identification::output_error::{self, FitError, FreeRun};
 use crate::numerics::levenberg_marquardt::{Problem, jacobian_at};
 use crate::numerics::statistics::autocorrelation;
-use crate::plant::{Model, ParameterRole, Slot};
+use crate::plant::{Model, ParameterRole, Scenario, Slot};
 
 /// Lags beyond which a correlation of the residual is not followed.
 const MOST_LAGS: usize = 200;
 
 /// A rival of a pair.
+#[derive(Clone)]
 pub(super) struct Rival<'a> {
     pub(super) model: &'a Model,
     /// `J'J` of the present data over the free parameters, the start of the run and the times of its events eliminated:
@@ -47,6 +49,24 @@ impl<'a> Rival<'a> {
             slopes: problem.slopes(&x),
             inflation,
         })
+    }
+
+    /// Its model with the events where they are in `run`, which has its own; `None` for a model without events.
+    pub(super) fn placed(&self, run: &Scenario, noise: NoiseFloor) -> Option<Model> {
+        self.model.free_slots().iter().find(|slot| is_event(slot))?;
+        let mut placed = output_error::predict(self.model, run, &noise).ok()?.model;
+        placed.fixed.clone_from(&self.model.fixed);
+        Some(placed)
+    }
+
+    /// The same rival with its events elsewhere.
+    pub(super) fn with<'b>(&self, model: &'b Model) -> Rival<'b> {
+        Rival {
+            model,
+            information: self.information.clone(),
+            slopes: self.slopes.clone(),
+            inflation: self.inflation,
+        }
     }
 
     /// The information in the coordinates of another run's problem, whose units may differ.

@@ -13,16 +13,12 @@ use crate::plant::Scenario;
 
 /// `D` for a linear rival; `run` holds what the truth would show. `None` where the rival cannot be simulated.
 pub(super) fn linear(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
-    let problem = FreeRun::new(rival.model, run, noise).ok()?;
-    let x = problem.start();
-    let difference = difference(&problem, &x)?;
-    let jacobian = jacobian_at(&problem, &x, difference.as_slice());
-    let information = rival.information_in(&problem, &x);
-    Some(Response::new(jacobian, information).separation(&difference))
+    let (response, difference) = Response::of(rival, run, noise)?;
+    Some(response.separation(&difference))
 }
 
 /// The rival's difference to the run, in units of the noise.
-pub(super) fn difference(problem: &FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
+fn difference(problem: &FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
     let mut out = vec![0.0; problem.residual_len()];
     problem
         .residual(x, &mut out)
@@ -36,15 +32,57 @@ pub(super) struct Response {
 }
 
 impl Response {
-    pub(super) const fn new(jacobian: DMatrix<f64>, information: DMatrix<f64>) -> Self {
-        Self {
-            jacobian,
-            information,
+    /// Of this rival in `run`, with its difference to what the run holds.
+    pub(super) fn of(
+        rival: &Rival<'_>,
+        run: &Scenario,
+        noise: NoiseFloor,
+    ) -> Option<(Self, DVector<f64>)> {
+        let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
+        let x = problem.start();
+        let difference = difference(&mut problem, &x)?;
+        let response = Self {
+            jacobian: jacobian_at(&mut problem, &x, difference.as_slice()),
+            information: rival.information_in(&problem, &x),
+        };
+        Some((response, difference))
+    }
+
+    /// `D` for another truth in the same run.
+    pub(super) fn separation_from(
+        &self,
+        run: &Scenario,
+        rival: &Rival<'_>,
+        noise: NoiseFloor,
+    ) -> Option<f64> {
+        let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
+        let x = problem.start();
+        if x.len() != self.information.nrows() {
+            // An offset does not look like rest: its start is one more unknown.
+            return linear(run, rival, noise);
         }
+        Some(self.separation(&difference(&mut problem, &x)?))
+    }
+
+    /// The same where nothing holds the rival but the run itself.
+    pub(super) fn without_memory(mut self) -> Self {
+        self.information.fill(0.0);
+        self
     }
 
     /// What is left of `difference` when the rival has moved as far as the old data allow.
     pub(super) fn separation(&self, difference: &DVector<f64>) -> f64 {
+        self.step(difference).map_or_else(
+            || difference.norm_squared(),
+            |step| {
+                let left = difference + &self.jacobian * &step;
+                left.norm_squared() + step.dot(&(&self.information * &step))
+            },
+        )
+    }
+
+    /// The rival's best move against `difference`.
+    fn step(&self, difference: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = self.jacobian.tr_mul(&self.jacobian) + &self.information;
         let gradient = self.jacobian.tr_mul(difference);
         // Scaled to a unit diagonal, with a hair for directions that nothing determines.
@@ -56,33 +94,48 @@ impl Response {
             normal[(row, column)] * scale[row] * scale[column] + hair
         });
         let right = DVector::from_fn(gradient.len(), |k, _| gradient[k] * scale[k]);
-        let Some(factor) = scaled.cholesky() else {
-            return difference.norm_squared();
-        };
-        let solved = factor.solve(&right);
-        let step = DVector::from_fn(solved.len(), |k, _| -solved[k] * scale[k]);
-        let left = difference + &self.jacobian * &step;
-        left.norm_squared() + step.dot(&(&self.information * &step))
+        let solved = scaled.cholesky()?.solve(&right);
+        Some(DVector::from_fn(solved.len(), |k, _| -solved[k] * scale[k]))
     }
 }
 
 /// The same with the rival fitted in full, so that one that bends does not pass for one that cannot.
 pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
+    let placed = rival.placed(run, noise);
+    let rival = &placed
+        .as_ref()
+        .map_or_else(|| rival.clone(), |model| rival.with(model));
     let problem = FreeRun::new(rival.model, run, noise).ok()?;
     let start = problem.start();
-    let information = rival.information_in(&problem, &start);
+    let (response, difference) = Response::of(rival, run, noise)?;
+    // Most of the way is linear.
+    let mut begin = start.clone();
+    if let Some(step) = response.step(&difference) {
+        for (x, step) in begin.iter_mut().zip(step.iter()) {
+            *x += step.clamp(-LONGEST_STEP, LONGEST_STEP);
+        }
+        problem.clamp(&mut begin);
+    }
+    let mut out = vec![0.0; problem.residual_len()];
+    if !problem.residual(&begin, &mut out) {
+        begin.clone_from(&start);
+    }
     let held = Held {
-        root: root(&information),
-        start: start.clone(),
+        root: root(&response.information),
+        start,
         run: problem,
     };
     let options = Options {
         most_iterations: 12,
         relative_cost: 1e-2,
+        longest_step: LONGEST_STEP,
         ..Options::thrifty()
     };
-    Some(minimise(&held, &start, options)?.cost)
+    Some(minimise(&held, &begin, options)?.cost)
 }
+
+/// Longest step of a scaled parameter.
+const LONGEST_STEP: f64 = 1.5;
 
 /// A free run with the old data as a spring to where they hold the parameters.
 struct Held<'a> {

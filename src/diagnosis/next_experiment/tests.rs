@@ -15,6 +15,8 @@ const LIMITS: ExperimentLimits = ExperimentLimits {
     rms_current_a: 5.7,
     travel_rad: None,
     duration_s: 30.0,
+    slew_v_per_s: f64::INFINITY,
+    period_s: PERIOD_S,
 };
 const PERIOD_S: f64 = 0.004;
 
@@ -131,7 +133,7 @@ fn answer(case: &Case) -> Answer {
     let recipe = next
         .recipe
         .clone()
-        .unwrap_or_else(|| panic!("{}", next.sentence));
+        .unwrap_or_else(|| panic!("{} {:?}", next.sentence, next.menu));
     let new = made(&case.truth, &recipe, 3);
     let obtained = chi2_of_both(&rival, &evidence, &new) - chi2_of_both(&truth, &evidence, &new);
     println!(
@@ -155,7 +157,7 @@ fn entry(next: &NextExperiment, program: &str) -> f64 {
 
 /// The run is expected to separate, does so to the same order, and its diagnosis names the truth alone.
 /// A `useless` run promises next to nothing.
-fn told_apart(case: &Case, best: &str, useless: &str) -> NextExperiment {
+fn told_apart(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
     let answer = answer(case);
     let expected = answer.next.expected_separation;
     assert!(expected > SEPARATED, "{}", answer.next.sentence);
@@ -176,7 +178,8 @@ fn told_apart(case: &Case, best: &str, useless: &str) -> NextExperiment {
     assert_eq!(again.effects, [id], "{}", again.sentence);
     let useless = entry(&answer.next, useless);
     assert!(useless < 0.01 * expected, "{useless} of {expected}");
-    assert_eq!(answer.next.recipe.as_ref().unwrap().id, best);
+    let recommended = answer.next.recipe.as_ref().unwrap().id;
+    assert!(best.contains(&recommended), "{recommended}");
     answer.next
 }
 
@@ -189,7 +192,7 @@ fn a_drag_law_needs_the_whole_range_of_speeds() {
         events,
         seconds: 6.5,
     };
-    let next = told_apart(&case, "slow_ramp", "standstill");
+    let next = told_apart(&case, &["slow_ramp", "rich"], "standstill");
     assert!(entry(&next, "standstill") < 1.0);
     assert!(entry(&next, "slow_ramp") > 10.0 * entry(&next, "steady_hold"));
 }
@@ -214,7 +217,7 @@ fn a_delay_and_a_filter_of_the_speed_need_a_fast_dither() {
         events,
         seconds: 6.0,
     };
-    told_apart(&case, "fast_dither", "standstill");
+    told_apart(&case, &["fast_dither"], "standstill");
 }
 
 #[test]
@@ -225,18 +228,80 @@ fn offsets_of_voltage_and_current_need_both_directions() {
         events: held(&[20.0, 60.0, 35.0, 80.0, 50.0, 70.0, 30.0], 0.7),
         seconds: 6.0,
     };
-    told_apart(&case, "slow_ramp", "steady_hold");
+    told_apart(
+        &case,
+        &[
+            "hard_cycling",
+            "heat_and_repeat",
+            "slow_ramp",
+            "rich",
+            "random_levels",
+        ],
+        "steady_hold",
+    );
 }
 
 #[test]
-fn a_sag_and_a_saturation_need_hard_acceleration() {
+fn a_sag_and_a_saturation_need_large_currents_at_several_duties() {
     let case = Case {
         truth: with("supply_sag", &[0.3]),
         rival: with("flux_saturation", &[4e-4]),
         events: held(&[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0], 0.7),
         seconds: 6.0,
     };
-    told_apart(&case, "hard_cycling", "standstill");
+    told_apart(
+        &case,
+        &["hard_cycling", "dither_at_speed", "rich"],
+        "standstill",
+    );
+}
+
+#[test]
+fn the_bench_s_slew_is_kept_and_what_a_faster_one_would_tell_is_said() {
+    let case = [
+        with("speed_delay", &[0.008]),
+        with("speed_filter", &[0.008]),
+    ];
+    let run = |seed| testing::record(&case[0], held(&[20.0, -20.0, 30.0], 0.7), 0.01, 2.6, seed);
+    let evidence = Evidence::new(run(1), Some(run(2)), None);
+    let slow = ExperimentLimits {
+        slew_v_per_s: 200.0,
+        period_s: 0.01,
+        ..LIMITS
+    };
+    for recipe in menu_within(&case[0], &slow) {
+        assert!(recipe.slew_v_per_s <= 200.0, "{recipe:?}");
+        let program = Program::new(&recipe.segments, recipe.slew_v_per_s).unwrap();
+        let volts = |row: usize| match program.value_at(0.01 * row as f64) {
+            Output::Voltage(volts) => volts,
+            Output::Coast => panic!("no recipe coasts"),
+        };
+        for row in 1..whole(program.duration_s() / 0.01) {
+            let change_v = (volts(row) - volts(row - 1)).abs();
+            assert!(
+                change_v <= 2.0 + 1e-9,
+                "{}: {change_v} V in 10 ms",
+                recipe.id
+            );
+        }
+    }
+    let recommended = |limits: &ExperimentLimits| {
+        next_experiment([&case[0], &case[1]], &evidence, limits)
+            .unwrap()
+            .unwrap()
+    };
+    let slowly = recommended(&slow);
+    assert!(slowly.recipe.is_none(), "{}", slowly.sentence);
+    assert!(
+        slowly.sentence.contains("with limits.slew_v_per_s"),
+        "{}",
+        slowly.sentence
+    );
+    let freely = recommended(&ExperimentLimits {
+        slew_v_per_s: f64::INFINITY,
+        ..slow
+    });
+    assert_eq!(freely.recipe.unwrap().id, "fast_dither");
 }
 
 #[test]
@@ -260,6 +325,11 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
         "{}",
         next.sentence
     );
+    // Offsets are told apart within whatever the runs have reached.
+    let truth = with("voltage_offset", &[0.5]);
+    let run = |seed| testing::record(&truth, held(&[38.0, 55.0], 0.7), PERIOD_S, 2.0, seed);
+    let evidence = Evidence::new(run(1), Some(run(2)), None);
+    let rival = with("current_offset", &[0.3]);
     let seen = ExperimentLimits::seen_in(&evidence);
     let next = next_experiment([&truth, &rival], &evidence, &seen)
         .unwrap()

@@ -1,52 +1,60 @@
 //! A recommendation as sentences.
 
-use super::SEPARATED;
+use super::PairEntry;
 use super::planned::Planned;
 use crate::plant::effect;
 
 /// Names of a list that are said; the rest is counted.
 const MOST_NAMES: usize = 4;
 
-/// For pairs of rivals with their separations in this run.
-pub(super) fn pairs(plan: &Planned, separations: &[([&'static str; 2], f64)]) -> String {
+/// For pairs of rivals with their separations in this run; `program` names a run of the menu.
+pub(super) fn pairs(
+    plan: &Planned,
+    pairs: &[PairEntry],
+    program: impl Fn(&str) -> &'static str,
+) -> String {
     let mut sentences = Vec::new();
-    let told: Vec<_> = separations
-        .iter()
-        .filter(|(_, value)| *value >= SEPARATED)
-        .collect();
-    if !told.is_empty() {
+    let (told, hidden): (Vec<_>, Vec<_>) = pairs.iter().partition(|pair| pair.is_told());
+    if let Some(first) = told.first() {
         let rivals: Vec<String> = told
             .iter()
-            .map(|([a, b], value)| {
-                format!(
-                    "{} from {} (separation {})",
-                    name(a),
-                    name(b),
-                    figure(*value)
-                )
+            .map(|told| {
+                let [a, b] = told.pair.map(name);
+                let separation = figure(told.expected_separation);
+                format!("{a} from {b} (separation {separation})")
             })
             .collect();
         sentences.push(format!(
-            "run {}: it tells {}; {SEPARATED:.0} would do",
+            "run {}: it tells {}; {} would do",
             described(plan),
-            rivals.join(" and ")
+            rivals.join(" and "),
+            figure(first.needed)
         ));
     }
-    for ([a, b], value) in separations.iter().filter(|(_, value)| *value < SEPARATED) {
-        sentences.push(if told.is_empty() {
-            format!(
-                "no run of this kind will separate {} and {} within the limits: the best, {}, gives a separation of {}, \
-                 {SEPARATED:.0} are needed",
-                name(a),
-                name(b),
-                plan.recipe.name,
-                figure(*value)
-            )
+    for entry in hidden {
+        let [a, b] = entry.pair.map(name);
+        let run = program(entry.best_program);
+        let (best, needed) = (figure(entry.best_separation), figure(entry.best_needed));
+        sentences.push(if entry.best_separation >= entry.best_needed {
+            format!("{a} and {b} need another run after it: {run} (separation {best})")
         } else {
-            format!("it does not separate {} and {}", name(a), name(b))
+            format!(
+                "no run of this kind will separate {a} and {b} within the limits: the best, {run}, gives a separation \
+                 of {best}, {needed} are needed"
+            )
         });
     }
     sentences.join("; ")
+}
+
+/// What would be possible if the bench let the voltage change faster.
+pub(super) fn with_more_slew(plan: &Planned, separation: f64) -> String {
+    format!(
+        "; with limits.slew_v_per_s = {} in the bench file, {} would (separation {})",
+        plan.recipe.slew_v_per_s,
+        plan.recipe.name,
+        figure(separation)
+    )
 }
 
 /// For effects that the runs in hand did not excite.

@@ -15,8 +15,6 @@ use crate::sample::{Channel, Origin, Run};
 /// Noise of the usual sensors: it weighs current against speed.
 const CURRENT_A: f64 = 0.03;
 const SPEED_RAD_S: f64 = 0.15;
-/// Of the embedded drives, V.
-const BUS_V: f64 = 120.0;
 /// Share of an effect's work that its form may leave to the host's form with the true values, before any fit (for
 /// backlash: after one).
 const MOST_LEFT: f64 = 0.05;
@@ -129,11 +127,6 @@ fn with_the_true_values_the_hosts_form_explains_each_effect_but_for_a_few_percen
             model.effects[0].values[at] = Some(value.unwrap().1);
         }
         let scenario = recorded(&[effect]);
-        if id == "supply_sag" {
-            // The host takes the highest voltage of the run for the supply's, the drive has its bus.
-            let share = scenario.supply_v() / BUS_V;
-            model.effects[0].values[0] = model.effects[0].values[0].map(|ohm| ohm * share * share);
-        }
         if id == "backlash" {
             // A small difference moves the instants at which the flanks meet: only a fit finds the motion again.
             let noise = NoiseFloor {

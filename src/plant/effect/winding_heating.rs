@@ -20,7 +20,8 @@ impl Effect for WindingHeating {
                      relay); if Ke fell too, the magnets are hot",
             looks_like: "voltage error that drifts over seconds and follows the current",
             excite: "a hard part first, then repeat the first part: hot against cold",
-            remedy: "name the temperature with every resistance; let the winding cool between runs",
+            remedy: "name the temperature with every resistance; let the winding cool between runs: what is left of the heat \
+                     of one run is in the resistance of the next",
             needs_angle: false,
         }
     }

@@ -2,6 +2,7 @@
 
 use super::parameter::hidden_effect;
 use super::{Hidden, Mechanism, Moment, Site};
+use crate::emulator::truth::MotorTruth;
 
 /// Current at which the weakening has used up 58 % of its reach, in rated currents.
 const REACH_RATED_CURRENTS: f64 = 6.0;
@@ -10,6 +11,25 @@ hidden_effect! {
     /// Flux that is 1/(1 + `saturation_per_a2` i^2) of the nameplate's, exactly so at rated current.
     FluxSaturation {
         saturation_per_a2: NotNegative in "1/A2",
+    }
+}
+
+impl FluxSaturation {
+    /// Largest `saturation_per_a2` with which the current stays stable up to `current_limit_a` at rated speed, for every
+    /// specimen within `tolerance`, 1/A2: R i + E phi(i) must rise with i, or more current means still more of it.
+    pub fn largest_stable(motor: &MotorTruth, current_limit_a: f64, tolerance: f64) -> f64 {
+        let scale_a = REACH_RATED_CURRENTS * motor.rated_current_a;
+        // tanh (1 - tanh^2), the slope of tanh^2, is steepest at 0.66.
+        let bend = (current_limit_a / scale_a).min(0.66).tanh();
+        let slope = 2.0 * bend * (1.0 - bend * bend) / scale_a;
+        let back_emf_v = motor.back_emf_v_s_per_rad * motor.rated_speed_rad_s;
+        let worst = (1.0 - tolerance) / (1.0 + tolerance);
+        let reach = worst * motor.resistance_ohm / (back_emf_v * slope);
+        let weakened = reach * REACH_RATED_CURRENTS.recip().tanh().powi(2);
+        if weakened >= 1.0 {
+            return f64::INFINITY;
+        }
+        weakened / (1.0 - weakened) / motor.rated_current_a.powi(2)
     }
 }
 
@@ -35,5 +55,36 @@ impl Mechanism for ArmatureReaction {
     fn flux_factor(&self, at: &Moment) -> f64 {
         // A field does not turn over.
         (1.0 - self.reach * (at.current_a / self.scale_a).tanh().powi(2)).max(0.05)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::motor::zk_22fc;
+    use super::*;
+
+    #[test]
+    fn just_below_the_largest_size_the_voltage_still_rises_with_the_current_and_above_it_falls() {
+        let motor = zk_22fc();
+        let most = FluxSaturation::largest_stable(&motor, 11.4, 0.0);
+        assert!((5e-4..6e-4).contains(&most), "{most}");
+        let slope_at_limit = |saturation_per_a2| {
+            let field = FluxSaturation { saturation_per_a2 }
+                .mechanism(&Site::of(&motor))
+                .unwrap();
+            let volts = |current_a: f64| {
+                let at = Moment {
+                    current_a,
+                    ..Moment::default()
+                };
+                let back_emf_v = motor.back_emf_v_s_per_rad * motor.rated_speed_rad_s;
+                motor.resistance_ohm * current_a + back_emf_v * field.flux_factor(&at)
+            };
+            volts(11.4) - volts(11.3)
+        };
+        assert!(slope_at_limit(0.97 * most) > 0.0);
+        assert!(slope_at_limit(1.03 * most) < 0.0);
+        // A specimen may have less resistance and more flux.
+        assert!(FluxSaturation::largest_stable(&motor, 11.4, 0.1) < most);
     }
 }

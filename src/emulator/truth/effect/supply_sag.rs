@@ -2,12 +2,14 @@
 
 use super::parameter::hidden_effect;
 use super::{Hidden, Mechanism, Moment, Site};
+use crate::plant::REFERENCE_SUPPLY_V;
 
 /// Time constant of source resistance and capacitor, s. It is a smoothing that samples at 1 kHz hardly see.
 const BUS_TIME_CONSTANT_S: f64 = 2e-3;
 
 hidden_effect! {
-    /// Resistance of the drive's supply; the motor sees it through the duty cycle, twice.
+    /// Resistance of the drive's supply; the motor sees it through the duty cycle, twice. As in the model file it is that
+    /// of a supply of 110 V: on the drive's own bus the same loss of voltage takes `(bus/110 V)^2` of it.
     SupplySag {
         sag_ohm: NotNegative in "ohm",
     }
@@ -15,8 +17,9 @@ hidden_effect! {
 
 impl Hidden for SupplySag {
     fn mechanism(&self, site: &Site) -> Option<Box<dyn Mechanism>> {
+        let referred = site.bus_v / REFERENCE_SUPPLY_V;
         Some(Box::new(Supply {
-            source_ohm: self.sag_ohm,
+            source_ohm: self.sag_ohm * referred * referred,
             open_circuit_v: site.bus_v,
             bus_v: site.bus_v,
         }))
@@ -47,6 +50,27 @@ impl Mechanism for Supply {
 mod tests {
     use super::super::super::motor::zk_22fc;
     use super::*;
+
+    #[test]
+    fn the_same_size_costs_the_same_voltage_on_any_bus() {
+        let at = Moment {
+            current_a: 6.0,
+            ..Moment::default()
+        };
+        for bus_v in [110.0, 120.0, 300.0] {
+            let site = Site {
+                bus_v,
+                ..Site::of(&zk_22fc())
+            };
+            let mut bus = SupplySag { sag_ohm: 0.4 }.mechanism(&site).unwrap();
+            for _ in 0..1000 {
+                bus.advance(50e-6, &at, 55.0);
+            }
+            // Half of the 110 V to which the size refers, whatever the bus.
+            let lost = 55.0 * (1.0 - bus.supply_factor());
+            assert!((lost - 0.4 * 0.25 * 6.0).abs() < 1e-9, "{bus_v}: {lost}");
+        }
+    }
 
     #[test]
     fn settles_on_the_duty_cycle_law_and_lags() {

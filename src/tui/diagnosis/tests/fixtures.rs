@@ -96,6 +96,7 @@ pub(super) fn diagnosis() -> Diagnosis {
         axis_map: Vec::new(),
         equivalences: Vec::new(),
         next_experiment: None,
+        rivals: Vec::new(),
         sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
             .to_owned(),
         baseline: fitted(&[]),

@@ -259,6 +259,7 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
         sentence: "run a slow ramp over the whole speed".to_owned(),
         bench: None,
         pair: Some(["viscous_friction", "quadratic_load"]),
+        pairs: Vec::new(),
         reveals: Vec::new(),
         expected_separation: 8463.0,
         menu: Vec::new(),

@@ -1,0 +1,97 @@
+//! From "these two cannot be told apart" over the recommended bench file to a name: the real binary against its software
+//! drive behind a pseudo-terminal, in real time.
+#![cfg(target_os = "linux")]
+
+mod program;
+
+use std::fs;
+use std::path::Path;
+
+use program::{drivebench, line, only_folder};
+use serde_json::Value;
+
+/// The default bench with a weak sequence and little time.
+fn weak_bench(emulator: &Path) -> String {
+    let default = include_str!("../bench-configs/benches/zk-22fc-emulated.toml");
+    let (head, _) = default
+        .split_once("[[sequence]]")
+        .expect("the default bench has a sequence");
+    let head = head
+        .replace(
+            "config = \"zk-22fc-hidden\"",
+            &format!("config = \"{}\"", emulator.display()),
+        )
+        .replace("time_s = 30.0", "time_s = 7.5");
+    assert!(head.contains("time_s = 7.5"));
+    let levels = "[20.0, 60.0, 35.0, 80.0, 50.0]";
+    format!(
+        "{head}\n[[sequence]]\nstandstill = {{ seconds = 0.6 }}\n[[sequence]]\n\
+         steps = {{ levels_v = {levels}, hold_s = 0.5 }}\n"
+    )
+}
+
+fn recorded(bench: &Path, out: &Path) -> std::path::PathBuf {
+    let arguments = "run {} --headless --port emulator --seed 5 --out {} --json";
+    drivebench(line(arguments, &[bench, out])).expect(0);
+    only_folder(out)
+}
+
+fn diagnosed(run: &Path, bench: &Path, next: &Path) -> Value {
+    let arguments = "diagnose {} --bench {} --next-bench {} --json";
+    drivebench(line(arguments, &[run, bench, next]))
+        .expect(0)
+        .json()
+}
+
+#[test]
+fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let (emulator, bench, next) = (at("emulator.toml"), at("bench.toml"), at("next.toml"));
+    let plain = include_str!("../bench-configs/emulators/zk-22fc-plain.toml");
+    let hidden = "\n[[hidden]]\nid = \"current_offset\"\noffset_a = 0.3\n";
+    fs::write(&emulator, format!("{plain}{hidden}")).expect("a file");
+    fs::write(&bench, weak_bench(&emulator)).expect("a file");
+
+    let run = recorded(&bench, &at("weak"));
+    let weak = diagnosed(&run, &bench, &next);
+    assert_eq!(weak["verdict"], "ambiguous", "{}", weak["sentence"]);
+    let rivals = weak["confusable"].to_string();
+    assert!(rivals.contains("current_offset"), "{rivals}");
+    let recommended = &weak["next_experiment"];
+    let expected = recommended["expected_separation"].as_f64();
+    assert!(expected.is_some_and(|d| d > 1e3), "{recommended}");
+
+    let arguments = "diagnose {} --bench {}";
+    let missing = drivebench(line(arguments, &[&run, &at("no.toml")])).expect(2);
+    assert!(missing.error().contains("no.toml"), "{}", missing.stderr);
+
+    // Exactly the file that was written; the drive keeps the limits that the plan promised.
+    let run = recorded(&next, &at("next"));
+    let told = diagnosed(&run, &bench, &at("none.toml"));
+    assert_eq!(told["verdict"], "effect", "{}", told["sentence"]);
+    assert_eq!(told["effects"], serde_json::json!(["current_offset"]));
+    assert!(!at("none.toml").exists(), "nothing is left to recommend");
+    let peaks = &recommended["peaks"];
+    for (column, key) in [("current_a", "current_a"), ("speed_rad_s", "speed_rad_s")] {
+        let promised = peaks[key].as_f64().unwrap_or_default();
+        let reached = largest(&run.join("samples.csv"), column);
+        assert!(
+            (0.8..1.2).contains(&(reached / promised)),
+            "{column}: {reached} of {promised}"
+        );
+    }
+}
+
+/// Largest magnitude of a column.
+fn largest(samples: &Path, column: &str) -> f64 {
+    let text = fs::read_to_string(samples).expect("the samples are there");
+    let mut lines = text.lines().map(|line| line.split(','));
+    let index = lines
+        .next()
+        .and_then(|mut header| header.position(|name| name == column))
+        .expect("the column is there");
+    lines
+        .filter_map(|mut cells| cells.nth(index)?.parse().ok())
+        .fold(0.0, |most: f64, value: f64| most.max(value.abs()))
+}
