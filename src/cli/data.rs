@@ -1,5 +1,6 @@
 //! Runs and models named on the command line.
 
+use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -193,7 +194,7 @@ pub(super) fn prepare(
         model: &model.file.model,
         fitted: &fit_run,
         judging,
-        fingerprint: None,
+        fingerprint: OnceCell::new(),
     };
     let mut judge = |role, other: Option<_>, instead| {
         other.and_then(|other| beside.judge(role, other, instead, &mut run.run.notes))

@@ -1,5 +1,7 @@
 //! Whether another run can be judged by: of the same motor, moving, long enough, and not the data that are fitted.
 
+use std::cell::OnceCell;
+
 use super::output;
 use super::sanity_report::Judging;
 use crate::diagnosis::{Fingerprint, Kinship, fingerprint, matches, shared_samples};
@@ -18,7 +20,7 @@ pub(super) struct Beside<'a> {
     pub(super) model: &'a Model,
     pub(super) fitted: &'a Scenario,
     pub(super) judging: Judging,
-    pub(super) fingerprint: Option<Option<Fingerprint>>,
+    pub(super) fingerprint: OnceCell<Option<Fingerprint>>,
 }
 
 impl Beside<'_> {
@@ -70,9 +72,7 @@ impl Beside<'_> {
             return Some((format!("{}{separator}{help}", finding.sentence), true));
         }
         let (model, fitted) = (self.model, self.fitted);
-        let here = *self
-            .fingerprint
-            .get_or_insert_with(|| fingerprint(model, fitted));
+        let here = *self.fingerprint.get_or_init(|| fingerprint(model, fitted));
         let found = matches(here?, fingerprint(model, scenario)?);
         (found.kinship != Kinship::Same).then(|| (found.sentence, found.kinship == Kinship::Other))
     }

@@ -163,8 +163,8 @@ impl Place<'_> {
             .map_err(|error| format!("{}: {error}", self.program.display()))?;
         let stderr = String::from_utf8_lossy(&done.stderr);
         let error = || {
-            let lines = stderr.lines().filter(|line| line.starts_with("error"));
-            lines.last().unwrap_or("no result").to_owned()
+            let mut lines = stderr.lines().filter(|line| line.starts_with("error"));
+            lines.next_back().unwrap_or("no result").to_owned()
         };
         serde_json::from_slice(&done.stdout).map_err(|_| error())
     }

@@ -7,6 +7,7 @@
 //!
 //! Only where stderr is a terminal; scripts and logs see nothing of it. Messages go above the line (`output::message`).
 
+use std::fmt::Write as _;
 use std::io::{IsTerminal as _, Write as _};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -77,12 +78,12 @@ impl Work {
         let elapsed_s = now.duration_since(self.begun).as_secs_f64();
         let mut text = format!("{}: {}", self.command, self.stage);
         if self.of > 0 {
-            text.push_str(&format!(", {} of {}", self.done, self.of));
+            let _ = write!(text, ", {} of {}", self.done, self.of);
         }
-        text.push_str(&format!(", {elapsed_s:.0} s"));
+        let _ = write!(text, ", {elapsed_s:.0} s");
         let stage_s = now.duration_since(self.stage_begun).as_secs_f64();
         if let Some(left_s) = left_s(stage_s, self.done, self.of) {
-            text.push_str(&format!(", about {left_s:.0} s left in this step"));
+            let _ = write!(text, ", about {left_s:.0} s left in this step");
         }
         text
     }

@@ -143,7 +143,7 @@ pub(super) fn refit_one(
 ) -> Result<Refit, FitError> {
     let candidate = Screen::new(baseline, &evidence.training).effect(effect)?;
     let options = Options::default();
-    On::quiet(evidence, settings).from_both_starts(baseline, original, &candidate, options)
+    On::quiet(evidence, settings).of_both_starts(baseline, original, &candidate, options)
 }
 
 /// A screened effect from both starts, as well as is needed to compare it; [`polished`] carries the fit on.
@@ -155,7 +155,7 @@ pub(super) fn refit_screened(
     settings: Settings,
 ) -> Result<Refit, FitError> {
     let options = Options::thrifty();
-    On::quiet(evidence, settings).from_both_starts(baseline, original, candidate, options)
+    On::quiet(evidence, settings).of_both_starts(baseline, original, candidate, options)
 }
 
 /// The same candidate fitted to the end, for its uncertainties.
@@ -228,7 +228,7 @@ impl<'a> On<'a> {
         }
     }
 
-    fn from_both_starts(
+    fn of_both_starts(
         self,
         baseline: &Fit,
         original: &Model,

@@ -92,10 +92,12 @@ pub(super) struct Screen<'a> {
     /// Of the normal matrix, a hair damped; none where even that has no inverse.
     factor: Option<Cholesky<f64, Dyn>>,
     x: &'a [f64],
-    /// The baseline at `x`, its state at the start, and `(sample, is_speed)` of every residual; none where it cannot be
-    /// simulated on this run.
-    at_x: Option<(Model, State, Vec<(usize, bool)>)>,
+    /// None where the baseline cannot be simulated on this run.
+    at_x: Option<AtX>,
 }
+
+/// The baseline at `x`, its state at the start, and `(sample, is_speed)` of every residual.
+type AtX = (Model, State, Vec<(usize, bool)>);
 
 impl<'a> Screen<'a> {
     pub(super) fn new(fit: &'a Fit, training: &'a Scenario) -> Self {

@@ -38,11 +38,11 @@ impl Response {
         run: &Scenario,
         noise: NoiseFloor,
     ) -> Option<(Self, DVector<f64>)> {
-        let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
+        let problem = FreeRun::new(rival.model, run, noise).ok()?;
         let x = problem.start();
-        let difference = difference(&mut problem, &x)?;
+        let difference = difference(&problem, &x)?;
         let response = Self {
-            jacobian: jacobian_at(&mut problem, &x, difference.as_slice()),
+            jacobian: jacobian_at(&problem, &x, difference.as_slice()),
             information: rival.information_in(&problem, &x),
         };
         Some((response, difference))
@@ -55,13 +55,13 @@ impl Response {
         rival: &Rival<'_>,
         noise: NoiseFloor,
     ) -> Option<f64> {
-        let mut problem = FreeRun::new(rival.model, run, noise).ok()?;
+        let problem = FreeRun::new(rival.model, run, noise).ok()?;
         let x = problem.start();
         if x.len() != self.information.nrows() {
             // An offset does not look like rest: its start is one more unknown.
             return linear(run, rival, noise);
         }
-        Some(self.separation(&difference(&mut problem, &x)?))
+        Some(self.separation(&difference(&problem, &x)?))
     }
 
     /// The same where nothing holds the rival but the run itself.
