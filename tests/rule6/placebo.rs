@@ -183,7 +183,10 @@ fn another_phase(values: &[f64], rng: &mut ChaCha8Rng) -> Vec<f64> {
             re += value * cos;
             im += value * sin;
         }
-        let (size, phase) = (2.0 * re.hypot(im) / n as f64, rng.random_range(0.0..6.283));
+        let (size, phase) = (
+            2.0 * re.hypot(im) / n as f64,
+            rng.random_range(0.0..std::f64::consts::TAU),
+        );
         for (k, other) in other.iter_mut().enumerate() {
             *other += size * (step * k as f64 + phase).cos();
         }
