@@ -71,12 +71,12 @@ fn next_run(result: &CommissionResult, records: &[Recorded]) -> Option<String> {
     let next = result.diagnosis.next_experiment.as_ref()?;
     let mut text = format!("next: {}\n", next.sentence);
     if let (Some(_), Some(record)) = (&next.bench, records.first()) {
-        let (path, held) = (record.folder.file(RunFile::NextBench), record.folder.path());
+        let path = record.folder.file(RunFile::NextBench);
+        let _ = writeln!(text, "      drivebench run {}", path.display());
         let _ = writeln!(
             text,
-            "      drivebench run {}\n      drivebench diagnose NEW_RUN --holdout {}",
-            path.display(),
-            held.display()
+            "      {}",
+            next.diagnose_command(record.folder.path())
         );
     }
     Some(text)

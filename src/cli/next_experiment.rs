@@ -54,17 +54,13 @@ impl NextArguments {
         })
     }
 
-    /// Writes the bench file, where one is asked for and there is one; the diagnosed `run` is the hold-out of the next
-    /// diagnosis, which so judges both.
+    /// Writes the bench file, where one is asked for and there is one; `run` is what was diagnosed.
     pub(super) fn write(&self, diagnosis: &Diagnosis, run: &Path) -> Result<(), Failure> {
         let Some(path) = &self.next_bench else {
             return Ok(());
         };
-        let bench = diagnosis
-            .next_experiment
-            .as_ref()
-            .and_then(|next| next.bench.as_ref());
-        let Some(text) = bench else {
+        let next = diagnosis.next_experiment.as_ref();
+        let Some((next, text)) = next.and_then(|next| Some((next, next.bench.as_ref()?))) else {
             output::message(&format!(
                 "{} is not written: there is no run to recommend",
                 path.display()
@@ -73,9 +69,9 @@ impl NextArguments {
         };
         output::file(path, text)?;
         output::message(&format!(
-            "{0} is written: drivebench run {0}, then drivebench diagnose NEW_RUN --holdout {1}",
+            "{0} is written: drivebench run {0}, then {1}",
             path.display(),
-            run.display()
+            next.diagnose_command(run)
         ));
         Ok(())
     }

@@ -21,6 +21,8 @@ mod rival;
 mod separation;
 mod words;
 
+use std::path::Path;
+
 use serde::Serialize;
 
 pub use equivalence::equivalences;
@@ -57,6 +59,21 @@ pub struct NextExperiment {
     pub peaks: Option<Peaks>,
     #[serde(skip)]
     pub recipe: Option<Recipe>,
+}
+
+impl NextExperiment {
+    /// What to call after the run. Of rivals the run in hand says something too, so it is the hold-out; what it did not
+    /// excite it cannot judge.
+    pub fn diagnose_command(&self, in_hand: &Path) -> String {
+        if self.pair.is_some() {
+            format!(
+                "drivebench diagnose NEW_RUN --holdout {}",
+                in_hand.display()
+            )
+        } else {
+            "drivebench diagnose NEW_RUN".to_owned()
+        }
+    }
 }
 
 /// One pair of rivals: what the recommended run tells of it, and the run that would tell most.
