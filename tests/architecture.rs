@@ -40,6 +40,7 @@ const FIRMWARE_ROOMS: &[&str] = &["drive", "emulator"];
 const CLOCK_FILES: &[&str] = &[
     "src/bench/clock.rs",
     "src/cli/live.rs",
+    "src/cli/progress.rs",
     "src/drive/guard.rs",
     "src/emulator/server.rs",
 ];

@@ -95,8 +95,8 @@ fn several_runs_give_the_spread_between_them() {
 
 #[test]
 fn a_drive_that_limits_the_voltage_settles_nothing() {
-    // The embedded program on half as much inertia again: the emulated drive reaches its current limit.
-    let heavy = run_with(0.0065, 7);
+    // The embedded program on twice the inertia: the emulated drive reaches its current limit.
+    let heavy = run_with(0.0095, 7);
     let found = drivebench(line("identify {} --json", &[&heavy]))
         .expect(0)
         .json();

@@ -54,7 +54,7 @@ impl NoiseFloor {
         let begin = rest.start + SKIPPED;
         let rows = rest_of(begin..rest.end.max(begin), scenario)?;
         // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
-        let floor = |values: &[f64]| -> Option<f64> {
+        let floor = |values: &[f64]| -> Option<(f64, usize)> {
             let at_rest: Vec<f64> = values[rows.clone()]
                 .iter()
                 .copied()
@@ -63,25 +63,29 @@ impl NoiseFloor {
             if at_rest.len() < FEWEST_SAMPLES {
                 return None;
             }
-            let deviation = settled_deviation(&at_rest);
-            let level = deviation.max(quantum(values).unwrap_or(0.0) / 12f64.sqrt());
+            let settled = settled(&at_rest);
+            let level =
+                standard_deviation(settled).max(quantum(values).unwrap_or(0.0) / 12f64.sqrt());
             let mut present = values.iter().filter(|v| v.is_finite());
             let first = present.next()?;
             #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
             let varies = present.any(|v| v != first);
-            (level > 0.0 || varies).then_some(level)
+            (level > 0.0 || varies).then_some((level, settled.len()))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
         let speed = floor(&scenario.speed_rad_s);
         // A noise of zero is none that a sensor has: the rest then says nothing about noise.
-        if [current, speed].contains(&Some(0.0)) {
+        let known = || current.iter().chain(&speed);
+        if known().any(|(level, _)| *level <= 0.0) {
             return None;
         }
-        (current.is_some() || speed.is_some()).then(|| Self {
-            current_a: current.unwrap_or(f64::INFINITY),
-            speed_rad_s: speed.unwrap_or(f64::INFINITY),
+        let samples = known().map(|(_, samples)| *samples).min()?;
+        let level = |known: Option<(f64, usize)>| known.map_or(f64::INFINITY, |(level, _)| level);
+        Some(Self {
+            current_a: level(current),
+            speed_rad_s: level(speed),
             source: FloorSource::Standstill,
-            samples: rows.len(),
+            samples,
         })
     }
 
@@ -171,29 +175,27 @@ fn drifts(values: &[f64]) -> bool {
     (mean(last) - mean(middle)).abs() > DRIFT * noise
 }
 
-/// Share by which the deviation of a whole rest exceeds that of its later part where its first quarter holds a transient.
+/// Share by which the deviation of a rest may exceed that of its last half; more is a transient at its beginning.
 const TRANSIENT: f64 = 0.15;
-/// The same times the root of the samples: what a quarter of few samples exceeds by chance in one case of a thousand.
+/// The same times the root of the samples: what few samples exceed by chance in one case of a thousand.
 const CHANCE: f64 = 2.6;
 
-/// Standard deviation at rest without what a transient adds: an offset of the drive's voltage builds up its current in
-/// the first moments.
-fn settled_deviation(at_rest: &[f64]) -> f64 {
-    let whole = standard_deviation(at_rest);
-    let later = &at_rest[at_rest.len() / 4..];
-    if later.len() < FEWEST_SAMPLES {
-        return whole;
+/// The rest without a transient at its beginning: an offset of the drive's voltage builds up its current in the first
+/// moments, and a shaft may run out.
+fn settled(at_rest: &[f64]) -> &[f64] {
+    let n = at_rest.len();
+    let last_half = &at_rest[n / 2..];
+    if last_half.len() < FEWEST_SAMPLES / 2 {
+        return at_rest;
     }
-    let settled = standard_deviation(later);
-    let beyond_chance = TRANSIENT.max(CHANCE / (at_rest.len() as f64).sqrt());
-    if whole > (1.0 + beyond_chance) * settled {
-        settled
-    } else {
-        whole
-    }
+    let beyond_chance = TRANSIENT.max(CHANCE / (n as f64).sqrt());
+    let limit = (1.0 + beyond_chance) * standard_deviation(last_half);
+    (0..2)
+        .map(|quarter| &at_rest[quarter * n / 4..])
+        .find(|part| standard_deviation(part) <= limit)
+        .unwrap_or(last_half)
 }
 
-/// Only under a voltage is the current something that the model predicts; else it is, or goes with, the input.
 fn current_is_an_output(scenario: &Scenario) -> bool {
     scenario.input == Input::Voltage
 }

@@ -175,7 +175,8 @@ pub(super) fn sized(id: &str, rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<
         // By so much at rated current. From 2 % on, the back-EMF at full speed falls faster with the current than the
         // resistance's voltage grows, and the current runs away.
         "flux_saturation" => H::FluxSaturation(FluxSaturation {
-            saturation_per_a2: dice.size(0.005, 0.015) / (amps * amps),
+            // Above 0.0128 the weakest specimen runs away at full speed.
+            saturation_per_a2: dice.size(0.005, 0.0125) / (amps * amps),
         }),
         // By so much at rated current.
         "inductance_saturation" => H::InductanceSaturation(InductanceSaturation {
