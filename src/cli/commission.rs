@@ -99,7 +99,7 @@ fn commission(
     strings: &Strings,
     mut publish: impl FnMut(&Progress),
 ) -> Result<Done, Failure> {
-    let mut rig = Rig::open(arguments)?;
+    let mut rig = Rig::open(arguments, None)?;
     let mut workflow = Commission::new(Model::baseline(rig.plate.clone()), rig.escalates);
     if let Some(emulator) = &rig.emulator {
         workflow.set_truth(

@@ -194,7 +194,9 @@ pub(super) struct Rig {
 
 impl Rig {
     /// Opens the link. The emulator is used only where the bench file or the command line names it.
-    pub(super) fn open(arguments: &LiveArguments) -> Result<Self, Failure> {
+    ///
+    /// `run_seed` where one run of several is asked for: the emulator then has another day.
+    pub(super) fn open(arguments: &LiveArguments, run_seed: Option<u64>) -> Result<Self, Failure> {
         let bench = arguments.bench()?;
         let mut profile = DriveProfile::named(&bench.drive.profile)
             .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?;
@@ -206,7 +208,7 @@ impl Rig {
         let mystery = (bench.emulator.config == MYSTERY
             && matches!(port, Port::Emulator | Port::Sim))
         .then(|| mystery::draw(bench.emulator.seed));
-        let emulator = match (&port, &mystery) {
+        let mut emulator = match (&port, &mystery) {
             (Port::Emulator | Port::Sim, Some(mystery)) => Some(mystery.config.clone()),
             (Port::Emulator | Port::Sim, None) => Some(emulator_config(&bench.emulator.config)?),
             (Port::Tcp(_) | Port::Serial(_), _) if arguments.mystery.is_none() => None,
@@ -221,6 +223,9 @@ impl Rig {
                 ));
             }
         };
+        if let (Some(config), Some(seed)) = (&mut emulator, run_seed) {
+            config.day = seed.wrapping_sub(bench.runs.fit);
+        }
         if let Some(mystery) = &mystery {
             std::fs::create_dir_all(&arguments.out).map_err(|error| {
                 Failure::new(USAGE, format!("{}: {error}", arguments.out.display()))

@@ -25,7 +25,7 @@ use crate::workflow::{EscalationResult, compared};
 pub(super) struct Arguments {
     #[command(flatten)]
     live: LiveArguments,
-    /// Which run of the bench file's [runs]: the seed of the sequence's random parts
+    /// Which run of the bench file's [runs]: the seed of the sequence's random parts, and of the emulator's noise on that day
     #[arg(long, value_name = "N")]
     run_seed: Option<u64>,
 }
@@ -75,7 +75,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
 }
 
 fn record(arguments: &Arguments, strings: &Strings) -> Result<Done, Failure> {
-    let mut rig = Rig::open(&arguments.live)?;
+    let mut rig = Rig::open(&arguments.live, arguments.run_seed)?;
     let headless = arguments.live.is_headless();
     let report = rig.check()?;
     if headless {

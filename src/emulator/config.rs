@@ -134,6 +134,10 @@ pub struct EmulatorConfig {
     /// What the host's model does not know.
     #[serde(default)]
     pub hidden: Vec<HiddenEffect>,
+    /// Which of the specimen's days this is: sensor noise and random loads are drawn anew on each. A hold-out with the
+    /// noise of the fitted run would test less than it seems to.
+    #[serde(skip)]
+    pub day: u64,
 }
 
 /// Faults of the machine and its cabling, which are there from the start and stay.

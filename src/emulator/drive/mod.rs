@@ -65,8 +65,12 @@ pub struct SoftDrive {
     window_index: u16,
 }
 
+/// Keeps the days of one seed apart from those of its neighbours.
+const ANOTHER_DAY: u64 = 0x9E37_79B9_7F4A_7C15;
+
 impl SoftDrive {
-    /// A drive just powered up: disabled, motor cold and at rest, drive time 0. The seed fixes specimen and noise.
+    /// A drive just powered up: disabled, motor cold and at rest, drive time 0. The seed fixes the specimen; with the day,
+    /// noise and random loads.
     pub fn new(config: &EmulatorConfig, seed: u64) -> Self {
         let specimen = config.motor.specimen(config.tolerance, seed);
         let hidden = config
@@ -79,10 +83,11 @@ impl SoftDrive {
                     .map(|parameter| (effect.id(), parameter))
             })
             .collect();
+        let chance = seed.wrapping_add(config.day.wrapping_mul(ANOTHER_DAY));
         let site = Site {
             motor: specimen.clone(),
             bus_v: config.limits.bus_v,
-            seed,
+            seed: chance,
         };
         let plant = Plant::on_site(site, &config.hidden)
             .broken(config.faults.locked_rotor, config.faults.open_phase);
@@ -93,7 +98,7 @@ impl SoftDrive {
             hidden,
             plant,
             specimen,
-            sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), seed)
+            sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), chance)
                 .behind(path, TICK_S),
             output_stage: OutputStage::new(&config.limits, &config.motor, &path),
             output: Output::off(config.limits.output_off, config.limits.bus_v),
