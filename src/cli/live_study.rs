@@ -43,8 +43,8 @@ pub(super) fn live_study(
     progress::stage("runs mystery drives", mysteries.len());
     let next = AtomicUsize::new(0);
     let answers = Mutex::new(Vec::new());
-    // One at a time on each core: two processes share a drive's clock, and a 1 kHz link leaves none of them idle.
-    let workers = std::thread::available_parallelism().map_or(1, |count| count.get().div_ceil(2));
+    // Most of the time a drive is waited for, but its clock must not.
+    let workers = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     std::thread::scope(|scope| {
         for _ in 0..workers {
             scope.spawn(|| {
