@@ -153,15 +153,24 @@ pub(super) fn pays(base: &Score, candidate: &Score, settings: Settings) -> bool 
 /// Standard deviations by which a block must leave the noise to count as failed, and blocks that must be mended.
 const FAILED: f64 = 5.0;
 const FEWEST_MENDED: usize = 3;
+/// The same as a multiple of what a candidate leaves that explains nearly everything, but not to the noise.
+const FAR_ABOVE: f64 = 4.0;
 
-/// Whether the candidate explains the run to its noise while the base fails in several blocks, and fails in none that the
-/// base explains. An effect that shows for a short time only, as at a passage through zero, leaves most blocks as they
-/// are; their mean says little however plain the few are. Needs a known noise.
+/// Whether the candidate explains the run to its noise, or nearly, while the base fails in several blocks, and fails in
+/// none that the base explains. An effect that shows for a short time only, as at a passage through zero or at a start,
+/// leaves most blocks as they are; their mean says little however plain the few are. Needs a known noise.
 fn mends(base: &Score, candidate: &Score, settings: Settings) -> bool {
     let noise = candidate.noise();
-    if noise.source == FloorSource::None || candidate.nrms >= noise.tolerance(AT_THE_FLOOR) {
+    let to_the_noise = candidate.nrms < noise.tolerance(AT_THE_FLOOR);
+    let nearly = explained(base.nrms, candidate.nrms, noise.tolerance(1.0)) >= SUFFICIENT;
+    if noise.source == FloorSource::None || !(to_the_noise || nearly) {
         return false;
     }
+    let level = if to_the_noise {
+        1.0
+    } else {
+        FAR_ABOVE * candidate.nrms.powi(2)
+    };
     let block_s = settings.block * BLOCK_S;
     let (mut mended, mut spoilt) = (0, 0);
     let blocks = base
@@ -172,7 +181,8 @@ fn mends(base: &Score, candidate: &Score, settings: Settings) -> bool {
         if count == 0 {
             continue;
         }
-        let limit = noise.tolerance(1.0).powi(2) + FAILED * (2.0 / count as f64).sqrt();
+        let noise_limit = noise.tolerance(1.0).powi(2) + FAILED * (2.0 / count as f64).sqrt();
+        let limit = level * noise_limit;
         match (before / count as f64 > limit, after / count as f64 > limit) {
             (true, false) => mended += 1,
             (false, true) => spoilt += 1,
@@ -206,6 +216,9 @@ fn simple_instead(
     .then_some(index)
 }
 
+/// Share of what the best candidate gains that a rival must gain: one that explains much less explains something else.
+const RIVALS: f64 = 0.5;
+
 /// Candidates that cannot be told from the best one by this hold-out: indices into `refits`, the preferred one first.
 /// Inside the set the fewer parameters win, then the smaller error.
 pub(super) fn not_told_apart(
@@ -224,8 +237,10 @@ pub(super) fn not_told_apart(
         .filter(|&index| {
             let rival = &refits[index].holdout;
             let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);
+            let rivals = base.nrms.powi(2) - rival.nrms.powi(2) >= RIVALS * gained;
             index == best
-                || (pays(base, rival, settings)
+                || (rivals
+                    && pays(base, rival, settings)
                     && !mends(rival, &refits[best].holdout, settings)
                     && (close || z(rival, &refits[best].holdout, settings) < settings.significant))
         })

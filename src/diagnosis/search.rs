@@ -109,7 +109,11 @@ pub(super) fn search(
             let with = &refits[index].holdout;
             decide::explained_beyond_doubt(evidence, &now.score, with) < EACH_EXPLAINS
         };
-        if !first && set.first().is_some_and(leans) {
+        // One of several that explain alike is no name, unless with it everything is explained.
+        let open = |&index: &usize| {
+            set.len() > 1 && !decide::at_the_floor(evidence, &refits[index].holdout)
+        };
+        if !first && set.first().is_some_and(|index| leans(index) || open(index)) {
             break;
         }
         (limits.progress)(Event::Begun {
