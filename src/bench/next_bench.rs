@@ -11,6 +11,8 @@ const CURRENT_IN_RATED: f64 = 2.0;
 const FASTEST_MODBUS_HZ: f64 = 120.0;
 /// Separates the name of the bench from that of the recommended run.
 const NEXT: &str = "-next-";
+/// Stands for the port that only the reader knows: nothing of that name can be opened, and nothing else is put in its place.
+const UNKNOWN_PORT: &str = "port-of-your-drive";
 /// Width of the comment at the head of the file.
 const COMMENT_WIDTH: usize = 110;
 
@@ -60,11 +62,12 @@ pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &
 }
 
 /// A bench for runs of which nothing is known but what is in them: the embedded one with the motor that was found and the
-/// limits that the runs have set.
+/// limits that the runs have set. Its port has to be given.
 pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> BenchFile {
     let mut bench = BenchFile::embedded_default();
     let or = |value: f64, other: f64| if value.is_finite() { value } else { other };
     "next".clone_into(&mut bench.name);
+    UNKNOWN_PORT.clone_into(&mut bench.link.port);
     bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
     if rate_hz > FASTEST_MODBUS_HZ {
         bench.link.protocol = Protocol::Stream;

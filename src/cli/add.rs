@@ -96,7 +96,7 @@ fn of_model(model: &Model, id: &str) -> Result<&'static dyn Effect, Failure> {
 fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<(), Failure> {
     let id = arguments.effect.as_str();
     if let Some(path) = &arguments.output {
-        model_output::refuse_existing(path)?;
+        output::refuse_existing(path, "--output")?;
     }
     let _endable = interrupt::endable()?;
     let shown = progress::begin(if adding.is_some() { "add" } else { "remove" });
@@ -141,7 +141,8 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     }
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
-    value["model"] = file.to_toml().into();
+    // A refused model is not handed out.
+    value["model"] = result.accepted.then(|| file.to_toml()).into();
     let print_model = arguments.output.is_none() && result.accepted;
     output::result(&value, arguments.json, |_| {
         text(&result, print_model.then(|| file.to_toml()))

@@ -7,7 +7,7 @@ use super::data::{EvidenceArguments, prepare};
 use super::diagnose::title;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
-use super::{interrupt, model_output, output, pages, progress};
+use super::{interrupt, output, pages, progress};
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -36,7 +36,7 @@ pub(super) struct Arguments {
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.html {
-        model_output::refuse_existing(path)?;
+        output::refuse_existing(path, "--html")?;
     }
     let _endable = interrupt::endable()?;
     let shown = progress::begin("compare");

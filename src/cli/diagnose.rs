@@ -9,7 +9,7 @@ use super::discovery::{self, Shown};
 use super::failure::{Failure, USAGE};
 use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
-use super::{interrupt, model_output, output, pages, progress};
+use super::{interrupt, output, pages, progress};
 use crate::diagnosis::{Candidate, Diagnosis, Options, Peak, Reached, Status, diagnose_with};
 use crate::sample::ParameterEstimate;
 use crate::workflow::Discovery;
@@ -70,10 +70,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         ));
     }
     if let Some(path) = &on_screen.output {
-        model_output::refuse_existing(path)?;
+        output::refuse_existing(path, "--output")?;
     }
     if let Some(path) = &arguments.html {
-        model_output::refuse_existing(path)?;
+        output::refuse_existing(path, "--html")?;
     }
     let mut attended = Some((interrupt::endable()?, progress::begin("diagnose")));
     let prepared = prepare(
@@ -109,7 +109,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     progress::stage("looks for the run that would tell more", 0);
     place.recommend(&mut diagnosis, original, &prepared.evidence)?;
     let _endable = attended.map(|(endable, _)| endable);
-    arguments.next.write(&diagnosis, &arguments.run)?;
+    arguments.next.write(&place, &diagnosis, &arguments.run)?;
     if let Some(path) = &arguments.html {
         let page = pages::diagnosis(
             &title(&arguments.run, arguments.evidence.holdout.as_deref()),

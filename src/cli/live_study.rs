@@ -145,7 +145,11 @@ impl Place<'_> {
             if let Some(model) = &model {
                 add.arg("--model").arg(model);
             }
-            last_add = Some(self.json(&mut add)?);
+            last_add = Some(self.answer(&mut add)?.1);
+            if !written.is_file() {
+                // Refused, and the diagnosis stands as it is.
+                break;
+            }
             model = Some(written);
         }
         Ok(Heard {
@@ -155,8 +159,15 @@ impl Place<'_> {
         })
     }
 
-    /// Starts the command and reads what it prints; an error is its last line.
+    /// What a command prints that must succeed.
     fn json(&self, command: &mut Command) -> Result<Value, String> {
+        let (succeeded, value) = self.answer(command)?;
+        let ended = || format!("a command ended with another status than 0: {command:?}");
+        succeeded.then_some(value).ok_or_else(ended)
+    }
+
+    /// Starts the command and reads what it prints, and whether it succeeded; an error is its last line.
+    fn answer(&self, command: &mut Command) -> Result<(bool, Value), String> {
         let done = command
             .stdin(Stdio::null())
             .output()
@@ -166,7 +177,8 @@ impl Place<'_> {
             let mut lines = stderr.lines().filter(|line| line.starts_with("error"));
             lines.next_back().unwrap_or("no result").to_owned()
         };
-        serde_json::from_slice(&done.stdout).map_err(|_| error())
+        let value = serde_json::from_slice(&done.stdout).map_err(|_| error())?;
+        Ok((done.status.success(), value))
     }
 }
 

@@ -1,27 +1,8 @@
 //! Model files that commands write.
 
-use std::path::Path;
-
-use super::failure::{Failure, USAGE};
 use crate::diagnosis::Rung;
 use crate::plant::FittedValue;
 use crate::sample::ParameterEstimate;
-
-/// Models are never overwritten.
-pub(super) fn refuse_existing(path: &Path) -> Result<(), Failure> {
-    if path.exists() {
-        let headline = format!(
-            "{}: exists already, and models are never overwritten",
-            path.display()
-        );
-        return Err(Failure::with_help(
-            USAGE,
-            headline,
-            "choose another name for --output",
-        ));
-    }
-    Ok(())
-}
 
 /// The standard deviations that a model file keeps beside its values.
 pub(super) fn fitted(parameters: &[ParameterEstimate]) -> Vec<FittedValue> {

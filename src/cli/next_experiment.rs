@@ -33,6 +33,9 @@ pub(super) struct Place {
 impl NextArguments {
     /// Where the next run would be made; to be asked before the evidence is used up.
     pub(super) fn place(&self, prepared: &Prepared) -> Result<Place, Failure> {
+        if let Some(path) = &self.next_bench {
+            output::refuse_existing(path, "--next-bench")?;
+        }
         let bench = match &self.bench {
             Some(path) => Some(BenchFile::parse(
                 &path.display().to_string(),
@@ -55,7 +58,12 @@ impl NextArguments {
     }
 
     /// Writes the bench file, where one is asked for and there is one; `run` is what was diagnosed.
-    pub(super) fn write(&self, diagnosis: &Diagnosis, run: &Path) -> Result<(), Failure> {
+    pub(super) fn write(
+        &self,
+        place: &Place,
+        diagnosis: &Diagnosis,
+        run: &Path,
+    ) -> Result<(), Failure> {
         let Some(path) = &self.next_bench else {
             return Ok(());
         };
@@ -68,8 +76,13 @@ impl NextArguments {
             return Ok(());
         };
         output::file(path, text)?;
+        let port = if place.bench.is_some() {
+            ""
+        } else {
+            " --port PORT (the runs do not say on which drive they were made)"
+        };
         output::message(&format!(
-            "{0} is written: drivebench run {0}, then {1}",
+            "{0} is written: drivebench run {0}{port}, then {1}",
             path.display(),
             next.diagnose_command(run)
         ));

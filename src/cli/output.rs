@@ -1,5 +1,6 @@
 //! The only place that writes results to stdout and messages to stderr.
 
+use std::fs::File;
 use std::io::Write;
 use std::path::Path;
 
@@ -37,14 +38,28 @@ pub(super) fn line(text: &str) -> Result<(), Failure> {
     }
 }
 
+/// Results are never overwritten; to be asked before the work, with the option that named the file.
+pub(super) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> {
+    if path.exists() {
+        let headline = format!(
+            "{}: exists already, and nothing is overwritten",
+            path.display()
+        );
+        let help = format!("give another name to {option}, or move this one away");
+        return Err(Failure::with_help(USAGE, headline, help));
+    }
+    Ok(())
+}
+
 /// A new file, whole or not at all as far as a signal is concerned.
 pub(super) fn file(path: &Path, text: &str) -> Result<(), Failure> {
     let _whole = interrupt::writing();
-    std::fs::write(path, text).map_err(|error| {
+    let written = File::create_new(path).and_then(|mut file| file.write_all(text.as_bytes()));
+    written.map_err(|error| {
         Failure::with_help(
             USAGE,
             format!("{}: cannot write: {error}", path.display()),
-            "check the folder",
+            "name a file that does not exist yet, in a folder that does",
         )
     })
 }

@@ -1,9 +1,8 @@
 //! Fills in the report pages from what a run or a commissioning left.
 
-use std::io::Write as _;
 use std::path::Path;
 
-use super::failure::{Failure, USAGE};
+use super::failure::Failure;
 use super::live::Rig;
 use super::recorded::Recorded;
 use super::{data, output};
@@ -215,15 +214,7 @@ pub(super) fn comparison(
 
 /// Writes a page where none is yet.
 pub(super) fn write(path: &Path, html: &str) -> Result<(), Failure> {
-    let failed = |error: std::io::Error| {
-        Failure::with_help(
-            USAGE,
-            format!("{}: cannot write: {error}", path.display()),
-            "name a file that does not exist yet, in a folder that does",
-        )
-    };
-    let mut file = std::fs::File::create_new(path).map_err(failed)?;
-    file.write_all(html.as_bytes()).map_err(failed)?;
+    output::file(path, html)?;
     output::message(&format!("page written to {}", path.display()));
     Ok(())
 }

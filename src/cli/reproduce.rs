@@ -216,6 +216,7 @@ fn create(folder: &Path) -> Result<(), Failure> {
 }
 
 fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
+    let _whole = interrupt::writing();
     create(folder)?;
     for (name, content) in files {
         let path = folder.join(name);

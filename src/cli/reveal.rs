@@ -60,11 +60,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     output::result(&revealed, arguments.json, Revelation::text)
 }
 
-/// Writes the sealed truth and says where it is.
+/// Writes the sealed truth and says where it is. The seed fixes every letter of it, so that the same mystery may be
+/// drawn again, and another one finds its place taken.
 pub(super) fn seal(mystery: &Mystery, path: &Path) -> Result<(), Failure> {
     let text = mystery.truth.seal()?;
-    std::fs::write(path, text)
-        .map_err(|error| Failure::new(USAGE, format!("{}: {error}", path.display())))?;
+    let is_there = std::fs::read_to_string(path).is_ok_and(|there| there == text);
+    if !is_there {
+        output::refuse_existing(path, "--seal or --out")?;
+        output::file(path, &text)?;
+    }
     output::message(&format!("sealed truth in {}", path.display()));
     Ok(())
 }

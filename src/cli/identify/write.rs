@@ -9,7 +9,7 @@ use crate::identification::scheme::Identified;
 use crate::plant::ModelFile;
 
 pub(super) fn model(path: &Path, mut file: ModelFile, answer: &Answer) -> Result<(), Failure> {
-    model_output::refuse_existing(path)?;
+    output::refuse_existing(path, "--output")?;
     let mut parameters = answer.parameters();
     parameters.retain(super::is_told);
     // Onto the given model: what was not observable stays as it was given, or is left out.

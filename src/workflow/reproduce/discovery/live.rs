@@ -164,10 +164,12 @@ fn outcome(truth: &Truth, said: &Said) -> Outcome {
             (Some(_), []) => Outcome::Abstained,
             _ => Outcome::Wrong,
         },
-        _ if said.verdict == "ambiguous"
-            && id.is_some_and(|id| said.effects.iter().any(|e| e == id)) =>
-        {
-            Outcome::Ambiguous
+        _ if said.verdict == "ambiguous" => {
+            if id.is_some_and(|id| said.effects.iter().any(|named| named == id)) {
+                Outcome::Ambiguous
+            } else {
+                Outcome::Wrong
+            }
         }
         _ => Outcome::Abstained,
     }
@@ -227,6 +229,13 @@ mod tests {
             outcome_of("cogging", "ambiguous", &["cogging", "eccentric_load"], &[]),
             Outcome::Ambiguous
         );
+        for hidden in ["cogging", NOTHING, "random_load"] {
+            let others = ["backlash", "eccentric_load"];
+            assert_eq!(
+                outcome_of(hidden, "ambiguous", &others, &[]),
+                Outcome::Wrong
+            );
+        }
         assert_eq!(outcome_of(NOTHING, "none", &[], &[]), Outcome::Right);
         assert_eq!(
             outcome_of(NOTHING, "effect", &["cogging"], &[]),
