@@ -1,9 +1,10 @@
-//! The decision: paired block log-ratio test on the hold-out, share explained, rivals (DISCOVERY.md 2.8).
+//! The decision: paired block log-ratio test on the hold-out, blocks that are mended, share explained, rivals
+//! (DISCOVERY.md 2.8).
 
 use super::bootstrap;
 use super::candidates::Refit;
 use super::evidence::Evidence;
-use super::family::simple_form;
+use super::family::{is_beyond_simple, simple_form};
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 
@@ -41,8 +42,11 @@ impl Default for Settings {
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
 
+/// Correlation of neighbouring blocks from which on they are not taken for independent.
+const CORRELATED: f64 = 0.3;
+
 /// Mean log-ratio of the blocks' squared errors of `worse` over `better`, in its standard errors. Blocks grow until
-/// neighbours are independent, but there are never fewer than twenty where the run allows.
+/// neighbours are independent, or until there are only twenty; then their correlation is allowed for.
 pub(super) fn z(worse: &Score, better: &Score, settings: Settings) -> f64 {
     let mut block_s = shortest_block_s(worse, settings);
     loop {
@@ -57,15 +61,27 @@ pub(super) fn z(worse: &Score, better: &Score, settings: Settings) -> f64 {
             .windows(2)
             .map(|pair| (pair[0] - mean) * (pair[1] - mean))
             .sum();
-        let correlated = squares > 0.0 && neighbours / squares > 0.3;
-        if correlated && worse.duration_s() / (2.0 * block_s) >= FEWEST_BLOCKS as f64 {
+        let correlation = if squares > 0.0 {
+            neighbours / squares
+        } else {
+            0.0
+        };
+        let is_correlated = correlation > CORRELATED;
+        if is_correlated && worse.duration_s() / (2.0 * block_s) >= FEWEST_BLOCKS as f64 {
             block_s *= 2.0;
             continue;
         }
         if squares <= 0.0 {
             return if mean > 0.0 { f64::INFINITY } else { 0.0 };
         }
-        return mean / (squares / (n - 1.0) / n).sqrt();
+        let independent = mean / (squares / (n - 1.0) / n).sqrt();
+        // As many independent blocks as an autoregressive series of this correlation is worth.
+        let worth = if is_correlated {
+            ((1.0 - correlation) / (1.0 + correlation)).max(0.0).sqrt()
+        } else {
+            1.0
+        };
+        return independent * worth;
     }
 }
 
@@ -81,13 +97,19 @@ pub(super) fn condensed(score: Score, settings: Settings) -> Score {
     score.in_blocks(&[BLOCK_S, settings.block * BLOCK_S, shortest_s])
 }
 
+/// Blocks of far fewer samples than the others, as the last one of a run, would count as much as those.
 fn log_ratios(worse: &Score, better: &Score, block_s: f64) -> Vec<f64> {
-    worse
-        .blocks(block_s)
+    let blocks = worse
+        .counted_blocks(block_s)
         .into_iter()
-        .zip(better.blocks(block_s))
-        .filter(|(worse, better)| *worse > 0.0 && *better > 0.0)
-        .map(|(worse, better)| (worse / better).ln())
+        .zip(better.counted_blocks(block_s));
+    let blocks: Vec<_> = blocks.collect();
+    let fullest = blocks.iter().map(|((_, count), _)| *count).max();
+    blocks
+        .into_iter()
+        .filter(|((_, count), _)| 2 * count > fullest.unwrap_or(0))
+        .filter(|((worse, _), (better, _))| *worse > 0.0 && *better > 0.0)
+        .map(|((worse, _), (better, _))| (worse / better).ln())
         .collect()
 }
 
@@ -211,7 +233,12 @@ fn simple_instead(
     let simple = simple_form(refits[best].id())?;
     let index = refits.iter().position(|refit| refit.id() == simple)?;
     let gained = |index: usize| base.nrms.powi(2) - refits[index].holdout.nrms.powi(2);
+    let is_beyond = refits[best].parameters().iter().any(|own| {
+        own.value
+            .is_some_and(|value| is_beyond_simple(&own.key, value))
+    }) && beats(&refits[best].holdout, &refits[index].holdout, settings);
     (pays(base, &refits[index].holdout, settings)
+        && !is_beyond
         && gained(index) >= SIMPLE_SUFFICES * gained(best))
     .then_some(index)
 }

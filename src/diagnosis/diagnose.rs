@@ -214,6 +214,8 @@ fn pairs(accepted: &Accepted) -> Vec<[&'static str; 2]> {
         .collect()
 }
 
+/// Share of an error at the floor that may be left where it is to be given a name all the same.
+const NO_HAIR: f64 = 0.95;
 /// Share of the error that must be explained for a form to be believed although its own axis still shows the error.
 const BELIEVED: f64 = 0.6;
 /// Share of the remaining error that follows an axis and says so.
@@ -250,7 +252,11 @@ fn verdict(evidence: &Evidence, found: &Found) -> DiagnosisVerdict {
         .first()
         .map(|&index| &found.first_round[index].holdout);
     let explains = first.is_some_and(|first| decide::explains(evidence, base, first, best));
-    if explains {
+    // A hair above the floor is explained by whatever resembles it.
+    let hair = nothing_to_explain
+        && evidence.noise.source != FloorSource::None
+        && best.nrms > NO_HAIR * base.nrms;
+    if explains && !hair {
         if found
             .accepted
             .iter()

@@ -42,6 +42,14 @@ pub(super) fn simple_form(id: &str) -> Option<&'static str> {
         .map(|(simple, _)| *simple)
 }
 
+/// Currents from which on gaps, not brushes, bend the voltage, A: the drop of brushes has built up at a tenth of it.
+const LEAST_BOUNDARY_A: f64 = 0.9;
+
+/// Whether this value of a richer effect's parameter, by its full key, is one that its simple form cannot stand for.
+pub(super) fn is_beyond_simple(key: &str, value: f64) -> bool {
+    key == "discontinuous_conduction.boundary_a" && value >= LEAST_BOUNDARY_A
+}
+
 /// Whether two effects are of one family, so that a model with one of them does not get the other too.
 pub(super) fn related(a: &str, b: &str) -> bool {
     RICHER

@@ -1,7 +1,8 @@
 //! Greedy search: the best effect that pays joins the model, until nothing more pays; then each is put to the test again.
 //!
 //! ```text
-//! round: refit all -> best that pays, with those that cannot be told from it -> joins -> next round
+//! round: refit all -> best that pays, with those that cannot be told from it -> joins -> next round; a further one must
+//!        explain a good part of what is left, and be alone in that unless it explains the run to the noise
 //! then:  exchange  where the floor is not reached, each effect is taken out and the screen asked again
 //!        twins     each effect is replaced by what it could not be told from: the better one stays (an early choice was
 //!                  made while the others were still missing)
@@ -208,7 +209,8 @@ fn exchange(
             .copied()
             .filter(|effect| {
                 let other = effect.card().id;
-                other != id && !related(other, id) && !without.has(other)
+                let strange = |there: &str| other != there && !related(other, there);
+                strange(id) && without.effects.iter().all(|active| strange(active.id()))
             })
             .collect();
         let mut screened = screen.all(&others, progress);
@@ -221,24 +223,27 @@ fn exchange(
             .filter(|candidate| candidate.gain > least)
             .take(MOST_RIVALS)
             .collect();
+        // One that cannot be simulated must not hide the others.
         let refits: Vec<Refit> = others
             .par_iter()
-            .map(|candidate| {
-                refit_screened(evidence, &base.fit, original, candidate, found.settings)
+            .filter_map(|candidate| {
+                refit_screened(evidence, &base.fit, original, candidate, found.settings).ok()
             })
-            .collect::<Result<_, _>>()?;
-        for refit in refits {
-            if decide::beats(&refit.holdout, &found.best.score, found.settings) {
-                let refit = polished(evidence, &refit, found.settings)?;
-                found.accepted[place] = Accepted {
-                    id: refit.id(),
-                    rivals: Vec::new(),
-                };
-                found.best = Standing {
-                    fit: refit.fit,
-                    score: refit.holdout,
-                };
-            }
+            .collect();
+        let set = in_the_answer(&base.score, &refits, found.settings);
+        let Some((&first, rivals)) = set.split_first() else {
+            continue;
+        };
+        if decide::beats(&refits[first].holdout, &found.best.score, found.settings) {
+            let refit = polished(evidence, &refits[first], found.settings)?;
+            found.accepted[place] = Accepted {
+                id: refit.id(),
+                rivals: rivals.iter().map(|&index| refits[index].id()).collect(),
+            };
+            found.best = Standing {
+                fit: refit.fit,
+                score: refit.holdout,
+            };
         }
     }
     Ok(())
@@ -256,25 +261,34 @@ fn settle_twins(evidence: &Evidence, original: &Model, found: &mut Found) -> Res
             continue;
         }
         let base = standing(evidence, &without)?;
-        let mut remaining = Vec::new();
-        for id in accepted.rivals.into_iter().take(MOST_RIVALS) {
+        let (tried, untried) = accepted
+            .rivals
+            .split_at(accepted.rivals.len().min(MOST_RIVALS));
+        let mut equals: Vec<(&'static str, Score)> = Vec::new();
+        for &id in tried {
             let Some(rival) = effect::find(id).filter(|_| !found.best.fit.model.has(id)) else {
                 continue;
             };
-            let refit = refit_one(evidence, &base.fit, original, rival, found.settings)?;
-            let there = Standing {
-                fit: refit.fit,
-                score: refit.holdout,
+            let Ok(refit) = refit_one(evidence, &base.fit, original, rival, found.settings) else {
+                continue;
             };
-            if decide::beats(&there.score, &found.best.score, found.settings) {
-                found.best = there;
-                remaining = vec![found.accepted[place].id];
+            if decide::beats(&refit.holdout, &found.best.score, found.settings) {
+                found.best = Standing {
+                    fit: refit.fit,
+                    score: refit.holdout,
+                };
                 found.accepted[place].id = id;
-            } else if !decide::beats(&found.best.score, &there.score, found.settings) {
-                remaining.push(id);
+                let best = &found.best.score;
+                equals.retain(|(_, score)| !decide::beats(best, score, found.settings));
+            } else if !decide::beats(&found.best.score, &refit.holdout, found.settings) {
+                equals.push((id, refit.holdout));
             }
         }
-        found.accepted[place].rivals = remaining;
+        found.accepted[place].rivals = equals
+            .iter()
+            .map(|(id, _)| *id)
+            .chain(untried.iter().copied())
+            .collect();
     }
     Ok(())
 }

@@ -365,11 +365,16 @@ fn first_finite(values: &[f64]) -> f64 {
         .unwrap_or(0.0)
 }
 
+/// Samples by which rest is told.
+const FIRST_SAMPLES: usize = 20;
+
 /// At rest: the first speeds are zero within their noise while the input is still zero, or the run begins with both
 /// signals within the noise of zero.
 fn starts_at_rest(scenario: &Scenario, noise: &NoiseFloor) -> bool {
     let leading = scenario.leading_standstill();
-    let first = leading.start..leading.end.clamp(1, 20);
+    let begin = leading.start.min(scenario.samples());
+    let end = leading.end.clamp(begin + 1, begin + FIRST_SAMPLES);
+    let first = begin..end.min(scenario.samples());
     let quiet = |values: &[f64], level: f64| {
         let mut present = values[first.clone()]
             .iter()
