@@ -12,6 +12,8 @@ mod terminal;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use program::{drivebench, line, only_folder};
 use terminal::Session;
 
@@ -41,6 +43,17 @@ fn diagnose(more: &[&str], folder: &Path, size: (u16, u16)) -> Session {
     ];
     arguments.extend(more);
     Session::start(&arguments, folder, size)
+}
+
+/// More rows for the reader than the program knows of: what is printed at the end is seen from its first line on.
+fn keep_what_scrolls(session: &mut Session) {
+    let (_, columns) = session.screen.screen().size();
+    session.screen.screen_mut().set_size(400, columns);
+}
+
+fn terminate(session: &Session) {
+    let id = session.child.process_id().unwrap();
+    kill(Pid::from_raw(id.try_into().unwrap()), Signal::SIGTERM).unwrap();
 }
 
 const ADD: &str = "a add";
@@ -79,8 +92,19 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
     session.wait_for("▶ + in the model");
     session.press("r");
     session.wait_for("refused: without");
+    keep_what_scrolls(&mut session);
     session.press("q");
     assert_eq!(session.end(), 0, "{}", session.text());
+    // What stays behind is about the model as it stands, and says how it came about and where it is.
+    let left = session.text();
+    for part in [
+        "model written to found.toml",
+        "by hand: + stribeck_friction: held-out error ",
+        "nothing is missing",
+    ] {
+        assert!(left.contains(part), "{part}: {left}");
+    }
+    assert!(!left.contains("missing: stribeck_friction"), "{left}");
     assert!(!session.screen.screen().alternate_screen());
     let model = std::fs::read_to_string(folder.path().join("found.toml")).unwrap();
     assert!(model.contains("id = \"stribeck_friction\""), "{model}");
@@ -160,7 +184,44 @@ fn d_goes_on_by_hand_after_a_commissioning() {
     session.wait_for("error over speed x current");
     session.press("q");
     session.wait_for(ADD);
-    session.press("q");
-    assert_eq!(session.end(), 0, "{}", session.text());
+    keep_what_scrolls(&mut session);
+    terminate(&session);
+    // The result is there all the same.
+    assert_eq!(session.end(), 130, "{}", session.text());
+    let left = session.text();
+    assert!(left.contains("stribeck_friction"), "{left}");
+    assert!(
+        left.contains("interrupted in the diagnosis by hand"),
+        "{left}"
+    );
     assert!(!session.screen.screen().alternate_screen());
+}
+
+#[test]
+fn a_model_that_was_asked_for_is_in_its_file_when_q_has_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = diagnose(&["--output", "kept.toml"], folder.path(), (100, 30));
+    session.wait_for(ADD);
+    session.press("a");
+    // The answer is there, and the worker looks for the next run.
+    session.wait_for("NOTHING MISSING");
+    session.press("wq");
+    assert_eq!(session.end(), 0, "{}", session.text());
+    let model = std::fs::read_to_string(folder.path().join("kept.toml")).unwrap();
+    assert!(model.contains("id = \"stribeck_friction\""), "{model}");
+}
+
+#[test]
+fn a_signal_after_the_screen_ends_the_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = diagnose(&["--html", "page.html"], folder.path(), (100, 30));
+    session.wait_for(ADD);
+    session.press("a");
+    session.wait_for("NOTHING MISSING");
+    session.press("q");
+    session.wait("the end of the screen", |screen| !screen.alternate_screen());
+    terminate(&session);
+    assert_eq!(session.end(), 130, "{}", session.text());
+    assert!(session.text().contains("interrupted"), "{}", session.text());
+    assert!(!folder.path().join("page.html").exists());
 }

@@ -57,11 +57,16 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
             history: FileHistory::default(),
             output: None,
         };
-        match discovery::show(discovery, shown) {
-            // Left: the result of the loop is there all the same.
-            Err(failure) if failure.status != INTERRUPTED => return Err(failure),
-            _ => {}
+        let left = discovery::show(discovery, shown)?;
+        // However it was left: the result of the loop is there all the same.
+        finish(json, &done.result, &done.text)?;
+        if left.is_interrupted() {
+            return Err(Failure::new(
+                INTERRUPTED,
+                "interrupted in the diagnosis by hand",
+            ));
         }
+        return Ok(());
     }
     finish(json, &done.result, &done.text)
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::data::{EvidenceArguments, prepare};
 use super::discovery::{self, Shown};
-use super::failure::{Failure, USAGE};
+use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
 use super::{interrupt, output, pages, progress};
@@ -83,10 +83,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         Judging::Refits,
     )?;
     let place = arguments.next.place(&prepared)?;
-    let original = &prepared.model.file.model;
+    let mut original = prepared.model.file.model.clone();
+    let mut by_hand = String::new();
     let mut diagnosis = if on_screen.screen {
         // From here on the screen owns the terminal and hears the signals.
-        attended = None;
+        drop(attended.take());
         let shown = Shown {
             title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
             guess_first: on_screen.guess,
@@ -97,17 +98,27 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let evidence = prepared.evidence.clone();
         let discovery = Discovery::new(original.clone(), evidence, arguments.until_floor)
             .with_limits(place.limits());
-        discovery::show(discovery, shown)?
+        let left = discovery::show(discovery, shown)?;
+        attended = Some((interrupt::endable()?, progress::begin("diagnose")));
+        // Asked only now: from here on a signal ends the program by itself.
+        if left.is_interrupted() {
+            return Err(Failure::new(INTERRUPTED, "interrupted"));
+        }
+        by_hand = left.standing.heading();
+        original = left.standing.original;
+        left.standing
+            .diagnosis
+            .ok_or_else(|| Failure::new(INTERRUPTED, "left before there was an answer"))?
     } else {
         let options = Options {
             until_floor: arguments.until_floor,
             progress: &progress::diagnosis,
             ..Options::default()
         };
-        diagnose_with(original, prepared.evidence.clone(), options)?
+        diagnose_with(&original, prepared.evidence.clone(), options)?
     };
     progress::stage("looks for the run that would tell more", 0);
-    place.recommend(&mut diagnosis, original, &prepared.evidence)?;
+    place.recommend(&mut diagnosis, &original, &prepared.evidence)?;
     let _endable = attended.map(|(endable, _)| endable);
     arguments.next.write(&place, &diagnosis, &arguments.run)?;
     if let Some(path) = &arguments.html {
@@ -123,7 +134,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let mut value = serde_json::to_value(&diagnosis).unwrap_or_default();
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
-    output::result(&value, arguments.json, |_| text(&diagnosis))
+    output::result(&value, arguments.json, |_| {
+        format!("{by_hand}{}", text(&diagnosis))
+    })
 }
 
 /// The runs by the last part of their names.

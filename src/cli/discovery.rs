@@ -1,16 +1,17 @@
 //! The diagnosis screen on this thread, the analysis on another; the model file.
 
+use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use super::failure::{Failure, INTERNAL, INTERRUPTED};
-use super::model_output;
+use super::failure::{Failure, INTERNAL};
+use super::{interrupt, model_output, output};
 use crate::diagnosis::Diagnosis;
-use crate::plant::{FileHistory, ModelFile};
+use crate::plant::{FileHistory, Model, ModelFile};
 use crate::tui::{DiscoveryScreen, Exit, show_discovery};
 use crate::workflow::{Discovery, News, Order};
 
@@ -28,8 +29,98 @@ pub(super) struct Shown {
     pub(super) output: Option<PathBuf>,
 }
 
-/// Shows the screen until it is left; returns the answer to the model as it was given.
-pub(super) fn show(discovery: Discovery, shown: Shown) -> Result<Diagnosis, Failure> {
+/// How things stand with the model.
+#[derive(Clone, Debug)]
+pub(super) struct Standing {
+    /// The model before any fit that the answer is about.
+    pub(super) original: Model,
+    /// The latest answer; none before the first.
+    pub(super) diagnosis: Option<Diagnosis>,
+    /// What was changed by hand, each with the held-out error after it.
+    changes: Vec<String>,
+    /// The model after them, until there is an answer to it.
+    changed: Option<Model>,
+    /// Changes that the answer does not know of: it was not waited for.
+    since: usize,
+    /// Where the model was written to.
+    written: Vec<String>,
+}
+
+impl Standing {
+    const fn new(original: Model) -> Self {
+        Self {
+            original,
+            diagnosis: None,
+            changes: Vec::new(),
+            changed: None,
+            since: 0,
+            written: Vec::new(),
+        }
+    }
+
+    fn hear(&mut self, news: &News) {
+        let (sign, result) = match news {
+            News::Added(result) => ("+", result),
+            News::Removed(result) => ("-", result),
+            News::Diagnosed(diagnosis) => {
+                if let Some(changed) = self.changed.take() {
+                    self.original = changed;
+                }
+                self.diagnosis = Some((**diagnosis).clone());
+                self.since = 0;
+                return;
+            }
+            News::Written(text) => return self.written.push(text.clone()),
+            _ => return,
+        };
+        if let (true, Some(rung)) = (result.accepted, result.ladder.last()) {
+            self.changes.push(format!(
+                "{sign} {}: held-out error {:.2} times the noise",
+                result.effect, rung.holdout_rmse
+            ));
+            self.changed = Some(result.fit.model.clone());
+            self.since += 1;
+        }
+    }
+
+    /// What was changed by hand, and whether the answer below it knows of that; nothing where nothing was changed.
+    pub(super) fn heading(&self) -> String {
+        let mut text = String::new();
+        for change in &self.changes {
+            let _ = writeln!(text, "by hand: {change}");
+        }
+        if self.since > 0 {
+            let last = self.since;
+            let _ = writeln!(
+                text,
+                "left before there was an answer to that model: what follows is about the model without the last {}",
+                if last == 1 {
+                    "change".to_owned()
+                } else {
+                    format!("{last} changes")
+                }
+            );
+        }
+        text
+    }
+}
+
+/// How the screen was left.
+pub(super) struct Left {
+    exit: Exit,
+    hang_up: Arc<AtomicBool>,
+    pub(super) standing: Standing,
+}
+
+impl Left {
+    /// Ctrl-C or a signal, which may come until the very end.
+    pub(super) fn is_interrupted(&self) -> bool {
+        self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire)
+    }
+}
+
+/// Shows the screen until it is left.
+pub(super) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> {
     let hang_up = Arc::new(AtomicBool::new(false));
     for signal in [
         signal_hook::consts::SIGINT,
@@ -47,25 +138,31 @@ pub(super) fn show(discovery: Discovery, shown: Shown) -> Result<Diagnosis, Fail
         guess_first: shown.guess_first,
         news,
         orders,
-        hang_up,
+        hang_up: Arc::clone(&hang_up),
     };
-    let first = Arc::new(OnceLock::new());
-    let found = Arc::clone(&first);
+    let standing = Arc::new(Mutex::new(Standing::new(discovery.model().clone())));
+    let heard = Arc::clone(&standing);
     // Never joined: an analysis in progress has nothing to put down, and ends with the program.
     thread::Builder::new()
         .name("diagnosis".to_owned())
-        .spawn(move || work(discovery, &shown, &ordered, &told, &found))
+        .spawn(move || work(discovery, &shown, &ordered, &told, &heard))
         .map_err(|error| Failure::new(INTERNAL, format!("cannot start a thread: {error}")))?;
     let exit = show_discovery(screen)
         .map_err(|error| Failure::new(INTERNAL, format!("the screen has failed: {error}")))?;
     if exit == Exit::WorkerPanicked {
         return Err(Failure::new(INTERNAL, "the analysis has panicked"));
     }
-    match first.get() {
-        Some(diagnosis) if exit != Exit::Interrupted => Ok(diagnosis.clone()),
-        Some(_) => Err(Failure::new(INTERRUPTED, "interrupted")),
-        None => Err(Failure::new(INTERRUPTED, "left before there was an answer")),
+    let standing = standing.lock();
+    let standing = standing.unwrap_or_else(PoisonError::into_inner).clone();
+    // The screen that said so is gone.
+    for text in &standing.written {
+        output::message(text);
     }
+    Ok(Left {
+        exit,
+        hang_up,
+        standing,
+    })
 }
 
 /// Carries orders out until the screen has gone.
@@ -74,21 +171,21 @@ fn work(
     shown: &Shown,
     ordered: &Receiver<Order>,
     told: &Sender<News>,
-    first: &OnceLock<Diagnosis>,
+    standing: &Mutex<Standing>,
 ) {
     let tell = |news: News| {
-        if let News::Diagnosed(diagnosis) = &news {
-            first.get_or_init(|| (**diagnosis).clone());
-        }
+        let mut now = standing.lock().unwrap_or_else(PoisonError::into_inner);
+        now.hear(&news);
+        drop(now);
         // A screen that has gone needs no news.
         let _ = told.send(news);
     };
     while let Ok(order) = ordered.recv() {
         if order == Order::Write {
-            tell(News::Written(match write(&discovery, shown) {
-                Ok(path) => format!("model written to {}", path.display()),
-                Err(reason) => format!("NOT WRITTEN: {reason}"),
-            }));
+            tell(match write(&discovery, shown) {
+                Ok(path) => News::Written(format!("model written to {}", path.display())),
+                Err(reason) => News::NotWritten(reason),
+            });
         } else {
             discovery.carry_out(order, &tell);
         }
@@ -124,6 +221,7 @@ const MOST_COPIES: u32 = 1000;
 
 /// Writes under `wanted`, or where that is taken under the next free name: `model-2.toml`, `model-3.toml`, ...
 fn write_new(wanted: &Path, text: &str) -> Result<PathBuf, String> {
+    let _whole = interrupt::writing();
     for copy in 1..=MOST_COPIES {
         let path = if copy == 1 {
             wanted.to_owned()
@@ -153,6 +251,8 @@ fn write_new(wanted: &Path, text: &str) -> Result<PathBuf, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::{DiagnosisVerdict, Evidence};
+    use crate::plant::{Motor, testing};
 
     #[test]
     fn a_name_that_is_taken_is_left_alone() {
@@ -170,5 +270,61 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&wanted).unwrap(), "first");
         let nowhere = folder.path().join("missing/model.toml");
         assert!(write_new(&nowhere, "text").is_err());
+    }
+
+    /// A motor with a fan, which is not in the model; short, and at rest for long enough to know the noise.
+    fn discovery() -> Discovery {
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut truth = model.with_effect("quadratic_load").unwrap();
+        truth.effects[0].values = vec![Some(4e-6)];
+        let run = |shift: usize| {
+            let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
+            let mut events = vec![(0.0, 0.0)];
+            for step in 0..levels.len() {
+                let level = levels[(step + 3 * shift) % levels.len()];
+                let begin_s = 0.5 + 0.5 * step as f64;
+                events.push((begin_s, level));
+                events.push((begin_s + 0.25, level + 5.0));
+            }
+            testing::record(&truth, events, 0.005, 5.5, 7 + shift as u64)
+        };
+        let evidence = Evidence::new(run(0), Some(run(1)), None);
+        Discovery::new(model, evidence, false)
+    }
+
+    #[test]
+    fn what_is_left_behind_is_about_the_model_as_it_stands() {
+        let mut discovery = discovery();
+        let standing = Mutex::new(Standing::new(discovery.model().clone()));
+        let now = || standing.lock().unwrap().clone();
+        // As if the screen were left in the middle: the answer is old, and it is said so.
+        let between = Mutex::new(None);
+        for order in [Order::Diagnose, Order::Add("quadratic_load")] {
+            discovery.carry_out(order, &|news| {
+                standing.lock().unwrap().hear(&news);
+                if let News::Added(_) = news {
+                    *between.lock().unwrap() = Some(now());
+                }
+            });
+            if order == Order::Diagnose {
+                assert_eq!(now().heading(), "");
+                assert_eq!(now().diagnosis.unwrap().effect, Some("quadratic_load"));
+            }
+        }
+        let between = between.into_inner().unwrap().unwrap();
+        assert!(between.original.effects.is_empty());
+        let heading = between.heading();
+        assert!(
+            heading.starts_with("by hand: + quadratic_load: held-out error "),
+            "{heading}"
+        );
+        assert!(heading.contains("without the last change"), "{heading}");
+        let last = now();
+        assert_eq!(last.original.effect_ids(), ["quadratic_load"]);
+        assert_eq!(
+            last.diagnosis.as_ref().unwrap().verdict,
+            DiagnosisVerdict::None
+        );
+        assert_eq!(last.heading().lines().count(), 1, "{}", last.heading());
     }
 }

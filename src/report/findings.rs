@@ -3,7 +3,6 @@
 use super::number::{self, significant};
 use super::page::{Cell, Page, Table};
 use super::plot::AxisChart;
-use crate::diagnosis::next_experiment::SEPARATED;
 use crate::diagnosis::{AxisMap, Candidate, Diagnosis, Peak, Reached, Status};
 use crate::plant::effect;
 use crate::sample::ParameterEstimate;
@@ -236,22 +235,19 @@ pub(super) fn next_run(page: &mut Page, diagnosis: &Diagnosis) {
     if next.menu.is_empty() {
         return;
     }
-    page.paragraph(format!(
-        "Every run that the limits allow, with the separation that is expected of it; it tells from {SEPARATED:.0} on."
-    ));
+    page.paragraph(
+        "Every run that the limits allow, with the separation that is expected of it, and from which on that run tells.",
+    );
     let rows = next.menu.iter().map(|entry| {
         vec![
             Cell::code(entry.program),
             Cell::text(significant(entry.expected_separation, 3)),
-            Cell::text(if entry.expected_separation >= SEPARATED {
-                "tells"
-            } else {
-                "does not"
-            }),
+            Cell::text(significant(entry.needed, 3)),
+            Cell::text(if entry.is_told() { "tells" } else { "does not" }),
         ]
     });
     page.table(Table {
-        head: vec!["run", "expected separation", "verdict"],
+        head: vec!["run", "expected separation", "tells from", "verdict"],
         rows: rows.collect(),
     });
 }

@@ -1,9 +1,11 @@
 //! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
 
+use super::page::Page;
 use super::*;
+use crate::diagnosis::next_experiment::MenuEntry;
 use crate::diagnosis::{
-    Comparison, Diagnosis, DiagnosisVerdict, Evidence, Fitted, HoldoutFrom, Rung, Score, compare,
-    diagnose,
+    Comparison, Diagnosis, DiagnosisVerdict, Evidence, Fitted, HoldoutFrom, NextExperiment, Rung,
+    Score, compare, diagnose,
 };
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error;
@@ -449,4 +451,38 @@ fn the_page_of_a_run_is_whole() {
     write_demo("run.txt", &report.text());
     assert_balanced(&html);
     assert!(html.contains("first &lt;run&gt;") && html.contains("&quot;first&quot; &amp; only"));
+}
+
+#[test]
+fn a_run_tells_from_what_its_own_diagnosis_asks_for() {
+    let mut found = diagnosis(DiagnosisVerdict::Ambiguous, "two explain alike");
+    let entry = |program, expected_separation| MenuEntry {
+        program,
+        expected_separation,
+        needed: 612.0,
+    };
+    found.next_experiment = Some(NextExperiment {
+        sentence: "run a slow ramp".to_owned(),
+        bench: None,
+        pair: Some(["viscous_friction", "quadratic_load"]),
+        pairs: Vec::new(),
+        reveals: Vec::new(),
+        expected_separation: 8463.0,
+        // The second is above what any run needs, and below what this one does.
+        menu: vec![entry("slow_ramp", 8463.0), entry("dither", 400.0)],
+        peaks: None,
+        recipe: None,
+    });
+    let mut page = Page::new("title", "subtitle");
+    findings::next_run(&mut page, &found);
+    let html = page.html();
+    assert_balanced(&html);
+    let row = |program: &str| {
+        let from = &html[html.find(program).unwrap()..];
+        from[..from.find("</tr>").unwrap()].to_owned()
+    };
+    for (program, verdict) in [("slow_<wbr>ramp", ">tells"), ("dither", ">does not")] {
+        let row = row(program);
+        assert!(row.contains("612") && row.contains(verdict), "{row}");
+    }
 }

@@ -38,7 +38,10 @@ pub enum News {
     Recommended(Box<NextExperiment>),
     Added(Box<AddResult>),
     Removed(Box<AddResult>),
+    /// The model is in a file.
     Written(String),
+    /// It is in none, and why.
+    NotWritten(String),
     Failed(String),
 }
 
@@ -77,6 +80,11 @@ impl Discovery {
     pub const fn with_limits(mut self, limits: ExperimentLimits) -> Self {
         self.limits = Some(limits);
         self
+    }
+
+    /// The model that the next fit starts from.
+    pub const fn model(&self) -> &Model {
+        &self.model
     }
 
     /// The model as it stands, fitted with the effects that were added; none before the first diagnosis.

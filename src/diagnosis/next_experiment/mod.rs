@@ -101,7 +101,17 @@ impl PairEntry {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MenuEntry {
     pub program: &'static str,
+    /// The smallest over the pairs; where there is no pair, the largest over what it would reveal.
     pub expected_separation: f64,
+    /// What a diagnosis of that run asks for, as in [`PairEntry::needed`].
+    pub needed: f64,
+}
+
+impl MenuEntry {
+    /// Whether the run tells every pair apart.
+    pub fn is_told(&self) -> bool {
+        self.expected_separation >= self.needed
+    }
 }
 
 #[cfg(test)]

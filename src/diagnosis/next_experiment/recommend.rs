@@ -247,6 +247,7 @@ fn tell_apart(
             .map(|tried| MenuEntry {
                 program: tried.plan.recipe.id,
                 expected_separation: smallest(&tried.separations),
+                needed: tried.needed,
             })
             .collect(),
         peaks: separable.then_some(plan.peaks),

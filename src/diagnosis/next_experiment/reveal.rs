@@ -55,6 +55,7 @@ pub(super) fn reveal(
         .map(|(plan, shown)| MenuEntry {
             program: plan.recipe.id,
             expected_separation: shown.iter().copied().fold(0.0, f64::max),
+            needed: SEPARATED,
         })
         .collect();
     let Some((plan, shown)) = tried.first() else {

@@ -161,6 +161,15 @@ fn told_apart(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
     let answer = answer(case);
     let expected = answer.next.expected_separation;
     assert!(expected > SEPARATED, "{}", answer.next.sentence);
+    // The menu asks of a run what the decision asks of it.
+    let recipe = answer.next.recipe.as_ref().unwrap();
+    let mut menu = answer.next.menu.iter();
+    let chosen = menu.find(|entry| entry.program == recipe.id).unwrap();
+    assert!(chosen.is_told(), "{chosen:?}");
+    assert_eq!(
+        chosen.needed.to_bits(),
+        answer.next.pairs[0].needed.to_bits()
+    );
     let ratio = answer.obtained / expected;
     assert!(
         (0.3..30.0).contains(&ratio),

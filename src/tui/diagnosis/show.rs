@@ -43,11 +43,15 @@ pub fn show_discovery(options: DiscoveryScreen) -> io::Result<Exit> {
         loop {
             let event = match options.news.try_recv() {
                 Ok(news) => Event::News(news),
-                Err(TryRecvError::Disconnected) if state.working.is_some() => Event::WorkerGone,
+                Err(TryRecvError::Disconnected) if state.working.is_some() || state.writing => {
+                    Event::WorkerGone
+                }
                 Err(_) => break,
             };
             changed = true;
-            state.update(event);
+            if let Some(Effect::Leave(exit)) = state.update(event) {
+                return Ok(exit);
+            }
         }
         if owned.panicked_elsewhere() {
             return Ok(Exit::WorkerPanicked);

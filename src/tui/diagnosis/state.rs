@@ -108,6 +108,10 @@ pub(super) struct State {
     pub(super) selected: Option<&'static str>,
     pub(super) over: Over,
     pub(super) guessing: Guessing,
+    /// A model that is to be written is not in its file yet.
+    pub(super) writing: bool,
+    /// To be left as soon as it is.
+    pub(super) leaving: bool,
     /// Answer to the last key.
     pub(super) message: Option<String>,
     pub(super) failure: Option<String>,
@@ -134,6 +138,8 @@ impl State {
             } else {
                 Guessing::Off
             },
+            writing: false,
+            leaving: false,
             message: None,
             failure: None,
         }

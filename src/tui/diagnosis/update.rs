@@ -12,6 +12,8 @@ use crate::tui::Exit;
 use crate::workflow::{News, Order};
 
 const GUESS_FIRST: &str = "guess first: g takes the selected row, Esc shows the names";
+const LEAVING: &str =
+    "leaves when the model is written; Esc stays, Ctrl-C leaves at once without it";
 
 #[derive(Clone, Debug)]
 pub(super) enum Event {
@@ -33,12 +35,18 @@ impl State {
             Event::Key(key) => return self.press(keys::press(key)?),
             Event::News(news) => self.hear(news),
             Event::WorkerGone => {
+                let is_lost = std::mem::take(&mut self.writing);
                 if self.working.take().is_some() {
                     self.failure = Some("the analysis has ended without an answer".to_owned());
                 }
+                if is_lost {
+                    self.leaving = false;
+                    self.failure =
+                        Some("the analysis has ended: the model is NOT WRITTEN".to_owned());
+                }
             }
         }
-        None
+        (self.leaving && !self.writing).then(|| Effect::Leave(self.exit()))
     }
 
     fn hear(&mut self, news: News) {
@@ -49,7 +57,15 @@ impl State {
             News::Recommended(next) => self.next = Some(Arc::from(next)),
             News::Added(result) => self.changed(true, *result),
             News::Removed(result) => self.changed(false, *result),
-            News::Written(text) => self.message = Some(text),
+            News::Written(text) => {
+                self.writing = false;
+                self.message = Some(text);
+            }
+            News::NotWritten(reason) => {
+                // Who leaves would lose the model without having seen why.
+                (self.writing, self.leaving) = (false, false);
+                self.message = Some(format!("NOT WRITTEN: {reason}"));
+            }
             News::Failed(reason) => {
                 self.working = None;
                 self.failure = Some(reason);
@@ -134,7 +150,13 @@ impl State {
         self.message = None;
         match press {
             Press::Interrupt => return Some(Effect::Leave(Exit::Interrupted)),
+            Press::Back if self.leaving => self.leaving = false,
+            _ if self.leaving => self.say(LEAVING),
             Press::Quit if self.over != Over::Nothing => self.over = Over::Nothing,
+            Press::Quit if self.writing => {
+                self.leaving = true;
+                self.say(LEAVING);
+            }
             Press::Quit => return Some(Effect::Leave(self.exit())),
             Press::Move(rows) => self.go(rows),
             _ if matches!(self.over, Over::Help(_)) => self.over = Over::Nothing,
@@ -358,12 +380,17 @@ impl State {
     fn write(&mut self) -> Option<Effect> {
         if self.guessing == Guessing::Choosing {
             self.say(GUESS_FIRST);
+        } else if self.writing {
+            self.say("not yet: the model is being written");
         } else if let Some(work) = &self.working {
             let text = format!("not yet: {work}");
             self.say(text);
         } else if self.ladder.is_empty() {
             self.say("there is no fitted model to write");
         } else {
+            // The worker may still look for the next run: the file comes after that.
+            self.writing = true;
+            self.say("the model will be written as soon as the analysis is at rest");
             return Some(Effect::Order(Order::Write));
         }
         None

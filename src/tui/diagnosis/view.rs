@@ -94,6 +94,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
 fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
     let work = match (&state.working, &state.failure) {
         (Some(work), _) => Span::styled(format!(" … {work} "), theme::CAREFUL),
+        (None, _) if state.writing => Span::styled(" … writing the model ", theme::CAREFUL),
         (None, Some(_)) => Span::styled(" FAILED ", theme::BAD),
         (None, None) => Span::styled(" ready ", theme::GOOD),
     };

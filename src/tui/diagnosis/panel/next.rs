@@ -5,7 +5,6 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 
 use super::{block, page, titled};
-use crate::diagnosis::next_experiment::SEPARATED;
 use crate::tui::diagnosis::state::State;
 use crate::tui::text::number;
 use crate::tui::theme;
@@ -33,19 +32,20 @@ pub(in crate::tui::diagnosis) fn next(
     if let Some(next) = &state.next {
         lines.push(block("next run", next.sentence.clone()));
         if !next.menu.is_empty() {
-            let text = format!("expected separation of each run; it tells from {SEPARATED:.0} on");
+            let text = "expected separation of each run, and from which on that run tells";
             lines.push(block("compared", text));
         }
         for entry in &next.menu {
-            let (mark, style) = if entry.expected_separation >= SEPARATED {
+            let (mark, style) = if entry.is_told() {
                 ("✓", theme::GOOD)
             } else {
                 ("·", theme::DIM)
             };
             let text = format!(
-                "{mark} {:<20} {:>10}",
+                "{mark} {:<20} {:>10} of {}",
                 entry.program,
-                number(entry.expected_separation)
+                number(entry.expected_separation),
+                number(entry.needed)
             );
             lines.push(Line::styled(text, style));
         }

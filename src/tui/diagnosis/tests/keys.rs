@@ -4,6 +4,7 @@ use super::fixtures::{
     added, answered, at_the_floor, begun, diagnosis, hear, letter, nothing_more, press, searching,
     text,
 };
+use crate::diagnosis::next_experiment::MenuEntry;
 use crate::diagnosis::{DiagnosisVerdict, NextExperiment};
 use crate::tui::Exit;
 use crate::tui::diagnosis::guess::{Guess, Guessing};
@@ -262,7 +263,13 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
         pairs: Vec::new(),
         reveals: Vec::new(),
         expected_separation: 8463.0,
-        menu: Vec::new(),
+        menu: [("slow_ramp", 8463.0), ("dither", 400.0)]
+            .map(|(program, expected_separation)| MenuEntry {
+                program,
+                expected_separation,
+                needed: 612.0,
+            })
+            .to_vec(),
         peaks: None,
         recipe: None,
     };
@@ -272,11 +279,56 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     for part in [
         "not told apart: viscous_friction and quadratic_load",
         "next run: run a slow ramp",
+        "from which on that run tells",
+        "✓ slow_ramp",
+        // Above the constant, below what that run needs.
+        "· dither",
+        "of 612",
     ] {
         assert!(shown.contains(part), "{shown}");
     }
     letter(&mut state, 'n');
     assert_eq!(state.over, Over::Nothing);
+}
+
+#[test]
+fn q_waits_for_a_model_that_is_being_written() {
+    let mut state = answered();
+    assert_eq!(letter(&mut state, 'w'), Some(Effect::Order(Order::Write)));
+    assert!(text(&state, 80, 24).contains("… writing the model"));
+    // Not twice.
+    assert_eq!(letter(&mut state, 'w'), None);
+    assert_eq!(letter(&mut state, 'q'), None);
+    assert!(text(&state, 80, 24).contains("leaves when the model is written"));
+    assert_eq!(letter(&mut state, 'a'), None);
+    let written = || Event::News(News::Written("model written to m.toml".to_owned()));
+    let left = Some(Effect::Leave(Exit::Finished));
+    assert_eq!(state.clone().update(written()), left);
+    let mut stays = state.clone();
+    press(&mut stays, KeyCode::Esc);
+    assert_eq!(stays.update(written()), None);
+    assert!(text(&stays, 80, 24).contains("model written to m.toml"));
+    assert!(text(&stays, 80, 24).contains("ready"));
+    assert_eq!(letter(&mut stays, 'q'), left);
+    // Ctrl-C does not wait.
+    let control = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
+    let effect = state.clone().update(Event::Key(control));
+    assert_eq!(effect, Some(Effect::Leave(Exit::Interrupted)));
+}
+
+#[test]
+fn a_model_that_cannot_be_written_keeps_the_screen() {
+    let mut state = answered();
+    letter(&mut state, 'w');
+    letter(&mut state, 'q');
+    let mut gone = state.clone();
+    hear(&mut state, News::NotWritten("the disk is full".to_owned()));
+    assert!(text(&state, 80, 24).contains("NOT WRITTEN: the disk is full"));
+    let left = Some(Effect::Leave(Exit::Finished));
+    assert_eq!(letter(&mut state, 'q'), left);
+    assert_eq!(gone.update(Event::WorkerGone), None);
+    assert!(text(&gone, 80, 24).contains("the model is NOT WRITTEN"));
+    assert_eq!(letter(&mut gone, 'q'), left);
 }
 
 #[test]
