@@ -5,7 +5,7 @@ mod program;
 
 use std::fmt::Write as _;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use program::{drivebench, line};
@@ -180,6 +180,41 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
     .expect(0);
     assert_eq!(done.json()["holdout_from"], "run");
     assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+}
+
+/// Without a standstill errors are counted in the residual of the refitted baseline, and no word may call that a floor.
+#[test]
+fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    // The bridge takes 2 V of what was asked.
+    let dropped = |rows: &[Row]| text_of(rows, |row| row[1] += 2.0 * row[1].signum());
+    let run = desk.put("run.csv", &dropped(&good()[120..]));
+    let other = record(MOTOR, 0.9, 0.0, 37);
+    let holdout = desk.put("holdout.csv", &dropped(&other[120..]));
+    let third = record(MOTOR, 0.8, 0.0, 41);
+    let confirm = desk.put("confirm.csv", &dropped(&third[120..]));
+    let model = desk.0.path().join("model2.toml");
+    let page = desk.0.path().join("page.html");
+    let paths: [&Path; 5] = [&nameplate, &run, &holdout, &confirm, &model];
+    let files: [&Path; 4] = [&run, &nameplate, &holdout, &page];
+    let diagnosed = "diagnose {} --model {} --holdout {} --html {}";
+    let added = "add voltage_drop --model {} --run {} --holdout {} --confirm {} --output {}";
+    let refused = "add quadratic_load --model {} --run {} --holdout {} --confirm {}";
+    let diagnosis = drivebench(line(diagnosed, &files)).expect(0).stdout;
+    let accepted = drivebench(line(added, &paths)).expect(0).stdout;
+    let refusal = drivebench(line(refused, &paths[..4]));
+    for (name, text) in [
+        ("diagnose", diagnosis),
+        ("page", fs::read_to_string(page).expect("written")),
+        ("add", accepted),
+        ("refused", refusal.stdout.clone() + &refusal.stderr),
+        ("model", fs::read_to_string(model).expect("written")),
+    ] {
+        assert!(!text.contains("times the noise"), "{name}: {text}");
+        assert!(!text.contains("at the noise floor"), "{name}: {text}");
+        assert!(text.contains("the baseline's residual"), "{name}: {text}");
+    }
 }
 
 #[test]

@@ -136,10 +136,7 @@ impl CommissionReport<'_> {
     }
 
     fn unit_of_error(&self) -> &'static str {
-        match self.diagnosis.noise_floor_from {
-            FloorSource::None => "the baseline's residual",
-            FloorSource::Standstill | FloorSource::Repeat => "the noise floor",
-        }
+        self.diagnosis.noise_floor_from.unit()
     }
 
     fn ladder_section(&self, page: &mut Page) {
@@ -176,7 +173,11 @@ impl CommissionReport<'_> {
         };
         page.figure(
             chart.svg("held-out error of each model of the ladder"),
-            "A perfect model ends at the noise floor.",
+            if floor_known {
+                "A perfect model ends at the noise floor."
+            } else {
+                "Where a perfect model would end is not known."
+            },
         );
         let rows = self.ladder.iter().enumerate().map(|(rung, model)| {
             let change = rung.checked_sub(1).map_or("-".to_owned(), |below| {
