@@ -217,6 +217,62 @@ fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
     }
 }
 
+/// The page of a command on the run, a hold-out and the nameplate.
+fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> String {
+    let page = desk.0.path().join(format!("{command}.html"));
+    let nameplate = desk.nameplate();
+    let text = format!("{command} {{}} --holdout {{}} --model {{}} --html {{}}");
+    drivebench(line(&text, &[run, holdout, &nameplate, &page])).expect(0);
+    fs::read_to_string(page).expect("the page is written")
+}
+
+#[test]
+fn a_page_names_no_holdout_that_was_set_aside_and_says_why_it_was() {
+    let desk = Desk::new();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let other = record([3.3, 0.17], 0.9, 0.0, 29);
+    let other = desk.put("other.csv", &text_of(&other, |_| {}));
+    let page = page_of(&desk, "diagnose", &run, &other);
+    assert!(page.contains("run.csv, last 40 % held out"), "{page}");
+    assert!(!page.contains("held out other.csv"), "{page}");
+    assert!(!page.contains("run 2"), "two runs: {page}");
+    assert!(page.contains("not of the same motor"), "{page}");
+}
+
+#[test]
+fn a_page_does_not_call_unseen_what_is_objected_to() {
+    let desk = Desk::new();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let page = page_of(&desk, "compare", &run, &run);
+    assert!(!page.contains("has not seen"), "{page}");
+    assert!(page.contains("its samples are those of the run"), "{page}");
+    let desk = Desk::new();
+    let again = record(MOTOR, 0.9, 0.0, 23);
+    let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
+    let page = page_of(&desk, "compare", &run, &holdout);
+    assert!(page.contains("held out again.csv"), "{page}");
+    assert!(page.contains("has not seen"), "{page}");
+    assert!(!page.contains("About the data"), "{page}");
+}
+
+#[test]
+fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
+    let desk = Desk::new();
+    let with_hole = |rows: &[Row]| [&rows[..700], &rows[760..]].concat();
+    let torn = text_of(&with_hole(good()), |_| {}) + "7.99,1";
+    let run = desk.put("run.csv", &torn);
+    let again = with_hole(&record(MOTOR, 0.9, 0.0, 23));
+    let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
+    for command in ["diagnose", "compare"] {
+        let page = page_of(&desk, command, &run, &holdout);
+        for part in ["run: no rows between", "again: no rows between"] {
+            assert!(page.contains(part), "{command}, {part}: {page}");
+        }
+        let dropped = "Rows of the file that were dropped: 1";
+        assert!(page.contains(dropped), "{command}: {page}");
+    }
+}
+
 #[test]
 fn a_record_that_begins_while_the_motor_runs_out_has_the_floor_of_the_rest_after_it() {
     let desk = Desk::new();

@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
-use super::diagnose::title;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
 use super::{interrupt, model_output, output, pages, progress};
@@ -58,12 +57,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
     drop(shown);
     if let Some(path) = &arguments.html {
-        let page = pages::comparison(
-            &title(&arguments.run, arguments.evidence.holdout.as_deref()),
-            &arguments.evidence.runs(&arguments.run),
-            &prepared.run.manifest.clone().unwrap_or_default(),
-            &comparison,
-        );
+        let page = pages::comparison(&prepared.about, &prepared.run, &comparison);
         pages::write(path, &page)?;
     }
     let mut value = serde_json::to_value(&comparison).unwrap_or_default();

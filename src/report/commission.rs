@@ -71,6 +71,7 @@ impl CommissionReport<'_> {
             DiagnosisVerdict::Unexplained => (Tone::Bad, "Unexplained"),
         };
         page.lead(tone, word, self.headline());
+        tables::data_notes(&mut page, self.context);
         self.ladder_section(&mut page);
         // Where nothing was added there is one model, not a model before and after.
         let (before, after) = if self.after.is_some() {
