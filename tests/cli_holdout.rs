@@ -5,7 +5,7 @@ mod program;
 
 use std::fmt::Write as _;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use program::{drivebench, line};
@@ -180,6 +180,97 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
     .expect(0);
     assert_eq!(done.json()["holdout_from"], "run");
     assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+}
+
+/// Without a standstill errors are counted in the residual of the refitted baseline, and no word may call that a floor.
+#[test]
+fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    // The bridge takes 2 V of what was asked.
+    let dropped = |rows: &[Row]| text_of(rows, |row| row[1] += 2.0 * row[1].signum());
+    let run = desk.put("run.csv", &dropped(&good()[120..]));
+    let other = record(MOTOR, 0.9, 0.0, 37);
+    let holdout = desk.put("holdout.csv", &dropped(&other[120..]));
+    let third = record(MOTOR, 0.8, 0.0, 41);
+    let confirm = desk.put("confirm.csv", &dropped(&third[120..]));
+    let model = desk.0.path().join("model2.toml");
+    let page = desk.0.path().join("page.html");
+    let paths: [&Path; 5] = [&nameplate, &run, &holdout, &confirm, &model];
+    let files: [&Path; 4] = [&run, &nameplate, &holdout, &page];
+    let diagnosed = "diagnose {} --model {} --holdout {} --html {}";
+    let added = "add voltage_drop --model {} --run {} --holdout {} --confirm {} --output {}";
+    let refused = "add quadratic_load --model {} --run {} --holdout {} --confirm {}";
+    let diagnosis = drivebench(line(diagnosed, &files)).expect(0).stdout;
+    let accepted = drivebench(line(added, &paths)).expect(0).stdout;
+    let refusal = drivebench(line(refused, &paths[..4]));
+    for (name, text) in [
+        ("diagnose", diagnosis),
+        ("page", fs::read_to_string(page).expect("written")),
+        ("add", accepted),
+        ("refused", refusal.stdout.clone() + &refusal.stderr),
+        ("model", fs::read_to_string(model).expect("written")),
+    ] {
+        assert!(!text.contains("times the noise"), "{name}: {text}");
+        assert!(!text.contains("at the noise floor"), "{name}: {text}");
+        assert!(text.contains("the baseline's residual"), "{name}: {text}");
+    }
+}
+
+/// The page of a command on the run, a hold-out and the nameplate.
+fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> String {
+    let page = desk.0.path().join(format!("{command}.html"));
+    let nameplate = desk.nameplate();
+    let text = format!("{command} {{}} --holdout {{}} --model {{}} --html {{}}");
+    drivebench(line(&text, &[run, holdout, &nameplate, &page])).expect(0);
+    fs::read_to_string(page).expect("the page is written")
+}
+
+#[test]
+fn a_page_names_no_holdout_that_was_set_aside_and_says_why_it_was() {
+    let desk = Desk::new();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let other = record([3.3, 0.17], 0.9, 0.0, 29);
+    let other = desk.put("other.csv", &text_of(&other, |_| {}));
+    let page = page_of(&desk, "diagnose", &run, &other);
+    assert!(page.contains("run.csv, last 40 % held out"), "{page}");
+    assert!(!page.contains("held out other.csv"), "{page}");
+    assert!(!page.contains("run 2"), "two runs: {page}");
+    assert!(page.contains("not of the same motor"), "{page}");
+}
+
+#[test]
+fn a_page_does_not_call_unseen_what_is_objected_to() {
+    let desk = Desk::new();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let page = page_of(&desk, "compare", &run, &run);
+    assert!(!page.contains("has not seen"), "{page}");
+    assert!(page.contains("its samples are those of the run"), "{page}");
+    let desk = Desk::new();
+    let again = record(MOTOR, 0.9, 0.0, 23);
+    let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
+    let page = page_of(&desk, "compare", &run, &holdout);
+    assert!(page.contains("held out again.csv"), "{page}");
+    assert!(page.contains("has not seen"), "{page}");
+    assert!(!page.contains("About the data"), "{page}");
+}
+
+#[test]
+fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
+    let desk = Desk::new();
+    let with_hole = |rows: &[Row]| [&rows[..700], &rows[760..]].concat();
+    let torn = text_of(&with_hole(good()), |_| {}) + "7.99,1";
+    let run = desk.put("run.csv", &torn);
+    let again = with_hole(&record(MOTOR, 0.9, 0.0, 23));
+    let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
+    for command in ["diagnose", "compare"] {
+        let page = page_of(&desk, command, &run, &holdout);
+        for part in ["run: no rows between", "again: no rows between"] {
+            assert!(page.contains(part), "{command}, {part}: {page}");
+        }
+        let dropped = "Rows of the file that were dropped: 1";
+        assert!(page.contains(dropped), "{command}: {page}");
+    }
 }
 
 #[test]

@@ -256,6 +256,90 @@ fn an_axis_without_electrics_is_identified_from_force_and_position() {
 }
 
 #[test]
+fn figures_of_an_axis_without_electrics_stand_under_their_names() {
+    let desk = Desk::new();
+    // A second at rest, in which the last digit of the encoder flickers, gives the floor.
+    let moving = axis();
+    let (header, moving) = moving.split_once('\n').unwrap();
+    let mut text = format!("{header}\n");
+    for k in 0..500_u32 {
+        let digit = k.wrapping_mul(2_654_435_761) >> 31;
+        let _ = writeln!(
+            text,
+            "{:.5},0.000,{}",
+            f64::from(k) * 2e-3,
+            f64::from(digit) * 1e-7
+        );
+    }
+    for row in moving.lines() {
+        let (time_s, rest) = row.split_once(',').unwrap();
+        let _ = writeln!(text, "{:.5},{rest}", time_s.parse::<f64>().unwrap() + 1.0);
+    }
+    let file = desk.put("axis.csv", &text);
+    let model = desk.put(
+        "axis.toml",
+        "[motor]\nname = \"axis\"\ninertia_kg_m2 = 80.0\nload_torque_n_m = 20.0\n\
+         [[effect]]\nid = \"viscous_friction\"\nviscous_n_m_s_per_rad = 200.0\n",
+    );
+    let page = desk.0.path().join("page.html");
+    let map = "--map time_s=t,torque_n_m=force_n,angle_rad=x_m";
+    let compared = format!("compare {{}} --model {{}} --html {{}} {map}");
+    let shown = drivebench(line(&compared, &[&file, &model, &page]))
+        .expect(0)
+        .stdout;
+    let row = |name: &str| {
+        let found = shown.lines().find_map(|line| line.strip_prefix(name));
+        let (holdout, training) = found
+            .unwrap_or_else(|| panic!("{name}: {shown}"))
+            .split_once('|')
+            .unwrap();
+        let cells = |half: &str| -> Vec<String> {
+            let words = half.split_whitespace().map(str::to_owned);
+            words
+                .filter(|word| word.parse::<f64>().is_ok() || word == "unknown" || word == "-")
+                .collect()
+        };
+        (cells(holdout), cells(training))
+    };
+    let found = drivebench(line(
+        &format!("compare {{}} --model {{}} --json {map}"),
+        &[&file, &model],
+    ))
+    .expect(0)
+    .json();
+    let torque = &found["signals"]["torque_n_m"];
+    let [floor, rmse, training] = ["/noise_floor", "/holdout/rmse", "/fit_percent"]
+        .map(|key| torque.pointer(key).and_then(Value::as_f64).unwrap());
+    let (holdout, fitted) = row("torque ");
+    assert_eq!(
+        holdout[2..],
+        [format!("{floor:.3}"), format!("{:.2}", rmse / floor)],
+        "{shown}"
+    );
+    assert_eq!(
+        fitted,
+        [format!("{training:.2}"), "-".to_owned()],
+        "{shown}"
+    );
+    assert_eq!(
+        row("speed (0.75 s windows)").0[2..],
+        ["unknown", "unknown"],
+        "{shown}"
+    );
+    assert!(shown.contains("band: torque ee"), "{shown}");
+    assert!(found["residual"]["torque_n_m"]["rho_ee"].is_object());
+    assert!(found["residual"].get("speed_rad_s").is_none());
+    let page = fs::read_to_string(page).unwrap();
+    assert!(page.contains("speed (0.75 s windows)"), "{page}");
+    let lights = &page[page.find("Residual lights").unwrap()..];
+    let lights = &lights[..lights.find("</table>").unwrap()];
+    assert!(
+        lights.contains("torque") && !lights.contains("speed"),
+        "{lights}"
+    );
+}
+
+#[test]
 fn a_wrong_key_is_named_with_its_line_and_the_nearest() {
     let desk = Desk::new();
     let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs");

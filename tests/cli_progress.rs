@@ -16,12 +16,16 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::stat::Mode;
+use nix::unistd::{Pid, mkfifo};
 use portable_pty::{Child, CommandBuilder, MasterPty, PtySize, native_pty_system};
 use program::{command, line};
 
 /// Generous, because tests share the machine; nothing here waits for time to pass.
 const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Back to the first column, and nothing to the right of it.
+const WIPE: &str = "\r\x1b[K";
 
 /// A record long enough to keep any machine busy for seconds: made-up volts, and a first-order answer to them.
 fn long_record(folder: &Path) -> PathBuf {
@@ -106,15 +110,20 @@ impl Terminal {
     }
 
     /// Exit status, and what a person then sees.
-    fn end(mut self) -> (u32, String) {
+    fn end(self) -> (u32, String) {
+        let (status, sent) = self.sent();
+        let mut screen =
+            vt100::Parser::new(24_u16.try_into().unwrap(), 80_u16.try_into().unwrap(), 0);
+        screen.process(&sent);
+        (status, screen.screen().contents())
+    }
+
+    /// Exit status, and every byte that came.
+    fn sent(mut self) -> (u32, Vec<u8>) {
         while let Ok(bytes) = self.output.recv_timeout(PATIENCE) {
             self.seen.extend(bytes);
         }
-        let status = self.child.wait().unwrap().exit_code();
-        let mut screen =
-            vt100::Parser::new(24_u16.try_into().unwrap(), 80_u16.try_into().unwrap(), 0);
-        screen.process(&self.seen);
-        (status, screen.screen().contents())
+        (self.child.wait().unwrap().exit_code(), self.seen)
     }
 }
 
@@ -141,11 +150,30 @@ fn ctrl_c_in_a_diagnosis_ends_it_with_130_and_a_clean_terminal() {
 #[test]
 fn progress_is_one_line_that_goes_when_the_answer_comes() {
     let folder = tempfile::tempdir().unwrap();
-    let run = long_record(folder.path());
+    let record = std::fs::read(long_record(folder.path())).unwrap();
+    // A pipe, so that the command waits for its data until the line has been seen, however fast the machine is.
+    let run = folder.path().join("pipe.csv");
+    mkfifo(&run, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
     let arguments = line("compare {} --json", &[&run]);
-    let (status, screen) = Terminal::start(&arguments, folder.path()).end();
-    assert_eq!(status, 0, "{screen}");
-    assert!(!screen.contains("compare: "), "{screen}");
+    let mut terminal = Terminal::start(&arguments, folder.path());
+    terminal.wait_for("compare: ");
+    let written = std::thread::spawn(move || std::fs::write(run, record));
+    // The answer is longer than the screen, off which a line left behind would have scrolled: the bytes themselves tell.
+    let (status, sent) = terminal.sent();
+    written.join().unwrap().unwrap();
+    let sent = String::from_utf8_lossy(&sent);
+    assert_eq!(status, 0, "{sent}");
+    let last = sent.rfind("compare: ").expect("no line was drawn");
+    let (drawn, left) = sent.split_at(last);
+    assert!(drawn.ends_with(WIPE), "{drawn:?}");
+    let end = left.find('\r').expect("nothing follows the line");
+    let (line, after) = left.split_at(end);
+    assert!(
+        !line.contains('{'),
+        "the answer stands behind the line: {line:?}"
+    );
+    assert!(after.starts_with(WIPE), "the line is left behind: {left:?}");
+    assert!(after[WIPE.len()..].starts_with('{'), "{after:?}");
 }
 
 #[test]

@@ -9,6 +9,7 @@
 mod program;
 mod terminal;
 
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -48,7 +49,8 @@ fn diagnose(more: &[&str], folder: &Path, size: (u16, u16)) -> Session {
 /// More rows for the reader than the program knows of: what is printed at the end is seen from its first line on.
 fn keep_what_scrolls(session: &mut Session) {
     let (_, columns) = session.screen.screen().size();
-    session.screen.screen_mut().set_size(400, columns);
+    let rows = NonZero::new(400).expect("more than none");
+    session.screen.screen_mut().set_size(rows, columns);
 }
 
 fn terminate(session: &Session) {

@@ -162,7 +162,7 @@ fn model_file(result: &AddResult, before: &FileHistory, run: &str) -> ModelFile 
     };
     history.fitted_on = vec![run.to_owned()];
     for rung in &result.ladder {
-        let line = model_output::rung(rung);
+        let line = model_output::rung(rung, result.before.noise_floor_from);
         if history.ladder.last() != Some(&line) {
             history.ladder.push(line);
         }
@@ -195,8 +195,10 @@ fn text(result: &AddResult, model: Option<String>) -> String {
     if let Some([before, after]) = &result.confirm {
         let _ = writeln!(
             text,
-            "on the confirming run: {:.2} -> {:.2} times the noise",
-            before.holdout_rmse, after.holdout_rmse
+            "on the confirming run: {:.2} -> {:.2} {}",
+            before.holdout_rmse,
+            after.holdout_rmse,
+            result.before.noise_floor_from.times()
         );
     }
     if let Some(model) = model {

@@ -246,12 +246,7 @@ fn save(workflow: &Commission, rig: &Rig, records: &[Recorded]) -> Result<String
     file.history.ladder = result
         .ladder
         .iter()
-        .map(|rung| {
-            format!(
-                "{:?}: held-out error {:.3} times the noise",
-                rung.effects, rung.holdout_rmse
-            )
-        })
+        .map(|rung| model_output::rung(rung, result.diagnosis.noise_floor_from))
         .collect();
     let page = pages::commission(workflow.scenarios(), result, rig)?.html;
     let next = &result.diagnosis.next_experiment;

@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
-use super::diagnose::title;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
 use super::{interrupt, output, pages, progress};
@@ -58,12 +57,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let comparison = compare(&model, &evidence, ErrorOf::Model)?;
     drop(shown);
     if let Some(path) = &arguments.html {
-        let page = pages::comparison(
-            &title(&arguments.run, arguments.evidence.holdout.as_deref()),
-            &arguments.evidence.runs(&arguments.run),
-            &prepared.run.manifest.clone().unwrap_or_default(),
-            &comparison,
-        );
+        let page = pages::comparison(&prepared.about, &prepared.run, &comparison);
         pages::write(path, &page)?;
     }
     let mut value = serde_json::to_value(&comparison).unwrap_or_default();
@@ -111,36 +105,57 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
 
 /// The comparison as a small table, the hold-out first; then one line of lights, then sentences.
 pub(super) fn text(comparison: &Comparison) -> String {
-    let mut text = String::from(
-        "signal    held-out fit   held-out rmse   noise floor   times floor | training fit   one-step rmse\n",
+    let signals = &comparison.signals;
+    let speed = signals.speed_name();
+    let width = speed.len().max(SIGNAL);
+    let mut text = format!(
+        "{:<width$}  held-out fit   held-out rmse   noise floor   times floor | training fit   one-step rmse\n",
+        "signal"
     );
-    let mut row = |name: &str, unit: &str, signal: Option<SignalComparison>| {
-        let Some(signal) = signal else { return };
-        let known = |value: Option<f64>, digits: usize| {
-            value.map_or_else(|| "unknown".to_owned(), |value| format!("{value:.digits$}"))
+    let mut row = |name: &str,
+                   unit: &str,
+                   fits: [f64; 2],
+                   rmse: f64,
+                   floor: Option<f64>,
+                   one_step: Option<f64>| {
+        let known = |value: Option<f64>, digits: usize, otherwise: &str| {
+            value.map_or_else(|| otherwise.to_owned(), |value| format!("{value:.digits$}"))
         };
-        let times = signal.noise_floor.map(|floor| signal.holdout.rmse / floor);
         let _ = writeln!(
             text,
-            "{name:<8} {:>11.2} %  {:>8.3} {unit:<5} {:>13} {:>13} | {:>10.2} % {:>15.3}",
-            signal.holdout.fit_percent,
-            signal.holdout.rmse,
-            known(signal.noise_floor, 3),
-            known(times, 2),
-            signal.fit_percent,
-            signal.one_step_rmse
+            "{name:<width$} {:>11.2} %  {rmse:>8.3} {unit:<5} {:>13} {:>13} | {:>10.2} % {:>15}",
+            fits[0],
+            known(floor, 3, "unknown"),
+            known(floor.map(|floor| rmse / floor), 2, "unknown"),
+            fits[1],
+            known(one_step, 3, "-")
         );
     };
-    row("speed", "rad/s", comparison.signals.speed_rad_s);
-    row("current", "A", comparison.signals.current_a);
-    if let Some(torque) = &comparison.signals.torque_n_m {
-        let floor = torque
-            .noise_floor
-            .map_or_else(|| "unknown".to_owned(), |floor| format!("{floor:.3}"));
-        let _ = writeln!(
-            text,
-            "torque   {:>10.2} % {:>9.3} N.m   {floor:>12} {:>12.2} %",
-            torque.holdout.fit_percent, torque.holdout.rmse, torque.fit_percent
+    for (name, unit, signal) in [
+        (speed.as_str(), "rad/s", signals.speed_rad_s),
+        ("current", "A", signals.current_a),
+    ] {
+        let Some(signal) = signal else { continue };
+        let fits = [signal.holdout.fit_percent, signal.fit_percent];
+        let one_step = Some(signal.one_step_rmse);
+        row(
+            name,
+            unit,
+            fits,
+            signal.holdout.rmse,
+            signal.noise_floor,
+            one_step,
+        );
+    }
+    if let Some(torque) = &signals.torque_n_m {
+        let fits = [torque.holdout.fit_percent, torque.fit_percent];
+        row(
+            "torque",
+            "N.m",
+            fits,
+            torque.holdout.rmse,
+            torque.noise_floor,
+            None,
         );
         for error in &torque.processing {
             let _ = writeln!(
@@ -171,6 +186,8 @@ pub(super) fn text(comparison: &Comparison) -> String {
     text
 }
 
+/// Width of a signal's name.
+const SIGNAL: usize = 8;
 /// Sentences about places that are shown; all are in the JSON.
 const MOST_PLACES: usize = 3;
 
@@ -186,11 +203,7 @@ fn lights(residual: &ResidualLights) -> String {
         (false, false) => "not white, and it goes with the input".to_owned(),
     };
     line.push_str(" (times the 99 % band:");
-    for (name, signal) in [
-        ("speed", residual.speed_rad_s),
-        ("current", residual.current_a),
-    ] {
-        let Some(signal) = signal else { continue };
+    for (name, signal) in residual.named() {
         let _ = write!(line, " {name}");
         for (light, value) in signal.named() {
             let mark = if value.passes { "" } else { "!" };

@@ -10,7 +10,7 @@ use super::holdout::{self, Beside};
 use super::provenance::Provenance;
 use super::sanity_report::{self, Judging};
 use super::{output, progress};
-use crate::diagnosis::Evidence;
+use crate::diagnosis::{Evidence, HoldoutFrom};
 use crate::identification::{speed_from_angle, start};
 use crate::plant::{Model, ModelFile, Motor, Scenario};
 use crate::recording::{ColumnMap, LoadedRun, open_run};
@@ -136,12 +136,37 @@ pub(super) struct EvidenceArguments {
     pub(super) map: MapArguments,
 }
 
-impl EvidenceArguments {
-    /// The runs that are named, the one that is fitted first.
-    pub(super) fn runs<'a>(&'a self, run: &'a Path) -> Vec<&'a Path> {
-        let others = [&self.holdout, &self.confirm];
-        let others = others.into_iter().filter_map(|path| path.as_deref());
-        std::iter::once(run).chain(others).collect()
+/// What a screen or a page calls the data: runs that were set aside are not among them.
+pub(super) struct About {
+    /// The fitted run and what is held out, by the last part of their names.
+    pub(super) title: String,
+    /// The runs that are used, the one that is fitted first.
+    pub(super) runs: Vec<PathBuf>,
+    /// Whether something speaks against the hold-out that is used all the same.
+    pub(super) holdout_objected: bool,
+}
+
+impl About {
+    fn new(run: &Path, evidence: &Evidence, args: &EvidenceArguments, objected: bool) -> Self {
+        let is_run = evidence.holdout_from == HoldoutFrom::Run;
+        let holdout = args.holdout.as_deref().filter(|_| is_run);
+        let confirm = args
+            .confirm
+            .as_deref()
+            .filter(|_| evidence.confirm.is_some());
+        let name = |path: &Path| {
+            path.file_name()
+                .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+        };
+        let used = [Some(run), holdout, confirm];
+        Self {
+            title: holdout.map_or_else(
+                || format!("{}, last 40 % held out", name(run)),
+                |holdout| format!("{}, held out {}", name(run), name(holdout)),
+            ),
+            runs: used.into_iter().flatten().map(Path::to_owned).collect(),
+            holdout_objected: objected && is_run,
+        }
     }
 }
 
@@ -150,17 +175,18 @@ pub(super) struct Prepared {
     pub(super) run: LoadedRun,
     pub(super) model: ChosenModel,
     pub(super) evidence: Evidence,
+    pub(super) about: About,
 }
 
 /// Opens what the command names; data that it cannot judge end it.
 pub(super) fn prepare(
-    run: &Path,
+    path: &Path,
     model_path: Option<&PathBuf>,
     args: &EvidenceArguments,
     judging: Judging,
 ) -> Result<Prepared, Failure> {
     progress::stage("reads the runs", 0);
-    let mut run = args.map.load(run)?;
+    let mut run = args.map.load(path)?;
     let mut model = model(model_path, &run)?;
     let fit_run = Scenario::from_run(&run.run)?;
     let judging = if model.from == "baseline" {
@@ -172,12 +198,14 @@ pub(super) fn prepare(
     let cautions = holdout::cautions(&run.run, &fit_run);
     output::warn(&cautions);
     run.run.notes.extend(cautions);
-    let other = |path: Option<&PathBuf>| -> Result<Option<(LoadedRun, Scenario)>, Failure> {
+    let mut others = Vec::new();
+    let mut other = |path: Option<&PathBuf>| -> Result<Option<(LoadedRun, Scenario)>, Failure> {
         let Some(path) = path else { return Ok(None) };
         let loaded = args.map.load_other(path)?;
         let scenario = Scenario::from_run(&loaded.run)?;
         let cautions = holdout::cautions(&loaded.run, &scenario);
         output::warn(&cautions);
+        others.extend(cautions);
         Ok(Some((loaded, scenario)))
     };
     if fit_run.input_channel == Channel::VoltageCmd {
@@ -190,6 +218,7 @@ pub(super) fn prepare(
     progress::stage("finds where the fit starts", 0);
     model.file.model = start::complete(&model.file.model, &fit_run)?;
     let (holdout, confirm) = (other(args.holdout.as_ref())?, other(args.confirm.as_ref())?);
+    run.run.notes.extend(others);
     let mut beside = Beside {
         model: &model.file.model,
         fitted: &fit_run,
@@ -197,7 +226,8 @@ pub(super) fn prepare(
         fingerprint: OnceCell::new(),
     };
     let mut judge = |role, other: Option<_>, instead| {
-        other.and_then(|other| beside.judge(role, other, instead, &mut run.run.notes))
+        let judged = other.map(|other| beside.judge(role, other, instead, &mut run.run.notes));
+        judged.unwrap_or_default()
     };
     let holdout = judge(
         "hold-out",
@@ -205,11 +235,13 @@ pub(super) fn prepare(
         "the last 40 % of the run are held out instead",
     );
     let confirm = judge("confirming run", confirm, "nothing is confirmed");
-    let evidence = Evidence::new(fit_run, holdout, confirm);
+    let evidence = Evidence::new(fit_run, holdout.used, confirm.used);
+    let about = About::new(path, &evidence, args, holdout.objected);
     Ok(Prepared {
         run,
         model,
         evidence,
+        about,
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::data::{EvidenceArguments, prepare};
 use super::discovery::{self, Shown};
@@ -89,7 +89,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         // From here on the screen owns the terminal and hears the signals.
         drop(attended.take());
         let shown = Shown {
-            title: title(&arguments.run, arguments.evidence.holdout.as_deref()),
+            title: prepared.about.title.clone(),
             guess_first: on_screen.guess,
             fitted_on: prepared.run.run.name.clone(),
             history: prepared.model.file.history.clone(),
@@ -123,9 +123,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     arguments.next.write(&place, &diagnosis, &arguments.run)?;
     if let Some(path) = &arguments.html {
         let page = pages::diagnosis(
-            &title(&arguments.run, arguments.evidence.holdout.as_deref()),
-            &arguments.evidence.runs(&arguments.run),
-            &prepared.run.manifest.clone().unwrap_or_default(),
+            &prepared.about,
+            &prepared.run,
             &prepared.evidence,
             &diagnosis,
         )?;
@@ -137,18 +136,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     output::result(&value, arguments.json, |_| {
         format!("{by_hand}{}", text(&diagnosis))
     })
-}
-
-/// The runs by the last part of their names.
-pub(super) fn title(run: &Path, holdout: Option<&Path>) -> String {
-    let name = |path: &Path| {
-        path.file_name()
-            .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
-    };
-    holdout.map_or_else(
-        || format!("{}, last 40 % held out", name(run)),
-        |holdout| format!("{}, held out {}", name(run), name(holdout)),
-    )
 }
 
 pub(super) fn text(diagnosis: &Diagnosis) -> String {

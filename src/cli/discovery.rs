@@ -203,7 +203,7 @@ fn write(discovery: &Discovery, shown: &Shown) -> Result<PathBuf, String> {
         ..shown.history.clone()
     };
     for rung in discovery.ladder() {
-        let line = model_output::rung(rung);
+        let line = model_output::rung(rung, fitted.noise.source);
         if history.ladder.last() != Some(&line) {
             history.ladder.push(line);
         }

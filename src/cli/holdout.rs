@@ -23,6 +23,15 @@ pub(super) struct Beside<'a> {
     pub(super) fingerprint: OnceCell<Option<Fingerprint>>,
 }
 
+/// What became of a run to judge by.
+#[derive(Default)]
+pub(super) struct Judged {
+    /// None where it was set aside.
+    pub(super) used: Option<Scenario>,
+    /// Whether something speaks against it.
+    pub(super) objected: bool,
+}
+
 impl Beside<'_> {
     /// `other` where it can serve as what `role` says. Where it cannot, the reason goes to stderr and to `notes`, and a
     /// command that fits goes on without it; one that compares a model as given compares all the same.
@@ -32,10 +41,13 @@ impl Beside<'_> {
         other: (LoadedRun, Scenario),
         instead: &str,
         notes: &mut Vec<String>,
-    ) -> Option<Scenario> {
+    ) -> Judged {
         let (loaded, scenario) = other;
         let Some((reason, forbids)) = self.objection(&loaded.run, &scenario) else {
-            return Some(scenario);
+            return Judged {
+                used: Some(scenario),
+                objected: false,
+            };
         };
         let sets_aside = forbids && self.judging != Judging::AsGiven;
         let sentence = if sets_aside {
@@ -45,7 +57,10 @@ impl Beside<'_> {
         };
         output::warn(std::slice::from_ref(&sentence));
         notes.push(sentence);
-        (!sets_aside).then_some(scenario)
+        Judged {
+            used: (!sets_aside).then_some(scenario),
+            objected: true,
+        }
     }
 
     /// What speaks against it, and whether nothing can be judged by it.

@@ -1,6 +1,7 @@
 //! Model files that commands write.
 
 use crate::diagnosis::Rung;
+use crate::identification::noise::FloorSource;
 use crate::plant::FittedValue;
 use crate::sample::ParameterEstimate;
 
@@ -18,14 +19,15 @@ pub(super) fn fitted(parameters: &[ParameterEstimate]) -> Vec<FittedValue> {
 }
 
 /// One line of a model file's ladder.
-pub(super) fn rung(rung: &Rung) -> String {
+pub(super) fn rung(rung: &Rung, floor: FloorSource) -> String {
     let effects = if rung.effects.is_empty() {
         "baseline".to_owned()
     } else {
         rung.effects.join(" + ")
     };
     format!(
-        "{effects}: held-out error {:.3} times the noise",
-        rung.holdout_rmse
+        "{effects}: held-out error {:.3} {}",
+        rung.holdout_rmse,
+        floor.times()
     )
 }

@@ -1,7 +1,8 @@
 //! Fills in the report pages from what a run or a commissioning left.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use super::data::About;
 use super::failure::Failure;
 use super::live::Rig;
 use super::recorded::Recorded;
@@ -10,7 +11,7 @@ use crate::bench::{Outcome, Plan};
 use crate::diagnosis::{Comparison, Diagnosis, ErrorOf, Evidence, Rung, Score, compare};
 use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario};
-use crate::recording::Manifest;
+use crate::recording::{LoadedRun, Manifest};
 use crate::report::{
     CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, Target,
 };
@@ -131,13 +132,12 @@ pub(super) fn commission(
 
 /// The page of a diagnosis of recorded runs.
 pub(super) fn diagnosis(
-    title: &str,
-    folders: &[&Path],
-    manifest: &Manifest,
+    about: &About,
+    run: &LoadedRun,
     evidence: &Evidence,
     found: &Diagnosis,
 ) -> Result<String, Failure> {
-    let context = context(manifest, folders);
+    let context = of_data(about, run);
     let is_electrical = evidence.training.input == Input::Voltage;
     let mut evidence = evidence.clone();
     if is_electrical {
@@ -174,7 +174,7 @@ pub(super) fn diagnosis(
         .map(|(before, after)| [before, after]);
     let report = CommissionReport {
         kind: "Diagnosis",
-        title,
+        title: &about.title,
         context: &context,
         nameplate: None,
         parameters_before: &found.baseline.parameters,
@@ -196,17 +196,13 @@ pub(super) fn diagnosis(
 }
 
 /// The page of a comparison.
-pub(super) fn comparison(
-    title: &str,
-    folders: &[&Path],
-    manifest: &Manifest,
-    comparison: &Comparison,
-) -> String {
-    let context = context(manifest, folders);
+pub(super) fn comparison(about: &About, run: &LoadedRun, comparison: &Comparison) -> String {
+    let context = of_data(about, run);
     let report = ComparisonReport {
-        title,
+        title: &about.title,
         context: &context,
         comparison,
+        holdout_objected: about.holdout_objected,
         parameters: &[],
     };
     report.html()
@@ -235,6 +231,17 @@ fn truth_sentence(truth: &crate::workflow::Truth) -> String {
 
 fn estimates(named: &[NamedEstimate]) -> Vec<ParameterEstimate> {
     named.iter().map(|named| named.estimate.clone()).collect()
+}
+
+/// The runs that were used, with what is to be known of them.
+fn of_data(about: &About, run: &LoadedRun) -> Context {
+    let folders: Vec<&Path> = about.runs.iter().map(PathBuf::as_path).collect();
+    let manifest = run.manifest.clone().unwrap_or_default();
+    Context {
+        notes: run.run.notes.clone(),
+        rows_dropped: run.run.rows_dropped,
+        ..context(&manifest, &folders)
+    }
 }
 
 fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
@@ -268,6 +275,7 @@ fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
         link,
         seed: manifest.seed,
         versions: vec![fact("drivebench", manifest.program_version.clone())],
+        ..Context::default()
     }
 }
 

@@ -43,6 +43,16 @@ pub struct Signals {
     pub speed_windows_s: Option<f64>,
 }
 
+impl Signals {
+    /// What the speed's figures are of: those of windows must not pass for those of a free run.
+    pub fn speed_name(&self) -> String {
+        self.speed_windows_s.map_or_else(
+            || "speed".to_owned(),
+            |length_s| format!("speed ({length_s} s windows)"),
+        )
+    }
+}
+
 /// The comparison, as `compare --json` prints it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {

@@ -86,6 +86,7 @@ pub(super) fn describe(
                     share,
                     status,
                     found.settings,
+                    evidence.noise.source.times(),
                 ),
             }
         })
@@ -99,6 +100,7 @@ fn evidence_sentence(
     share: f64,
     status: Status,
     settings: Settings,
+    times: &str,
 ) -> String {
     let asked = settings.significant;
     let card = refit.effect.card();
@@ -121,12 +123,12 @@ fn evidence_sentence(
             unit
         ),
         Status::RuledOut => format!(
-            "{} leaves the held-out error at {after:.2} of {before:.2} times the noise (z {z:.1}, {asked} is \
+            "{} leaves the held-out error at {after:.2} of {before:.2} {times} (z {z:.1}, {asked} is \
              asked); more than {:.2e} {} would have shown",
             card.name, refit.minimum_detectable, unit
         ),
         Status::Supported | Status::Possible => format!(
-            "{} takes the held-out error from {before:.2} to {after:.2} times the noise (z {z:.1}) and explains \
+            "{} takes the held-out error from {before:.2} to {after:.2} {times} (z {z:.1}) and explains \
              {:.0} % of what can be explained",
             card.name,
             100.0 * share
@@ -137,6 +139,7 @@ fn evidence_sentence(
 pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
     let names = diagnosis.effects.join(" and ");
     let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
+    let times = diagnosis.noise_floor_from.times();
     match diagnosis.verdict {
         DiagnosisVerdict::None if diagnosis.noise_floor_from == FloorSource::None => {
             "nothing in the catalogue pays on the hold-out; without a noise floor it cannot be said whether anything \
@@ -146,16 +149,16 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
         DiagnosisVerdict::None if !diagnosis.sufficient => {
             "this run would not show any effect of the catalogue: nothing can be said".to_owned()
         }
-        DiagnosisVerdict::None => format!("nothing is missing: held-out error {before:.2} times the noise floor"),
+        DiagnosisVerdict::None => format!("nothing is missing: held-out error {before:.2} {times}"),
         DiagnosisVerdict::Unexplained => {
-            format!("held-out error {before:.2} times the noise floor, and no effect of the catalogue explains it")
+            format!("held-out error {before:.2} {times}, and no effect of the catalogue explains it")
         }
         DiagnosisVerdict::Ambiguous => format!(
             "behaves like {names}, which this run cannot tell from {}",
             diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", ")
         ),
         DiagnosisVerdict::Effect => format!(
-            "missing: {names}; held-out error {before:.2} -> {after:.2} times the noise floor, {:.0} % explained",
+            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained",
             diagnosis.explained_percent
         ),
     }

@@ -101,12 +101,11 @@ fn change(
         accepted,
         reason: reason(
             effect,
-            before,
-            after,
-            &score_before,
-            &score_after,
+            [before, after],
+            [&score_before, &score_after],
             adding,
             accepted,
+            evidence.noise.source.times(),
         ),
         before: compare(&before.model, evidence, ErrorOf::Structure)?,
         after: compare(&after.model, evidence, ErrorOf::Structure)?,
@@ -124,38 +123,37 @@ fn change(
 
 fn reason(
     effect: &dyn Effect,
-    before: &Fit,
-    after: &Fit,
-    score_before: &Score,
-    score_after: &Score,
+    [before, after]: [&Fit; 2],
+    [score_before, score_after]: [&Score; 2],
     adding: bool,
     accepted: bool,
+    times: &str,
 ) -> String {
     let name = effect.card().name;
     let (from, to) = (score_before.nrms, score_after.nrms);
     if !adding {
         return if accepted {
             format!(
-                "without {name} the held-out error goes from {from:.2} to {to:.2} times the noise: it is superfluous"
+                "without {name} the held-out error goes from {from:.2} to {to:.2} {times}: it is superfluous"
             )
         } else {
             format!(
-                "without {name} the held-out error rises from {from:.2} to {to:.2} times the noise: it is needed"
+                "without {name} the held-out error rises from {from:.2} to {to:.2} {times}: it is needed"
             )
         };
     }
     let z = z(score_before, score_after, Settings::default());
     if accepted {
-        format!("held-out error {from:.2} -> {to:.2} times the noise (z {z:.1})")
+        format!("held-out error {from:.2} -> {to:.2} {times} (z {z:.1})")
     } else if to >= (1.0 - WORTHWHILE) * from && after.nrms < (1.0 - WORTHWHILE) * before.nrms {
         format!(
             "{name} helps only in training ({:.2} -> {:.2}); on the hold-out the error goes from {from:.2} to {to:.2} \
-             times the noise",
+             {times}",
             before.nrms, after.nrms
         )
     } else {
         format!(
-            "{name} does not pay: held-out error {from:.2} -> {to:.2} times the noise (z {z:.1}, {SIGNIFICANT} asked)"
+            "{name} does not pay: held-out error {from:.2} -> {to:.2} {times} (z {z:.1}, {SIGNIFICANT} asked)"
         )
     }
 }

@@ -73,21 +73,44 @@ pub struct ResidualLights {
     pub speed_rad_s: Option<SignalLights>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub current_a: Option<SignalLights>,
+    /// Of runs without a voltage: the torque balance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub torque_n_m: Option<SignalLights>,
 }
 
 impl ResidualLights {
     /// From the residuals of current and speed in order of time, each with the input at the same instants.
     pub fn of(current: &[(f64, f64)], speed: &[(f64, f64)]) -> Self {
-        let [current_a, speed_rad_s] = [current, speed].map(lights);
+        Self::of_signals([current, speed, &[]])
+    }
+
+    /// From the residual of the torque balance in order of time, each with the motor's torque.
+    pub fn of_torque(torque: &[(f64, f64)]) -> Self {
+        Self::of_signals([&[], &[], torque])
+    }
+
+    /// Each signal with its name and lights, those that there are.
+    pub fn named(&self) -> impl Iterator<Item = (&'static str, SignalLights)> {
+        [
+            ("speed", self.speed_rad_s),
+            ("current", self.current_a),
+            ("torque", self.torque_n_m),
+        ]
+        .into_iter()
+        .filter_map(|(name, lights)| Some((name, lights?)))
+    }
+
+    fn of_signals(residuals: [&[(f64, f64)]; 3]) -> Self {
+        let [current_a, speed_rad_s, torque_n_m] = residuals.map(lights);
         // A signal that the run does not have says nothing either way.
         let measured = || {
-            [current, speed]
+            residuals
                 .into_iter()
                 .filter(|residual| !residual.is_empty())
         };
         let enough_samples = measured().next().is_some()
             && measured().all(|residual| residual.len() >= FEWEST_SAMPLES);
-        let each = || [current_a, speed_rad_s].into_iter().flatten();
+        let each = || [current_a, speed_rad_s, torque_n_m].into_iter().flatten();
         let worst = each()
             .map(|l| l.rho_ee.outside_99_percent)
             .fold(0.0, f64::max);
@@ -99,6 +122,7 @@ impl ResidualLights {
                 && each().all(|l| l.rho_ue.passes && l.rho_u2e.passes && l.rho_u2e2.passes),
             speed_rad_s,
             current_a,
+            torque_n_m,
         }
     }
 }

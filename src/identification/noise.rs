@@ -18,6 +18,24 @@ pub enum FloorSource {
     None,
 }
 
+impl FloorSource {
+    /// What an error of one is, for everything that is said in multiples of it.
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Standstill | Self::Repeat => "the noise floor",
+            Self::None => "the baseline's residual",
+        }
+    }
+
+    /// What stands behind a multiple: without a floor none may be claimed.
+    pub const fn times(self) -> &'static str {
+        match self {
+            Self::Standstill | Self::Repeat => "times the noise floor",
+            Self::None => "times the baseline's residual",
+        }
+    }
+}
+
 /// Standard deviation of the measurement noise, per signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NoiseFloor {

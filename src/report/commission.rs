@@ -71,6 +71,7 @@ impl CommissionReport<'_> {
             DiagnosisVerdict::Unexplained => (Tone::Bad, "Unexplained"),
         };
         page.lead(tone, word, self.headline());
+        tables::data_notes(&mut page, self.context);
         self.ladder_section(&mut page);
         // Where nothing was added there is one model, not a model before and after.
         let (before, after) = if self.after.is_some() {
@@ -136,10 +137,7 @@ impl CommissionReport<'_> {
     }
 
     fn unit_of_error(&self) -> &'static str {
-        match self.diagnosis.noise_floor_from {
-            FloorSource::None => "the baseline's residual",
-            FloorSource::Standstill | FloorSource::Repeat => "the noise floor",
-        }
+        self.diagnosis.noise_floor_from.unit()
     }
 
     fn ladder_section(&self, page: &mut Page) {
@@ -176,7 +174,11 @@ impl CommissionReport<'_> {
         };
         page.figure(
             chart.svg("held-out error of each model of the ladder"),
-            "A perfect model ends at the noise floor.",
+            if floor_known {
+                "A perfect model ends at the noise floor."
+            } else {
+                "Where a perfect model would end is not known."
+            },
         );
         let rows = self.ladder.iter().enumerate().map(|(rung, model)| {
             let change = rung.checked_sub(1).map_or("-".to_owned(), |below| {

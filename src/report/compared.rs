@@ -13,12 +13,15 @@ const MOST_PLACES: usize = 4;
 /// A comparison with what its model is called.
 pub(super) type Named<'a> = (&'static str, Option<&'a Comparison>);
 
-type Get = fn(&Comparison) -> Option<SignalComparison>;
-const SIGNALS: [(&str, &str, Get); 2] = [
-    ("speed", "rad/s", |comparison| {
-        comparison.signals.speed_rad_s
+type Get = fn(&Comparison) -> (String, Option<SignalComparison>);
+const SIGNALS: [(&str, Get); 2] = [
+    ("rad/s", |comparison| {
+        let signals = &comparison.signals;
+        (signals.speed_name(), signals.speed_rad_s)
     }),
-    ("current", "A", |comparison| comparison.signals.current_a),
+    ("A", |comparison| {
+        ("current".to_owned(), comparison.signals.current_a)
+    }),
 ];
 
 fn signal_row(name: &str, unit: &str, label: &str, signal: &SignalComparison) -> Vec<Cell> {
@@ -61,10 +64,10 @@ fn torque_row(label: &str, comparison: &Comparison) -> Option<Vec<Cell>> {
 /// Fit and error of every signal, what is left in the residual, and its lights.
 pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
     let mut rows = Vec::new();
-    for (name, unit, get) in SIGNALS {
+    for (unit, get) in SIGNALS {
         for (label, comparison) in comparisons {
-            if let Some(signal) = comparison.and_then(get) {
-                rows.push(signal_row(name, unit, label, &signal));
+            if let Some((name, Some(signal))) = comparison.map(get) {
+                rows.push(signal_row(&name, unit, label, &signal));
             }
         }
     }

@@ -16,6 +16,8 @@ pub struct ComparisonReport<'a> {
     pub title: &'a str,
     pub context: &'a Context,
     pub comparison: &'a Comparison,
+    /// Whether something speaks against the hold-out; the notes of the context say what.
+    pub holdout_objected: bool,
     /// Of the model that is compared; may be empty.
     pub parameters: &'a [ParameterEstimate],
 }
@@ -29,6 +31,9 @@ impl ComparisonReport<'_> {
         let found = self.comparison;
         let mut page = Page::new(self.title, "Comparison of a model with a run");
         let from = match found.holdout_from {
+            HoldoutFrom::Run if self.holdout_objected => {
+                "the run that was named to judge by, against which something speaks (see below),"
+            }
             HoldoutFrom::Run => "a run that the fit has not seen",
             HoldoutFrom::Split => "the last part of the run",
         };
@@ -60,6 +65,7 @@ impl ComparisonReport<'_> {
             )
         };
         page.lead(tone, word, sentence);
+        tables::data_notes(&mut page, self.context);
         let models = [("model", Some(found))];
         page.section("Model beside measurement");
         compared::figures(&mut page, &models);

@@ -10,11 +10,7 @@ use crate::diagnosis::{Comparison, ResidualLights};
 pub(super) fn lights(page: &mut Page, models: &[(&str, &ResidualLights)]) {
     let mut rows = Vec::new();
     for (label, residual) in models {
-        for (signal, lights) in [
-            ("speed", residual.speed_rad_s),
-            ("current", residual.current_a),
-        ] {
-            let Some(lights) = lights else { continue };
+        for (signal, lights) in residual.named() {
             let mut row = vec![Cell::text(signal), Cell::text(*label)];
             row.extend(lights.named().map(|(_, light)| {
                 Cell::text(format!(

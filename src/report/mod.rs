@@ -70,6 +70,10 @@ pub struct Context {
     pub link: Facts,
     pub seed: Option<u64>,
     pub versions: Facts,
+    /// Holes, set-aside runs and what else is to be known of the data.
+    pub notes: Vec<String>,
+    /// Rows of the file that could not be read.
+    pub rows_dropped: usize,
 }
 
 impl Default for Context {
@@ -82,6 +86,8 @@ impl Default for Context {
             link: Facts::new(),
             seed: None,
             versions: Facts::new(),
+            notes: Vec::new(),
+            rows_dropped: 0,
         }
     }
 }

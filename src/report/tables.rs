@@ -100,6 +100,21 @@ pub(super) fn parameter_section(
     page.list(reasons);
 }
 
+/// What is to be known of the data before any figure is believed; nothing where there is nothing.
+pub(super) fn data_notes(page: &mut Page, context: &Context) {
+    let mut notes = context.notes.clone();
+    if context.rows_dropped > 0 {
+        notes.push(format!(
+            "Rows of the file that were dropped: {}.",
+            context.rows_dropped
+        ));
+    }
+    if !notes.is_empty() {
+        page.section("About the data");
+        page.list(notes);
+    }
+}
+
 /// Conditions of the measurement, at the end of every report.
 pub(super) fn conditions(page: &mut Page, context: &Context) {
     page.section("Drive and link");

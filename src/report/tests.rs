@@ -223,6 +223,7 @@ fn context() -> Context {
         link: vec![("exchanges".into(), "2000 sent, 1999 ok, 1 timeout".into())],
         seed: Some(7),
         versions: vec![("drivebench".into(), "0.1.0".into())],
+        ..Context::default()
     }
 }
 

@@ -323,8 +323,10 @@ impl Commission {
             "no effect is added".to_owned()
         } else {
             format!(
-                "error on the confirming run {:.2} -> {:.2} times the noise floor",
-                confirmed[0].holdout_rmse, confirmed[1].holdout_rmse
+                "error on the confirming run {:.2} -> {:.2} {}",
+                confirmed[0].holdout_rmse,
+                confirmed[1].holdout_rmse,
+                diagnosis.noise_floor_from.times()
             )
         };
         self.step_done(ADD, line, Task::Save);

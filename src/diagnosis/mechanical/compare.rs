@@ -147,7 +147,7 @@ pub(super) fn comparison(
         balances: located.balances,
         map: located.map,
         limits: located.notes,
-        residual: ResidualLights::of(&[], &with_torque),
+        residual: ResidualLights::of_torque(&with_torque),
         noise_floor_from: source,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.rmse / unit,

@@ -75,7 +75,12 @@ pub(super) fn compared(guess: Guess, diagnosis: &Diagnosis) -> String {
         .find(|candidate| candidate.effect == id)
         .map_or_else(
             || format!("{id} was not judged on this run"),
-            |candidate| format!("{id} is {}", reason(candidate)),
+            |candidate| {
+                format!(
+                    "{id} is {}",
+                    reason(candidate, diagnosis.noise_floor_from.times())
+                )
+            },
         );
     format!("you: {id}. The tool: {answer}; {why}")
 }
@@ -88,20 +93,20 @@ fn answer(diagnosis: &Diagnosis) -> String {
     }
 }
 
-fn reason(candidate: &Candidate) -> String {
+fn reason(candidate: &Candidate, times: &str) -> String {
     let before = candidate.holdout_before;
     let after = candidate.holdout_after;
     let after = after.map_or("?".to_owned(), |after| format!("{after:.2}"));
     match candidate.status {
         Status::Supported => "supported".to_owned(),
         Status::Possible => {
-            format!("possible, but leaves more: {before:.2} -> {after} times the noise")
+            format!("possible, but leaves more: {before:.2} -> {after} {times}")
         }
         Status::RuledOut if candidate.holdout_after.is_none() => {
             "ruled out at first sight: it explains next to nothing".to_owned()
         }
         Status::RuledOut => {
-            format!("ruled out: held-out error {before:.2} -> {after} times the noise")
+            format!("ruled out: held-out error {before:.2} -> {after} {times}")
         }
         Status::NotExcited => "not to be seen in this run".to_owned(),
     }

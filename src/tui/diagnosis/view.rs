@@ -175,10 +175,11 @@ fn guess_first(state: &State) -> String {
         .fold(f64::NAN, f64::max);
     if let Some(diagnosis) = &state.diagnosis {
         let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
+        let times = diagnosis.noise_floor_from.times();
         let found = if diagnosis.effects.is_empty() {
             "and adds nothing".to_owned()
         } else {
-            format!("and takes the held-out error from {before:.2} to {after:.2} times the noise")
+            format!("and takes the held-out error from {before:.2} to {after:.2} {times}")
         };
         return format!(" the tool has its answer {found}; what is yours?");
     }

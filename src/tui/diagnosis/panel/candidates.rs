@@ -54,7 +54,7 @@ pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &
         .map(|(index, row)| {
             let mark = if index == selected { "▶ " } else { "  " };
             let mut line = Line::from(Span::raw(mark));
-            line.extend(spans(row, usize::from(inner.width)));
+            line.extend(spans(row, usize::from(inner.width), state.is_floor_known()));
             if index == selected {
                 line = line.style(theme::BOLD);
             }
@@ -64,7 +64,7 @@ pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &
     Paragraph::new(lines).render(inner, buffer);
 }
 
-fn spans(row: &Row<'_>, width: usize) -> Vec<Span<'static>> {
+fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
     match row {
         Row::Choice(guess) => {
             let name = row.effect().map_or("", |effect| effect.card().name);
@@ -81,7 +81,9 @@ fn spans(row: &Row<'_>, width: usize) -> Vec<Span<'static>> {
             let mut spans = vec![Span::raw(format!("{id:<25} "))];
             spans.extend(share(judged.share, BAR));
             if let Some(error) = judged.error {
-                spans.push(Span::raw(format!("  refitted: {error:.2} x noise")));
+                // What a multiple is of without a floor, the ladder says.
+                let unit = if floor { " x noise" } else { "" };
+                spans.push(Span::raw(format!("  refitted: {error:.2}{unit}")));
             }
             spans
         }

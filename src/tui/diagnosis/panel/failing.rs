@@ -55,8 +55,9 @@ fn lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
             torque.noise_floor,
         );
     }
+    let speed = signals.speed_name();
     for (name, unit, signal) in [
-        ("speed", "rad/s", signals.speed_rad_s),
+        (speed.as_str(), "rad/s", signals.speed_rad_s),
         ("current", "A", signals.current_a),
     ] {
         if let Some(signal) = signal {

@@ -24,7 +24,7 @@ pub(in crate::tui::diagnosis) fn ladder(state: &State, area: Rect, buffer: &mut 
     let title = if floor {
         "ladder: held-out error, times the noise (│ = noise floor)"
     } else {
-        "ladder: held-out error, times the residual of the first fit (no floor is known)"
+        "ladder: held-out error, times the baseline's residual (no floor is known)"
     };
     let inner = titled(title, area, buffer);
     let mut lines = Vec::new();
@@ -118,8 +118,10 @@ fn change(added: bool, result: &AddResult) -> Line<'static> {
         .as_ref()
         .map_or_else(String::new, |[before, after]| {
             format!(
-                "; confirming run {:.2} -> {:.2} times the noise",
-                before.holdout_rmse, after.holdout_rmse
+                "; confirming run {:.2} -> {:.2} {}",
+                before.holdout_rmse,
+                after.holdout_rmse,
+                result.before.noise_floor_from.times()
             )
         });
     Line::styled(

@@ -5,9 +5,10 @@ use super::fixtures::{
     text,
 };
 use crate::diagnosis::next_experiment::MenuEntry;
-use crate::diagnosis::{DiagnosisVerdict, NextExperiment};
+use crate::diagnosis::{DiagnosisVerdict, NextExperiment, Rung};
+use crate::identification::noise::FloorSource;
 use crate::tui::Exit;
-use crate::tui::diagnosis::guess::{Guess, Guessing};
+use crate::tui::diagnosis::guess::{Guess, Guessing, compared};
 use crate::tui::diagnosis::keys::HELP;
 use crate::tui::diagnosis::state::{Over, State};
 use crate::tui::diagnosis::update::{Effect, Event};
@@ -201,6 +202,47 @@ fn a_guess_is_compared_with_the_answer() {
         Vec::new(),
     );
     assert!(unknown.starts_with("right"), "{unknown}");
+}
+
+#[test]
+fn without_a_floor_nothing_is_said_in_multiples_of_it() {
+    let without = || {
+        let mut diagnosis = diagnosis();
+        diagnosis.noise_floor_from = FloorSource::None;
+        diagnosis.sentence = "missing: stribeck_friction".to_owned();
+        diagnosis
+    };
+    for id in ["cogging", "viscous_friction"] {
+        let text = compared(Guess::Effect(id), &without());
+        assert!(text.contains("times the baseline's residual"), "{text}");
+    }
+    let mut state = searching(true);
+    hear(&mut state, News::Diagnosed(Box::new(without())));
+    let shown = text(&state, 120, 30);
+    assert!(
+        shown.contains("to 1.03 times the baseline's residual"),
+        "{shown}"
+    );
+    let mut state = answered();
+    hear(&mut state, News::Diagnosed(Box::new(without())));
+    letter(&mut state, 'a');
+    let News::Added(mut change) = added("stribeck_friction", true) else {
+        unreachable!("it adds");
+    };
+    let [before, after] = [5.1, 0.4].map(|holdout_rmse| Rung {
+        effects: Vec::new(),
+        holdout_rmse,
+    });
+    change.confirm = Some([before, after]);
+    change.before.noise_floor_from = FloorSource::None;
+    change.after.noise_floor_from = FloorSource::None;
+    hear(&mut state, News::Added(change));
+    let shown = text(&state, 120, 40);
+    assert!(
+        shown.contains("0.40 times the baseline's residual"),
+        "{shown}"
+    );
+    assert!(!shown.contains("times the noise"), "{shown}");
 }
 
 #[test]
