@@ -48,7 +48,10 @@ fn diagnose(more: &[&str], folder: &Path, size: (u16, u16)) -> Session {
 /// More rows for the reader than the program knows of: what is printed at the end is seen from its first line on.
 fn keep_what_scrolls(session: &mut Session) {
     let (_, columns) = session.screen.screen().size();
-    session.screen.screen_mut().set_size(400, columns);
+    session
+        .screen
+        .screen_mut()
+        .set_size(400.try_into().unwrap(), columns);
 }
 
 fn terminate(session: &Session) {
