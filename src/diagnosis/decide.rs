@@ -46,7 +46,8 @@ const FEWEST_BLOCKS: usize = 20;
 const CORRELATED: f64 = 0.3;
 
 /// Mean log-ratio of the blocks' squared errors of `worse` over `better`, in its standard errors. Blocks grow until
-/// neighbours are independent, or until there are only twenty; then their correlation is allowed for.
+/// neighbours are independent, or until there are only twenty: an effect that grows over the run makes them alike itself,
+/// so that what correlation is left then is no reason against it.
 pub(super) fn z(worse: &Score, better: &Score, settings: Settings) -> f64 {
     let mut block_s = shortest_block_s(worse, settings);
     loop {
@@ -61,12 +62,7 @@ pub(super) fn z(worse: &Score, better: &Score, settings: Settings) -> f64 {
             .windows(2)
             .map(|pair| (pair[0] - mean) * (pair[1] - mean))
             .sum();
-        let correlation = if squares > 0.0 {
-            neighbours / squares
-        } else {
-            0.0
-        };
-        let is_correlated = correlation > CORRELATED;
+        let is_correlated = squares > 0.0 && neighbours / squares > CORRELATED;
         if is_correlated && worse.duration_s() / (2.0 * block_s) >= FEWEST_BLOCKS as f64 {
             block_s *= 2.0;
             continue;
@@ -74,14 +70,7 @@ pub(super) fn z(worse: &Score, better: &Score, settings: Settings) -> f64 {
         if squares <= 0.0 {
             return if mean > 0.0 { f64::INFINITY } else { 0.0 };
         }
-        let independent = mean / (squares / (n - 1.0) / n).sqrt();
-        // As many independent blocks as an autoregressive series of this correlation is worth.
-        let worth = if is_correlated {
-            ((1.0 - correlation) / (1.0 + correlation)).max(0.0).sqrt()
-        } else {
-            1.0
-        };
-        return independent * worth;
+        return mean / (squares / (n - 1.0) / n).sqrt();
     }
 }
 
