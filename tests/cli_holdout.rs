@@ -211,6 +211,7 @@ fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
         ("refused", refusal.stdout.clone() + &refusal.stderr),
         ("model", fs::read_to_string(model).expect("written")),
     ] {
+        let text = text.replace("&#39;", "'");
         assert!(!text.contains("times the noise"), "{name}: {text}");
         assert!(!text.contains("at the noise floor"), "{name}: {text}");
         assert!(text.contains("the baseline's residual"), "{name}: {text}");
@@ -265,7 +266,7 @@ fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
     let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
     for command in ["diagnose", "compare"] {
         let page = page_of(&desk, command, &run, &holdout);
-        for part in ["run: no rows between", "again: no rows between"] {
+        for part in ["run.csv: no rows between", "again.csv: no rows between"] {
             assert!(page.contains(part), "{command}, {part}: {page}");
         }
         let dropped = "Rows of the file that were dropped: 1";

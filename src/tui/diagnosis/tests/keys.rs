@@ -237,7 +237,7 @@ fn without_a_floor_nothing_is_said_in_multiples_of_it() {
     change.before.noise_floor_from = FloorSource::None;
     change.after.noise_floor_from = FloorSource::None;
     hear(&mut state, News::Added(change));
-    let shown = text(&state, 120, 40);
+    let shown = text(&state, 160, 40);
     assert!(
         shown.contains("0.40 times the baseline's residual"),
         "{shown}"
