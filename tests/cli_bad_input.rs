@@ -2,6 +2,7 @@
 //!
 //! One good record of a motor is spoilt in every way that users of such tools complain of.
 
+mod desk;
 mod program;
 
 use std::fmt::Write as _;
@@ -9,9 +10,9 @@ use std::fs;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
+use desk::Desk;
 use program::{Done, drivebench, line, only_folder};
 use serde_json::Value;
-use tempfile::TempDir;
 
 const R_OHM: f64 = 1.1;
 const L_H: f64 = 0.0099;
@@ -107,19 +108,7 @@ fn push(text: &mut String, cells: &[f64]) {
     let _ = writeln!(text, "{}", cells.join(","));
 }
 
-struct Desk(TempDir);
-
 impl Desk {
-    fn new() -> Self {
-        Self(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn put(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.0.path().join(name);
-        fs::write(&path, text).expect("written");
-        path
-    }
-
     fn nameplate(&self) -> PathBuf {
         let text = format!(
             "[motor]\nname = \"n\"\nresistance_ohm = {R_OHM}\ninductance_h = {L_H}\nback_emf_v_s_per_rad = {KE}\n\

@@ -1,5 +1,6 @@
 //! Runs to judge by that cannot be judged by, and files with holes: said plainly, and what can be answered is answered.
 
+mod desk;
 #[expect(dead_code, reason = "the other tests of the command line use the rest")]
 mod program;
 
@@ -8,8 +9,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use desk::Desk;
 use program::{drivebench, line};
-use tempfile::TempDir;
 
 /// Resistance in ohm and back-EMF constant in V.s/rad of the motor of paper A.
 const MOTOR: [f64; 2] = [1.1, 0.3538];
@@ -96,19 +97,7 @@ fn text_of(rows: &[Row], change: impl Fn(&mut Row)) -> String {
     text
 }
 
-struct Desk(TempDir);
-
 impl Desk {
-    fn new() -> Self {
-        Self(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn put(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.0.path().join(name);
-        fs::write(&path, text).expect("written");
-        path
-    }
-
     fn nameplate(&self) -> PathBuf {
         let [resistance_ohm, ke] = MOTOR;
         let text = format!(

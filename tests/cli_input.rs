@@ -1,15 +1,16 @@
 //! What the command line makes of foreign, torn and empty files, wrong keys, wrong words and plans that are too much.
 
+mod desk;
 mod program;
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use desk::Desk;
 use program::{Done, drivebench, line, only_folder};
 use serde_json::Value;
-use tempfile::TempDir;
 
 /// A run of the plain motor, as rows of text: time, voltage, current, speed.
 fn rows() -> Vec<[String; 4]> {
@@ -37,19 +38,7 @@ fn csv(header: &str, rows: &[[String; 4]]) -> String {
     text
 }
 
-struct Desk(TempDir);
-
 impl Desk {
-    fn new() -> Self {
-        Self(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn put(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.0.path().join(name);
-        fs::write(&path, text).expect("written");
-        path
-    }
-
     /// `identify --json` on a file of this text.
     fn identify(&self, text: &str, more: &str) -> Done {
         let file = self.put("log.csv", text);

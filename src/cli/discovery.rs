@@ -121,16 +121,7 @@ impl Left {
 
 /// Shows the screen until it is left.
 pub(super) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> {
-    let hang_up = Arc::new(AtomicBool::new(false));
-    for signal in [
-        signal_hook::consts::SIGINT,
-        signal_hook::consts::SIGTERM,
-        signal_hook::consts::SIGHUP,
-    ] {
-        signal_hook::flag::register(signal, Arc::clone(&hang_up)).map_err(|error| {
-            Failure::new(INTERNAL, format!("cannot watch for signals: {error}"))
-        })?;
-    }
+    let hang_up = interrupt::flag()?;
     let (orders, ordered) = channel();
     let (told, news) = channel();
     let screen = DiscoveryScreen {

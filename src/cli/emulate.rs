@@ -2,13 +2,11 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use super::data::read_text;
-use super::failure::{Failure, INTERNAL, LINK, USAGE};
+use super::failure::{Failure, LINK, USAGE};
 use super::reveal::{seal, sealed_name};
-use super::{live, output};
+use super::{interrupt, live, output};
 use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, mystery, ready_line, serve};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
@@ -80,19 +78,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         let path = arguments.seal.unwrap_or_else(|| sealed_name(mystery.seed));
         seal(mystery, &path)?;
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [
-        signal_hook::consts::SIGINT,
-        signal_hook::consts::SIGTERM,
-        signal_hook::consts::SIGHUP,
-    ] {
-        signal_hook::flag::register(signal, Arc::clone(&stop)).map_err(|error| {
-            Failure::new(
-                INTERNAL,
-                format!("cannot watch for signal {signal}: {error}"),
-            )
-        })?;
-    }
+    let stop = interrupt::flag()?;
     serve(&config, seed, link, &endpoint, &stop, |address| {
         // A caller that does not read the line does not need it.
         let _ = output::line(&ready_line(link, address, &config));

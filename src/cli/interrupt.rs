@@ -1,11 +1,12 @@
-//! Ctrl-C while nothing is energised: there is nothing to put down, so the program ends at once, and tidily.
+//! The signals that ask for an end. While nothing is energised there is nothing to put down, so the program ends at once,
+//! and tidily; work that must end in its own way asks for a flag.
 //!
 //! ```text
 //! signal -> thread -> a file that is being written is finished -> the progress line is wiped -> exit 130
 //! ```
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, Once, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -18,6 +19,9 @@ use super::progress;
 static AT_ONCE: AtomicUsize = AtomicUsize::new(0);
 static WRITING: Mutex<()> = Mutex::new(());
 static WATCH: Once = Once::new();
+
+/// Signals that ask for an end.
+const ENDINGS: [i32; 3] = [SIGINT, SIGTERM, SIGHUP];
 
 /// Longest time that a write may take before it is left.
 const LOOKS: u32 = 200;
@@ -42,8 +46,22 @@ pub(super) fn endable() -> Result<Endable, Failure> {
     Ok(Endable(()))
 }
 
+/// Raised by the first signal that asks for an end, for work that has to put something down first.
+pub(super) fn flag() -> Result<Arc<AtomicBool>, Failure> {
+    let raised = Arc::new(AtomicBool::new(false));
+    for signal in ENDINGS {
+        signal_hook::flag::register(signal, Arc::clone(&raised)).map_err(|error| {
+            Failure::new(
+                INTERNAL,
+                format!("cannot watch for signal {signal}: {error}"),
+            )
+        })?;
+    }
+    Ok(raised)
+}
+
 fn watch() -> std::io::Result<()> {
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let mut signals = Signals::new(ENDINGS)?;
     std::thread::Builder::new()
         .name("signals".to_owned())
         .spawn(move || {

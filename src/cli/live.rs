@@ -16,7 +16,7 @@ use clap::Args;
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
 use super::recorded::Recorded;
-use super::{output, reveal};
+use super::{interrupt, output, reveal};
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
     LiveOnline, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions,
@@ -136,19 +136,7 @@ impl Strings {
 
     /// Registers the signals; the sender belongs to the screen.
     pub(super) fn new() -> Result<(Self, Sender<Intent>), Failure> {
-        let interrupted = Arc::new(AtomicBool::new(false));
-        for signal in [
-            signal_hook::consts::SIGINT,
-            signal_hook::consts::SIGTERM,
-            signal_hook::consts::SIGHUP,
-        ] {
-            signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(|error| {
-                Failure::new(
-                    INTERNAL,
-                    format!("cannot watch for signal {signal}: {error}"),
-                )
-            })?;
-        }
+        let interrupted = interrupt::flag()?;
         let (sender, intents) = channel();
         Ok((
             Self {

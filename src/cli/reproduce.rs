@@ -2,12 +2,10 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use clap::ValueEnum;
 
-use super::failure::{Failure, INTERNAL, INTERRUPTED, USAGE};
+use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::live_study::live_study;
 use super::{interrupt, output, progress};
 use crate::report::reproduce::Reproduction;
@@ -114,7 +112,7 @@ fn study(
             "give --live N with it, or --sets of at least 1",
         ));
     }
-    let interrupted = watched_signals()?;
+    let interrupted = interrupt::flag()?;
     let ended = || {
         Failure::with_help(
             INTERRUPTED,
@@ -138,23 +136,6 @@ fn study(
         found.live = live_study(drives, size.seed, &folder, &interrupted)?.ok_or_else(ended)?;
     }
     Ok(found)
-}
-
-fn watched_signals() -> Result<Arc<AtomicBool>, Failure> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [
-        signal_hook::consts::SIGINT,
-        signal_hook::consts::SIGTERM,
-        signal_hook::consts::SIGHUP,
-    ] {
-        signal_hook::flag::register(signal, Arc::clone(&interrupted)).map_err(|error| {
-            Failure::new(
-                INTERNAL,
-                format!("cannot watch for signal {signal}: {error}"),
-            )
-        })?;
-    }
-    Ok(interrupted)
 }
 
 /// How far it is, and every wrong name at once.

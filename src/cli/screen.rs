@@ -2,12 +2,12 @@
 
 use std::io::Write as _;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Sender;
 use std::thread;
 use std::time::Duration;
 
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
+use super::interrupt;
 use super::live::Strings;
 use crate::bench::Intent;
 use crate::tui::{Exit, ShowOptions, WorkerCell, show};
@@ -23,16 +23,7 @@ pub(super) fn watch<T: Send + 'static>(
     progress: Option<ProgressCell>,
     work: impl FnOnce(&Strings) -> Result<T, Failure> + Send + 'static,
 ) -> Result<(T, Exit), Failure> {
-    let hang_up = Arc::new(AtomicBool::new(false));
-    for signal in [
-        signal_hook::consts::SIGINT,
-        signal_hook::consts::SIGTERM,
-        signal_hook::consts::SIGHUP,
-    ] {
-        signal_hook::flag::register(signal, Arc::clone(&hang_up)).map_err(|error| {
-            Failure::new(INTERNAL, format!("cannot watch for signals: {error}"))
-        })?;
-    }
+    let hang_up = interrupt::flag()?;
     let worker = WorkerCell::default();
     let options = ShowOptions {
         snapshots: strings.snapshots.clone(),

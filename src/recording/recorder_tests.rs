@@ -133,14 +133,9 @@ fn a_folder_that_vanishes_is_an_error_at_the_end_and_no_panic() {
 
 const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";
 
-/// No test of its own: the program that [`a_killed_program_loses_no_whole_row`] kills.
-#[test]
-#[ignore = "runs until it is killed or a million rows are written; started by another test"]
-fn victim() {
-    let Some(root) = std::env::var_os(VICTIM_ROOT) else {
-        return;
-    };
-    let mut recorder = recorder(std::path::Path::new(&root));
+/// Writes until it is killed.
+fn be_the_victim(root: &std::path::Path) {
+    let mut recorder = recorder(root);
     for cycle in 0..1_000_000_u32 {
         let value = f64::from(cycle);
         recorder.row(&Sample::at(value).with(Channel::Current, value / 3.0));
@@ -148,11 +143,19 @@ fn victim() {
     }
 }
 
+/// Starts itself once more, as the program that is killed.
 #[test]
 fn a_killed_program_loses_no_whole_row() {
+    if let Some(root) = std::env::var_os(VICTIM_ROOT) {
+        be_the_victim(std::path::Path::new(&root));
+        return;
+    }
     let root = tempfile::tempdir().unwrap();
     let mut child = std::process::Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "recording::recorder::tests::victim", "--ignored"])
+        .args([
+            "--exact",
+            "recording::recorder::tests::a_killed_program_loses_no_whole_row",
+        ])
         .env(VICTIM_ROOT, root.path())
         .stdout(std::process::Stdio::null())
         .spawn()
