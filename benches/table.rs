@@ -53,6 +53,25 @@ fn figures() -> Vec<Figure> {
             "output-error fit of five parameters, 12 s at 1 kHz",
             None,
         ),
+        figure("control/pi", "speed controller, one cycle: PI", Some(200.0)),
+        figure(
+            "control/pi_with_feed_forward",
+            "the same with feed-forward",
+            Some(1000.0),
+        ),
+        figure("control/addc", "ADDC, with its identification", Some(200.0)),
+        figure("control/mrac", "MRAC", Some(1000.0)),
+        figure("control/paper_b", "paper B", Some(1000.0)),
+        figure(
+            "control/load_observer",
+            "Kalman filter with load torque, feedback and integral",
+            Some(1000.0),
+        ),
+        figure(
+            "session/addc",
+            "whole cycle of a session: guard, on-line identification, ADDC, record, snapshot",
+            Some(5000.0),
+        ),
         figure(
             "screen/nothing_missing",
             "screen of every effect, nothing missing, 12 s at 1 kHz",

@@ -15,7 +15,7 @@ pub struct ConfigError {
 }
 
 impl ConfigError {
-    /// An error at a byte offset of the text.
+    /// An error at a byte offset of the text; within a character it is at its beginning.
     pub fn at(
         file: &str,
         text: &str,
@@ -23,7 +23,11 @@ impl ConfigError {
         message: impl Into<String>,
         help: impl Into<String>,
     ) -> Self {
-        let before = &text[..offset.min(text.len())];
+        let mut end = offset.min(text.len());
+        while !text.is_char_boundary(end) {
+            end -= 1;
+        }
+        let before = &text[..end];
         let line = before.matches('\n').count() + 1;
         let column = before
             .rsplit('\n')
@@ -143,6 +147,15 @@ mod tests {
         assert_eq!((error.line, error.column), (2, 1));
         assert_eq!(error.message, "unknown field `speed_rads`");
         assert_eq!(error.help, "did you mean `speed_rad_s`?");
+    }
+
+    #[test]
+    fn a_place_within_a_character_is_at_its_beginning() {
+        let text = "a = 1\nb\u{b5}\u{3a9} = 2";
+        let columns: Vec<usize> = (6..12)
+            .map(|offset| ConfigError::at("f", text, offset, "m", "h").column)
+            .collect();
+        assert_eq!(columns, [1, 2, 2, 3, 3, 4]);
     }
 
     #[test]

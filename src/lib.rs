@@ -10,6 +10,7 @@
 pub mod bench;
 pub mod cli;
 pub mod config_text;
+pub mod control;
 pub mod diagnosis;
 pub mod drive;
 pub mod emulator;

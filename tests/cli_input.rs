@@ -394,9 +394,14 @@ fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
 fn effects_has_a_card_for_each_and_names_the_nearest() {
     let all = drivebench(["effects", "--json"]).expect(0).json();
     let all = all.as_array().unwrap();
-    assert!(all.len() >= 6);
+    assert!(all.len() >= 27);
+    let changelog = include_str!("../CHANGELOG.md").split_whitespace();
+    let changelog = changelog.collect::<Vec<_>>().join(" ");
     for card in all {
         let id = card["id"].as_str().unwrap();
+        let name = card["name"].as_str().unwrap();
+        let is_listed = changelog.contains(name) || changelog.contains(&format!("`add {id}`"));
+        assert!(is_listed, "{id} is not in the CHANGELOG");
         for key in [
             "name",
             "equation",
@@ -473,5 +478,15 @@ fn usage_errors_are_two_lines_and_status_2() {
         let done = drivebench(arguments).expect(2);
         done.error();
         assert_eq!(done.stdout, "", "{arguments:?}");
+    }
+    // As newcomers write it.
+    for (arguments, is_told) in [
+        (["diagnose", "runs/a", "runs/b"], true),
+        (["compare", "runs/a", "runs/b"], true),
+        (["compare", "runs/a", "--fit"], false),
+        (["replay", "runs/a", "runs/b"], false),
+    ] {
+        let error = drivebench(arguments).expect(2).error();
+        assert_eq!(error.contains("--holdout RUN2"), is_told, "{error}");
     }
 }

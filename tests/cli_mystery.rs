@@ -244,3 +244,67 @@ fn what_cannot_be_revealed_is_refused_with_a_next_step() {
         assert!(error.contains(part), "{part} in {error}");
     }
 }
+
+#[test]
+fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows() {
+    let room = tempfile::tempdir().unwrap();
+    let seed = seed_of(Some("torque_bump"));
+    let runs = ["1", "2"].map(|run_seed| {
+        let out = room.path().join(run_seed);
+        let text =
+            format!("run --port sim: --headless --mystery {seed} --run-seed {run_seed} --out {{}}");
+        drivebench(line(&text, &[&out])).expect(0);
+        let folders = std::fs::read_dir(&out)
+            .unwrap()
+            .map(|entry| entry.unwrap().path());
+        folders.into_iter().find(|path| path.is_dir()).unwrap()
+    });
+    let done = drivebench(line("diagnose {} --holdout {}", &[&runs[0], &runs[1]])).expect(0);
+    let said = &done.stdout;
+    assert!(
+        said.contains("no effect of the catalogue explains it"),
+        "{said}"
+    );
+    assert!(
+        said.contains("curve: ") && said.contains("torque error follows the speed"),
+        "{said}"
+    );
+    let add = said.split('`').nth(1).unwrap();
+    assert_eq!(
+        add,
+        "drivebench add table --equation torque --axis speed_rad_s"
+    );
+    // What is recommended works as it is written.
+    let words = add.strip_prefix("drivebench ").unwrap();
+    let added = drivebench(line(
+        &format!("{words} --run {{}} --holdout {{}}"),
+        &[&runs[0], &runs[1]],
+    ));
+    let added = added.expect(0).stdout;
+    assert!(added.starts_with("accepted: "), "{added}");
+    assert!(added.contains("the held-out error falls by"), "{added}");
+}
+
+/// One run alone, of which the last two fifths are the hold-out: a torque bump that no card of the catalogue has. Four
+/// effects each lower the error of that stretch a little, and a load step finds a time that suits it.
+#[test]
+fn a_split_run_names_nothing_that_only_leans_on_what_is_there() {
+    let seed = 34;
+    let truth = draw(seed).truth;
+    assert_eq!(
+        truth.effect().map(|effect| effect.id.as_str()),
+        Some("torque_bump")
+    );
+    let room = tempfile::tempdir().unwrap();
+    let out = room.path().join("runs");
+    let text = format!("run --port sim: --headless --mystery {seed} --run-seed 1 --out {{}}");
+    drivebench(line(&text, &[&out])).expect(0);
+    let folders = std::fs::read_dir(&out)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let run = folders.into_iter().find(|path| path.is_dir()).unwrap();
+    let answer = drivebench(line("diagnose {} --json", &[&run]))
+        .expect(0)
+        .json();
+    assert_eq!(answer["verdict"], "unexplained", "{}", answer["sentence"]);
+}

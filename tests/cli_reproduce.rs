@@ -4,12 +4,13 @@ mod program;
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
 use std::process::Stdio;
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use program::{command, drivebench, line, only_folder};
-use serde_json::Value;
+use program::{Done, command, drivebench, line, only_folder};
+use serde_json::{Value, json};
 
 #[test]
 fn an_unknown_paper_is_told_what_is_allowed() {
@@ -66,6 +67,86 @@ fn an_interrupted_study_ends_with_130_and_leaves_nothing_behind() {
     assert!(rest.contains("error: interrupted"), "{rest}");
 }
 
+/// Interrupts the study when `begun` is on stderr, and reads what it says until its end.
+fn interrupted(out: &Path, begun: &str) -> Done {
+    let study = "reproduce discovery --sets 0 --live 1 --out {}";
+    let mut child = command(line(study, &[out]))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program and its folder are ours");
+    let mut stderr = BufReader::new(
+        child
+            .stderr
+            .take()
+            .expect("the program and its folder are ours"),
+    );
+    let mut said = String::new();
+    while !said.contains(begun) {
+        assert!(
+            stderr
+                .read_line(&mut said)
+                .expect("the program and its folder are ours")
+                > 0,
+            "{said}"
+        );
+    }
+    let id = i32::try_from(child.id()).expect("the program and its folder are ours");
+    kill(Pid::from_raw(id), Signal::SIGINT).expect("the program and its folder are ours");
+    stderr
+        .read_to_string(&mut said)
+        .expect("the program and its folder are ours");
+    let output = child
+        .wait_with_output()
+        .expect("the program and its folder are ours");
+    Done {
+        stderr: said,
+        ..Done::of(&output)
+    }
+}
+
+/// What a start that was interrupted later would have kept of one drive.
+fn keep(out: &Path, link: &str, hidden: &str) {
+    let drive = out.join("live").join(format!("{link}-1"));
+    fs::create_dir_all(&drive).expect("the program and its folder are ours");
+    let answer = json!({
+        "link": link, "seed": 1, "hidden": hidden, "verdict": "effect", "effects": ["cogging"],
+        "outcome": "wrong", "reason": "", "rows_per_s": 100.0, "holdout_before": 4.1,
+        "holdout_after": 1.03, "size_error_percent": null
+    });
+    fs::write(drive.join("answer.json"), answer.to_string())
+        .expect("the program and its folder are ours");
+}
+
+#[test]
+fn a_live_study_that_is_interrupted_keeps_what_is_finished_and_is_gone_on_with() {
+    let room = tempfile::tempdir().unwrap();
+    let out = room.path().join("study");
+    let study = "reproduce discovery --sets 0 --live 1 --out {}";
+    let first = interrupted(&out, "2 mystery drives").expect(130);
+    let said = first.error();
+    assert!(said.contains("0 of 2 mystery drives"), "{said}");
+    assert!(said.contains("the same command again"), "{said}");
+    assert!(!out.join("validation.md").exists());
+
+    keep(&out, "modbus-rtu", "voltage_drop");
+    let second = interrupted(&out, "1 of 2 mystery drives are finished").expect(130);
+    assert!(second.error().contains("1 of 2"), "{}", second.stderr);
+    let page = fs::read_to_string(out.join("validation.md")).unwrap();
+    assert!(page.contains("1 of the 2 drives"), "{page}");
+    assert!(page.contains("voltage_drop"), "{page}");
+
+    keep(&out, "stream", "supply_sag");
+    let third = drivebench(line(study, &[&out])).expect(0);
+    assert!(third.stdout.contains("supply_sag"), "{}", third.stdout);
+    let page = fs::read_to_string(out.join("validation.md")).unwrap();
+    assert!(!page.contains("interrupted"), "{page}");
+    assert!(page.contains("--live 1"), "{page}");
+    // A study that is whole is a result, and results are never overwritten.
+    let fourth = drivebench(line(study, &[&out])).expect(2);
+    assert!(fourth.error().contains("never overwritten"));
+}
+
 /// One run serves the text and the files; a second one, as JSON, is the same to the bit.
 #[test]
 fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
@@ -94,6 +175,10 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
         "sampling-ta",
         "sampling-tm",
         "noise",
+        "figure-5",
+        "figure-6",
+        "figure-7-saturation",
+        "figure-7-adaptation",
     ] {
         let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
         assert!(
@@ -106,13 +191,17 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
         );
     }
     let page = fs::read_to_string(out.join("report.html")).unwrap();
-    assert_eq!(page.matches("<svg class=\"plot").count(), 6);
+    assert_eq!(page.matches("<svg class=\"plot").count(), 10);
     let table = fs::read_to_string(out.join("table-1.csv")).unwrap();
     let first: Vec<&str> = table
         .lines()
         .map(|row| row.split(',').next().unwrap())
         .collect();
     assert_eq!(first, ["N", "8", "10", "20", "30", "40", "50"]);
+    for name in ["figure-5", "figure-6", "figure-7-adaptation", "controllers"] {
+        let table = fs::read_to_string(out.join(format!("{name}.csv"))).unwrap();
+        assert!(table.lines().count() > 5, "{name}: {table}");
+    }
     // The paper's own figures stand beside ours.
     assert!(
         table.contains("3654,0.4380") && table.contains("4536,0.4149"),
@@ -138,4 +227,58 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
         let of = &case["signal_to_noise"]["of"];
         assert!(*of == "power" || *of == "amplitude", "{of}");
     }
+}
+
+/// The control of paper B: one run serves text and files, a second one is the same to the bit.
+#[test]
+fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
+    let room = tempfile::tempdir().unwrap();
+    let out = room.path().join("paper-b");
+    let done = drivebench(line("reproduce paper-b --out {}", &[&out])).expect(0);
+    for word in [
+        "chosen by us",
+        "Figure 4",
+        "Figure 5",
+        "K and gamma",
+        "Hall",
+        "back-EMF",
+    ] {
+        assert!(done.stdout.contains(word), "{word}");
+    }
+    for word in ["NaN", "inf"] {
+        assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
+    }
+    for name in [
+        "figure-4",
+        "figure-5",
+        "convergence",
+        "hall",
+        "back-emf",
+        "back-emf-closed",
+    ] {
+        let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
+        assert!(
+            !svg.contains("NaN") && svg.matches("class=\"series").count() > 1,
+            "{name}"
+        );
+    }
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    assert_eq!(page.matches("<svg class=\"plot").count(), 6);
+    // Six regulators in five cases, and a head.
+    let table = fs::read_to_string(out.join("controllers.csv")).unwrap();
+    assert_eq!(table.lines().count(), 31, "{table}");
+    for name in ["pi (fixed)", "addc", "mrac", "paper-b", "load-observer"] {
+        assert!(table.contains(name), "{name}");
+    }
+
+    let json = drivebench(line("reproduce paper-b --json", &[]))
+        .expect(0)
+        .json();
+    assert_eq!(json["paper"], "paper-b");
+    let loads = fs::read_to_string(out.join("figure-5.csv")).unwrap();
+    let dip = json["figure_5"]["courses"][1]["applied"]["dip_rad_s"]
+        .as_f64()
+        .unwrap();
+    assert!(loads.contains(&format!("yes,applied,{dip:.2}")), "{loads}");
+    drivebench(line("reproduce paper-b --seed 2 --json", &[])).expect(2);
 }

@@ -107,7 +107,7 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
         assert!(left.contains(part), "{part}: {left}");
     }
     assert!(!left.contains("missing: stribeck_friction"), "{left}");
-    assert!(!session.screen.screen().alternate_screen());
+    session.expect_terminal_as_it_was();
     let model = std::fs::read_to_string(folder.path().join("found.toml")).unwrap();
     assert!(model.contains("id = \"stribeck_friction\""), "{model}");
 }
@@ -155,8 +155,7 @@ fn leaving_in_the_middle_of_a_search_gives_the_terminal_back() {
         // A machine that is fast enough has its answer before the key arrives.
         let answered = key == "q" && session.text().contains("ruled out");
         assert_eq!(status, if answered { 0 } else { 130 }, "{}", session.text());
-        assert!(!session.screen.screen().alternate_screen());
-        assert!(!session.screen.screen().hide_cursor());
+        session.expect_terminal_as_it_was();
     }
 }
 
@@ -196,7 +195,7 @@ fn d_goes_on_by_hand_after_a_commissioning() {
         left.contains("interrupted in the diagnosis by hand"),
         "{left}"
     );
-    assert!(!session.screen.screen().alternate_screen());
+    session.expect_terminal_as_it_was();
 }
 
 #[test]
@@ -211,6 +210,23 @@ fn a_model_that_was_asked_for_is_in_its_file_when_q_has_left() {
     assert_eq!(session.end(), 0, "{}", session.text());
     let model = std::fs::read_to_string(folder.path().join("kept.toml")).unwrap();
     assert!(model.contains("id = \"stribeck_friction\""), "{model}");
+}
+
+#[test]
+fn ctrl_c_right_behind_w_leaves_a_whole_model_or_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = diagnose(&["--output", "kept.toml"], folder.path(), (100, 30));
+    session.wait_for(ADD);
+    session.press("a");
+    session.wait_for("NOTHING MISSING");
+    session.press("w\u{3}");
+    assert_eq!(session.end(), 130, "{}", session.text());
+    session.expect_terminal_as_it_was();
+    if let Ok(text) = std::fs::read_to_string(folder.path().join("kept.toml")) {
+        assert!(text.contains("id = \"stribeck_friction\""), "{text}");
+        assert!(text.ends_with('\n'), "{text}");
+        assert!(text.contains("[[history.fitted]]"), "{text}");
+    }
 }
 
 #[test]

@@ -5,8 +5,15 @@
     reason = "helpers of an integration test are test code"
 )]
 
+#[expect(dead_code, reason = "these tests read screens, not documents")]
+mod program;
 mod terminal;
 
+use std::fs;
+use std::path::Path;
+
+use program::only_folder;
+use serde_json::Value;
 use terminal::Session;
 
 const SIZE: (u16, u16) = (120, 40);
@@ -42,24 +49,48 @@ fn space_stops_the_run_and_q_gives_the_terminal_back() {
     session.wait_for("Output off, q = quit.");
     session.press("q");
     assert_eq!(session.end(), 130, "{}", session.text());
-    assert!(!session.screen.screen().alternate_screen());
-    assert!(!session.screen.screen().hide_cursor());
+    session.expect_terminal_as_it_was();
     assert!(session.text().contains("stopped"), "{}", session.text());
+}
+
+/// The commanded volts of the record as far as it is written.
+fn commands(folder: &Path) -> Vec<f64> {
+    let run = only_folder(&folder.join("runs"));
+    let samples = fs::read_to_string(run.join("samples.csv")).unwrap();
+    let mut rows = samples.lines();
+    let mut names = rows.next().unwrap_or_default().split(',');
+    let column = names.position(|name| name == "voltage_cmd_v");
+    rows.filter_map(|row| row.split(',').nth(column?)?.parse().ok())
+        .collect()
+}
+
+fn is_driven(folder: &Path) -> bool {
+    commands(folder).iter().any(|volts| volts.abs() > 1.0)
+}
+
+/// The output is zero when the record ends, and the record says how it ended.
+fn expect_stopped(folder: &Path) {
+    assert!(is_driven(folder));
+    assert_eq!(commands(folder).last(), Some(&0.0));
+    let run = only_folder(&folder.join("runs"));
+    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_str(&manifest).unwrap();
+    assert_eq!(manifest["finished"], true, "{manifest:#}");
+    assert_eq!(manifest["outcome"], "interrupted", "{manifest:#}");
 }
 
 #[test]
 fn ctrl_c_stops_and_leaves_by_itself() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut session = Session::start(&["run", "--port", "emulator"], folder.path(), SIZE);
-    session.wait_for(" SIM  RUNNING");
-    session.press("\u{3}");
-    assert_eq!(session.end(), 130, "{}", session.text());
-    assert!(!session.screen.screen().alternate_screen());
-    assert!(!session.screen.screen().hide_cursor());
-    assert_eq!(
-        std::fs::read_dir(folder.path().join("runs"))
-            .unwrap()
-            .count(),
-        1
-    );
+    for command in ["run", "commission"] {
+        let folder = tempfile::tempdir().unwrap();
+        let arguments = [command, "--port", "emulator", "--out", "runs"];
+        let mut session = Session::start(&arguments, folder.path(), SIZE);
+        session.wait_for(" SIM  RUNNING");
+        session.wait("a voltage", |_| is_driven(folder.path()));
+        // With a mark on its way into the record.
+        session.press("m\u{3}");
+        assert_eq!(session.end(), 130, "{}", session.text());
+        session.expect_terminal_as_it_was();
+        expect_stopped(folder.path());
+    }
 }

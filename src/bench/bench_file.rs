@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::limits::{Limits, MotorSection, Nameplate};
+use super::speed::{Reference, ReferenceError, SpeedSection};
 use crate::config_text::{self, ConfigError};
 use crate::excitation::{self, ExcitationError, Segment};
 
@@ -25,7 +26,7 @@ pub enum BenchFileError {
         file: String,
         key: String,
         value: String,
-        allowed: &'static str,
+        allowed: String,
     },
     #[error("{file}: {error}")]
     Sequence {
@@ -62,6 +63,9 @@ pub struct BenchFile {
     pub limits: LimitsSection,
     #[serde(default)]
     pub runs: RunsSection,
+    /// What `drivebench speed` does; left out: it is not for this bench.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed: Option<SpeedSection>,
     pub sequence: Vec<Segment>,
 }
 
@@ -329,12 +333,12 @@ impl BenchFile {
     }
 
     fn check(&self, file: &str) -> Result<(), BenchFileError> {
-        let refuse = |key: String, value: String, allowed| {
+        let refuse = |key: String, value: String, allowed: &str| {
             Err(BenchFileError::Value {
                 file: file.to_owned(),
                 key,
                 value,
-                allowed,
+                allowed: allowed.to_owned(),
             })
         };
         if self.name.is_empty() || self.name.contains(['/', '\\']) {
@@ -407,6 +411,57 @@ impl BenchFile {
                 error,
             })
     }
+
+    /// `[speed]` against the limits: a reference beyond them is refused with its line in `text`, before anything moves.
+    /// What `drivebench speed` needs, and no other command.
+    ///
+    /// # Errors
+    /// The first value that is not allowed.
+    pub fn check_speed(&self, file: &str, text: &str) -> Result<(), BenchFileError> {
+        let Some(speed) = &self.speed else {
+            return Ok(());
+        };
+        let limits = self.limits();
+        let refuse = |key: &str, value: f64, allowed: String| BenchFileError::Value {
+            file: file.to_owned(),
+            key: key.to_owned(),
+            value: value.to_string(),
+            allowed,
+        };
+        if let Some((key, value, allowed)) = speed.refused(&limits) {
+            return Err(refuse(key, value, allowed));
+        }
+        let reference = self
+            .reference(speed)
+            .map_err(|error| at_its_line(file, text, &error))?;
+        let needed_s = reference.duration_s() + SPEED_ENDS_S;
+        if needed_s > limits.time_s {
+            let allowed = format!("at least {needed_s} s, which the reference takes with its ends");
+            return Err(refuse("limits.time_s", limits.time_s, allowed));
+        }
+        Ok(())
+    }
+
+    /// The checked reference of a speed run.
+    pub fn reference(&self, speed: &SpeedSection) -> Result<Reference, ReferenceError> {
+        speed.reference(&self.limits(), self.nameplate().as_ref())
+    }
+}
+
+/// What a speed run takes beside its reference: to enable the drive, and to come to rest.
+const SPEED_ENDS_S: f64 = 4.0;
+
+/// The error of a reference at the line that names the value.
+fn at_its_line(file: &str, text: &str, error: &ReferenceError) -> BenchFileError {
+    let headers = text.match_indices("[[speed.reference]]");
+    let part = headers
+        .map(|(offset, _)| offset)
+        .nth(error.number.saturating_sub(1));
+    let key = error.key.rsplit(' ').next().unwrap_or(error.key);
+    let from = part.unwrap_or(0);
+    let offset = text[from..].find(key).map_or(from, |found| from + found);
+    let help = "see [speed] in bench-configs/benches/zk-22fc-emulated.toml";
+    ConfigError::at(file, text, offset, error.to_string(), help).into()
 }
 
 fn check_port(file: &str, key: &str, text: &str) -> Result<(), BenchFileError> {
@@ -416,7 +471,7 @@ fn check_port(file: &str, key: &str, text: &str) -> Result<(), BenchFileError> {
             file: file.to_owned(),
             key: key.to_owned(),
             value: format!("{text:?}"),
-            allowed: "emulator, sim:, tcp:HOST:PORT or the path of a serial port",
+            allowed: "emulator, sim:, tcp:HOST:PORT or the path of a serial port".to_owned(),
         }),
     }
 }

@@ -15,6 +15,13 @@ pub fn layout(signals: &[Channel]) -> Layout {
     Layout::of_drive(&channels)
 }
 
+/// The same with the speed reference that a closed loop follows.
+pub fn layout_with_reference(signals: &[Channel]) -> Layout {
+    let mut channels = vec![Channel::Reference, Channel::VoltageCmd];
+    channels.extend(signals.iter().filter(|channel| !channel.is_commanded()));
+    Layout::of_drive(&channels)
+}
+
 /// A manifest with the bench as used, the drive as found and the origin of each signal. A quantity that the drive
 /// computes instead of measuring is for the drive profile to mark with `Manifest::set_origin`.
 pub fn manifest(

@@ -131,6 +131,12 @@ impl Guard {
         &self.limits
     }
 
+    /// Another slew limit from now on, as while a loop is closed; `None`: that of the limits.
+    pub fn set_slew(&mut self, v_per_s: Option<f64>) {
+        self.shaper
+            .set_slew(v_per_s.unwrap_or(self.limits.slew_v_per_s));
+    }
+
     pub const fn tripped(&self) -> Option<&Trip> {
         self.trip.as_ref()
     }

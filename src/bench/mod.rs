@@ -18,11 +18,13 @@ mod guard;
 mod limits;
 mod live_online;
 mod next_bench;
+mod pilot;
 mod plan;
 mod program;
 mod runner;
 mod session;
 mod snapshot;
+mod speed;
 #[cfg(test)]
 mod testing;
 mod timing;
@@ -34,7 +36,7 @@ pub use bench_file::{
 };
 pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check};
 pub use clock::{Clock, MonotonicClock};
-pub use describe::{layout, manifest};
+pub use describe::{layout, layout_with_reference, manifest};
 pub use difference::{Difference, first_difference};
 pub use escalate::{Scaled, bounds, scale, stage_session};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
@@ -43,9 +45,16 @@ pub use live_online::{
     LiveOnline, OnlineResult, OnlineSettings, RowEstimator, StartSettings, replay,
 };
 pub use next_bench::{bench_for, experiment_limits, next_bench};
+pub use pilot::Pilot;
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
 pub use runner::{Bench, Excitation, LiveEstimator, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 pub use snapshot::{Snapshot, SnapshotCell, Target, TracePoint};
+pub use speed::{
+    ControllerKind, Design, ForwardUse, GainChange, GainsSection, LoopDelay, PilotSettings,
+    Reference, ReferenceError, ReferencePart, ReferenceStep, Regulator, RegulatorError, SpeedPilot,
+    SpeedReport, SpeedSection, StepFigures, Tracking, check_kinship, measure_delay,
+    timing as loop_timing,
+};
 pub use timing::Timing;

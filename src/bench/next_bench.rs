@@ -67,6 +67,8 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
     let mut bench = BenchFile::embedded_default();
     let or = |value: f64, other: f64| if value.is_finite() { value } else { other };
     "next".clone_into(&mut bench.name);
+    // Its reference is for another motor.
+    bench.speed = None;
     UNKNOWN_PORT.clone_into(&mut bench.link.port);
     bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
     if rate_hz > FASTEST_MODBUS_HZ {

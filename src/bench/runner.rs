@@ -19,6 +19,7 @@ use super::guard::RearmError;
 use super::limits::Nameplate;
 use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
+use super::speed::SpeedReport;
 use super::timing::{Punctuality, Timing, whole};
 use crate::drive::{DriveLink, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
@@ -82,6 +83,9 @@ pub struct RunSummary {
     pub estimates: Vec<ParameterEstimate>,
     /// How far the data carried each of them at the end.
     pub excitation: Excitation,
+    /// How the speed loop went, if there was one.
+    #[serde(rename = "loop", skip_serializing_if = "Option::is_none")]
+    pub speed: Option<SpeedReport>,
     pub notices: Vec<Notice>,
     /// Why zero output could not be confirmed at the very end, if it could not.
     pub stop_error: Option<String>,
@@ -226,6 +230,7 @@ impl Runner<'_> {
             link: self.link.0.statistics(),
             estimates: self.estimates(),
             excitation: self.excitation(),
+            speed: self.session.report(),
             notices: std::mem::take(&mut self.notices),
             stop_error,
             recorder_error: recorder.error,
@@ -288,7 +293,8 @@ impl Runner<'_> {
                 if let Some(estimator) = self.estimator.as_mut() {
                     estimator.push(&sample);
                 }
-                self.publisher.sample(&sample, self.demand);
+                let reference_rad_s = self.session.reference_rad_s();
+                self.publisher.sample(&sample, self.demand, reference_rad_s);
             }
             Action::Event(event) => self.recorder.event(self.event(event)),
             Action::Notice(notice) => {
@@ -306,10 +312,10 @@ impl Runner<'_> {
             let row = CommandRow {
                 command,
                 time_s: sent_s + self.drive_minus_host_s,
-                reference_rad_s: match command.demand {
+                reference_rad_s: self.session.reference_rad_s().or(match command.demand {
                     Demand::Speed(speed) => Some(speed),
                     _ => None,
-                },
+                }),
             };
             self.recorder.command(&row);
             if let Some(estimator) = self.estimator.as_mut() {

@@ -18,8 +18,10 @@ pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 
 use serde_json::{Value, json};
 
-use super::guard::{Causes, Guard};
+use super::guard::{Causes, Guard, Trip};
+use super::pilot::{OpenLoop, Pilot};
 use super::program::Program;
+use super::speed::SpeedReport;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// Longest wait for the drive's word that it has stopped, unless its watchdog is known to act earlier, s.
@@ -85,9 +87,9 @@ impl Phase {
     }
 }
 
-/// One bench session over one program.
+/// One bench session over one program, or one closed loop.
 pub struct Session {
-    program: Box<dyn Program>,
+    pilot: Box<dyn Pilot>,
     guard: Guard,
     phase: Phase,
     seq: u64,
@@ -111,8 +113,13 @@ pub struct Session {
 
 impl Session {
     pub fn new(program: Box<dyn Program>, guard: Guard) -> Self {
+        Self::with_pilot(Box::new(OpenLoop(program)), guard)
+    }
+
+    /// A session whose demands answer to samples.
+    pub fn with_pilot(pilot: Box<dyn Pilot>, guard: Guard) -> Self {
         Self {
-            program,
+            pilot,
             guard,
             phase: Phase::Connecting,
             seq: 0,
@@ -161,7 +168,7 @@ impl Session {
 
     /// Time within the program and its whole length, s.
     pub fn progress_s(&self, now_s: f64) -> (f64, f64) {
-        let total_s = self.program.duration_s();
+        let total_s = self.pilot.duration_s();
         let elapsed_s = match (self.phase, self.started_s) {
             (_, None) => 0.0,
             (Phase::Running, Some(start_s)) => now_s - start_s,
@@ -171,7 +178,22 @@ impl Session {
     }
 
     pub fn segment_name(&self) -> Option<&str> {
-        self.segment.map(|index| self.program.segment_name(index))
+        self.segment.map(|index| self.pilot.segment_name(index))
+    }
+
+    /// The speed reference that holds now, rad/s: none without a loop, zero once the loop is open.
+    pub fn reference_rad_s(&self) -> Option<f64> {
+        let reference = self.pilot.reference_rad_s();
+        match self.phase {
+            Phase::Running => reference,
+            Phase::RampDown => reference.map(|_| 0.0),
+            _ => None,
+        }
+    }
+
+    /// How the loop went, if there is one.
+    pub fn report(&self) -> Option<SpeedReport> {
+        self.pilot.report()
     }
 
     /// Takes one input and appends what is to be done. Each `Cycle` sends exactly one command.
@@ -195,9 +217,11 @@ impl Session {
     fn cycle(&mut self, now_s: f64, actions: &mut Vec<Action>) {
         if self.phase == Phase::Armed && self.may_run() {
             self.started_s = Some(now_s);
+            self.pilot.begin(now_s, self.drive.as_ref());
+            self.guard.set_slew(self.pilot.slew_v_per_s());
             self.enter(Phase::Running, now_s, actions);
         }
-        if self.phase == Phase::Running && self.elapsed_s(now_s) >= self.program.duration_s() {
+        if self.phase == Phase::Running && self.elapsed_s(now_s) >= self.pilot.duration_s() {
             self.end(Outcome::Done, now_s, actions);
         }
         let waited_s = now_s - *self.begun_s.get_or_insert(now_s);
@@ -210,17 +234,29 @@ impl Session {
         if self.phase == Phase::Stopping {
             self.finish_if_late(now_s, actions);
         }
-        let wanted = self.wanted(now_s);
+        let wanted = self.wanted(now_s).unwrap_or_else(|trip| {
+            if let Some(trip) = self.guard.latch(trip).cloned() {
+                self.trip(now_s, &trip, actions);
+            }
+            Demand::Stop
+        });
         self.note_segment(now_s, actions);
-        self.send(now_s, wanted, actions);
+        let command = self.send(now_s, wanted, actions);
+        if self.phase == Phase::Running {
+            self.pilot.sent(&command);
+            if let Some(reason) = self.pilot.news() {
+                notice(actions, Level::Info, format!("gains: {reason}"));
+                self.event(now_s, "gains", json!({ "reason": reason }), actions);
+            }
+        }
         if self.phase == Phase::RampDown && self.is_ramped_down(now_s) {
             self.stop_now(now_s, actions);
         }
     }
 
     /// What the drive should do now, before the guard has had its say.
-    fn wanted(&mut self, now_s: f64) -> Demand {
-        match self.phase {
+    fn wanted(&mut self, now_s: f64) -> Result<Demand, Trip> {
+        Ok(match self.phase {
             Phase::Connecting
             | Phase::Safe
             | Phase::Done
@@ -237,13 +273,13 @@ impl Session {
                     Demand::Disable
                 }
             }
-            Phase::Armed | Phase::RampDown => self.zero(),
-            Phase::Running => self.program.demand_at(self.elapsed_s(now_s)),
+            Phase::Armed | Phase::RampDown => self.pilot.zero(),
+            Phase::Running => return self.pilot.demand(now_s, self.elapsed_s(now_s)),
             Phase::Stopping => Demand::Stop,
-        }
+        })
     }
 
-    fn send(&mut self, now_s: f64, wanted: Demand, actions: &mut Vec<Action>) {
+    fn send(&mut self, now_s: f64, wanted: Demand, actions: &mut Vec<Action>) -> Command {
         let shaped = self.guard.shape(now_s, wanted);
         // The guard answers `Stop` to everything after a trip; in the final phases reading is all that is left to do.
         let demand = if self.phase.is_final() && !wanted.energises() {
@@ -258,11 +294,16 @@ impl Session {
             demand,
         };
         actions.push(Action::Send(command));
+        command
     }
 
     fn sample(&mut self, now_s: f64, sample: Sample, actions: &mut Vec<Action>) {
         let armed = self.phase.is_energised();
-        let trip = self.guard.watch(now_s, &sample, armed).cloned();
+        let mut trip = self.guard.watch(now_s, &sample, armed).cloned();
+        if trip.is_none() && self.phase == Phase::Running {
+            let found = self.pilot.sample(now_s, self.elapsed_s(now_s), &sample);
+            trip = found.and_then(|trip| self.guard.latch(trip).cloned());
+        }
         if self.phase.is_recorded() {
             actions.push(Action::Row(Box::new(sample.clone())));
         }
@@ -346,15 +387,6 @@ impl Session {
         self.started_s.map_or(0.0, |start_s| now_s - start_s)
     }
 
-    /// Zero in the quantity that the program commands.
-    fn zero(&self) -> Demand {
-        match self.program.demand_at(0.0) {
-            Demand::Current(_) => Demand::Current(0.0),
-            Demand::Speed(_) => Demand::Speed(0.0),
-            _ => Demand::Voltage(0.0),
-        }
-    }
-
     fn enter(&mut self, phase: Phase, now_s: f64, actions: &mut Vec<Action>) {
         if phase != self.phase {
             let detail = json!({ "from": self.phase, "to": phase });
@@ -367,10 +399,10 @@ impl Session {
         if self.phase != Phase::Running {
             return;
         }
-        let index = self.program.segment_at(self.elapsed_s(now_s));
+        let index = self.pilot.segment_at(self.elapsed_s(now_s));
         if self.segment != Some(index) {
             self.segment = Some(index);
-            let detail = json!({ "index": index, "name": self.program.segment_name(index) });
+            let detail = json!({ "index": index, "name": self.pilot.segment_name(index) });
             self.event(now_s, "segment", detail, actions);
         }
     }

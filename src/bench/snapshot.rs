@@ -51,6 +51,8 @@ pub struct TracePoint {
     pub speed_rad_s: f64,
     /// Free run of the model under the same voltage.
     pub model_speed_rad_s: f64,
+    /// What a speed loop follows; NaN without one.
+    pub reference_rad_s: f64,
 }
 
 /// The state of a run at one instant; cloning copies a few words, two short lists and one shared trace.

@@ -135,6 +135,7 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
         output::message(&format!("model written to {}", path.display()));
     }
     let mut value = serde_json::to_value(&result).unwrap_or_default();
+    value["limits"] = value["after"]["limits"].take();
     // The contract shows the signals of `compare` under before and after.
     for side in ["before", "after"] {
         value[side] = value[side]["signals"].take();

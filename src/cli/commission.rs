@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::discovery::{self, Shown};
-use super::escalate::{escalate, failure};
+use super::escalate::{UnknownMotor, escalate, failure};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Rig, Strings};
 use super::recorded::Recorded;
@@ -26,9 +26,12 @@ use crate::workflow::{
 pub(super) struct Arguments {
     #[command(flatten)]
     live: LiveArguments,
+    #[command(flatten)]
+    unknown: UnknownMotor,
 }
 
-pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+pub(super) fn execute(mut arguments: Arguments) -> Result<(), Failure> {
+    arguments.live.escalate = arguments.unknown.escalate;
     let (strings, intents) = Strings::new()?;
     if arguments.live.is_headless() {
         let mut told = Told::default();

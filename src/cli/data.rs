@@ -129,7 +129,7 @@ pub(super) struct EvidenceArguments {
     /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out
     #[arg(long, value_name = "RUN2")]
     pub(super) holdout: Option<PathBuf>,
-    /// A third run, from which the headline error is reported
+    /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
     #[arg(long, value_name = "RUN3")]
     pub(super) confirm: Option<PathBuf>,
     #[command(flatten)]
@@ -234,8 +234,10 @@ pub(super) fn prepare(
         holdout,
         "the last 40 % of the run are held out instead",
     );
-    let confirm = judge("confirming run", confirm, "nothing is confirmed");
-    let evidence = Evidence::new(fit_run, holdout.used, confirm.used);
+    let confirm = judge("confirming run", confirm, "nothing is confirmed").used;
+    let confirm = confirm
+        .filter(|confirm| holdout::had_no_part(confirm, holdout.used.as_ref(), &mut run.run.notes));
+    let evidence = Evidence::new(fit_run, holdout.used, confirm);
     let about = About::new(path, &evidence, args, holdout.objected);
     Ok(Prepared {
         run,

@@ -192,7 +192,7 @@ fn table(
         arguments.knots.clone()
     };
     let effect = curve::table(id, equation, axis, &knots).map_err(|error| failure(&error, None))?;
-    if let Some(held) = curve::hold_what_the_curve_holds(model, &fit.model, equation, axis) {
+    if let Some(held) = curve::hold_what_the_curve_holds(model, &fit.model, id, equation, axis) {
         output::message(&format!(
             "{held} is held: the curve would explain it as well"
         ));

@@ -11,8 +11,13 @@ use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
 use super::{interrupt, output, pages, progress};
 use crate::diagnosis::{Candidate, Diagnosis, Options, Peak, Reached, Status, diagnose_with};
+use crate::plant::effect::Axis;
+use crate::report::number::{significant, with_std};
 use crate::sample::ParameterEstimate;
 use crate::workflow::Discovery;
+
+/// Share of an unexplained error from which on the curve that it follows is worth telling, as on the screen.
+const FOLLOWS: f64 = 0.1;
 
 /// Name the physical effect that a model is missing, judged on data the fit has not seen
 #[derive(clap::Args)]
@@ -85,6 +90,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let place = arguments.next.place(&prepared)?;
     let mut original = prepared.model.file.model.clone();
     let mut by_hand = String::new();
+    let mut known_next = None;
     let mut diagnosis = if on_screen.screen {
         // From here on the screen owns the terminal and hears the signals.
         drop(attended.take());
@@ -106,6 +112,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
         by_hand = left.standing.heading();
         original = left.standing.original;
+        known_next = left.standing.next;
         left.standing
             .diagnosis
             .ok_or_else(|| Failure::new(INTERRUPTED, "left before there was an answer"))?
@@ -117,8 +124,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         };
         diagnose_with(&original, prepared.evidence.clone(), options)?
     };
-    progress::stage("looks for the run that would tell more", 0);
-    place.recommend(&mut diagnosis, &original, &prepared.evidence)?;
+    if let Some(next) = known_next {
+        place.take_over(&mut diagnosis, next);
+    } else {
+        progress::stage("looks for the run that would tell more", 0);
+        place.recommend(&mut diagnosis, &original, &prepared.evidence)?;
+    }
     let _endable = attended.map(|(endable, _)| endable);
     arguments.next.write(&place, &diagnosis, &arguments.run)?;
     if let Some(path) = &arguments.html {
@@ -140,6 +151,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 
 pub(super) fn text(diagnosis: &Diagnosis) -> String {
     let mut text = format!("{}\n", diagnosis.sentence);
+    if let Some(confirm) = &diagnosis.confirm {
+        let _ = writeln!(text, "{}", confirm.sentence);
+    }
     if !diagnosis.sufficient && diagnosis.effect.is_some() {
         let _ = writeln!(
             text,
@@ -161,7 +175,22 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
             }
         }
     }
-    for sentence in &diagnosis.equivalences {
+    if let Some(map) = diagnosis.axis_map.first().filter(|map| map.r2 >= FOLLOWS) {
+        let _ = writeln!(text, "curve: {}", map.sentence);
+        let _ = writeln!(
+            text,
+            "       --html PAGE draws it, --screen shows it under c"
+        );
+        if Axis::from_key(map.axis).is_some() {
+            let _ = writeln!(
+                text,
+                "       `drivebench add table --equation {} --axis {}` holds it until its cause is known",
+                map.equation, map.axis
+            );
+        }
+    }
+    let limits = diagnosis.limits.iter().map(String::as_str);
+    for sentence in limits.chain(diagnosis.equivalences.iter().copied()) {
         let _ = writeln!(text, "note: {sentence}");
     }
     if let Some(next) = &diagnosis.next_experiment {
@@ -189,31 +218,84 @@ fn sizes(candidate: &Candidate) -> String {
 }
 
 fn peak_text(peak: &Peak) -> String {
-    let std = peak
-        .std
-        .map_or_else(String::new, |std| format!(" +- {std:.1e}"));
+    let size = number(peak.value, peak.std);
     let share = peak.percent_of_largest;
     let share = share.map_or_else(String::new, |percent| {
-        format!(", {percent:.1} % of the largest")
+        format!(", {} % of the largest", significant(percent, 2))
     });
-    format!(
-        "up to {:.3e}{std} {} in this run{share}",
-        peak.value, peak.unit
-    )
+    format!("up to {size} {} in this run{share}", peak.unit)
 }
 
-/// `key = value +- std unit`, or why there is no value.
+/// `value ± std` with the digits that the uncertainty carries; the value alone where it is not known.
+fn number(value: f64, std: Option<f64>) -> String {
+    std.map_or_else(|| significant(value, 4), |std| with_std(value, std))
+}
+
+/// `key = value ± std unit`, or why there is no value.
 pub(super) fn parameter_text(parameter: &ParameterEstimate) -> String {
     let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-    match (parameter.value, parameter.std) {
-        (Some(value), Some(std)) => format!("{key} = {value:.4e} +- {std:.1e} {}", parameter.unit),
-        (Some(value), None) => format!(
-            "{key} = {value:.4e} {} (uncertainty unknown)",
-            parameter.unit
-        ),
-        (None, _) => format!(
-            "{key}: {}",
-            parameter.reason.as_deref().unwrap_or("not observable")
-        ),
+    let Some(value) = parameter.value else {
+        let reason = parameter.reason.as_deref().unwrap_or("not observable");
+        return format!("{key}: {reason}");
+    };
+    let mut text = format!("{key} = {}", number(value, parameter.std));
+    if parameter.unit != "-" {
+        text = format!("{text} {}", parameter.unit);
+    }
+    if parameter.std.is_none() {
+        text.push_str(" (uncertainty unknown)");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::Verdict;
+
+    fn estimate(key: &str, value: Option<f64>, std: Option<f64>, unit: &'static str) -> String {
+        parameter_text(&ParameterEstimate {
+            key: key.to_owned(),
+            value,
+            std,
+            unit,
+            verdict: Verdict::Settled,
+            reason: None,
+        })
+    }
+
+    #[test]
+    fn numbers_have_the_digits_that_their_uncertainty_carries() {
+        for (key, value, std, unit, text) in [
+            (
+                "supply_sag.sag_ohm",
+                0.484_351,
+                Some(0.002_801),
+                "ohm",
+                "sag_ohm = 0.4844 ± 0.0028 ohm",
+            ),
+            ("cogging.order", 7.0, Some(0.0), "-", "order = 7.0000 ± 0"),
+            (
+                "inductance_h",
+                0.009_042,
+                None,
+                "H",
+                "inductance_h = 0.009042 H (uncertainty unknown)",
+            ),
+        ] {
+            assert_eq!(estimate(key, Some(value), std, unit), text);
+        }
+        assert_eq!(estimate("a.b", None, None, "-"), "b: not observable");
+        let peak = Peak {
+            value: 2.2051,
+            std: Some(0.0132),
+            interval_95: None,
+            unit: "V",
+            percent_of_largest: Some(2.31),
+        };
+        assert_eq!(
+            peak_text(&peak),
+            "up to 2.205 ± 0.013 V in this run, 2.3 % of the largest"
+        );
     }
 }

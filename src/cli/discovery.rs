@@ -10,7 +10,7 @@ use std::thread;
 
 use super::failure::{Failure, INTERNAL};
 use super::{interrupt, model_output, output};
-use crate::diagnosis::Diagnosis;
+use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::plant::{FileHistory, Model, ModelFile};
 use crate::tui::{DiscoveryScreen, Exit, show_discovery};
 use crate::workflow::{Discovery, News, Order};
@@ -36,6 +36,8 @@ pub(super) struct Standing {
     pub(super) original: Model,
     /// The latest answer; none before the first.
     pub(super) diagnosis: Option<Diagnosis>,
+    /// The run that was recommended with it; none where there is none, or it was not waited for.
+    pub(super) next: Option<NextExperiment>,
     /// What was changed by hand, each with the held-out error after it.
     changes: Vec<String>,
     /// The model after them, until there is an answer to it.
@@ -51,6 +53,7 @@ impl Standing {
         Self {
             original,
             diagnosis: None,
+            next: None,
             changes: Vec::new(),
             changed: None,
             since: 0,
@@ -67,7 +70,12 @@ impl Standing {
                     self.original = changed;
                 }
                 self.diagnosis = Some((**diagnosis).clone());
+                self.next = None;
                 self.since = 0;
+                return;
+            }
+            News::Recommended(next) => {
+                self.next = Some((**next).clone());
                 return;
             }
             News::Written(text) => return self.written.push(text.clone()),
@@ -133,13 +141,21 @@ pub(super) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
     };
     let standing = Arc::new(Mutex::new(Standing::new(discovery.model().clone())));
     let heard = Arc::clone(&standing);
+    let gone = Arc::new(AtomicBool::new(false));
+    let is_left = Arc::clone(&gone);
     // Never joined: an analysis in progress has nothing to put down, and ends with the program.
     thread::Builder::new()
         .name("diagnosis".to_owned())
-        .spawn(move || work(discovery, &shown, &ordered, &told, &heard))
+        .spawn(move || work(discovery, &shown, &ordered, &told, &heard, &is_left))
         .map_err(|error| Failure::new(INTERNAL, format!("cannot start a thread: {error}")))?;
-    let exit = show_discovery(screen)
-        .map_err(|error| Failure::new(INTERNAL, format!("the screen has failed: {error}")))?;
+    let exit = show_discovery(screen);
+    {
+        // A model that is being written is finished; one that was not begun is not begun any more.
+        let _whole = interrupt::writing();
+        gone.store(true, Ordering::Release);
+    }
+    let exit =
+        exit.map_err(|error| Failure::new(INTERNAL, format!("the screen has failed: {error}")))?;
     if exit == Exit::WorkerPanicked {
         return Err(Failure::new(INTERNAL, "the analysis has panicked"));
     }
@@ -163,6 +179,7 @@ fn work(
     ordered: &Receiver<Order>,
     told: &Sender<News>,
     standing: &Mutex<Standing>,
+    gone: &AtomicBool,
 ) {
     let tell = |news: News| {
         let mut now = standing.lock().unwrap_or_else(PoisonError::into_inner);
@@ -173,7 +190,7 @@ fn work(
     };
     while let Ok(order) = ordered.recv() {
         if order == Order::Write {
-            tell(match write(&discovery, shown) {
+            tell(match write(&discovery, shown, gone) {
                 Ok(path) => News::Written(format!("model written to {}", path.display())),
                 Err(reason) => News::NotWritten(reason),
             });
@@ -184,7 +201,7 @@ fn work(
 }
 
 /// The model as it stands, in a new file.
-fn write(discovery: &Discovery, shown: &Shown) -> Result<PathBuf, String> {
+fn write(discovery: &Discovery, shown: &Shown, gone: &AtomicBool) -> Result<PathBuf, String> {
     let Some(fitted) = discovery.fitted() else {
         return Err("there is no fitted model yet".to_owned());
     };
@@ -204,15 +221,19 @@ fn write(discovery: &Discovery, shown: &Shown) -> Result<PathBuf, String> {
         history,
     };
     let wanted = shown.output.as_deref().unwrap_or_else(|| Path::new(MODEL));
-    write_new(wanted, &file.to_toml())
+    write_new(wanted, &file.to_toml(), gone)
 }
 
 /// Copies that are tried beside a name that is taken.
 const MOST_COPIES: u32 = 1000;
 
-/// Writes under `wanted`, or where that is taken under the next free name: `model-2.toml`, `model-3.toml`, ...
-fn write_new(wanted: &Path, text: &str) -> Result<PathBuf, String> {
+/// Writes under `wanted`, or where that is taken under the next free name: `model-2.toml`, `model-3.toml`, ... Once the
+/// screen is `gone`, nothing: the program may end in the middle of it.
+fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, String> {
     let _whole = interrupt::writing();
+    if gone.load(Ordering::Acquire) {
+        return Err("the screen was left".to_owned());
+    }
     for copy in 1..=MOST_COPIES {
         let path = if copy == 1 {
             wanted.to_owned()
@@ -243,16 +264,18 @@ fn write_new(wanted: &Path, text: &str) -> Result<PathBuf, String> {
 mod tests {
     use super::*;
     use crate::diagnosis::{DiagnosisVerdict, Evidence};
-    use crate::plant::{Motor, testing};
+    use crate::plant::Motor;
+    use crate::plant::testing::with_a_fan;
 
     #[test]
     fn a_name_that_is_taken_is_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         let wanted = folder.path().join("model.toml");
+        let gone = AtomicBool::new(false);
         let names: Vec<String> = ["first", "second", "third"]
             .into_iter()
             .map(|text| {
-                let path = write_new(&wanted, text).unwrap();
+                let path = write_new(&wanted, text, &gone).unwrap();
                 assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
                 path.file_name().unwrap().to_string_lossy().into_owned()
             })
@@ -260,27 +283,16 @@ mod tests {
         assert_eq!(names, ["model.toml", "model-2.toml", "model-3.toml"]);
         assert_eq!(std::fs::read_to_string(&wanted).unwrap(), "first");
         let nowhere = folder.path().join("missing/model.toml");
-        assert!(write_new(&nowhere, "text").is_err());
+        assert!(write_new(&nowhere, "text", &gone).is_err());
+        gone.store(true, Ordering::Release);
+        assert!(write_new(&folder.path().join("late.toml"), "text", &gone).is_err());
+        assert!(!folder.path().join("late.toml").exists());
     }
 
-    /// A motor with a fan, which is not in the model; short, and at rest for long enough to know the noise.
+    /// A motor with a fan, which is not in the model; at rest for long enough to know the noise.
     fn discovery() -> Discovery {
-        let model = Model::baseline(Motor::zk_22fc());
-        let mut truth = model.with_effect("quadratic_load").unwrap();
-        truth.effects[0].values = vec![Some(4e-6)];
-        let run = |shift: usize| {
-            let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
-            let mut events = vec![(0.0, 0.0)];
-            for step in 0..levels.len() {
-                let level = levels[(step + 3 * shift) % levels.len()];
-                let begin_s = 0.5 + 0.5 * step as f64;
-                events.push((begin_s, level));
-                events.push((begin_s + 0.25, level + 5.0));
-            }
-            testing::record(&truth, events, 0.005, 5.5, 7 + shift as u64)
-        };
-        let evidence = Evidence::new(run(0), Some(run(1)), None);
-        Discovery::new(model, evidence, false)
+        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
+        Discovery::new(Model::baseline(Motor::zk_22fc()), evidence, false)
     }
 
     #[test]

@@ -1,13 +1,15 @@
 //! `emulate`: the software drive for other programs.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
 
 use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
 use super::reveal::{seal, sealed_name};
 use super::{interrupt, live, output};
-use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, mystery, ready_line, serve};
+use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, UNIT, mystery, ready_line, serve};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
@@ -41,6 +43,39 @@ pub(super) struct Arguments {
     /// Register map to answer with; only our own so far
     #[arg(long, default_value = "own")]
     profile: String,
+    /// Print JSON: one object a line, `ready` when the drive can be opened and `stopped` at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// A line of `--json`.
+#[derive(Serialize)]
+#[serde(tag = "state", rename_all = "snake_case")]
+enum State<'a> {
+    Ready {
+        link: String,
+        /// Path of the pseudo-terminal, or HOST:PORT.
+        address: &'a str,
+        unit: u8,
+        baud: u32,
+        profile: &'a str,
+        /// Where the sealed truth of a mystery is.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        sealed: Option<&'a Path>,
+    },
+    Stopped {
+        link: String,
+        address: &'a str,
+    },
+}
+
+impl State<'_> {
+    /// A caller that does not read the line does not need it.
+    fn print(&self) {
+        if let Ok(text) = serde_json::to_string(self) {
+            let _ = output::line(&text);
+        }
+    }
 }
 
 pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
@@ -74,14 +109,38 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         }
         (None, None) => Endpoint::temporary_pty(),
     };
+    let mut sealed = None;
     if let Some(mystery) = &mystery {
         let path = arguments.seal.unwrap_or_else(|| sealed_name(mystery.seed));
         seal(mystery, &path)?;
+        sealed = Some(path);
     }
     let stop = interrupt::flag()?;
+    let mut served = String::new();
     serve(&config, seed, link, &endpoint, &stop, |address| {
-        // A caller that does not read the line does not need it.
-        let _ = output::line(&ready_line(link, address, &config));
+        address.clone_into(&mut served);
+        if arguments.json {
+            let state = State::Ready {
+                link: link.to_string(),
+                address,
+                unit: UNIT,
+                baud: config.line.baud,
+                profile: &arguments.profile,
+                sealed: sealed.as_deref(),
+            };
+            state.print();
+        } else {
+            // A caller that does not read the line does not need it.
+            let _ = output::line(&ready_line(link, address, &config));
+        }
     })
-    .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))
+    .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
+    if arguments.json {
+        let state = State::Stopped {
+            link: link.to_string(),
+            address: &served,
+        };
+        state.print();
+    }
+    Ok(())
 }

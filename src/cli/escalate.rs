@@ -6,6 +6,15 @@ use super::live::{Rig, Strings};
 use crate::identification::escalation::Ending;
 use crate::workflow::{Escalate, EscalationResult, scaled_sentence};
 
+/// For commands that find a motor of which nothing is known.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub(super) struct UnknownMotor {
+    /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the
+    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead)
+    #[arg(long)]
+    pub(super) escalate: bool,
+}
+
 /// Runs the stages until the motor is found or the reason why not is named. With a motor the rig goes on with its values
 /// as nameplate. `tell` gets a line for each stage.
 pub(super) fn escalate(

@@ -8,7 +8,7 @@ use crate::diagnosis::{Fingerprint, Kinship, fingerprint, matches, shared_sample
 use crate::identification::sanity::{self, Kind};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
-use crate::sample::Run;
+use crate::sample::{Channel, Run};
 
 /// Shortest hold-out, s: twenty blocks that hold some transients of the current each.
 const SHORTEST_S: f64 = 1.0;
@@ -93,11 +93,28 @@ impl Beside<'_> {
     }
 }
 
-/// What a run does not say by itself: rows without a voltage, times without rows.
+/// Whether a confirming run is another than the hold-out, which selected; else the reason goes to stderr and to `notes`.
+pub(super) fn had_no_part(
+    confirm: &Scenario,
+    holdout: Option<&Scenario>,
+    notes: &mut Vec<String>,
+) -> bool {
+    let shared = holdout.map_or(0.0, |holdout| shared_samples(holdout, confirm));
+    if shared <= MOST_SHARED {
+        return true;
+    }
+    let sentence = "confirming run: its samples are those of the hold-out, which selected; it is not used, nothing is confirmed"
+        .to_owned();
+    output::warn(std::slice::from_ref(&sentence));
+    notes.push(sentence);
+    false
+}
+
+/// What a run does not say by itself: rows without a voltage, signals without values, times without rows.
 pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let mut cautions = Vec::new();
     let channel = scenario.input_channel;
-    if let (crate::sample::Channel::Voltage, Some(cells)) = (channel, run.column(channel)) {
+    if let (Channel::Voltage, Some(cells)) = (channel, run.column(channel)) {
         let begin_s = scenario.begin_s();
         let rows = run.time_s().iter().filter(|time_s| **time_s >= begin_s);
         let missing = run
@@ -114,6 +131,21 @@ pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
                 rows.count()
             ));
         }
+    }
+    for (channel, cells) in [
+        (Channel::Current, &scenario.current_a),
+        (Channel::Speed, &scenario.speed_rad_s),
+    ] {
+        let missing = cells.iter().filter(|cell| !cell.is_finite()).count();
+        if run.column(channel).is_none() || missing * MANY_MISSING < cells.len() {
+            continue;
+        }
+        let (name, key, samples) = (&run.name, channel.key(), cells.len());
+        cautions.push(if missing == samples {
+            format!("{name}: {key} has no value in any sample: it counts as not measured")
+        } else {
+            format!("{name}: {key} is missing in {missing} of {samples} samples: they are left out")
+        });
     }
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
@@ -133,6 +165,8 @@ pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     cautions
 }
 
+/// One sample of so many without a value is worth a word.
+const MANY_MISSING: usize = 10;
 /// A time without rows that is worth a word: so many mean periods, and so many seconds.
 const LONG_GAP: f64 = 50.0;
 const LONG_GAP_S: f64 = 0.2;

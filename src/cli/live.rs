@@ -15,24 +15,23 @@ use clap::Args;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
+use super::live_link::{latency, link_protocol, serve, target};
 use super::recorded::Recorded;
 use super::{interrupt, output, reveal};
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
-    LiveOnline, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions,
-    Session, SnapshotCell, Target, check, layout, manifest, plan, run, stage_session,
+    LiveOnline, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol,
+    RunOptions, Session, SnapshotCell, SpeedPilot, Target, check, layout, layout_with_reference,
+    manifest, measure_delay, plan, run, stage_session,
 };
-use crate::drive::{DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError};
-use crate::emulator::{
-    EmulatorConfig, Endpoint, Latency, LinkKind, MemoryLink, ServerHandle, SoftDrive, VirtualClock,
-    mystery,
-};
+use crate::drive::{DriveLink, DriveProfile};
+use crate::emulator::{EmulatorConfig, MemoryLink, ServerHandle, SoftDrive, VirtualClock, mystery};
 use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
 use crate::plant::{Model, Motor};
 use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
-use crate::sample::{Channel, Command, Demand};
+use crate::sample::{Channel, Command, Demand, Origin};
 
 /// What stands for the emulator's configuration in a bench file that hides it.
 const MYSTERY: &str = "mystery";
@@ -67,9 +66,8 @@ pub(super) struct LiveArguments {
     /// The drive is real and its shaft may turn (needed without a screen)
     #[arg(long)]
     hardware: bool,
-    /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the
-    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead)
-    #[arg(long)]
+    /// Set by commands that have [`super::escalate::UnknownMotor`].
+    #[arg(skip)]
     pub(super) escalate: bool,
     /// Go on although the drive's watchdog cannot be proven; the waiver is recorded
     #[arg(long)]
@@ -157,6 +155,22 @@ struct Consent {
     waive_watchdog: bool,
     /// Once: taken back when it has been done.
     reset_fault: bool,
+}
+
+/// A session that is ready to be recorded.
+struct Planned {
+    session: Session,
+    motor: Option<Nameplate>,
+    /// It goes on with what was started by hand before.
+    follows: bool,
+    speed: Option<SpeedAbout>,
+}
+
+/// What the record says about a speed loop.
+pub(super) struct SpeedAbout {
+    /// The model that it was tuned on, as a model file.
+    pub(super) model: String,
+    pub(super) manifest: serde_json::Value,
 }
 
 /// An open drive with its clock, and the emulator's thread where it is ours.
@@ -364,7 +378,45 @@ impl Rig {
         let motor = self.nameplate()?;
         let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
         let session = Session::new(Box::new(self.program(seed)?), guard);
-        self.record_session(name, seed, session, Some(motor), false, strings)
+        let run = Planned {
+            session,
+            motor: Some(motor),
+            follows: false,
+            speed: None,
+        };
+        self.record_session(name, seed, run, strings)
+    }
+
+    /// Measures the delay of a loop over this link, with the output off; `None` where the drive does not tell.
+    pub(super) fn measure_delay(&mut self) -> Result<Option<LoopDelay>, Failure> {
+        let rate_hz = self.bench.link.rate_hz;
+        let (delay, last_seq) = measure_delay(
+            self.link.as_mut(),
+            self.clock.as_mut(),
+            rate_hz,
+            self.last_seq,
+        )?;
+        self.last_seq = last_seq;
+        Ok(delay)
+    }
+
+    /// Records one run of a speed loop; `about` goes into its manifest.
+    pub(super) fn record_loop(
+        &mut self,
+        name: &str,
+        pilot: SpeedPilot,
+        about: SpeedAbout,
+        strings: &Strings,
+    ) -> Result<Recorded, Failure> {
+        let motor = self.nameplate()?;
+        let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
+        let run = Planned {
+            session: Session::with_pilot(Box::new(pilot), guard),
+            motor: Some(motor),
+            follows: false,
+            speed: Some(about),
+        };
+        self.record_session(name, self.bench.runs.fit, run, strings)
     }
 
     /// Records one stage of an escalation. The first one beside a real motor is started by hand; the others `follow` it.
@@ -378,18 +430,28 @@ impl Rig {
         let file = self.bench.name.clone();
         let session = stage_session(&self.bench, stage)
             .map_err(|error| Failure::from(BenchFileError::Sequence { file, error }))?;
-        self.record_session(name, self.bench.runs.fit, session, None, follows, strings)
+        let run = Planned {
+            session,
+            motor: None,
+            follows,
+            speed: None,
+        };
+        self.record_session(name, self.bench.runs.fit, run, strings)
     }
 
     fn record_session(
         &mut self,
         name: &str,
         seed: u64,
-        session: Session,
-        motor: Option<Nameplate>,
-        follows: bool,
+        planned: Planned,
         strings: &Strings,
     ) -> Result<Recorded, Failure> {
+        let Planned {
+            session,
+            motor,
+            follows,
+            speed,
+        } = planned;
         let report = self
             .check
             .clone()
@@ -397,7 +459,17 @@ impl Rig {
         let target = Target::of(&report.identity);
         let session = session.after_seq(self.last_seq);
         let mut manifest = self.manifest(name, seed, &report);
-        let mut layout = layout(&report.signals);
+        let mut layout = match &speed {
+            Some(about) => {
+                manifest.set_origin(Channel::Reference, Origin::Commanded);
+                manifest
+                    .configs
+                    .insert("model".to_owned(), about.model.clone());
+                manifest.speed_loop = about.manifest.clone();
+                layout_with_reference(&report.signals)
+            }
+            None => layout(&report.signals),
+        };
         if !self.clock.is_real() {
             layout = layout.without_host_time();
         }
@@ -433,6 +505,9 @@ impl Rig {
         );
         self.last_seq += summary.link.sent - sent_before + 1;
         summary.describe(&mut manifest);
+        if let Some(report) = &summary.speed {
+            manifest.speed_loop["delay_while_running"] = serde_json::json!(report.delay);
+        }
         // The writer thread may still have been busy when the run ended: only now is every row counted.
         summary.rows = recorder.finish(&manifest)?.rows as u64;
         let recorded = Recorded {
@@ -501,67 +576,6 @@ pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
         EmulatorConfig::parse(name, &read_text(path)?)
     };
     config.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
-}
-
-/// What an exchange of the bench's protocol takes over its line, for a drive in memory.
-fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
-    let mut line = config.line.clone();
-    line.baud = match bench.link.protocol {
-        Protocol::ModbusTcp => 0,
-        Protocol::ModbusRtu | Protocol::Stream => bench.link.baud,
-    };
-    Latency::of_line(&line, bench.link.protocol == Protocol::ModbusRtu)
-}
-
-/// Serves the emulator from a thread of this process, over the protocol that the bench file names.
-fn serve(config: &EmulatorConfig, bench: &BenchFile) -> Result<ServerHandle, Failure> {
-    let (kind, endpoint) = match bench.link.protocol {
-        Protocol::ModbusRtu => (LinkKind::ModbusRtu, Endpoint::temporary_pty()),
-        Protocol::Stream => (LinkKind::Stream, Endpoint::temporary_pty()),
-        Protocol::ModbusTcp => (
-            LinkKind::ModbusTcp,
-            Endpoint::Tcp(std::net::SocketAddr::from(([127, 0, 0, 1], 0))),
-        ),
-    };
-    let mut config = config.clone();
-    config.line.baud = bench.link.baud;
-    let handle = crate::emulator::spawn(config, bench.emulator.seed, kind, endpoint)
-        .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
-    Ok(handle)
-}
-
-const fn link_protocol(protocol: Protocol) -> crate::drive::Protocol {
-    match protocol {
-        Protocol::ModbusRtu => crate::drive::Protocol::ModbusRtu,
-        Protocol::ModbusTcp => crate::drive::Protocol::ModbusTcp,
-        Protocol::Stream => crate::drive::Protocol::Stream,
-    }
-}
-
-/// The far end of the wire with the bench file's baud rate and unit.
-fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
-    let target: LinkTarget = address
-        .parse()
-        .map_err(|error: TargetError| Failure::with_help(USAGE, error.to_string(), error.help()))?;
-    Ok(match target {
-        LinkTarget::Serial { path, .. } => LinkTarget::Serial {
-            path,
-            baud: Some(bench.link.baud),
-            unit: Some(bench.link.unit),
-        },
-        LinkTarget::Tcp { host, port, .. } => LinkTarget::Tcp {
-            host,
-            port,
-            unit: Some(bench.link.unit),
-        },
-    })
-}
-
-impl From<LinkError> for Failure {
-    fn from(error: LinkError) -> Self {
-        let help = error.help();
-        Self::with_help(LINK, error.to_string(), help)
-    }
 }
 
 impl From<CheckError> for Failure {

@@ -1,14 +1,18 @@
 //! `reproduce discovery --live`: the program itself, started as a person would, on mystery drives in real time.
 
-use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::sync::Mutex;
+use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use std::{fs, io};
 
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::Value;
 
 use super::failure::{Failure, INTERNAL};
+use super::live_record::LiveFolder;
 use super::{output, progress};
 use crate::bench::EMBEDDED_DEFAULT;
 use crate::recording::open_run;
@@ -16,23 +20,22 @@ use crate::workflow::reproduce::discovery::{Heard, LiveAnswer, LiveLink};
 
 /// Runs of each mystery: one to fit, one held out.
 const RUN_SEEDS: [u64; 2] = [1, 2];
+/// How often a command is looked after.
+const LOOK: Duration = Duration::from_millis(20);
 
-/// Runs `drives` mysteries over each link, the first with `seed`; their runs are kept in `folder`. `None` where it was
-/// interrupted.
+/// Runs `drives` mysteries over each link, the first with `seed`, in `folder`, but for those that an earlier start has
+/// finished. Where it is interrupted, the answers so far.
 pub(super) fn live_study(
     drives: u64,
     seed: u64,
-    folder: &Path,
+    folder: &LiveFolder,
     interrupted: &AtomicBool,
-) -> Result<Option<Vec<LiveAnswer>>, Failure> {
+) -> Result<Vec<LiveAnswer>, Failure> {
     let program = std::env::current_exe()
         .map_err(|error| Failure::new(INTERNAL, format!("cannot find this program: {error}")))?;
-    let mysteries: Vec<(LiveLink, u64)> = LiveLink::ALL
-        .into_iter()
-        .flat_map(|link| (seed..seed + drives).map(move |seed| (link, seed)))
-        .collect();
+    let mysteries = mysteries(drives, seed);
     for link in LiveLink::ALL {
-        let path = bench_path(folder, link);
+        let path = bench_path(folder.path(), link);
         fs::write(&path, bench_text(link)).map_err(|error| {
             Failure::new(
                 INTERNAL,
@@ -40,47 +43,78 @@ pub(super) fn live_study(
             )
         })?;
     }
+    let kept = |&(link, seed): &(LiveLink, u64)| folder.answer(link, seed);
+    let found: Vec<Option<LiveAnswer>> = mysteries.iter().map(kept).collect();
+    let kept = found.iter().flatten().count();
+    if kept > 0 {
+        output::message(&format!(
+            "{kept} of {} mystery drives are finished already; the others follow",
+            mysteries.len()
+        ));
+    }
     progress::stage("runs mystery drives", mysteries.len());
+    progress::at(kept);
     let next = AtomicUsize::new(0);
-    let answers = Mutex::new(Vec::new());
+    let found = Mutex::new(found);
+    // What is not kept would be lost at the next interrupt.
+    let not_kept = Mutex::new(None);
     // Most of the time a drive is waited for, but its clock must not.
     let workers = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     std::thread::scope(|scope| {
         for _ in 0..workers {
             scope.spawn(|| {
-                while !interrupted.load(Ordering::Acquire) {
+                while !interrupted.load(Ordering::Acquire) && lock(&not_kept).is_none() {
                     let place = next.fetch_add(1, Ordering::AcqRel);
                     let Some(&(link, seed)) = mysteries.get(place) else {
                         break;
                     };
+                    if lock(&found)[place].is_some() {
+                        continue;
+                    }
                     let place_of = Place {
                         program: &program,
                         folder,
                         link,
                         seed,
+                        interrupted,
                     };
                     let answer = match place_of.hear() {
                         Ok(heard) => LiveAnswer::of(link, seed, &heard),
+                        // The commands were ended too: that is no failure of theirs, and no answer.
+                        Err(_) if interrupted.load(Ordering::Acquire) => break,
                         Err(reason) => LiveAnswer::failed(link, seed, reason),
                     };
+                    if let Err(failure) = folder.keep(&answer) {
+                        *lock(&not_kept) = Some(failure);
+                    }
                     output::message(&format!(
                         "{} {seed}: hidden {}, answer {}",
                         link.protocol(),
                         answer.hidden,
                         answer.column()
                     ));
-                    if let Ok(mut answers) = answers.lock() {
-                        answers.push((place, answer));
-                        progress::at(answers.len());
-                    }
+                    let mut found = lock(&found);
+                    found[place] = Some(answer);
+                    progress::at(found.iter().flatten().count());
                 }
             });
         }
     });
-    let mut answers = answers.into_inner().unwrap_or_default();
-    answers.sort_by_key(|(place, _)| *place);
-    let whole = answers.len() == mysteries.len() && !interrupted.load(Ordering::Acquire);
-    Ok(whole.then(|| answers.into_iter().map(|(_, answer)| answer).collect()))
+    if let Some(failure) = lock(&not_kept).take() {
+        return Err(failure);
+    }
+    let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
+    Ok(found.into_iter().flatten().collect())
+}
+
+/// Every drive of the study, in the order of the page.
+pub(super) fn mysteries(drives: u64, seed: u64) -> Vec<(LiveLink, u64)> {
+    let of = |link| (seed..seed.saturating_add(drives)).map(move |seed| (link, seed));
+    LiveLink::ALL.into_iter().flat_map(of).collect()
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn bench_path(folder: &Path, link: LiveLink) -> PathBuf {
@@ -103,20 +137,21 @@ fn bench_text(link: LiveLink) -> String {
 /// One mystery over one link.
 struct Place<'a> {
     program: &'a Path,
-    folder: &'a Path,
+    folder: &'a LiveFolder,
     link: LiveLink,
     seed: u64,
+    interrupted: &'a AtomicBool,
 }
 
 impl Place<'_> {
     /// `run` twice, `diagnose`, and `add` for every name.
     fn hear(&self) -> Result<Heard, String> {
-        let runs = self
-            .folder
-            .join(format!("{}-{}", self.link.protocol(), self.seed));
+        let clear = self.folder.clear(self.link, self.seed);
+        clear.map_err(|failure| failure.headline().to_owned())?;
+        let runs = self.folder.drive(self.link, self.seed);
         let mut folders = Vec::new();
         for run_seed in RUN_SEEDS {
-            let bench = bench_path(self.folder, self.link);
+            let bench = bench_path(self.folder.path(), self.link);
             self.json(
                 Command::new(self.program)
                     .arg("run")
@@ -168,9 +203,8 @@ impl Place<'_> {
 
     /// Starts the command and reads what it prints, and whether it succeeded; an error is its last line.
     fn answer(&self, command: &mut Command) -> Result<(bool, Value), String> {
-        let done = command
-            .stdin(Stdio::null())
-            .output()
+        let done = self
+            .output(command)
             .map_err(|error| format!("{}: {error}", self.program.display()))?;
         let stderr = String::from_utf8_lossy(&done.stderr);
         let error = || {
@@ -180,6 +214,47 @@ impl Place<'_> {
         let value = serde_json::from_slice(&done.stdout).map_err(|_| error())?;
         Ok((done.status.success(), value))
     }
+
+    /// Runs the command to its end. Where the study is interrupted the command is too: it stops its motor in its own way.
+    fn output(&self, command: &mut Command) -> io::Result<Output> {
+        let mut child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()?;
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        std::thread::scope(|scope| {
+            let stdout = scope.spawn(|| read(stdout));
+            let stderr = scope.spawn(|| read(stderr));
+            let mut is_told = false;
+            let status = loop {
+                if let Some(status) = child.try_wait()? {
+                    break status;
+                }
+                if self.interrupted.load(Ordering::Acquire) && !is_told {
+                    is_told = true;
+                    // Not waited for yet, so the number is still its own.
+                    let id = i32::try_from(child.id()).map_err(io::Error::other)?;
+                    kill(Pid::from_raw(id), Signal::SIGTERM)?;
+                }
+                std::thread::sleep(LOOK);
+            };
+            Ok(Output {
+                status,
+                stdout: stdout.join().unwrap_or_default(),
+                stderr: stderr.join().unwrap_or_default(),
+            })
+        })
+    }
+}
+
+/// Everything until the end; of a pipe that breaks what came before.
+fn read(pipe: Option<impl io::Read>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if let Some(mut pipe) = pipe {
+        let _ = pipe.read_to_end(&mut bytes);
+    }
+    bytes
 }
 
 /// Effects that are named with certainty; of a set that cannot be told apart none is added.

@@ -19,6 +19,8 @@ mod holdout;
 mod identify;
 mod interrupt;
 mod live;
+mod live_link;
+mod live_record;
 mod live_study;
 mod load_torque;
 mod model_output;
@@ -36,6 +38,9 @@ mod run;
 mod sanity_report;
 mod screen;
 mod simulate;
+mod speed;
+mod speed_page;
+mod tune;
 
 use std::process::ExitCode;
 
@@ -68,6 +73,7 @@ enum Command {
     Emulate(emulate::Arguments),
     Plan(plan::Arguments),
     Run(run::Arguments),
+    Speed(speed::Arguments),
     Identify(identify::Arguments),
     Replay(replay::Arguments),
     Simulate(simulate::Arguments),
@@ -76,6 +82,7 @@ enum Command {
     Add(add::AddArguments),
     Remove(add::Arguments),
     Effects(effects::Arguments),
+    Tune(tune::Arguments),
     Reproduce(reproduce::Arguments),
     Reveal(reveal::Arguments),
 }
@@ -105,6 +112,7 @@ pub fn main() -> ExitCode {
         Command::Emulate(arguments) => emulate::execute(arguments),
         Command::Plan(arguments) => plan::execute(&arguments),
         Command::Run(arguments) => run::execute(arguments),
+        Command::Speed(arguments) => speed::execute(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
         Command::Replay(arguments) => replay::execute(&arguments),
         Command::Simulate(arguments) => simulate::execute(&arguments),
@@ -113,6 +121,7 @@ pub fn main() -> ExitCode {
         Command::Add(arguments) => add::execute_add(&arguments),
         Command::Remove(arguments) => add::execute_remove(&arguments),
         Command::Effects(arguments) => effects::execute(&arguments),
+        Command::Tune(arguments) => tune::execute(&arguments),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
         Command::Reveal(arguments) => reveal::execute(&arguments),
     };
@@ -134,7 +143,12 @@ fn usage_failure(error: &clap::Error) -> failure::Failure {
             tip.clone_into(&mut help);
         } else if let Some(usage) = line.strip_prefix("Usage: ") {
             if help.is_empty() {
-                help = format!("usage: {usage}");
+                let judges = ["compare ", "diagnose "];
+                let is_second_run = headline.starts_with("unexpected argument '")
+                    && !headline.starts_with("unexpected argument '-")
+                    && judges.iter().any(|command| usage.contains(command));
+                let hint = "give the run to judge by with --holdout RUN2; ";
+                help = format!("{}usage: {usage}", if is_second_run { hint } else { "" });
             }
             break;
         } else if !line.starts_with("For more information") {

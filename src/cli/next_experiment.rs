@@ -8,7 +8,7 @@ use super::data::{Prepared, read_text};
 use super::failure::Failure;
 use super::output;
 use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
-use crate::diagnosis::{Diagnosis, Evidence, ExperimentLimits, recommend};
+use crate::diagnosis::{Diagnosis, Evidence, ExperimentLimits, NextExperiment, recommend};
 use crate::numerics::statistics::median;
 use crate::plant::{Model, Scenario};
 
@@ -103,9 +103,14 @@ impl Place {
         original: &Model,
         evidence: &Evidence,
     ) -> Result<(), Failure> {
-        let Some(mut next) = recommend(diagnosis, original, evidence, &self.limits)? else {
-            return Ok(());
-        };
+        if let Some(next) = recommend(diagnosis, original, evidence, &self.limits)? {
+            self.take_over(diagnosis, next);
+        }
+        Ok(())
+    }
+
+    /// Puts a run that was recommended for it within the same limits into the diagnosis.
+    pub(super) fn take_over(&self, diagnosis: &mut Diagnosis, mut next: NextExperiment) {
         let model = &diagnosis.model.model;
         next.bench = next.recipe.as_ref().map(|recipe| {
             let unknown = || bench_for(model, &self.limits, self.rate_hz);
@@ -113,7 +118,6 @@ impl Place {
             next_bench(&bench, recipe, model, &next.sentence)
         });
         diagnosis.next_experiment = Some(next);
-        Ok(())
     }
 }
 

@@ -13,7 +13,7 @@ use crate::identification::output_error;
 use crate::plant::{Input, Model, Motor, Scenario};
 use crate::recording::{LoadedRun, Manifest};
 use crate::report::{
-    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, Target,
+    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, RunReport, SpeedLoop, Target,
 };
 use crate::sample::ParameterEstimate;
 use crate::workflow::{CommissionResult, NamedEstimate};
@@ -25,11 +25,16 @@ pub(super) struct Report {
 }
 
 /// The page of one run, from its folder.
-pub(super) fn run(recorded: &Recorded, plan: &Plan, nameplate: &Motor) -> Result<String, Failure> {
+pub(super) fn run(
+    recorded: &Recorded,
+    plan: Option<&Plan>,
+    nameplate: &Motor,
+    speed_loop: Option<&SpeedLoop>,
+) -> Result<String, Failure> {
     let loaded = data::load(recorded.folder.path(), None)?;
     let manifest = loaded.manifest.unwrap_or_default();
     let mut context = context(&manifest, &[recorded.folder.path()]);
-    context.plan = plan_facts(plan);
+    context.plan = plan.map(plan_facts).unwrap_or_default();
     let trip = match &recorded.summary.outcome {
         Outcome::Tripped(trip) => Some(trip.reason.as_str()),
         _ => None,
@@ -62,6 +67,7 @@ pub(super) fn run(recorded: &Recorded, plan: &Plan, nameplate: &Motor) -> Result
         parameters: &recorded.summary.estimates,
         timing: &facts,
         trip,
+        speed_loop,
     };
     Ok(report.html())
 }

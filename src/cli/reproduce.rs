@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::failure::{Failure, INTERRUPTED, USAGE};
-use super::live_study::live_study;
+use super::live_record::LiveFolder;
+use super::live_study::{live_study, mysteries};
 use super::{interrupt, output, progress};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
@@ -30,7 +31,7 @@ pub(super) struct Arguments {
     /// With `discovery`: another seed makes other machines (default 1)
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
-    /// Folder for report.html, figure-2.svg .., table-1.csv ..; it must be new or empty (default: reproduce-PAPER, with --json none)
+    /// Folder for report.html, figure-2.svg .., table-1.csv ..; it must be new or empty, or hold a --live study that was interrupted, which then goes on (default: reproduce-PAPER, with --json none)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print JSON
@@ -40,8 +41,10 @@ pub(super) struct Arguments {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Paper {
-    /// On-line identification of a DC motor (Ma, Feng, Shi): schemes 1 and 2
+    /// On-line identification and adaptive control of a DC motor (Ma, Feng, Shi)
     PaperA,
+    /// Optimal state feedback of a brushless motor (Wang, Cai, Jiang, Wang): Kalman filter, adaptive compensation
+    PaperB,
     /// How often the diagnosis is right, on emulated machines whose truth is known
     Discovery,
 }
@@ -50,6 +53,7 @@ impl Paper {
     const fn folder(self) -> &'static str {
         match self {
             Self::PaperA => "reproduce-paper-a",
+            Self::PaperB => "reproduce-paper-b",
             Self::Discovery => "reproduce-discovery",
         }
     }
@@ -61,11 +65,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         (!arguments.json).then(default)
     });
     // Before the work, not after it.
-    if let Some(folder) = &out {
+    if let Some(folder) = &out
+        && !(arguments.live.is_some() && LiveFolder::of(folder).is_unfinished()?)
+    {
         require_empty(folder)?;
     }
     match arguments.paper {
-        Paper::PaperA
+        Paper::PaperA | Paper::PaperB
             if arguments.sets.is_some() || arguments.seed.is_some() || arguments.live.is_some() =>
         {
             Err(Failure::with_help(
@@ -83,16 +89,61 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             file(out.as_deref(), &report, None)?;
             output::result(&found, arguments.json, |_| report.text())
         }
-        Paper::Discovery => {
+        Paper::PaperB => {
+            let _endable = interrupt::endable()?;
             let shown = progress::begin("reproduce");
-            let found = study(arguments, out.as_deref())?;
+            let found = reproduce::paper_b(|part| progress::stage(part, 0));
             drop(shown);
             let report = found.report();
-            let page = ("validation.md".to_owned(), report.markdown());
-            file(out.as_deref(), &report, Some(page))?;
+            file(out.as_deref(), &report, None)?;
             output::result(&found, arguments.json, |_| report.text())
         }
+        Paper::Discovery => {
+            let shown = progress::begin("reproduce");
+            let found = study(arguments, out.as_deref());
+            drop(shown);
+            file_study(&found?, arguments, out.as_deref())
+        }
     }
+}
+
+/// Page and tables of the study, also where only a part of its mystery drives is finished.
+fn file_study(
+    found: &reproduce::discovery::Discovery,
+    arguments: &Arguments,
+    out: Option<&Path>,
+) -> Result<(), Failure> {
+    let report = found.report();
+    let is_whole = found.live.len() == found.live_asked;
+    if is_whole || !found.live.is_empty() || !found.answers.is_empty() {
+        let page = ("validation.md".to_owned(), report.markdown());
+        file(out, &report, Some(page))?;
+    }
+    if is_whole {
+        if let (Some(folder), Some(_)) = (out, arguments.live) {
+            LiveFolder::of(folder).finish()?;
+        }
+        return output::result(found, arguments.json, |_| report.text());
+    }
+    if arguments.json {
+        output::result(found, true, |_| String::new())?;
+    }
+    Err(Failure::with_help(
+        INTERRUPTED,
+        format!(
+            "interrupted: {} of {} mystery drives are finished",
+            found.live.len(),
+            found.live_asked
+        ),
+        match out {
+            Some(folder) => format!(
+                "they are kept in {}: start the same command again, and it goes on with the others",
+                folder.display()
+            ),
+            None => "give --out DIR: what is finished is kept there, and a second start goes on"
+                .to_owned(),
+        },
+    ))
 }
 
 /// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
@@ -116,24 +167,37 @@ fn study(
     let ended = || {
         Failure::with_help(
             INTERRUPTED,
-            "interrupted: a part of the study is not the study, so no page was written",
-            "start it again with a smaller --sets or --live",
+            "interrupted: a part of the machines in virtual time is not the study, so no page was written",
+            "start it again, with a smaller --sets where it takes too long",
         )
     };
-    output::message(&format!(
-        "{} machines are excited and diagnosed; Ctrl-C ends it",
-        size.machines()
-    ));
+    let live = arguments
+        .live
+        .map_or(0, |drives| mysteries(drives, size.seed).len());
+    output::message(&match (size.machines(), live) {
+        (machines, 0) => format!("{machines} machines are excited and diagnosed; Ctrl-C ends it"),
+        (0, drives) => format!(
+            "{drives} mystery drives are run in real time; Ctrl-C ends it and keeps what is finished"
+        ),
+        (machines, drives) => format!(
+            "{machines} machines are excited and diagnosed, then {drives} mystery drives run in real time; Ctrl-C ends it and keeps the drives that are finished"
+        ),
+    });
     progress::stage("excites and diagnoses machines", size.machines());
     let mut found = discovery(size, &interrupted, tell).ok_or_else(ended)?;
     if let Some(drives) = arguments.live {
-        let scratch = std::env::temp_dir();
-        let folder = match out {
-            Some(folder) => folder.join("live"),
-            None => scratch.join(format!("drivebench-live-{}", std::process::id())),
-        };
-        create(&folder)?;
-        found.live = live_study(drives, size.seed, &folder, &interrupted)?.ok_or_else(ended)?;
+        found.live_asked = live;
+        let scratch =
+            || std::env::temp_dir().join(format!("drivebench-live-{}", std::process::id()));
+        let place = out.map_or_else(scratch, Path::to_owned);
+        let folder = LiveFolder::of(&place);
+        folder.begin()?;
+        let answers = live_study(drives, size.seed, &folder, &interrupted);
+        if out.is_none() {
+            // Nobody was told of it; what stays of it is the system's to clear.
+            let _ = fs::remove_dir_all(place);
+        }
+        found.live = answers?;
     }
     Ok(found)
 }

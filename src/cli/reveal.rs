@@ -34,7 +34,7 @@ pub(super) struct Arguments {
     /// The answer that a run folder of `commission` holds
     #[arg(long, value_name = "RUN")]
     run: Option<PathBuf>,
-    /// What you think it is, before you look
+    /// What you think it is, before you look; left out at a terminal, it is asked for before anything is shown
     #[arg(long, value_name = "EFFECT")]
     guess: Option<String>,
     /// Print JSON
@@ -53,7 +53,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     };
     let guess = match &arguments.guess {
         Some(word) => Some(known(word)?.to_owned()),
-        None if answer.is_none() && !arguments.json => ask()?,
+        // Before anything is shown. Who gives the answer by hand has guessed.
+        None if arguments.answer.is_none() && !arguments.json => ask()?,
         None => None,
     };
     let revealed = reveal(truth, answer, guess.as_deref());

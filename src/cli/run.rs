@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
-use super::escalate::{escalate, failure};
+use super::escalate::{UnknownMotor, escalate, failure};
 use super::failure::Failure;
 use super::live::{LiveArguments, Rig, Strings};
 use super::recorded::Recorded;
@@ -25,6 +25,8 @@ use crate::workflow::{EscalationResult, compared};
 pub(super) struct Arguments {
     #[command(flatten)]
     live: LiveArguments,
+    #[command(flatten)]
+    unknown: UnknownMotor,
     /// Which run of the bench file's [runs]: the seed of the sequence's random parts, and of the emulator's noise on that day
     #[arg(long, value_name = "N")]
     run_seed: Option<u64>,
@@ -62,7 +64,8 @@ struct Whole {
     plate: Motor,
 }
 
-pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+pub(super) fn execute(mut arguments: Arguments) -> Result<(), Failure> {
+    arguments.live.escalate = arguments.unknown.escalate;
     let (strings, intents) = Strings::new()?;
     if arguments.live.is_headless() {
         return record(&arguments, &strings).and_then(|done| finish(arguments.live.json, &done));
@@ -121,7 +124,7 @@ fn write_results(whole: &Whole, nameplate: &Motor) -> Result<(), Failure> {
     recorded.write_result(&result(whole))?;
     folder.write(
         RunFile::Report,
-        &pages::run(recorded, &whole.plan, nameplate)?,
+        &pages::run(recorded, Some(&whole.plan), nameplate, None)?,
     )?;
     Ok(())
 }

@@ -101,6 +101,13 @@ pub fn compare(
                 },
             })
         };
+    let judged = |residual: Vec<(f64, f64)>, level: f64| {
+        if level.is_finite() {
+            with_input(&residual, &evidence.holdout)
+        } else {
+            Vec::new()
+        }
+    };
     let located = locate(model, &evidence.holdout, noise, error_of)?;
     Ok(Comparison {
         signals: Signals {
@@ -118,8 +125,8 @@ pub fn compare(
         balances: located.balances,
         map: located.map,
         residual: ResidualLights::of(
-            &with_input(&holdout.current_residual(), &evidence.holdout),
-            &with_input(&holdout.speed_residual(), &evidence.holdout),
+            &judged(holdout.current_residual(), noise.current_a),
+            &judged(holdout.speed_residual(), noise.speed_rad_s),
         ),
         noise_floor_from: noise.source,
         holdout_from: evidence.holdout_from,
@@ -138,6 +145,7 @@ fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
                 .to_owned(),
         );
     }
+    notes.extend(evidence.unjudged());
     if evidence.holdout_from == HoldoutFrom::Split {
         notes.push(
             "no hold-out was given: the last 40 % of the run are held out, which share its day and its excitation".to_owned(),

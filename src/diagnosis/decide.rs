@@ -21,6 +21,9 @@ pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
 /// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
 const NEAR_THE_FLOOR: f64 = 1.2;
 
+/// Error, in units of the floor, at which a search that goes on until the floor is there (DISCOVERY.md 2.8).
+pub(super) const UNTIL_FLOOR: f64 = 1.08;
+
 /// What a test may turn by a fifth: the answer must not depend on it (DISCOVERY.md, rule 6).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -41,6 +44,8 @@ impl Default for Settings {
 
 const BLOCK_S: f64 = 0.2;
 const FEWEST_BLOCKS: usize = 20;
+/// Blocks below which their spread says nothing, so that nothing is significant.
+const TOO_FEW: usize = 4;
 
 /// Correlation of neighbouring blocks from which on they are not taken for independent.
 const CORRELATED: f64 = 0.3;
@@ -53,7 +58,7 @@ pub(super) fn z(worse: &Score, better: &Score, settings: Settings) -> f64 {
     loop {
         let ratios = log_ratios(worse, better, block_s);
         let n = ratios.len() as f64;
-        if ratios.len() < 4 {
+        if ratios.len() < TOO_FEW {
             return 0.0;
         }
         let mean = ratios.iter().sum::<f64>() / n;
@@ -132,19 +137,19 @@ pub(super) fn at_the_floor(evidence: &Evidence, score: &Score) -> bool {
 pub(super) fn enough(evidence: &Evidence, base: &Score, now: &Score, until_floor: bool) -> bool {
     let floor = highest_floor(evidence);
     if until_floor {
-        return now.nrms < 1.08 * evidence.floor() || now.nrms < floor;
+        return now.nrms < UNTIL_FLOOR * evidence.floor() || now.nrms < floor;
     }
     // A strong effect explains nine tenths of the error and may still hide a weak partner well above the floor.
     explained(base.nrms, now.nrms, floor) >= SUFFICIENT
         && (floor <= 0.0 || now.nrms < NEAR_THE_FLOOR * floor)
 }
 
-/// Whether a set of effects explains enough to be named: its first alone a good part, or all of them nearly everything.
+/// Whether a set of effects explains enough to be named: one of it alone a good part, or all of them nearly everything.
 /// Several that each explain a little of an error that is none of them are not an answer.
-pub(super) fn explains(evidence: &Evidence, base: &Score, first: &Score, all: &Score) -> bool {
+pub(super) fn explains(evidence: &Evidence, base: &Score, alone: &Score, all: &Score) -> bool {
     let floor = highest_floor(evidence);
     let share = |score: &Score| explained_beyond_doubt(evidence, base, score);
-    share(first) >= EXPLAINS_SOMETHING && share(all) >= EXPLAINS_SOMETHING
+    share(alone) >= EXPLAINS_SOMETHING && share(all) >= EXPLAINS_SOMETHING
         || share(all) >= SUFFICIENT
         || base.nrms <= floor
 }
@@ -156,9 +161,14 @@ pub(super) fn beats(better: &Score, worse: &Score, settings: Settings) -> bool {
 
 /// Whether `candidate` pays on the hold-out.
 pub(super) fn pays(base: &Score, candidate: &Score, settings: Settings) -> bool {
-    candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms
+    falls(base, candidate)
         && (z(base, candidate, settings) >= settings.significant
             || mends(base, candidate, settings))
+}
+
+/// Whether the held-out error falls with `candidate` by what is worth an effect, chance or not.
+pub(super) fn falls(base: &Score, candidate: &Score) -> bool {
+    candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms
 }
 
 /// Standard deviations by which a block must leave the noise to count as failed, and blocks that must be mended.
@@ -235,8 +245,20 @@ fn simple_instead(
 /// Share of what the best candidate gains that a rival must gain: one that explains much less explains something else.
 const RIVALS: f64 = 0.5;
 
+/// Share of what the best candidate gains or leaves by which a rival may be worse and still be as good (DISCOVERY.md 2.8):
+/// far less than what the forms of two effects differ by, far more than what the fits stop short of their minimum.
+pub(super) const AS_GOOD: f64 = 0.02;
+
+/// Whether the base explains the run to its noise already, or nearly: what is gained from there is little, and by how much
+/// more than another an effect gains is chance.
+fn is_thin(base: &Score) -> bool {
+    let noise = base.noise();
+    noise.source != FloorSource::None && base.nrms < noise.tolerance(AT_THE_FLOOR)
+}
+
 /// Candidates that cannot be told from the best one by this hold-out: indices into `refits`, the preferred one first.
-/// Inside the set the fewer parameters win, then the smaller error.
+/// Inside the set the fewer parameters win, then the smaller error. One that cannot be named itself stands behind: that it
+/// serves as well says that the others may only lean on what is there.
 pub(super) fn not_told_apart(
     base: &Score,
     refits: &[Refit],
@@ -248,24 +270,80 @@ pub(super) fn not_told_apart(
     if let Some(simple) = simple_instead(base, refits, best, settings) {
         return not_told_apart(base, refits, simple, settings);
     }
+    let thin = is_thin(base);
     let mut set: Vec<usize> = (0..refits.len())
         .filter(|&index| index == best || !is_richer(&refits[index], &refits[best]))
         .filter(|&index| {
             let rival = &refits[index].holdout;
-            let close = rival.nrms.powi(2) - best_error < 0.02 * best_error.max(gained);
+            let close = rival.nrms.powi(2) - best_error < AS_GOOD * best_error.max(gained);
             let rivals = base.nrms.powi(2) - rival.nrms.powi(2) >= RIVALS * gained;
             index == best
-                || (rivals
-                    && pays(base, rival, settings)
+                || ((rivals && pays(base, rival, settings) || thin && falls(base, rival))
                     && !mends(rival, &refits[best].holdout, settings)
                     && (close || z(rival, &refits[best].holdout, settings) < settings.significant))
         })
         .collect();
     set.sort_by(|&a, &b| {
-        let key = |index: usize| (refits[index].free_parameters, refits[index].holdout.nrms);
-        key(a).0.cmp(&key(b).0).then(key(a).1.total_cmp(&key(b).1))
+        let place = |index: usize| {
+            let refit = &refits[index];
+            (!refit.is_possible(), refit.free_parameters)
+        };
+        let error = |index: usize| refits[index].holdout.nrms;
+        place(a).cmp(&place(b)).then(error(a).total_cmp(&error(b)))
     });
     set
+}
+
+/// How much smaller the held-out error of `after` is than that of `before`, and how sure that is, in words. What is asked
+/// stands behind, so that a refusal can be understood.
+pub(super) fn fall_in_words(
+    before: &Score,
+    after: &Score,
+    times: &str,
+    settings: Settings,
+) -> String {
+    let blocks = [before, after].map(|score| score.blocks(BLOCK_S));
+    let better = bootstrap::first_rank_shares(&blocks)[1];
+    fall(
+        [before.nrms, after.nrms].map(|nrms| format!("{nrms:.2}")),
+        1.0 - after.nrms / before.nrms,
+        &format!(" {times}"),
+        Certainty {
+            better,
+            z: z(before, after, settings),
+            asked: settings.significant,
+        },
+    )
+}
+
+/// How sure a fall of the error is.
+#[derive(Clone, Copy)]
+pub(super) struct Certainty {
+    /// Share of the redraws of the hold-out's blocks in which the error falls.
+    pub(super) better: f64,
+    pub(super) z: f64,
+    pub(super) asked: f64,
+}
+
+/// A fall (negative: a rise) of the error between two figures, in words.
+pub(super) fn fall(
+    [before, after]: [String; 2],
+    share: f64,
+    unit: &str,
+    certainty: Certainty,
+) -> String {
+    let Certainty { better, z, asked } = certainty;
+    let (word, percent) = if share >= 0.0 {
+        ("falls", 100.0 * share)
+    } else {
+        ("rises", -100.0 * share)
+    };
+    let sure = 100.0 * better;
+    format!(
+        "the held-out error {word} by {percent:.1} %, from {before} to {after}{unit}; it would fall in {sure:.0} of 100 \
+         hold-outs like this one (z {z:.1}; {:.0} % and z {asked} are asked)",
+        100.0 * WORTHWHILE
+    )
 }
 
 /// Share of block bootstraps of the hold-out in which each candidate has the smallest error.

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::axis_map::{AxisMap, axis_map};
 use super::candidates::{Candidate, Status};
+use super::confirmation::{self, Confirmation};
 use super::decide::{self, Settings, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom};
@@ -48,8 +49,12 @@ pub struct Diagnosis {
     /// Along which axis the error runs, and as what curve, where no effect explains it; the clearest first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub axis_map: Vec<AxisMap>,
+    /// The answer on a run that had no part in it, where there is one: the headline.
+    pub confirm: Option<Confirmation>,
     /// One sentence for a person.
     pub sentence: String,
+    /// What could not be asked of these runs, and why.
+    pub limits: Vec<String>,
     /// What the named effects cannot be told from by any run.
     pub equivalences: Vec<&'static str>,
     /// The run that would tell more; left to those who know the bench ([`recommend`](super::recommend)).
@@ -126,7 +131,6 @@ pub fn diagnose_with(
 fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
     let floor = evidence.floor();
     let base = &found.baseline.score;
-    let mut candidates = describe(base, found.baseline.fit.nrms, evidence, &found);
     let verdict = if wrong_curve(evidence, &found) {
         DiagnosisVerdict::Unexplained
     } else {
@@ -143,6 +147,8 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
         verdict,
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
     );
+    let error_before = found.baseline.fit.nrms;
+    let mut candidates = describe(base, error_before, evidence, &found, named);
     if !named {
         // What pays although nothing is named is not in the answer.
         for candidate in &mut candidates {
@@ -193,13 +199,22 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
         } else {
             found.ladder.into_iter().take(1).collect()
         },
+        confirm: None,
         sentence: String::new(),
+        limits: evidence.unjudged(),
         equivalences: Vec::new(),
         next_experiment: None,
         baseline: Fitted::from(&found.baseline.fit),
         model: Fitted::from(&best.fit),
         rivals,
     };
+    diagnosis.confirm = confirmation::of_models(
+        evidence,
+        [&diagnosis.baseline.model, &diagnosis.model.model],
+        verdict,
+        &diagnosis.effects,
+        found.settings,
+    );
     diagnosis.sentence = sentence(&diagnosis);
     let named = diagnosis.effects.iter();
     diagnosis.equivalences = named.flat_map(|id| equivalences(id)).copied().collect();
@@ -247,21 +262,22 @@ fn verdict(evidence: &Evidence, found: &Found) -> DiagnosisVerdict {
     let nothing_to_explain =
         evidence.noise.source == FloorSource::None || decide::at_the_floor(evidence, base);
     let best = &found.best.score;
-    let first = found
-        .first_set
-        .first()
-        .map(|&index| &found.first_round[index].holdout);
-    let explains = first.is_some_and(|first| decide::explains(evidence, base, first, best));
+    let alone = found.best_alone.as_ref();
+    let explains = alone.is_some_and(|alone| decide::explains(evidence, base, alone, best));
     // A hair above the floor is explained by whatever resembles it.
     let hair = nothing_to_explain
         && evidence.noise.source != FloorSource::None
         && best.nrms > NO_HAIR * base.nrms;
-    if explains && !hair {
-        if found
-            .accepted
-            .iter()
-            .any(|accepted| !accepted.rivals.is_empty())
-        {
+    let open = found
+        .accepted
+        .iter()
+        .any(|accepted| !accepted.rivals.is_empty());
+    // Several that explain the same part of an error, and no more than a part, all lean on something else.
+    let leans = open
+        && explained(base.nrms, best.nrms, evidence.floor()) < BELIEVED
+        && !decide::at_the_floor(evidence, best);
+    if explains && !hair && !leans {
+        if open {
             DiagnosisVerdict::Ambiguous
         } else {
             DiagnosisVerdict::Effect

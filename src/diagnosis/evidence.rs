@@ -2,10 +2,10 @@
 
 use serde::Serialize;
 
-use super::score::Score;
-use crate::identification::noise::{FloorSource, NoiseFloor};
+use super::score::{Score, varies};
+use crate::identification::noise::{FEWEST_SAMPLES, FloorSource, NoiseFloor, samples_at_rest};
 use crate::identification::output_error::{self, Fit, FitError};
-use crate::plant::{Model, Scenario};
+use crate::plant::{Input, Model, Scenario};
 
 /// Share of a run that trains when there is no second run; the rest is held out as one block.
 pub const TRAINING_SHARE: f64 = 0.6;
@@ -17,7 +17,7 @@ pub enum HoldoutFrom {
     Split,
 }
 
-/// Fit on `training`, select on `holdout`, report from `confirm` where there is one.
+/// Fit on `training`, select on `holdout`, repeat the answer on `confirm` where there is one.
 #[derive(Clone, Debug)]
 pub struct Evidence {
     pub training: Scenario,
@@ -28,10 +28,11 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Takes the noise floor from the standstills of the runs, else leaves the signals scaled by their spread
-    /// until a baseline is fitted ([`Evidence::with_baseline`]).
+    /// Takes the noise floor from the standstills of the fit run and the hold-out, else leaves the signals scaled by their
+    /// spread until a baseline is fitted ([`Evidence::with_baseline`]). The confirming run has no part in anything that is
+    /// decided, and so none in the floor.
     pub fn new(fit_run: Scenario, holdout: Option<Scenario>, confirm: Option<Scenario>) -> Self {
-        let rests: Vec<NoiseFloor> = [Some(&fit_run), holdout.as_ref(), confirm.as_ref()]
+        let rests: Vec<NoiseFloor> = [Some(&fit_run), holdout.as_ref()]
             .into_iter()
             .flatten()
             .filter_map(NoiseFloor::from_standstill)
@@ -59,6 +60,79 @@ impl Evidence {
         } else {
             1.0
         }
+    }
+
+    /// Measured signals that the judgement does without, each with the reason. Only of runs that a voltage drives: the
+    /// others are judged by their torque balance.
+    pub fn unjudged(&self) -> Vec<String> {
+        if self.training.input != Input::Voltage {
+            return Vec::new();
+        }
+        let signals = [
+            Signal {
+                name: "current",
+                key: "current_a",
+                other: "speed",
+                level: self.noise.current_a,
+                of: |run| &run.current_a,
+            },
+            Signal {
+                name: "speed",
+                key: "speed_rad_s",
+                other: "current",
+                level: self.noise.speed_rad_s,
+                of: |run| &run.speed_rad_s,
+            },
+        ];
+        signals
+            .iter()
+            .filter_map(|signal| {
+                let reason = self.why_unjudged(signal)?;
+                let Signal {
+                    name, key, other, ..
+                } = signal;
+                Some(format!(
+                    "the {name} ({key}) has no part in the judgement: {reason}; errors, verdict and sizes rest on the {other} \
+                     alone, and what shows only in the {name} would not be seen"
+                ))
+            })
+            .collect()
+    }
+
+    fn why_unjudged(&self, signal: &Signal) -> Option<String> {
+        let scored = |run: &Scenario| {
+            let values = &(signal.of)(run)[run.scored.clone()];
+            values.iter().filter(|value| value.is_finite()).count()
+        };
+        let (fitted, held_out) = (scored(&self.training), scored(&self.holdout));
+        if fitted == 0 && held_out == 0 {
+            return None;
+        }
+        if fitted == 0 {
+            return Some("it was measured in the hold-out only".to_owned());
+        }
+        if signal.level.is_finite() {
+            let alone = "it was not measured in the hold-out, which decides";
+            return (held_out == 0).then(|| alone.to_owned());
+        }
+        if !varies((signal.of)(&self.training)) {
+            return Some("it is the same throughout the run".to_owned());
+        }
+        Some(match self.noise.source {
+            FloorSource::Standstill => {
+                let runs = [&self.training, &self.holdout].into_iter();
+                let most = runs.map(|run| samples_at_rest(run, (signal.of)(run))).max();
+                format!(
+                    "its noise is not known, because it has {} samples in the leading standstill and {FEWEST_SAMPLES} are needed",
+                    most.unwrap_or(0)
+                )
+            }
+            FloorSource::Repeat => format!(
+                "its noise is not known, because the repeated runs have fewer than {FEWEST_DIFFERENCES} samples of it at the \
+                 same instants"
+            ),
+            FloorSource::None => "the fitted baseline leaves nothing of it".to_owned(),
+        })
     }
 
     /// Fits `model` on the training run. Where no noise floor is known, the residual of this first fit becomes the
@@ -128,10 +202,23 @@ impl Evidence {
     }
 }
 
+/// A signal that errors are judged by.
+struct Signal {
+    name: &'static str,
+    key: &'static str,
+    other: &'static str,
+    /// Its noise; infinite where it is not known.
+    level: f64,
+    of: fn(&Scenario) -> &Vec<f64>,
+}
+
 /// Pairs of samples below which two runs do not give a floor.
 const FEWEST_DIFFERENCES: usize = 100;
 
-/// Value of the point nearest to `time_s`, if it lies within a few samples of it.
+/// How far apart two samples may be and still be of the same instant, s: a few samples of a serial line.
+const SAME_INSTANT_S: f64 = 0.05;
+
+/// Value of the point nearest to `time_s`, if it is of the same instant.
 fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
     let after = points.partition_point(|point| point.0 < time_s);
     let candidates = [
@@ -143,5 +230,5 @@ fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
         .flatten()
         .map(|index| points[index])
         .min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
-    ((nearest.0 - time_s).abs() < 0.05).then_some(nearest.1)
+    ((nearest.0 - time_s).abs() < SAME_INSTANT_S).then_some(nearest.1)
 }

@@ -10,6 +10,23 @@ const RICHER: &[(&str, &str)] = &[
 /// Effects that are one to first order: a model holds one of them.
 const ALIKE: &[(&str, &str)] = &[("speed_delay", "speed_filter")];
 
+/// Effects that take power, of which a size below zero is no machine: a fit that asks for one leans on something else
+/// (DISCOVERY.md: a Stribeck curve of the wrong sign is not supported). A voltage drop may be over-compensated by the drive,
+/// so that it is not among them.
+const TAKE_POWER: &[&str] = &[
+    "viscous_friction",
+    "quadratic_load",
+    "stribeck_friction",
+    "load_dependent_friction",
+    "supply_sag",
+    "winding_heating",
+];
+
+/// Whether physics allows this effect no size below zero.
+pub(super) fn takes_power(id: &str) -> bool {
+    TAKE_POWER.contains(&id)
+}
+
 /// The equation and the axis along which an effect is a curve.
 const CURVES: &[(&str, &str, &str)] = &[
     ("viscous_friction", "torque", "speed_rad_s"),

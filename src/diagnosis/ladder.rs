@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::candidates::by_key;
 use super::compare::{Comparison, compare};
-use super::decide::{SIGNIFICANT, Settings, WORTHWHILE, pays, z};
+use super::decide::{Settings, WORTHWHILE, fall_in_words, pays, z};
 use super::evidence::Evidence;
 use super::fitted::Fitted;
 use super::location::ErrorOf;
@@ -142,18 +142,23 @@ fn reason(
             )
         };
     }
-    let z = z(score_before, score_after, Settings::default());
+    let settings = Settings::default();
+    let fall = fall_in_words(score_before, score_after, times, settings);
     if accepted {
-        format!("held-out error {from:.2} -> {to:.2} {times} (z {z:.1})")
+        let by_chance = z(score_before, score_after, settings) < settings.significant;
+        // Accepted all the same: where the model fails, it fails in few stretches.
+        let mended = if by_chance {
+            "; it mends the few stretches in which the model without it fails"
+        } else {
+            ""
+        };
+        format!("with {name} {fall}{mended}")
     } else if to >= (1.0 - WORTHWHILE) * from && after.nrms < (1.0 - WORTHWHILE) * before.nrms {
         format!(
-            "{name} helps only in training ({:.2} -> {:.2}); on the hold-out the error goes from {from:.2} to {to:.2} \
-             {times}",
+            "{name} helps only in training ({:.2} -> {:.2}); on data that it was not fitted to {fall}",
             before.nrms, after.nrms
         )
     } else {
-        format!(
-            "{name} does not pay: held-out error {from:.2} -> {to:.2} {times} (z {z:.1}, {SIGNIFICANT} asked)"
-        )
+        format!("{name} does not pay: {fall}")
     }
 }

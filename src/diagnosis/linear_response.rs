@@ -23,6 +23,12 @@ pub(super) fn responses(
 ) -> Option<()> {
     let linear = Linear::of(model)?;
     let noise = problem.noise();
+    // Where the speed's noise is not known only a shaft that does not move at all is at rest.
+    let known_noise = if noise.speed_rad_s.is_finite() {
+        noise.speed_rad_s
+    } else {
+        0.0
+    };
     let terms: Vec<_> = values.iter().map(|values| effect.terms(values)).collect();
     let simple = |terms: &dyn Terms| {
         terms.states() == 0 && terms.path().measures_directly() && terms.coupling().is_none()
@@ -32,7 +38,9 @@ pub(super) fn responses(
     }
     let angles = scenario.shaft_angle();
     let mut angle = angles.iter().peekable();
-    let mut last_angle_rad = 0.0;
+    let (mut last_angle_s, mut last_angle_rad) = (f64::INFINITY, 0.0);
+    // A cell that is missing says nothing: what was measured last holds, and before that the shaft is taken to rest.
+    let (mut current_a, mut speed_rad_s) = (0.0, 0.0);
     let mut deviation = vec![[0.0; 2]; terms.len()];
     let mut weighted = vec![0.0; terms.len()];
     let mut rows = problem.rows().iter().enumerate().peekable();
@@ -41,7 +49,7 @@ pub(super) fn responses(
     for sample in 0..scenario.samples() {
         let time_s = scenario.sample_time_s[sample];
         while let Some(point) = angle.next_if(|point| point.0 <= time_s) {
-            last_angle_rad = point.1;
+            (last_angle_s, last_angle_rad) = *point;
         }
         if sample > 0 {
             let interval_s = time_s - scenario.sample_time_s[sample - 1];
@@ -50,14 +58,22 @@ pub(super) fn responses(
                 step = linear.over(step_s);
             }
         }
-        let (current_a, speed_rad_s) = (scenario.current_a[sample], scenario.speed_rad_s[sample]);
-        let rests = !(speed_rad_s.abs() > AT_REST * noise.speed_rad_s && current_a.is_finite());
+        for (held, measured) in [
+            (&mut current_a, scenario.current_a[sample]),
+            (&mut speed_rad_s, scenario.speed_rad_s[sample]),
+        ] {
+            if measured.is_finite() {
+                *held = measured;
+            }
+        }
+        let rests = speed_rad_s.abs() <= AT_REST * known_noise;
         let at = Instant {
             time_s: time_s - scenario.begin_s(),
             current_a,
             speed_rad_s,
             // The torque acts over the interval that ends here: at its middle.
-            angle_rad: last_angle_rad - 0.5 * speed_rad_s * step_s,
+            angle_rad: last_angle_rad
+                + speed_rad_s * ((time_s - last_angle_s).max(0.0) - 0.5 * step_s),
             ..Instant::of(&model.motor)
         };
         for (terms, deviation) in terms.iter().zip(&mut deviation) {
@@ -100,24 +116,38 @@ mod tests {
         let events = vec![(0.0, 0.0), (0.4, 40.0), (1.5, -30.0), (2.6, 60.0)];
         let mut run = testing::record(&baseline, events, 0.001, 3.5, 4);
         run.angle = run.shaft_angle().into_owned();
-        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        agrees(&baseline, &run);
+    }
+
+    #[test]
+    fn cells_that_are_missing_are_no_rest() {
+        // A drive that gives current and speed in turn: no row has both.
+        let baseline = Model::baseline(Motor::zk_22fc());
+        let events = vec![(0.0, 0.0), (0.4, 40.0), (1.5, -30.0), (2.6, 60.0)];
+        let mut run = testing::record(&baseline, events, 0.001, 3.5, 4);
+        for row in 0..run.samples() {
+            if row.is_multiple_of(2) {
+                run.current_a[row] = f64::NAN;
+            } else {
+                run.speed_rad_s[row] = f64::NAN;
+            }
+        }
+        run.angle = run.shaft_angle().into_owned();
+        agrees(&baseline, &run);
+    }
+
+    fn agrees(baseline: &Model, run: &Scenario) {
+        let noise = NoiseFloor::from_standstill(run).unwrap();
         let cogging = effect::find("cogging").unwrap();
         let values = vec![1.0, 0.0, 3.0];
-        let problem = FreeRun::new(&baseline, &run, noise).unwrap();
+        let problem = FreeRun::new(baseline, run, noise).unwrap();
         let mut linear = DVector::zeros(problem.residual_len());
-        responses(
-            cogging,
-            &[values],
-            &baseline,
-            &run,
-            &problem,
-            |row, each| {
-                linear[row] = each[0];
-            },
-        )
+        responses(cogging, &[values], baseline, run, &problem, |row, each| {
+            linear[row] = each[0];
+        })
         .unwrap();
         let residual = |model: &Model| {
-            let problem = FreeRun::new(model, &run, noise).unwrap();
+            let problem = FreeRun::new(model, run, noise).unwrap();
             let x = problem.start();
             let mut out = vec![0.0; problem.residual_len()];
             assert!(problem.residual(&x, &mut out));
@@ -128,7 +158,7 @@ mod tests {
             effect: cogging,
             values: vec![Some(1e-3), Some(0.0), Some(3.0)],
         });
-        let difference = (residual(&with) - residual(&baseline)) / 1e-3;
+        let difference = (residual(&with) - residual(baseline)) / 1e-3;
         let angle = difference.dot(&linear) / (difference.norm() * linear.norm());
         let size = linear.norm() / difference.norm();
         assert!(angle > 0.9 && (size - 1.0).abs() < 0.3, "{angle} {size}");

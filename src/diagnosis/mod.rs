@@ -6,6 +6,7 @@
 //!    |-> location   which equation fails, and over which speeds, currents, angles, times
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
 //!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
+//!    |                 -> confirmation: the same on a run that had no part in the answer
 //!    |-> next_experiment  the run that tells what these runs cannot
 //!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
 //! ```
@@ -16,6 +17,7 @@ mod axis_map;
 mod bootstrap;
 mod candidates;
 mod compare;
+mod confirmation;
 mod decide;
 mod describe;
 mod diagnose;
@@ -41,6 +43,7 @@ mod shared;
 pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
+pub use confirmation::Confirmation;
 pub use decide::Settings;
 pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};

@@ -15,6 +15,10 @@ use crate::plant::{
 /// Standard deviations on either side of a value: its 95 % interval.
 const INTERVAL: f64 = 1.96;
 
+/// Share of the largest of its kind below which a size is the simulation's rounding: a filter of the current does not
+/// move the shaft.
+const ROUNDING: f64 = 1e-6;
+
 /// The largest size of one quantity on the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Peak {
@@ -58,16 +62,17 @@ impl Reached {
 type Sizes = [f64; 4];
 const UNITS: [&str; 4] = ["N.m", "V", "rad/s", "A"];
 
-/// What each of these effects reached on `run`; `None` where the screen's step was not followed up.
-pub(super) fn of_refits(refits: &[Refit], run: &Scenario) -> Vec<Option<Reached>> {
+/// What each of these effects reached on `run` in its fit; `None` where there is none, as the screen's step was not
+/// followed up.
+pub(super) fn of_fits(
+    refits: &[Refit],
+    fits: &[Option<&Fit>],
+    run: &Scenario,
+) -> Vec<Option<Reached>> {
     refits
         .par_iter()
-        .map(|refit| {
-            refit
-                .refitted
-                .then(|| of_fit(&refit.fit, refit.effect, run))
-                .flatten()
-        })
+        .zip(fits)
+        .map(|(refit, fit)| fit.and_then(|fit| of_fit(fit, refit.effect, run)))
         .collect()
 }
 
@@ -100,7 +105,8 @@ fn of_fit(fit: &Fit, effect: &'static dyn Effect, run: &Scenario) -> Option<Reac
     let peak = |index: usize| {
         let value = sizes[index];
         let std = known.then(|| variances[index].sqrt());
-        (value > 0.0 && value.is_finite()).then(|| Peak {
+        let is_there = value > ROUNDING * largest[index] && value.is_finite();
+        is_there.then(|| Peak {
             value,
             std,
             interval_95: std.map(|std| [(value - INTERVAL * std).max(0.0), value + INTERVAL * std]),
@@ -319,5 +325,24 @@ mod tests {
             "{change:?}"
         );
         assert!(late.torque_n_m.is_none() && late.voltage_v.is_none());
+    }
+
+    #[test]
+    fn what_sits_in_one_sensor_reaches_nothing_in_the_others() {
+        for (id, value) in [
+            ("current_filter", 2e-3),
+            ("current_offset", 0.3),
+            ("speed_filter", 4e-3),
+            ("speed_offset", 2.0),
+        ] {
+            let (found, _) = reached(id, &[value]);
+            let units: Vec<&str> = found.peaks().map(|peak| peak.unit).collect();
+            let own = if id.starts_with("current") {
+                "A"
+            } else {
+                "rad/s"
+            };
+            assert_eq!(units, [own], "{id}: {found:?}");
+        }
     }
 }

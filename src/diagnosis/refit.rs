@@ -278,7 +278,7 @@ impl<'a> On<'a> {
         Ok(Refit {
             effect: candidate.effect,
             holdout: condensed(holdout, settings),
-            minimum_detectable: candidate.minimum_detectable,
+            detectable: candidate.detectable,
             visible: candidate.visible,
             free_parameters: fit.free.len(),
             refitted,

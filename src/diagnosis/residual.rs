@@ -6,9 +6,8 @@
 //! A wrong model gives `ee` 18 to 42 times the band, a right one 0.6 to 1.4. They say *that* something is left, never what.
 
 use serde::Serialize;
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::numerics::statistics::{self, BAND_99, OUTSIDE_BY_CHANCE};
+use crate::numerics::statistics::{self, BAND_99, COLOURED_BY_CHANCE, OUTSIDE_BY_CHANCE};
 
 /// Lags that are looked at.
 pub const LAGS: usize = statistics::WHITENESS_LAGS;
@@ -39,12 +38,18 @@ pub struct SignalLights {
     pub rho_u2e: Light,
     pub rho_u2e2: Light,
     pub rho_e_eu: Light,
-    /// Ljung-Box statistic over the lags, and the value that white noise exceeds in one case of a hundred.
+    /// Ljung-Box statistic over the lags, and the value that white noise exceeds in one case of ten thousand.
     pub ljung_box: f64,
     pub ljung_box_limit: f64,
 }
 
 impl SignalLights {
+    /// Whether only noise is left of the signal: few lags outside their band, none far outside, and all of them together no
+    /// more than chance.
+    pub fn is_white(&self) -> bool {
+        self.rho_ee.passes && self.ljung_box <= self.ljung_box_limit
+    }
+
     /// Each light with the name under which it is shown.
     pub const fn named(&self) -> [(&'static str, Light); 5] {
         [
@@ -60,7 +65,7 @@ impl SignalLights {
 /// Whiteness of the residual and its independence of the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ResidualLights {
-    /// False also where there are too few samples to say.
+    /// Whether every signal is ([`SignalLights::is_white`]); false also where there are too few samples to say.
     pub white: bool,
     /// Whether every signal has samples enough for the verdict.
     pub enough_samples: bool,
@@ -115,7 +120,7 @@ impl ResidualLights {
             .map(|l| l.rho_ee.outside_99_percent)
             .fold(0.0, f64::max);
         Self {
-            white: enough_samples && worst <= OUTSIDE_BY_CHANCE,
+            white: enough_samples && each().all(|lights| lights.is_white()),
             enough_samples,
             autocorrelation_outside_99_percent: worst,
             independent_of_input: enough_samples
@@ -142,14 +147,7 @@ fn lights(pairs: &[(f64, f64)]) -> Option<SignalLights> {
         return None;
     }
     let rho = correlations(&e, &e, 1);
-    let count = n as f64;
-    let ljung_box = count
-        * (count + 2.0)
-        * rho
-            .iter()
-            .enumerate()
-            .map(|(index, rho)| rho * rho / (count - (index + 1) as f64))
-            .sum::<f64>();
+    let ljung_box = statistics::ljung_box_statistic(&rho, n);
     let cross =
         |later: &[f64], earlier: &[f64], first| light(&correlations(later, earlier, first), n);
     Some(SignalLights {
@@ -160,8 +158,7 @@ fn lights(pairs: &[(f64, f64)]) -> Option<SignalLights> {
         // e(t) with e u one sample earlier and more.
         rho_e_eu: cross(&e, &eu, 1),
         ljung_box,
-        ljung_box_limit: ChiSquared::new(LAGS as f64)
-            .map_or(f64::INFINITY, |chi| chi.inverse_cdf(0.99)),
+        ljung_box_limit: statistics::ljung_box_limit(LAGS, COLOURED_BY_CHANCE),
     })
 }
 
@@ -302,6 +299,29 @@ mod tests {
             })
             .count();
         assert!(alarms <= 2, "{alarms} of 60");
+    }
+
+    #[test]
+    fn one_strong_lag_is_not_white() {
+        let (e, u) = (noise(21, 5000), noise(22, 5000));
+        let echo = |k: usize| if k >= 5 { 0.14 * e[k - 5] } else { 0.0 };
+        let echoed: Vec<f64> = (0..5000).map(|k| e[k] + echo(k)).collect();
+        let lights = ResidualLights::of(&with_input(&echoed, &u), &[]);
+        assert!(lights.autocorrelation_outside_99_percent <= OUTSIDE_BY_CHANCE);
+        assert!(!lights.white && lights.independent_of_input, "{lights:?}");
+        let one = lights.current_a.unwrap();
+        assert!(!one.rho_ee.passes && one.ljung_box > one.ljung_box_limit);
+    }
+
+    #[test]
+    fn white_noise_is_called_so() {
+        let wrong = (0..400)
+            .filter(|seed| {
+                let pairs = with_input(&noise(5000 + seed, 1000), &[0.0; 1000]);
+                !ResidualLights::of(&pairs, &[]).white
+            })
+            .count();
+        assert!(wrong <= 1, "{wrong} of 400");
     }
 
     #[test]

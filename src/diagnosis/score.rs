@@ -3,7 +3,7 @@
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
 use crate::numerics::count::whole;
-use crate::plant::{Model, Scenario};
+use crate::plant::{Input, Model, Scenario};
 
 /// Free-run figures of one signal.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,7 +19,8 @@ pub struct SignalScore {
 pub struct Score {
     pub current: Option<SignalScore>,
     pub speed: Option<SignalScore>,
-    /// Root of the mean over the signals of `(rmse / noise)^2`.
+    /// Root of the mean over the signals of `(rmse / noise)^2`. A signal whose noise is not known has figures of its own and
+    /// no part in this.
     pub nrms: f64,
     noise: NoiseFloor,
     duration_s: f64,
@@ -43,27 +44,28 @@ impl Score {
     /// Simulates a complete model over the scenario; only the initial state is fitted, where the run starts in motion.
     pub fn of(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Self, FitError> {
         let trajectory = output_error::predict(model, scenario, noise)?.trajectory;
-        let residual = |simulated: &[f64], measured: &[f64], level: f64| -> Vec<f64> {
-            if level.is_infinite() {
-                return vec![f64::NAN; scenario.scored.len()];
+        let residual = |simulated: &[f64], measured: &[f64]| -> Vec<f64> {
+            let scored = scenario.scored.clone();
+            if !varies(measured) {
+                // A dead sensor shows nothing to be met.
+                return vec![f64::NAN; scored.len()];
             }
-            scenario
-                .scored
-                .clone()
+            scored
                 .map(|sample| simulated[sample] - measured[sample])
                 .collect()
         };
-        let current_a = residual(&trajectory.current_a, &scenario.current_a, noise.current_a);
-        let speed_rad_s = residual(
-            &trajectory.speed_rad_s,
-            &scenario.speed_rad_s,
-            noise.speed_rad_s,
-        );
+        let current_a = if scenario.input == Input::Voltage {
+            residual(&trajectory.current_a, &scenario.current_a)
+        } else {
+            vec![f64::NAN; scenario.scored.len()]
+        };
+        let speed_rad_s = residual(&trajectory.speed_rad_s, &scenario.speed_rad_s);
         let times = &scenario.sample_time_s[scenario.scored.clone()];
         let current = signal_score(&current_a, &scenario.current_a[scenario.scored.clone()]);
         let speed = signal_score(&speed_rad_s, &scenario.speed_rad_s[scenario.scored.clone()]);
         let ratios: Vec<f64> = [(current, noise.current_a), (speed, noise.speed_rad_s)]
             .into_iter()
+            .filter(|(_, level)| level.is_finite())
             .filter_map(|(signal, level)| Some((signal?.rmse / level).powi(2)))
             .collect();
         let nrms = (ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt();
@@ -142,7 +144,7 @@ impl Score {
                 (current_a[row], self.noise.current_a),
                 (speed_rad_s[row], self.noise.speed_rad_s),
             ] {
-                if value.is_finite() {
+                if value.is_finite() && level.is_finite() {
                     *block += (value / level).powi(2);
                     *count += 1;
                 }
@@ -159,6 +161,15 @@ impl Score {
     pub const fn duration_s(&self) -> f64 {
         self.duration_s
     }
+}
+
+/// Whether a signal ever changes.
+pub(super) fn varies(values: &[f64]) -> bool {
+    let mut present = values.iter().filter(|value| value.is_finite());
+    #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
+    present
+        .next()
+        .is_some_and(|first| present.any(|value| value != first))
 }
 
 fn duration_s(times: &[f64]) -> f64 {
@@ -217,6 +228,30 @@ fn finite_points(time_s: &[f64], values: &[f64]) -> Vec<(f64, f64)> {
 mod tests {
     use super::*;
     use crate::plant::{Motor, testing};
+
+    #[test]
+    fn the_error_of_a_fit_is_that_of_its_score_however_often_each_signal_was_sampled() {
+        let mut truth = Model::baseline(Motor::zk_22fc())
+            .with_effect("quadratic_load")
+            .unwrap();
+        truth.effects[0].values = vec![Some(3e-6)];
+        let events = vec![(0.0, 0.0), (0.4, 60.0), (1.5, -90.0), (2.6, 30.0)];
+        let mut run = testing::record(&truth, events, 2e-3, 4.0, 3);
+        for row in (200..run.samples()).filter(|row| row % 5 > 0) {
+            run.current_a[row] = f64::NAN;
+        }
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let fit = output_error::fit(&[Model::baseline(Motor::zk_22fc())], &run, &noise).unwrap();
+        let score = Score::of(&fit.model, &run, &noise).unwrap();
+        assert!(
+            (fit.nrms / score.nrms - 1.0).abs() < 1e-9,
+            "{} {}",
+            fit.nrms,
+            score.nrms
+        );
+        let weighing_samples = (fit.minimum.cost / fit.minimum.residual.len() as f64).sqrt();
+        assert!((weighing_samples / score.nrms - 1.0).abs() > 0.05);
+    }
 
     #[test]
     fn blocks_put_together_are_those_of_the_single_residuals() {

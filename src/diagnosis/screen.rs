@@ -28,6 +28,15 @@ const LONGEST_SHIFT: f64 = 0.7;
 /// go by.
 const LEAST_START: f64 = 0.05;
 
+/// Damping of a normal matrix as a share of its trace. The baseline's, whose parameters may be all but tied, so that a step
+/// stays finite; and the coefficients', so that one that does nothing in this run stays at zero.
+const HAIR: f64 = 1e-9;
+const HALF_A_HAIR: f64 = 1e-12;
+/// Smallest trace that is damped: a matrix of zeros must have a factor too.
+const NOT_ZERO: f64 = 1e-300;
+/// Share of a column left at right angles to the others below which it says what they say, but for rounding.
+const DEPENDENT: f64 = 1e-9;
+
 /// What the screen says of one effect.
 #[derive(Clone)]
 pub(super) struct Screened {
@@ -39,11 +48,44 @@ pub(super) struct Screened {
     pub(super) gain: f64,
     /// The same as a share of what the baseline's parameters leave unexplained.
     pub(super) share: f64,
-    /// Smallest size of the first parameter that this run would show (5 sigma, white noise); infinite where the run does
-    /// not show it whatever its size.
-    pub(super) minimum_detectable: f64,
+    pub(super) detectable: Detectable,
     /// Length of what the effect at its typical size would add to the residual beyond the baseline's own parameters.
     pub(super) visible: f64,
+}
+
+/// The size from which this run would show an effect (5 sigma, white noise).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Detectable {
+    /// Smallest size of its first coefficient, in its unit; infinite where the run does not show it whatever its size.
+    From(f64),
+    /// Largest natural frequency, Hz: the softer a shaft is, the more it shows.
+    SofterThan(f64),
+}
+
+impl Detectable {
+    /// The smallest size; none for what has none, or what the run does not show at all.
+    pub(super) fn smallest(self) -> Option<f64> {
+        match self {
+            Self::From(size) => Some(size).filter(|size| size.is_finite()),
+            Self::SofterThan(_) => None,
+        }
+    }
+
+    /// Whether the run would not show the effect however large it is.
+    pub(super) fn is_never(self) -> bool {
+        match self {
+            Self::From(size) => !size.is_finite(),
+            Self::SofterThan(frequency_hz) => frequency_hz <= 0.0,
+        }
+    }
+
+    /// The largest natural frequency, Hz.
+    pub(super) fn softer_than_hz(self) -> Option<f64> {
+        match self {
+            Self::From(_) => None,
+            Self::SofterThan(frequency_hz) => Some(frequency_hz),
+        }
+    }
 }
 
 /// What the screen alone says of an effect: a ranking in a fraction of the time of a diagnosis, and no verdict.
@@ -52,8 +94,9 @@ pub struct ScreenedEffect {
     pub effect: &'static str,
     /// Share of the error beyond the baseline's own parameters that the effect would explain, to first order.
     pub share: f64,
-    /// Smallest size of its first parameter that this run would show (5 sigma, white noise), in the unit of that parameter.
-    pub minimum_detectable: f64,
+    /// Smallest size of its first parameter that this run would show (5 sigma, white noise), in the unit of that parameter;
+    /// none where no size would show, or where the effect is the larger the smaller the parameter is.
+    pub minimum_detectable: Option<f64>,
 }
 
 /// Screens every effect of the catalogue that `baseline` does not have, on the run that it was fitted on; the one that
@@ -73,7 +116,7 @@ pub fn screen(baseline: &Fit, training: &Scenario, progress: Progress<'_>) -> Ve
         .map(|screened| ScreenedEffect {
             effect: screened.effect.card().id,
             share: screened.gain / error,
-            minimum_detectable: screened.minimum_detectable,
+            minimum_detectable: screened.detectable.smallest(),
         })
         .collect()
 }
@@ -105,7 +148,7 @@ impl<'a> Screen<'a> {
         let residual = DVector::from_column_slice(&fit.minimum.residual);
         let (jacobian, x) = (&fit.minimum.jacobian, &fit.minimum.x[..]);
         let normal = jacobian.tr_mul(jacobian);
-        let damping = 1e-9 * normal.trace().max(1e-300);
+        let damping = HAIR * normal.trace().max(NOT_ZERO);
         let damped = &normal + DMatrix::identity(normal.nrows(), normal.ncols()) * damping;
         let at_x = FreeRun::new(&fit.model, training, fit.noise).map(|problem| {
             let rows = problem.rows().to_vec();
@@ -252,7 +295,11 @@ impl<'a> Screen<'a> {
                 shift: self.shift(&probe),
                 gain: linear.max(finite),
                 visible: length.sqrt(),
-                per_unit: length.sqrt() / shape[0],
+                detectable: if specs[0].key == STIFFNESS {
+                    Detectable::SofterThan(softest_hidden_hz(shape[0], length.sqrt()))
+                } else {
+                    Detectable::From(DETECTION_SIGMA * shape[0] / length.sqrt())
+                },
             });
         }
         let mut probes = DMatrix::zeros(self.residual.len(), coefficients.len());
@@ -293,7 +340,7 @@ impl<'a> Screen<'a> {
             shift: self.shift(&change),
             gain,
             visible: normal[(0, 0)].sqrt() * sizes[0],
-            per_unit: normal[(0, 0)].sqrt(),
+            detectable: Detectable::From(DETECTION_SIGMA / normal[(0, 0)].sqrt()),
         })
     }
 
@@ -308,7 +355,7 @@ impl<'a> Screen<'a> {
             start,
             gain: best.gain,
             share: best.gain / self.error().max(f64::MIN_POSITIVE),
-            minimum_detectable: DETECTION_SIGMA / best.per_unit,
+            detectable: best.detectable,
             visible: best.visible,
         }
     }
@@ -372,7 +419,16 @@ struct Tried {
     shift: Vec<f64>,
     gain: f64,
     visible: f64,
-    per_unit: f64,
+    detectable: Detectable,
+}
+
+/// The parameter of an effect without a coefficient that is its stiffness, not its size.
+const STIFFNESS: &str = "frequency_hz";
+
+/// Natural frequency from which on a shaft would not show, Hz, from what one of `frequency_hz` adds to the residual, in
+/// standard deviations: what a shaft yields goes with its compliance, which goes with the inverse square of the frequency.
+fn softest_hidden_hz(frequency_hz: f64, visible: f64) -> f64 {
+    frequency_hz * (visible / DETECTION_SIGMA).sqrt()
 }
 
 /// Sums over the rows of a few columns, from which the gain by their projections follows.
@@ -421,7 +477,8 @@ fn best_coefficients(along: &DMatrix<f64>, residual: &DVector<f64>) -> (DVector<
 fn solved(normal: &DMatrix<f64>, projected: &DVector<f64>) -> (DVector<f64>, f64) {
     // Half a hair of damping: a coefficient that does nothing in this run stays at zero.
     let damped = normal
-        + DMatrix::identity(normal.nrows(), normal.ncols()) * (1e-12 * normal.trace().max(1e-300));
+        + DMatrix::identity(normal.nrows(), normal.ncols())
+            * (HALF_A_HAIR * normal.trace().max(NOT_ZERO));
     let solution = damped.cholesky().map_or_else(
         || projected.clone() * 0.0,
         |factor| -factor.solve(projected),
@@ -449,7 +506,7 @@ fn orthonormal_basis(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
             }
         }
         let left = vector.norm();
-        if left > 1e-9 * size && size > 0.0 {
+        if left > DEPENDENT * size && size > 0.0 {
             columns.push(vector / left);
         }
     }
@@ -457,5 +514,34 @@ fn orthonormal_basis(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
         DMatrix::zeros(jacobian.nrows(), 0)
     } else {
         DMatrix::from_columns(&columns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::tests::{evidence, nameplate};
+    use crate::plant::effect;
+
+    #[test]
+    fn a_shaft_shows_the_more_the_softer_it_is_and_from_the_stated_stiffness_on() {
+        let (data, baseline) = evidence(&nameplate(), 11)
+            .with_baseline(&nameplate())
+            .unwrap();
+        let screen = Screen::new(&baseline, &data.training);
+        let elastic = effect::find("elastic_coupling").unwrap();
+        let screened = screen.effect(elastic).unwrap();
+        assert_eq!(screened.detectable.smallest(), None);
+        let limit_hz = screened.detectable.softer_than_hz().unwrap();
+        let start = screened.start.effects.last().unwrap().values.clone();
+        let visible = |frequency_hz: f64| {
+            let mut values: Vec<f64> = start.iter().map(|value| value.unwrap()).collect();
+            values[0] = frequency_hz;
+            screen.shape(elastic, &values).unwrap().visible
+        };
+        let at_limit = visible(limit_hz) / DETECTION_SIGMA;
+        assert!((0.4..2.5).contains(&at_limit), "{limit_hz} Hz: {at_limit}");
+        assert!(visible(0.5 * limit_hz) > DETECTION_SIGMA);
+        assert!(visible(2.0 * limit_hz) < DETECTION_SIGMA);
     }
 }

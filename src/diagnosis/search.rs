@@ -72,6 +72,8 @@ pub(super) struct Found {
     /// How the candidates stood when nothing had been added yet, and which of them were in the answer.
     pub(super) first_round: Vec<Refit>,
     pub(super) first_set: Vec<usize>,
+    /// Held-out score with that effect of the answer alone which explains most alone.
+    pub(super) best_alone: Option<Score>,
 }
 
 /// Searches from `baseline`; `original` is the model before any fit.
@@ -95,6 +97,7 @@ pub(super) fn search(
         accepted: Vec::new(),
         first_round: Vec::new(),
         first_set: Vec::new(),
+        best_alone: None,
     };
     while found.accepted.len() < MOST_EFFECTS {
         let first = found.accepted.is_empty();
@@ -105,7 +108,7 @@ pub(super) fn search(
             if first { 0.0 } else { EACH_EXPLAINS },
             limits,
         )?;
-        let set = in_the_answer(&now.score, &refits, limits.settings);
+        let mut set = in_the_answer(&now.score, &refits, limits.settings);
         let leans = |&index: &usize| {
             let with = &refits[index].holdout;
             decide::explained_beyond_doubt(evidence, &now.score, with) < EACH_EXPLAINS
@@ -121,9 +124,7 @@ pub(super) fn search(
             stage: Stage::Check,
             of: 0,
         });
-        for &member in set.iter().take(1 + MOST_RIVALS) {
-            refits[member] = polished(evidence, &refits[member], limits.settings)?;
-        }
+        polish(evidence, &mut refits, &mut set, limits.settings)?;
         let chosen = set.first().map(|&index| refits[index].clone());
         let rivals = set
             .iter()
@@ -176,12 +177,55 @@ pub(super) fn search(
             }
         }
     }
+    found.best_alone = best_alone(evidence, original, &found);
     Ok(found)
+}
+
+/// Fits the first of the answer in full. A name that the full fit, which knows the sizes better, does not let stand gives
+/// way to the next; where none of these is left, nothing is named.
+fn polish(
+    evidence: &Evidence,
+    refits: &mut [Refit],
+    set: &mut Vec<usize>,
+    settings: Settings,
+) -> Result<(), FitError> {
+    let front: Vec<usize> = set.iter().take(1 + MOST_RIVALS).copied().collect();
+    for &member in &front {
+        refits[member] = polished(evidence, &refits[member], settings)?;
+    }
+    let stands = |member: &usize| front.contains(member) && refits[*member].is_possible();
+    match set.iter().position(stands) {
+        Some(place) => {
+            let name = set.remove(place);
+            set.insert(0, name);
+        }
+        None => set.clear(),
+    }
+    Ok(())
+}
+
+/// The score of the first choice, as long as it is in the answer. Where it was exchanged, what it explained says nothing of
+/// what is named: each effect of the answer is fitted alone, and the best of them counts.
+fn best_alone(evidence: &Evidence, original: &Model, found: &Found) -> Option<Score> {
+    let chosen = &found.first_round[*found.first_set.first()?];
+    let mut named = found.accepted.iter().map(|accepted| accepted.id);
+    if named.any(|id| id == chosen.id()) {
+        return Some(chosen.holdout.clone());
+    }
+    let alone = found.accepted.iter().filter_map(|accepted| {
+        let effect = effect::find(accepted.id)?;
+        let fit = &found.baseline.fit;
+        // One that cannot be simulated alone explains nothing alone.
+        let refit = refit_one(evidence, fit, original, effect, found.settings).ok()?;
+        Some(refit.holdout)
+    });
+    alone.min_by(|a, b| a.nrms.total_cmp(&b.nrms))
 }
 
 /// The best candidate that pays and those that cannot be told from it, the preferred one first; none where none pays.
 fn in_the_answer(base: &Score, refits: &[Refit], settings: Settings) -> Vec<usize> {
     (0..refits.len())
+        .filter(|&index| refits[index].is_possible())
         .filter(|&index| pays(base, &refits[index].holdout, settings))
         .min_by(|&a, &b| refits[a].holdout.nrms.total_cmp(&refits[b].holdout.nrms))
         .map_or_else(Vec::new, |best| {
@@ -346,5 +390,55 @@ fn rung(standing: &Standing) -> Rung {
     Rung {
         effects: standing.fit.model.effect_ids(),
         holdout_rmse: standing.score.nrms,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::progress::silent;
+    use crate::diagnosis::tests::{evidence, nameplate, truth};
+
+    #[test]
+    fn what_an_exchanged_effect_explained_is_not_held_for_the_answer() {
+        let data = evidence(&truth("quadratic_load", &[2e-6]), 9);
+        let (data, baseline) = data.with_baseline(&nameplate()).unwrap();
+        let limits = Limits {
+            settings: Settings::default(),
+            until_floor: false,
+            thoroughness: Thoroughness::Promising,
+            progress: &silent,
+        };
+        let mut found = search(&data, baseline, &nameplate(), limits).unwrap();
+        let (base, chosen) = (found.baseline.score.nrms, found.accepted[0].id);
+        assert_eq!(chosen, "quadratic_load");
+        // The first choice is in the answer: its own score counts, as it is.
+        let first = found.best_alone.clone().unwrap();
+        assert!(first.nrms < 0.6 * base);
+        // As after an exchange for something that explains nothing of this.
+        found.accepted[0].id = "current_offset";
+        let exchanged = best_alone(&data, &nameplate(), &found).unwrap();
+        assert!(exchanged.nrms > 0.9 * base, "{} of {base}", exchanged.nrms);
+        assert!(!decide::explains(
+            &data,
+            &found.baseline.score,
+            &exchanged,
+            &exchanged
+        ));
+        // Of several the best counts, wherever it stands in the answer.
+        found.accepted.push(Accepted {
+            id: "asymmetric_viscous",
+            rivals: Vec::new(),
+        });
+        found.first_set = vec![
+            found
+                .first_round
+                .iter()
+                .position(|refit| refit.id() == "voltage_drop")
+                .unwrap(),
+        ];
+        found.accepted[0].id = "quadratic_load";
+        let best = best_alone(&data, &nameplate(), &found).unwrap();
+        assert!((best.nrms / first.nrms - 1.0).abs() < 0.02);
     }
 }

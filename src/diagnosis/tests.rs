@@ -22,22 +22,22 @@ fn events(shift: usize) -> Vec<(f64, f64)> {
     events
 }
 
-fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
+pub(super) fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
     testing::record(model, events(shift), 0.004, 7.5, seed)
 }
 
-fn evidence(truth: &Model, seed: u64) -> Evidence {
+pub(super) fn evidence(truth: &Model, seed: u64) -> Evidence {
     let run = |shift: usize| record(truth, shift, 10 * seed + shift as u64);
     Evidence::new(run(0), Some(run(1)), Some(run(2)))
 }
 
-fn truth(id: &str, values: &[f64]) -> Model {
+pub(super) fn truth(id: &str, values: &[f64]) -> Model {
     let mut model = Model::baseline(Motor::zk_22fc()).with_effect(id).unwrap();
     model.effects[0].values = values.iter().copied().map(Some).collect();
     model
 }
 
-fn nameplate() -> Model {
+pub(super) fn nameplate() -> Model {
     Model::baseline(Motor::zk_22fc())
 }
 
@@ -113,7 +113,8 @@ fn two_effects_are_both_found() {
         .with_effect("quadratic_load")
         .unwrap();
     both.effects[1].values = vec![Some(2.5e-6)];
-    let diagnosis = diagnose(&nameplate(), evidence(&both, 3), true).unwrap();
+    let data = evidence(&both, 3);
+    let diagnosis = diagnose(&nameplate(), data.clone(), true).unwrap();
     let mut found = diagnosis.effects.clone();
     found.sort_unstable();
     assert_eq!(
@@ -128,6 +129,32 @@ fn two_effects_are_both_found() {
             .windows(2)
             .all(|rungs| rungs[1].holdout_rmse < rungs[0].holdout_rmse)
     );
+    // They come first, in the order of the answer, and their sizes are those of the fit with both.
+    for (place, id) in diagnosis.effects.iter().enumerate() {
+        let candidate = &diagnosis.candidates[place];
+        assert_eq!((candidate.effect, candidate.rank), (*id, place + 1));
+        assert_eq!(candidate.status, Status::Supported);
+        let size = &candidate.parameters[0];
+        let true_size = if *id == "voltage_drop" { 1.2 } else { 2.5e-6 };
+        let (value, std) = (size.value.unwrap(), size.std.unwrap());
+        assert!(
+            (value - true_size).abs() < 5.0 * std + 0.02 * true_size,
+            "{size:?} of {true_size}"
+        );
+        let mut joint = diagnosis.model.parameters.iter();
+        assert_eq!(joint.find(|own| own.key == size.key), Some(size));
+        let reached = candidate.reached.unwrap();
+        let (peak, true_peak) = if *id == "voltage_drop" {
+            (reached.voltage_v.unwrap(), 1.2)
+        } else {
+            let torque = reached.torque_n_m.unwrap();
+            let fastest = data.training.speed_rad_s.iter();
+            let fastest = fastest.fold(0.0, |most: f64, speed| most.max(speed.abs()));
+            (torque, 2.5e-6 * fastest * fastest)
+        };
+        assert!((peak.value / true_peak - 1.0).abs() < 0.05, "{peak:?}");
+        assert!(candidate.evidence.contains("whole answer"));
+    }
 }
 
 #[test]
@@ -149,13 +176,60 @@ fn an_effect_that_does_not_pay_is_refused_and_one_that_does_can_be_taken_out_aga
     let plain = evidence(&nameplate(), 5);
     let refused = add(effect::find("quadratic_load").unwrap(), &nameplate(), plain).unwrap();
     assert!(!refused.accepted, "{}", refused.reason);
+    // In words that need no statistics: how much, and how sure.
+    assert!(
+        refused.reason.contains("the held-out error")
+            && refused.reason.contains("of 100 hold-outs"),
+        "{}",
+        refused.reason
+    );
     let fan = effect::find("quadratic_load").unwrap();
     let accepted = add(fan, &nameplate(), data.clone()).unwrap();
     assert!(accepted.accepted, "{}", accepted.reason);
+    let falls = 100.0 * (1.0 - accepted.after.holdout_rmse / accepted.before.holdout_rmse);
+    for words in [&format!("falls by {falls:.1} %"), "in 100 of 100 hold-outs"] {
+        assert!(accepted.reason.contains(words), "{}", accepted.reason);
+    }
     let [before, after] = accepted.confirm.as_ref().unwrap();
     assert!(after.holdout_rmse < 0.6 * before.holdout_rmse);
     let needed = remove(fan, &accepted.fit.model, data).unwrap();
     assert!(!needed.accepted, "{}", needed.reason);
+}
+
+#[test]
+fn a_signal_without_rest_samples_is_named_with_the_reason_and_the_other_answers() {
+    let mut data = evidence(&truth("quadratic_load", &[2e-6]), 8);
+    for run in [&mut data.training, &mut data.holdout] {
+        // Of the 125 samples at rest only the last ten show the current.
+        run.current_a[..115].fill(f64::NAN);
+    }
+    let data = Evidence::new(data.training, Some(data.holdout), None);
+    assert!(data.noise.current_a.is_infinite() && data.noise.speed_rad_s.is_finite());
+    let diagnosis = diagnose(&nameplate(), data.clone(), false).unwrap();
+    let [limit] = &diagnosis.limits[..] else {
+        panic!("{:?}", diagnosis.limits);
+    };
+    for word in ["current_a", "10 samples", "20 are needed", "speed alone"] {
+        assert!(limit.contains(word), "{word}: {limit}");
+    }
+    assert_eq!(
+        diagnosis.effect,
+        Some("quadratic_load"),
+        "{}",
+        diagnosis.sentence
+    );
+    let (data, baseline) = data.with_baseline(&nameplate()).unwrap();
+    let compared = compare(&baseline.model, &data, ErrorOf::Structure).unwrap();
+    assert!(compared.limits.contains(limit), "{:?}", compared.limits);
+    // How good the model is for it can still be said; only not in units of its noise.
+    let current = compared.signals.current_a.unwrap();
+    assert!(
+        current.noise_floor.is_none() && current.holdout.rmse > 0.0 && current.fit_percent > 50.0,
+        "{current:?}"
+    );
+    // Nothing is said of runs that lack nothing.
+    let whole = evidence(&nameplate(), 8);
+    assert_eq!(whole.unjudged(), Vec::<String>::new());
 }
 
 #[test]

@@ -4,11 +4,11 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::truth::effect::{FluxSaturation, HiddenEffect};
-use super::truth::{MotorTruth, NoiseConfig, QuantisationConfig};
+use super::truth::{Change, MotorTruth, NoiseConfig, QuantisationConfig};
 use crate::config_text::{self, ConfigError};
 
 /// Embedded configurations: name and text.
-const EMBEDDED: [(&str, &str); 10] = [
+const EMBEDDED: [(&str, &str); 11] = [
     (
         "zk-22fc-hidden",
         include_str!("../../bench-configs/emulators/zk-22fc-hidden.toml"),
@@ -40,6 +40,10 @@ const EMBEDDED: [(&str, &str); 10] = [
     (
         "zk-22fc-open",
         include_str!("../../bench-configs/emulators/zk-22fc-open.toml"),
+    ),
+    (
+        "zk-22fc-changing",
+        include_str!("../../bench-configs/emulators/zk-22fc-changing.toml"),
     ),
     (
         "small-servo-behind-zk-22fc",
@@ -134,20 +138,39 @@ pub struct EmulatorConfig {
     /// What the host's model does not know.
     #[serde(default)]
     pub hidden: Vec<HiddenEffect>,
+    /// What changes on the shaft while the drive runs, in the order of the times.
+    #[serde(default, rename = "change", skip_serializing_if = "Vec::is_empty")]
+    pub changes: Vec<Change>,
     /// Which of the specimen's days this is: sensor noise and random loads are drawn anew on each. A hold-out with the
     /// noise of the fitted run would test less than it seems to.
     #[serde(skip)]
     pub day: u64,
 }
 
-/// Faults of the machine and its cabling, which are there from the start and stay.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// Faults of the machine and its cabling; those without a time are there from the start, and all of them stay.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FaultsConfig {
     /// The shaft does not turn whatever the torque.
     pub locked_rotor: bool,
     /// No current flows whatever the voltage.
     pub open_phase: bool,
+    /// Speed and angle are read with the wrong sign.
+    pub encoder_reversed: bool,
+    /// Speed and angle stay as they are so long after each start of the drive, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub encoder_frozen_from_s: Option<f64>,
+}
+
+impl FaultsConfig {
+    fn refused(&self) -> Option<(&'static str, f64, &'static str)> {
+        let from_s = self.encoder_frozen_from_s?;
+        (!(0.0..=86_400.0).contains(&from_s)).then_some((
+            "faults.encoder_frozen_from_s",
+            from_s,
+            "0 to 86400 s",
+        ))
+    }
 }
 
 const fn default_watchdog_ms() -> u16 {
@@ -314,6 +337,11 @@ impl EmulatorConfig {
                 });
             }
         }
+        if let Some((key, value, allowed)) =
+            Change::refused(&self.changes).or_else(|| self.faults.refused())
+        {
+            return refuse(key, value, allowed);
+        }
         let most = FluxSaturation::largest_stable(
             &self.motor,
             self.limits.current_limit_a,
@@ -368,6 +396,7 @@ mod tests {
                 ("zk-22fc-warming", vec!["winding_heating"]),
                 ("zk-22fc-locked", vec![]),
                 ("zk-22fc-open", vec![]),
+                ("zk-22fc-changing", vec![]),
                 ("small-servo-behind-zk-22fc", vec![]),
                 ("large-motor-behind-zk-22fc", vec![]),
             ]
@@ -424,6 +453,12 @@ mod tests {
         assert_eq!(ids, HiddenEffect::IDS);
         full.motor.torque_n_m_per_a = Some(0.35);
         full.line.gap_us = Some(1750.0);
+        full.faults.encoder_frozen_from_s = Some(1.0);
+        full.changes = vec![Change {
+            time_s: 1.0,
+            inertia_ratio: 2.0,
+            load_n_m: 0.5,
+        }];
         let text = toml::to_string(&full).unwrap();
         for key in text.lines().filter_map(|line| line.split_once(" = ")) {
             assert!(
@@ -458,6 +493,47 @@ mod tests {
         assert_eq!(defaulted.watchdog_ms, example.watchdog_ms);
         assert_eq!(defaulted.limits, example.limits);
         assert_eq!(example.line, LineConfig::default());
+    }
+
+    #[test]
+    fn a_change_that_no_bench_can_make_is_refused() {
+        let with = |changes: &str| {
+            EmulatorConfig::parse("e.toml", &format!("{EXAMPLE}\n{changes}")).map(drop)
+        };
+        assert!(with("[[change]]\ntime_s = 1.0\n[[change]]\ntime_s = 2.0\nload_n_m = -1").is_ok());
+        for (changes, expected) in [
+            ("[[change]]\ntime_s = -1.0", "change.time_s = -1"),
+            ("[[change]]\ntime_s = nan", "change.time_s = NaN"),
+            (
+                "[[change]]\ntime_s = 2.0\n[[change]]\ntime_s = 2.0",
+                "later than the change before",
+            ),
+            (
+                "[[change]]\ntime_s = 1\ninertia_ratio = 0.0",
+                "change.inertia_ratio = 0",
+            ),
+            (
+                "[[change]]\ntime_s = 1\nload_n_m = 2e9",
+                "change.load_n_m = 2000000000",
+            ),
+            ("[[change]]\ninertia_ratio = 2.0", "missing field `time_s`"),
+            (
+                "[[change]]\ntime_s = 1\ninertia = 2.0",
+                "unknown field `inertia`",
+            ),
+        ] {
+            let error = with(changes).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        let frozen = EXAMPLE.replace(
+            "# encoder_frozen_from_s = 2.0",
+            "encoder_frozen_from_s = -2.0",
+        );
+        let error = EmulatorConfig::parse("e.toml", &frozen).unwrap_err();
+        assert!(
+            error.to_string().contains("encoder_frozen_from_s = -2"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -46,6 +46,9 @@ pub struct NoiseFloor {
     pub samples: usize,
 }
 
+/// Standard deviations that a normal estimate exceeds in one case of two hundred.
+const RARELY_EXCEEDED: f64 = 2.6;
+
 impl NoiseFloor {
     /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was
     /// estimated from few samples; at least `least`.
@@ -53,13 +56,16 @@ impl NoiseFloor {
         if self.samples == 0 {
             least
         } else {
-            least.max(1.0 + 2.6 / (2.0 * self.samples as f64).sqrt())
+            least.max(1.0 + RARELY_EXCEEDED / (2.0 * self.samples as f64).sqrt())
         }
     }
 }
 
 /// Samples at rest below which a standard deviation says nothing.
-const FEWEST_SAMPLES: usize = 20;
+pub const FEWEST_SAMPLES: usize = 20;
+/// Share of a signal's spread that stands for its noise until a baseline is fitted: what a fair sensor has. Only the ratio
+/// of the two signals matters.
+const SCALE_OF_SPREAD: f64 = 0.01;
 /// Samples after switching on that may still carry a transient.
 const SKIPPED: usize = 2;
 
@@ -68,9 +74,7 @@ impl NoiseFloor {
     ///
     /// A shaft that still coasts when the record begins is not at rest: only the part after it has stopped counts.
     pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
-        let rest = scenario.leading_standstill();
-        let begin = rest.start + SKIPPED;
-        let rows = rest_of(begin..rest.end.max(begin), scenario)?;
+        let rows = rest_rows(scenario)?;
         // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
         let floor = |values: &[f64]| -> Option<(f64, usize)> {
             let at_rest: Vec<f64> = values[rows.clone()]
@@ -83,7 +87,7 @@ impl NoiseFloor {
             }
             let settled = settled(&at_rest);
             let level =
-                standard_deviation(settled).max(quantum(values).unwrap_or(0.0) / 12f64.sqrt());
+                standard_deviation(settled).max(quantum_noise(quantum(values).unwrap_or(0.0)));
             let mut present = values.iter().filter(|v| v.is_finite());
             let first = present.next()?;
             #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
@@ -130,7 +134,7 @@ impl NoiseFloor {
         })
     }
 
-    /// Scales that make both signals count alike where no noise is known: a hundredth of their spread.
+    /// Scales that make both signals count alike where no noise is known: the same small share of their spread.
     pub fn from_spread(scenario: &Scenario) -> Self {
         let spread = |values: &[f64]| {
             let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
@@ -140,7 +144,7 @@ impl NoiseFloor {
                 standard_deviation(&present)
             };
             if deviation > 0.0 {
-                0.01 * deviation
+                SCALE_OF_SPREAD * deviation
             } else {
                 f64::INFINITY
             }
@@ -158,14 +162,33 @@ impl NoiseFloor {
     }
 }
 
+/// How many of these values, one of each sample, a floor from the standstill could rest on.
+pub fn samples_at_rest(scenario: &Scenario, values: &[f64]) -> usize {
+    let rows = rest_rows(scenario).unwrap_or_default();
+    values[rows]
+        .iter()
+        .filter(|value| value.is_finite())
+        .count()
+}
+
+/// The rows of the leading standstill that a floor is taken from.
+fn rest_rows(scenario: &Scenario) -> Option<Range<usize>> {
+    let rest = scenario.leading_standstill();
+    let begin = rest.start + SKIPPED;
+    rest_of(begin..rest.end.max(begin), scenario)
+}
+
 /// The rows at rest in which no signal drifts: all, or as many of the last quarters as there are.
 fn rest_of(rows: Range<usize>, scenario: &Scenario) -> Option<Range<usize>> {
+    let signals = [&scenario.current_a, &scenario.speed_rad_s];
+    let resolved = signals.map(|values| (values, quantum(values).unwrap_or(0.0)));
     (0..4)
         .map(|quarter| rows.start + quarter * rows.len() / 4..rows.end)
         .take_while(|part| part.len() >= FEWEST_SAMPLES)
         .find(|part| {
-            let still = |values: &[f64]| !drifts(&values[part.clone()]);
-            still(&scenario.current_a) && still(&scenario.speed_rad_s)
+            let still =
+                |(values, quantum): &(&Vec<f64>, f64)| !drifts(&values[part.clone()], *quantum);
+            resolved.iter().all(still)
         })
 }
 
@@ -173,8 +196,12 @@ fn rest_of(rows: Range<usize>, scenario: &Scenario) -> Option<Range<usize>> {
 /// far nearer, even behind a slow filter, and a shaft that runs out goes much farther.
 const DRIFT: f64 = 8.0;
 
-/// Whether a signal goes somewhere, measured by its steps from sample to sample. Its first third may hold a transient.
-fn drifts(values: &[f64]) -> bool {
+/// Whether a signal goes somewhere, measured by its steps from sample to sample; `quantum` is its resolution, zero where
+/// none is seen. Its first third may hold a transient.
+///
+/// A signal that is quieter than its resolution hardly ever steps: one step of one quantum is no drift then, only where
+/// its value happened to lie near the edge of two.
+fn drifts(values: &[f64], quantum: f64) -> bool {
     let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
     let third = present.len() / 3;
     if third == 0 {
@@ -189,7 +216,9 @@ fn drifts(values: &[f64]) -> bool {
         .windows(2)
         .map(|pair| (pair[1] - pair[0]).powi(2))
         .sum();
-    let noise = (0.5 * steps / (present.len() - 1) as f64).sqrt();
+    let noise = (0.5 * steps / (present.len() - 1) as f64)
+        .sqrt()
+        .max(quantum_noise(quantum));
     (mean(last) - mean(middle)).abs() > DRIFT * noise
 }
 
@@ -218,6 +247,17 @@ fn current_is_an_output(scenario: &Scenario) -> bool {
     scenario.input == Input::Voltage
 }
 
+/// Standard deviation of the rounding to multiples of `quantum`: a uniform error is its width over the root of twelve.
+fn quantum_noise(quantum: f64) -> f64 {
+    quantum / 12f64.sqrt()
+}
+
+/// Share of a signal's range below which a step is rounding in the file, not resolution of the instrument.
+const ROUNDING: f64 = 1e-6;
+/// How near to a multiple of the smallest step the others must be, in such steps, and the share of them that must be.
+const NEAR_A_MULTIPLE: f64 = 0.05;
+const NEARLY_EVERY: f64 = 0.95;
+
 /// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.
 fn quantum(values: &[f64]) -> Option<f64> {
     let mut sorted: Vec<f64> = values
@@ -227,20 +267,19 @@ fn quantum(values: &[f64]) -> Option<f64> {
         .collect();
     sorted.sort_by(f64::total_cmp);
     let range = sorted.last()? - sorted.first()?;
-    // Rounding in the file must not pass for a resolution.
     let steps: Vec<f64> = sorted
         .windows(2)
         .map(|pair| pair[1] - pair[0])
-        .filter(|step| *step > 1e-6 * range)
+        .filter(|step| *step > ROUNDING * range)
         .collect();
     let smallest = steps.iter().copied().min_by(f64::total_cmp)?;
     let multiples = steps.iter().filter(|step| {
         (**step / smallest)
             .fract()
             .min(1.0 - (**step / smallest).fract())
-            < 0.05
+            < NEAR_A_MULTIPLE
     });
-    (multiples.count() * 20 >= steps.len() * 19).then_some(smallest)
+    (multiples.count() as f64 >= NEARLY_EVERY * steps.len() as f64).then_some(smallest)
 }
 
 fn standard_deviation(values: &[f64]) -> f64 {
@@ -299,6 +338,22 @@ mod tests {
         let silent = |k: usize| if k < 50 { 0.0 } else { (k as f64).sin() };
         assert_eq!(NoiseFloor::from_standstill(&scenario(50, silent)), None);
         assert!(NoiseFloor::from_spread(&scenario(50, silent)).speed_rad_s > 0.0);
+    }
+
+    #[test]
+    fn one_step_of_the_resolution_is_no_drift_and_many_are() {
+        let moves = |k: usize| if k < 100 { 0.0 } else { ((k - 100) / 3) as f64 };
+        // An offset near the edge of two counts: nearly all of the first half shows one, all of the second the other.
+        let edge = |k: usize| 0.1 * (moves(k) + f64::from(u8::from((70..100).contains(&k))));
+        let floor = NoiseFloor::from_standstill(&scenario(100, edge)).unwrap();
+        assert!(floor.samples > 90, "the whole rest counts: {floor:?}");
+        assert!(
+            floor.speed_rad_s >= 0.1 / 12f64.sqrt() && floor.speed_rad_s < 0.1,
+            "{floor:?}"
+        );
+        // A run-out of many counts is one.
+        let coasts = |k: usize| 0.1 * (moves(k) + if k < 100 { (100 - k) as f64 } else { 0.0 });
+        assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
     }
 
     #[test]

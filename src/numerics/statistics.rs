@@ -66,7 +66,12 @@ pub const BAND_99: f64 = 2.58;
 /// Share of lags outside that band up to which chance is to blame: by chance more than three of 25 in one run of 8,000.
 pub const OUTSIDE_BY_CHANCE: f64 = 0.12;
 
-/// Whether neighbouring values go together beyond chance; false also where there are too few to say.
+/// Probability below which the Ljung-Box statistic of white values is not laid to chance: as rare as the count of lags above,
+/// so that neither raises the other's false alarms by much.
+pub const COLOURED_BY_CHANCE: f64 = 1e-4;
+
+/// Whether neighbouring values go together beyond chance; false also where there are too few to say. By the number of lags
+/// outside their band, which sees a little colour everywhere, and by the Ljung-Box statistic, which sees one strong lag.
 pub fn is_coloured(values: &[f64]) -> bool {
     if values.len() < 4 * WHITENESS_LAGS {
         return false;
@@ -75,6 +80,23 @@ pub fn is_coloured(values: &[f64]) -> bool {
     let correlations = autocorrelation(values, WHITENESS_LAGS);
     let outside = correlations.iter().filter(|rho| rho.abs() > band).count() as f64;
     outside > OUTSIDE_BY_CHANCE * WHITENESS_LAGS as f64
+        || ljung_box_statistic(&correlations, values.len())
+            > ljung_box_limit(WHITENESS_LAGS, COLOURED_BY_CHANCE)
+}
+
+/// Ljung-Box statistic of the correlations at lags 1, 2, ... of so many values (Ljung and Box 1978).
+pub fn ljung_box_statistic(correlations: &[f64], values: usize) -> f64 {
+    let n = values as f64;
+    let lags = correlations.iter().enumerate();
+    let sum: f64 = lags
+        .map(|(index, rho)| rho * rho / (n - (index + 1) as f64))
+        .sum();
+    n * (n + 2.0) * sum
+}
+
+/// The statistic over `lags` that white values exceed with this probability.
+pub fn ljung_box_limit(lags: usize, probability: f64) -> f64 {
+    ChiSquared::new(lags as f64).map_or(f64::INFINITY, |chi| chi.inverse_cdf(1.0 - probability))
 }
 
 /// Ljung-Box statistic over `lags` and the probability of one as large if the values were white (Ljung and Box 1978).
@@ -83,14 +105,7 @@ pub fn ljung_box(values: &[f64], lags: usize) -> Option<(f64, f64)> {
     if correlation.is_empty() {
         return None;
     }
-    let n = values.len() as f64;
-    let statistic = n
-        * (n + 2.0)
-        * correlation
-            .iter()
-            .enumerate()
-            .map(|(index, rho)| rho * rho / (n - (index + 1) as f64))
-            .sum::<f64>();
+    let statistic = ljung_box_statistic(&correlation, values.len());
     let chi = ChiSquared::new(lags as f64).ok()?;
     Some((statistic, 1.0 - chi.cdf(statistic)))
 }
@@ -166,6 +181,35 @@ mod tests {
         }
         assert!(ljung_box(&filtered, 25).unwrap().1 < 1e-6);
         assert_eq!(ljung_box(&[1.0; 100], 25), None);
+    }
+
+    #[test]
+    fn one_strong_lag_is_colour_and_white_noise_is_hardly_ever() {
+        // Ten in a hundred of what was five samples before: one lag stands out, the others are noise.
+        let echoed = |seed: u64| {
+            let white = noise(seed, 5000);
+            let echo = |k: usize| if k >= 5 { 0.14 * white[k - 5] } else { 0.0 };
+            (0..white.len())
+                .map(|k| white[k] + echo(k))
+                .collect::<Vec<f64>>()
+        };
+        let seen = (0..50).filter(|seed| is_coloured(&echoed(*seed))).count();
+        assert!(seen >= 48, "{seen} of 50");
+        let outside = autocorrelation(&echoed(1), WHITENESS_LAGS)
+            .iter()
+            .filter(|rho| rho.abs() > BAND_99 / 5000_f64.sqrt())
+            .count() as f64;
+        assert!(
+            outside <= OUTSIDE_BY_CHANCE * WHITENESS_LAGS as f64,
+            "the number of lags alone does not see it"
+        );
+        for rows in [100, 500, 4000] {
+            let alarms = (0..2000)
+                .filter(|seed| is_coloured(&noise(10_000 + seed, rows)))
+                .count();
+            // Two rare alarms of 1e-4 each: more than four in 2,000 happens to them in one case of a thousand.
+            assert!(alarms <= 4, "{alarms} of 2000 with {rows} rows");
+        }
     }
 
     #[test]

@@ -81,13 +81,16 @@ fn replaced(events: &[(f64, f64)], stretch: &Stretch) -> Vec<(f64, f64)> {
         stretch.samples[0],
         stretch.samples[stretch.samples.len() - 1],
     );
-    // Above or below the command: the side on which the limit held the output, so where it let go.
-    let excess: f64 = (stretch.samples.iter())
-        .map(|&(time_s, volts)| volts - held(time_s))
-        .sum();
-    let limit = |time_s: f64, line_v: f64| {
+    // Above (+1) or below (-1) the command: the side on which the limit held the output, so where it let go. A stretch in
+    // which the voltage was reversed begins on one side and ends on the other.
+    let side = |&(time_s, volts): &(f64, f64)| sign(volts - held(time_s));
+    let sides: Vec<f64> = stretch.samples.iter().map(side).collect();
+    let mut decided = sides.iter().copied().filter(|side| *side != 0.0);
+    let first_side = decided.next().unwrap_or(1.0);
+    let last_side = decided.next_back().unwrap_or(first_side);
+    let limit = |time_s: f64, side: f64, line_v: f64| {
         let command = held(time_s);
-        if excess < 0.0 {
+        if side < 0.0 {
             command.min(line_v)
         } else {
             command.max(line_v)
@@ -108,14 +111,31 @@ fn replaced(events: &[(f64, f64)], stretch: &Stretch) -> Vec<(f64, f64)> {
     };
     let second = *stretch.samples.get(1).unwrap_or(&first);
     pieces(stretch.before_s, first.0, &|t| {
-        limit(t, line(first, second, t))
+        limit(t, first_side, line(first, second, t))
     });
-    for pair in stretch.samples.windows(2) {
-        pieces(pair[0].0, pair[1].0, &|t| line(pair[0], pair[1], t));
+    let samples = &stretch.samples;
+    for (at, pair) in samples.windows(2).enumerate() {
+        let turned_s = (sides[at] * sides[at + 1] < 0.0)
+            .then(|| largest_step(events, pair[0].0, pair[1].0))
+            .flatten();
+        let Some(turned_s) = turned_s else {
+            pieces(pair[0].0, pair[1].0, &|t| line(pair[0], pair[1], t));
+            continue;
+        };
+        // The limit held the output on one side until the command turned, and on the other from then on.
+        let (to, from) = (pair[0], pair[1]);
+        let before = if at > 0 { samples[at - 1] } else { to };
+        let behind = *samples.get(at + 2).unwrap_or(&from);
+        pieces(to.0, turned_s, &|t| {
+            limit(t, sides[at], line(before, to, t))
+        });
+        pieces(turned_s, from.0, &|t| {
+            limit(t, sides[at + 1], line(from, behind, t))
+        });
     }
-    let last_but_one = stretch.samples[stretch.samples.len().saturating_sub(2)];
+    let last_but_one = samples[samples.len().saturating_sub(2)];
     pieces(last.0, stretch.after_s, &|t| {
-        limit(t, line(last_but_one, last, t))
+        limit(t, last_side, line(last_but_one, last, t))
     });
     let after_s = stretch.after_s.max(last.0);
     let mut out: Vec<(f64, f64)> = Vec::with_capacity(events.len() + inside.len());
@@ -124,6 +144,21 @@ fn replaced(events: &[(f64, f64)], stretch: &Stretch) -> Vec<(f64, f64)> {
     out.push((after_s, held(after_s)));
     out.extend(events.iter().filter(|event| event.0 > after_s));
     out
+}
+
+/// When within `(from_s, to_s]` the command changed most, if it did.
+fn largest_step(events: &[(f64, f64)], from_s: f64, to_s: f64) -> Option<f64> {
+    let steps = events
+        .windows(2)
+        .map(|pair| (pair[1].0, (pair[1].1 - pair[0].1).abs()));
+    steps
+        .filter(|(time_s, step_v)| *time_s > from_s && *time_s <= to_s && *step_v > 0.0)
+        .max_by(|one, other| one.1.total_cmp(&other.1))
+        .map(|(time_s, _)| time_s)
+}
+
+fn sign(of: f64) -> f64 {
+    if of == 0.0 { 0.0 } else { of.signum() }
 }
 
 #[cfg(test)]
@@ -181,6 +216,48 @@ mod tests {
         assert!((at(&events, 0.035) - 30.0).abs() < 1e-12);
         assert!(at(&events, 0.0725).abs() < 1e-12);
         assert!((at(&events, 0.0651) - 43.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn a_stretch_with_a_reversal_is_limited_on_both_sides() {
+        // 60 V, and from 0.045 s -60 V: held at 30 + k V, then at -30 - k V, from 0.02 to 0.08 s.
+        let mut run = Run::new("r", (0..12).map(|k| 0.01 * f64::from(k)).collect()).unwrap();
+        let command = |k: i32| match k {
+            0..2 => 0.0,
+            2..5 => 60.0,
+            5..9 => -60.0,
+            _ => -20.0,
+        };
+        let measured = (0..12).map(|k| match k {
+            2..5 => 30.0 + f64::from(k),
+            5..9 => -30.0 - f64::from(k),
+            _ => command(k),
+        });
+        run.set_column(Channel::Voltage, measured.collect(), Origin::Measured)
+            .unwrap();
+        run.set_limited_rows((2..9).collect());
+        let commands = [(0.0, 0.0), (0.015, 60.0), (0.045, -60.0), (0.085, -20.0)];
+        let events = applied(&run, &commands);
+        for (time_s, volts) in [
+            (0.0121, 0.0),
+            (0.0171, 31.7),
+            (0.0351, 33.5),
+            // To the instant of the reversal on the one side, on the other from there.
+            (0.0421, 34.2),
+            (0.0449, 34.5),
+            (0.0451, -34.5),
+            (0.0481, -34.8),
+            (0.0651, -36.5),
+            (0.0831, -38.3),
+            (0.0871, -20.0),
+            (0.0951, -20.0),
+        ] {
+            let found = at(&events, time_s);
+            assert!(
+                (found - volts).abs() < 0.15,
+                "{time_s} s: {found}: {events:?}"
+            );
+        }
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub use effect::{
     Terms,
 };
 pub use linear::{Linear, LinearStep};
-pub use model::{ActiveEffect, Model, ModelError, Slot};
+pub use model::{ActiveEffect, Held, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};

@@ -129,6 +129,15 @@ pub struct Model {
     pub motor: Motor,
     pub effects: Vec<ActiveEffect>,
     pub fixed: Vec<String>,
+    /// Those of `fixed` that are it only for the sake of an effect.
+    pub held: Vec<Held>,
+}
+
+/// A parameter that an effect would explain as well, fixed for as long as the effect is in the model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Held {
+    pub effect: String,
+    pub key: String,
 }
 
 impl Model {
@@ -223,7 +232,26 @@ impl Model {
         Ok(model)
     }
 
-    /// The model with one effect less.
+    /// Fixes the parameter `key` for as long as the effect `id` is in the model. False where somebody fixed it for good.
+    pub fn hold(&mut self, id: &str, key: &str) -> bool {
+        let is_fixed = self.fixed.iter().any(|fixed| fixed == key);
+        if is_fixed && !self.held.iter().any(|held| held.key == key) {
+            return false;
+        }
+        if !is_fixed {
+            self.fixed.push(key.to_owned());
+        }
+        let held = Held {
+            effect: id.to_owned(),
+            key: key.to_owned(),
+        };
+        if !self.held.contains(&held) {
+            self.held.push(held);
+        }
+        true
+    }
+
+    /// The model with one effect less, and free what was fixed for its sake.
     pub fn without_effect(&self, id: &str) -> Result<Self, ModelError> {
         if !self.has(id) {
             return Err(ModelError::Absent { id: id.to_owned() });
@@ -232,6 +260,12 @@ impl Model {
         model.effects.retain(|active| active.id() != id);
         let prefix = format!("{id}.");
         model.fixed.retain(|key| !key.starts_with(&prefix));
+        model.held.retain(|held| held.effect != id);
+        let is_freed = |key: &String| {
+            let holds = |held: &Held| held.key == *key;
+            self.held.iter().any(holds) && !model.held.iter().any(holds)
+        };
+        model.fixed.retain(|key| !is_freed(key));
         Ok(model)
     }
 
@@ -305,6 +339,23 @@ mod tests {
             base.with_effect("gremlins"),
             Err(ModelError::UnknownEffect { .. })
         ));
+    }
+
+    #[test]
+    fn what_was_fixed_for_an_effect_is_free_without_it() {
+        let mut model = Model::baseline(Motor::zk_22fc());
+        model.fixed.push("inductance_h".to_owned());
+        for id in ["voltage_drop", "supply_sag"] {
+            model = model.with_effect(id).unwrap();
+            assert!(model.hold(id, "resistance_ohm"));
+        }
+        assert!(!model.hold("supply_sag", "inductance_h"), "fixed for good");
+        assert_eq!(model.fixed, ["inductance_h", "resistance_ohm"]);
+        let one = model.without_effect("supply_sag").unwrap();
+        assert_eq!(one.fixed, model.fixed, "the other still holds it");
+        let none = one.without_effect("voltage_drop").unwrap();
+        assert_eq!(none.fixed, ["inductance_h"]);
+        assert!(none.held.is_empty());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The model file: `[motor]`, `[[effect]]`, and what a fit writes back beside them.
 
+use std::borrow::Cow;
 use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
@@ -8,6 +9,9 @@ use super::effect::{self, DefinitionError, Layout};
 use super::model::{ActiveEffect, Model, Slot};
 use super::motor::{Motor, MotorKey};
 use crate::config_text::{ConfigError, help_for_unknown, nearest};
+
+/// Key of an effect under which the motor's parameters stand that are fixed for its sake.
+const HOLDS: &str = "holds";
 
 /// Standard deviation of one fitted value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,10 +51,11 @@ impl ModelFile {
         let reader = Reader { file, text };
         let mut model = Model::default();
         let mut history = FileHistory::default();
+        let mut held = Vec::new();
         for (key, value) in &root {
             match key.as_str() {
                 "motor" => reader.motor(value, &mut model)?,
-                "effect" => reader.effects(value, &mut model)?,
+                "effect" => reader.effects(value, &mut model, &mut held)?,
                 "history" => {
                     history = value.clone().try_into().map_err(|error: toml::de::Error| {
                         reader.error(0, "history", error.message())
@@ -58,6 +63,10 @@ impl ModelFile {
                 }
                 other => return Err(reader.unknown(0, other, &["motor", "effect", "history"])),
             }
+        }
+        // Behind `fixed`: what stands there too is fixed for good.
+        for (id, key) in &held {
+            model.hold(id, key);
         }
         model
             .validate()
@@ -85,15 +94,9 @@ impl ModelFile {
                 );
             }
         }
-        if !self.model.fixed.is_empty() {
-            let quoted: Vec<String> = self
-                .model
-                .fixed
-                .iter()
-                .map(|key| format!("{key:?}"))
-                .collect();
-            let _ = writeln!(text, "fixed = [{}]", quoted.join(", "));
-        }
+        let is_held = |key: &&String| self.model.held.iter().any(|held| held.key == **key);
+        let fixed = self.model.fixed.iter().filter(|key| !is_held(key));
+        write_list(&mut text, "fixed", fixed);
         for (index, active) in self.model.effects.iter().enumerate() {
             self.write_effect(&mut text, index, active);
         }
@@ -108,6 +111,9 @@ impl ModelFile {
 
     fn write_effect(&self, text: &mut String, index: usize, active: &ActiveEffect) {
         let _ = write!(text, "\n[[effect]]\nid = {:?}\n", active.id());
+        let held = self.model.held.iter();
+        let held = held.filter(|held| held.effect == active.id());
+        write_list(text, HOLDS, held.map(|held| &held.key));
         for (key, value) in active.effect.settings() {
             let _ = writeln!(text, "{key} = {value}");
         }
@@ -142,7 +148,8 @@ impl ModelFile {
                     toml::Value::Float(value) => number(value),
                     other => other.to_string(),
                 };
-                let _ = writeln!(text, "{} = {value}{}", spec.key, self.comment(&slot));
+                let comment = self.comment(&slot);
+                let _ = writeln!(text, "{} = {value}{comment}", key_of(spec.key));
             }
         }
     }
@@ -160,6 +167,29 @@ impl ModelFile {
 /// Shortest text that reads back to the same number, with a decimal point where TOML needs one.
 fn number(value: f64) -> String {
     format!("{value:?}")
+}
+
+/// A list of texts under `key`, if there is anything in it.
+fn write_list<'a>(text: &mut String, key: &str, items: impl Iterator<Item = &'a String>) {
+    let items: Vec<String> = items.map(|item| quoted(item)).collect();
+    if !items.is_empty() {
+        let _ = writeln!(text, "{key} = [{}]", items.join(", "));
+    }
+}
+
+/// A text as TOML writes it.
+fn quoted(text: &str) -> String {
+    toml::Value::from(text).to_string()
+}
+
+/// A key as TOML reads it: letters beyond ASCII stand in quotes.
+fn key_of(key: &str) -> Cow<'_, str> {
+    let is_bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    if !key.is_empty() && key.chars().all(is_bare) {
+        Cow::Borrowed(key)
+    } else {
+        Cow::Owned(quoted(key))
+    }
 }
 
 /// Whether a line begins with this key and not with a longer one.
@@ -265,7 +295,13 @@ impl Reader<'_> {
             .ok_or_else(|| self.error(0, key, &format!("{key} must be a list of strings")))
     }
 
-    fn effects(&self, value: &toml::Value, model: &mut Model) -> Result<(), ConfigError> {
+    /// Reads the effects into `model`, and what each of them holds, as `(id, key)`, into `held`.
+    fn effects(
+        &self,
+        value: &toml::Value,
+        model: &mut Model,
+        held: &mut Vec<(String, String)>,
+    ) -> Result<(), ConfigError> {
         let Some(tables) = value.as_array() else {
             return Err(self.error(0, "effect", "effects are written as [[effect]] tables"));
         };
@@ -287,12 +323,17 @@ impl Reader<'_> {
             if model.has(id) {
                 return Err(self.error(from, "id", &format!("effect {id:?} stands twice")));
             }
+            let mut table = table.clone();
+            if let Some(value) = table.remove(HOLDS) {
+                let keys = self.strings(HOLDS, &value)?.into_iter();
+                held.extend(keys.map(|key| (id.to_owned(), key)));
+            }
             let active = if effect::family(id).is_some() {
                 let (effect, values) =
-                    effect::define(id, table).map_err(|error| self.misdefined(from, &error))?;
+                    effect::define(id, &table).map_err(|error| self.misdefined(from, &error))?;
                 ActiveEffect { effect, values }
             } else {
-                self.of_catalogue(from, id, table)?
+                self.of_catalogue(from, id, &table)?
             };
             model.effects.push(active);
         }
@@ -467,6 +508,42 @@ value_2 = 1.5
         assert!(text.contains("a = 1e-6  # +- 1e-8"), "{text}");
         assert!(text.contains("values = [0.1, 0.0, 0.2]"), "{text}");
         assert!(text.contains("\nvalue_2 = 1.5"), "{text}");
+    }
+
+    #[test]
+    fn what_a_curve_holds_is_free_again_without_it() {
+        let mut file = ModelFile::parse("m.toml", DEFINED).unwrap();
+        file.model.fixed = vec!["inertia_kg_m2".to_owned()];
+        assert!(file.model.hold("table_time", "resistance_ohm"));
+        let text = file.to_toml();
+        assert!(text.contains("holds = [\"resistance_ohm\"]"), "{text}");
+        let again = ModelFile::parse("m.toml", &text).unwrap();
+        assert_eq!(again.model.fixed, ["inertia_kg_m2", "resistance_ohm"]);
+        assert_eq!(again.model.held, file.model.held);
+        let without = again.model.without_effect("table_time").unwrap();
+        assert_eq!(without.fixed, ["inertia_kg_m2"]);
+        let wrong = text.replace("holds = [\"resistance_ohm\"]", "holds = [\"resistance\"]");
+        assert!(ModelFile::parse("m.toml", &wrong).is_err());
+    }
+
+    #[test]
+    fn a_parameter_may_have_any_letters() {
+        let text = DEFINED
+            .replace("a = 1e-6", "\"\u{b5}\" = 1e-6")
+            .replace("a*abs", "\u{b5}*abs");
+        assert!(text != DEFINED);
+        let mut file = ModelFile::parse("m.toml", &text).unwrap();
+        file.model.fixed = vec!["custom.\u{b5}".to_owned()];
+        let again = ModelFile::parse("m.toml", &file.to_toml()).unwrap();
+        assert_eq!(again.model.fixed, file.model.fixed);
+        assert_eq!(again.model.effects[0].values, [None, Some(1e-6), Some(9.0)]);
+        // An escape is longer than what it stands for, so that a place behind it may fall into another letter.
+        let wrong = text.replace(
+            "expression = \"\u{b5}*abs",
+            "expression = \"\\u00b5*\u{b5}\u{b5}\u{b5}q*abs",
+        );
+        let error = ModelFile::parse("m.toml", &wrong).unwrap_err();
+        assert_eq!(error.line, 7, "{error}");
     }
 
     #[test]

@@ -13,6 +13,7 @@ mod equations;
 mod sensors;
 mod shaft_flow;
 mod state;
+mod steep;
 mod steps;
 mod two_mass;
 
@@ -23,6 +24,7 @@ use equations::Equations;
 use sensors::{Reading, Sensors};
 use state::Mode;
 pub use state::State;
+use steep::Steep;
 use steps::Steps;
 use two_mass::TwoMass;
 
@@ -57,6 +59,8 @@ pub struct Plant {
     two_mass: Option<Box<TwoMass>>,
     /// Where something lies between the motion and its measurement.
     sensors: Option<Sensors>,
+    /// Where sub-steps must be shorter, in the run that is being simulated.
+    steep: Steep,
     /// Start of the run that is being simulated, s.
     begin_s: f64,
 }
@@ -88,6 +92,7 @@ impl Plant {
                 .coupling
                 .map(|coupling| Box::new(TwoMass::new(&coupling, &equations))),
             sensors: None,
+            steep: Steep::default(),
             begin_s: 0.0,
             equations,
         })
@@ -147,6 +152,7 @@ impl Plant {
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
         self.equations.set_supply(scenario.supply_v());
+        self.steep = Steep::of(&self.equations, self.longest_step_s);
         let mut now_s = self.begin_s;
         let angles = if self.equations.needs_angle {
             scenario.shaft_angle()
@@ -185,14 +191,15 @@ impl Plant {
             out.speed_rad_s.push(speed_rad_s);
             if restarts.is_some_and(|(horizon, first)| sample % horizon == first) {
                 // What lies between motion and reading (a filter, an offset) stays between them.
+                let jump_a = scenario.current_a[sample] - current_a;
                 let jump_rad_s = scenario.speed_rad_s[sample] - speed_rad_s;
+                if let Some(sensors) = &mut self.sensors {
+                    sensors.anchor(jump_a, jump_rad_s);
+                }
                 if let Some(two_mass) = &mut self.two_mass {
                     two_mass.anchor(jump_rad_s);
                 }
-                state.anchor(
-                    state.current_a + (scenario.current_a[sample] - current_a),
-                    state.speed_rad_s + jump_rad_s,
-                );
+                state.anchor(state.current_a + jump_a, state.speed_rad_s + jump_rad_s);
             }
         }
     }
@@ -230,13 +237,40 @@ impl Plant {
                 voltage_v: input,
                 ..Instant::default()
             };
-            self.sub_step(state, at, h);
+            self.resolved_step(state, at, h);
             if angle.is_empty() {
                 state.angle_rad += state.speed_rad_s * h;
             }
             if let Some(sensors) = &mut self.sensors {
                 sensors.follow(reading(begin_s + h, state));
             }
+        }
+    }
+
+    /// One sub-step, in shorter pieces where an effect is too steep for its length.
+    #[inline]
+    fn resolved_step(&mut self, state: &mut State, at: Instant, h: f64) {
+        if self.steep.is_empty() {
+            self.sub_step(state, at, h);
+            return;
+        }
+        let begin = (*state, self.two_mass.as_ref().map(|shaft| shaft.load()));
+        self.sub_step(state, at, h);
+        let pieces = self.steep.pieces(begin.0.current_a, state.current_a, h);
+        if pieces == 1 {
+            return;
+        }
+        *state = begin.0;
+        if let (Some(two_mass), Some(load)) = (&mut self.two_mass, begin.1) {
+            two_mass.set_load(load);
+        }
+        let piece_s = h / pieces as f64;
+        for piece in 0..pieces {
+            let at = Instant {
+                time_s: at.time_s + piece as f64 * piece_s,
+                ..at
+            };
+            self.sub_step(state, at, piece_s);
         }
     }
 

@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-use super::{Input, Model, Plant, Scenario, State};
+use super::{ActiveEffect, Input, Model, Motor, Plant, Scenario, State, effect};
 use crate::numerics::count::whole;
 use crate::sample::Channel;
 
@@ -46,4 +46,22 @@ pub(crate) fn record(
     scenario.current_a = noisy(&out.current_a, CURRENT_NOISE_A);
     scenario.speed_rad_s = noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S);
     scenario
+}
+
+/// Steps both ways of the motor of paper A with a fan on its shaft, from rest; `shift` makes another run of it.
+pub(crate) fn with_a_fan(shift: usize) -> Scenario {
+    let mut truth = Model::baseline(Motor::zk_22fc());
+    truth.effects.push(ActiveEffect {
+        effect: effect::find("quadratic_load").expect("it is in the catalogue"),
+        values: vec![Some(4e-6)],
+    });
+    let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
+    let mut events = vec![(0.0, 0.0)];
+    for step in 0..levels.len() {
+        let level = levels[(step + 3 * shift) % levels.len()];
+        let begin_s = 0.5 + 0.5 * step as f64;
+        events.push((begin_s, level));
+        events.push((begin_s + 0.25, level + 5.0));
+    }
+    record(&truth, events, 0.005, 5.5, 7 + shift as u64)
 }

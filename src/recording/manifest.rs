@@ -32,6 +32,9 @@ pub struct Manifest {
     /// Median and 99th percentile of how late the cycles began, s.
     pub lateness_p50_s: Option<f64>,
     pub lateness_p99_s: Option<f64>,
+    /// Controller, delay and gains of a speed loop; null where there was none.
+    #[serde(skip_serializing_if = "Value::is_null")]
+    pub speed_loop: Value,
     /// Column key to origin: `"voltage_v": "measured"`.
     pub signals: BTreeMap<String, Origin>,
     /// Column key to the side of the power stage on which it is taken: `"current_a": "terminal"`.

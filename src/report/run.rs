@@ -21,6 +21,19 @@ pub struct RunReport<'a> {
     pub timing: &'a Facts,
     /// Why the guard stopped the run, if it did.
     pub trip: Option<&'a str>,
+    /// How the speed loop did, where there was one.
+    pub speed_loop: Option<&'a SpeedLoop>,
+}
+
+/// The closed loop of a run, for its page.
+#[derive(Clone, Debug, Default)]
+pub struct SpeedLoop {
+    pub facts: Facts,
+    /// Error over each pass, and the response to each step.
+    pub tables: Vec<Table>,
+    /// Why the gains were what they were, and each change of them.
+    pub reasons: Vec<String>,
+    pub changes: Vec<String>,
 }
 
 impl RunReport<'_> {
@@ -65,6 +78,17 @@ impl RunReport<'_> {
             plot(run).svg("recorded signals over time"),
             "A line is broken where samples are missing.",
         );
+        if let Some(speed_loop) = self.speed_loop {
+            page.section("Speed loop");
+            page.facts(speed_loop.facts.clone());
+            for table in &speed_loop.tables {
+                page.table(table.clone());
+            }
+            page.section("Gains");
+            page.list(speed_loop.reasons.clone());
+            page.list(speed_loop.changes.clone());
+            page.section("Range of the signals");
+        }
         page.table(signals(run));
         page.list(run.notes.clone());
         if !self.parameters.is_empty() {
@@ -203,6 +227,7 @@ mod tests {
             parameters: &[],
             timing: &vec![("rate".into(), "100 Hz".into())],
             trip: Some("current 31.0 A is above the limit of 30 A"),
+            speed_loop: None,
         };
         let text = report.text();
         assert!(text.starts_with("SAFETY TRIP: current 31.0 A is above the limit of 30 A. Recorded until then: 50 rows over 0.490 s."), "{text}");

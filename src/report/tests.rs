@@ -153,6 +153,7 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         holdout_after: Some(after),
         explained_percent: Some(100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0))),
         minimum_detectable: Some(0.004),
+        detectable_below_hz: None,
         evidence: format!(
             "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
         ),
@@ -202,6 +203,8 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         confusable: vec![],
         ladder: vec![],
         sentence: sentence.to_owned(),
+        confirm: None,
+        limits: vec![],
         equivalences: vec![],
         next_experiment: None,
         rivals: Vec::new(),
@@ -446,6 +449,7 @@ fn the_page_of_a_run_is_whole() {
         )],
         timing: &vec![("period asked".into(), "4 ms".into())],
         trip: None,
+        speed_loop: None,
     };
     let html = report.html();
     write_demo("run.html", &html);

@@ -299,7 +299,8 @@ impl Commission {
             }
             diagnosis.next_experiment = next;
         }
-        let discovery = Discovery::new(nameplate, evidence, true);
+        // Whoever goes on by hand begins with this answer.
+        let discovery = Discovery::new(nameplate, evidence, true).with_answer(diagnosis.clone());
         self.discovery = Some(match &self.bench {
             Some(bench) => discovery.with_limits(experiment_limits(bench)),
             None => discovery,

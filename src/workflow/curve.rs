@@ -30,10 +30,12 @@ pub fn four_digits(knot: f64) -> f64 {
 }
 
 /// A curve over the current holds a resistance, one over the speed a back-EMF: beside the curve neither can be told, so that
-/// the parameter is fixed at what the baseline's fit gave it. Returns its key where that was done.
+/// the parameter is fixed at what the baseline's fit gave it, for as long as the curve `id` is in the model. Returns its
+/// key where that was done.
 pub fn hold_what_the_curve_holds(
     model: &mut Model,
     fitted: &Model,
+    id: &str,
     equation: &str,
     axis: Axis,
 ) -> Option<&'static str> {
@@ -43,6 +45,7 @@ pub fn hold_what_the_curve_holds(
         _ => return None,
     };
     if model.fixed.iter().any(|key| key == held) {
+        model.hold(id, held);
         return None;
     }
     let slot = fitted
@@ -50,14 +53,14 @@ pub fn hold_what_the_curve_holds(
         .into_iter()
         .find(|slot: &Slot| slot.key() == held)?;
     model.set(&slot, fitted.get(&slot)?);
-    model.fixed.push(held.to_owned());
+    model.hold(id, held);
     Some(held)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Motor;
+    use crate::plant::{ActiveEffect, Motor};
 
     #[test]
     fn knots_are_readable() {
@@ -69,12 +72,19 @@ mod tests {
     fn a_curve_over_the_current_takes_the_resistance_out_of_the_fit() {
         let fitted = Model::baseline(Motor::zk_22fc());
         let mut model = fitted.clone();
-        let held = hold_what_the_curve_holds(&mut model, &fitted, "voltage", Axis::Current);
+        let held =
+            hold_what_the_curve_holds(&mut model, &fitted, "table_i", "voltage", Axis::Current);
         assert_eq!(held, Some("resistance_ohm"));
         assert_eq!(model.fixed, ["resistance_ohm"]);
-        let again = hold_what_the_curve_holds(&mut model, &fitted, "voltage", Axis::Current);
+        let again =
+            hold_what_the_curve_holds(&mut model, &fitted, "table_i", "voltage", Axis::Current);
         assert!(again.is_none() && model.fixed.len() == 1);
-        let torque = hold_what_the_curve_holds(&mut model, &fitted, "torque", Axis::Speed);
+        let torque =
+            hold_what_the_curve_holds(&mut model, &fitted, "table_w", "torque", Axis::Speed);
         assert!(torque.is_none());
+        let curve = table("table_i", "voltage", Axis::Current, &[-1.0, 0.0, 1.0]).unwrap();
+        model.effects.push(ActiveEffect::new(curve));
+        let without = model.without_effect("table_i").unwrap();
+        assert!(without.fixed.is_empty(), "{:?}", without.fixed);
     }
 }

@@ -59,6 +59,8 @@ pub struct Discovery {
     ladder: Vec<Rung>,
     /// What the error of the model as it stands follows.
     curves: Vec<AxisMap>,
+    /// The answer that there is already; taken at the first question.
+    known: Option<Box<Diagnosis>>,
 }
 
 impl Discovery {
@@ -72,7 +74,15 @@ impl Discovery {
             fitted: None,
             ladder: Vec::new(),
             curves: Vec::new(),
+            known: None,
         }
+    }
+
+    /// The first answer is this one, of the same model, evidence and limits, with the run that it recommends.
+    #[must_use]
+    pub fn with_answer(mut self, diagnosis: Diagnosis) -> Self {
+        self.known = Some(Box::new(diagnosis));
+        self
     }
 
     /// Recommends runs within these limits.
@@ -119,18 +129,18 @@ impl Discovery {
             let compared = compare(&fit.model, &evidence, ErrorOf::Structure)?;
             tell(News::Compared(Box::new(compared)));
         }
-        let progress = |event| tell(News::Progress(event));
-        let options = Options {
-            until_floor: self.until_floor,
-            progress: &progress,
-            ..Options::default()
+        let known = self.known.take();
+        let is_known = known.is_some();
+        let mut diagnosis = match known {
+            Some(known) => *known,
+            None => self.search(tell)?,
         };
-        let diagnosis = diagnose_with(&self.model, self.evidence.clone(), options)?;
         if !is_electrical {
             let model = &diagnosis.baseline.model;
             let compared = compare(model, &self.evidence, ErrorOf::Structure)?;
             tell(News::Compared(Box::new(compared)));
         }
+        let known_next = diagnosis.next_experiment.take();
         if self.ladder.is_empty() {
             self.ladder.push(Rung {
                 effects: self.model.effect_ids(),
@@ -140,13 +150,25 @@ impl Discovery {
         self.fitted = Some(diagnosis.baseline.clone());
         self.curves.clone_from(&diagnosis.axis_map);
         tell(News::Diagnosed(Box::new(diagnosis.clone())));
-        let Some(limits) = &self.limits else {
-            return Ok(());
+        let next = match &self.limits {
+            _ if is_known => known_next,
+            Some(limits) => recommend(&diagnosis, &self.model, &self.evidence, limits)?,
+            None => None,
         };
-        if let Some(next) = recommend(&diagnosis, &self.model, &self.evidence, limits)? {
+        if let Some(next) = next {
             tell(News::Recommended(Box::new(next)));
         }
         Ok(())
+    }
+
+    fn search(&self, tell: Tell<'_>) -> Result<Diagnosis, FitError> {
+        let progress = |event| tell(News::Progress(event));
+        let options = Options {
+            until_floor: self.until_floor,
+            progress: &progress,
+            ..Options::default()
+        };
+        diagnose_with(&self.model, self.evidence.clone(), options)
     }
 
     fn change(&mut self, id: &'static str, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
@@ -196,7 +218,7 @@ impl Discovery {
         };
         let mut model = self.model.clone();
         if let Some(fitted) = &self.fitted {
-            curve::hold_what_the_curve_holds(&mut model, &fitted.model, map.equation, axis);
+            curve::hold_what_the_curve_holds(&mut model, &fitted.model, &id, map.equation, axis);
         }
         let result = diagnosis::add(effect, &model, self.evidence.clone())?;
         self.changed(result, true, tell)
@@ -229,7 +251,8 @@ mod tests {
 
     use super::*;
     use crate::diagnosis::DiagnosisVerdict;
-    use crate::plant::{Motor, Scenario, testing};
+    use crate::plant::Motor;
+    use crate::plant::testing::{self, with_a_fan};
 
     fn told(discovery: &mut Discovery, order: Order) -> Vec<News> {
         let news = Mutex::new(Vec::new());
@@ -293,26 +316,9 @@ mod tests {
         assert!(matches!(&removed[..], [News::Removed(result)] if !result.accepted));
     }
 
-    /// Steps both ways of a motor with a fan, which is not in the model.
-    fn run(shift: usize) -> Scenario {
-        let mut truth = Model::baseline(Motor::zk_22fc())
-            .with_effect("quadratic_load")
-            .unwrap();
-        truth.effects[0].values = vec![Some(4e-6)];
-        let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
-        let mut events = vec![(0.0, 0.0)];
-        for step in 0..levels.len() {
-            let level = levels[(step + 3 * shift) % levels.len()];
-            let begin_s = 0.5 + 0.5 * step as f64;
-            events.push((begin_s, level));
-            events.push((begin_s + 0.25, level + 5.0));
-        }
-        testing::record(&truth, events, 0.005, 5.5, 7 + shift as u64)
-    }
-
     #[test]
     fn what_is_added_takes_the_error_to_the_floor_and_what_is_useless_is_refused() {
-        let evidence = Evidence::new(run(0), Some(run(1)), None);
+        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
         let model = Model::baseline(Motor::zk_22fc());
         let mut discovery = Discovery::new(model, evidence, false);
         let news = told(&mut discovery, Order::Diagnose);
@@ -359,5 +365,46 @@ mod tests {
             discovery.fitted().unwrap().model.effect_ids(),
             ["quadratic_load"]
         );
+    }
+
+    #[test]
+    fn an_answer_that_there_is_already_is_not_searched_again() {
+        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
+        let model = Model::baseline(Motor::zk_22fc());
+        let found = diagnosis::diagnose(&model, evidence.clone(), false).unwrap();
+        let next = NextExperiment {
+            sentence: "turn it backward".to_owned(),
+            bench: None,
+            pair: None,
+            pairs: Vec::new(),
+            reveals: Vec::new(),
+            expected_separation: 0.0,
+            menu: Vec::new(),
+            peaks: None,
+            recipe: None,
+        };
+        let known = Diagnosis {
+            next_experiment: Some(next),
+            ..found
+        };
+        let limits = ExperimentLimits::seen_in(&evidence);
+        let mut discovery = Discovery::new(model, evidence, false)
+            .with_limits(limits)
+            .with_answer(known);
+        let news = told(&mut discovery, Order::Diagnose);
+        let [
+            News::Compared(_),
+            News::Diagnosed(diagnosis),
+            News::Recommended(next),
+        ] = &news[..]
+        else {
+            panic!("{news:?}");
+        };
+        assert_eq!(diagnosis.effect, Some("quadratic_load"));
+        assert_eq!(next.sentence, "turn it backward");
+        // Of a changed model there is none yet.
+        let news = told(&mut discovery, Order::Add("quadratic_load"));
+        let searched = |item: &News| matches!(item, News::Progress(_));
+        assert!(news.iter().any(searched), "{news:?}");
     }
 }

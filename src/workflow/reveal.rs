@@ -15,6 +15,8 @@ use crate::plant::{Effect, effect};
 const NONE: &str = "none";
 /// What counts as saying that nothing known explains the run.
 const UNEXPLAINED: &str = "unexplained";
+/// Also the word of a person who abstains.
+const AMBIGUOUS: &str = "ambiguous";
 
 /// What somebody says that a machine hides.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -36,7 +38,7 @@ impl Answer {
         let (verdict, effects) = match word {
             NONE => (NONE, Vec::new()),
             UNEXPLAINED => (UNEXPLAINED, Vec::new()),
-            "abstain" => ("ambiguous", Vec::new()),
+            "abstain" => (AMBIGUOUS, Vec::new()),
             id => ("effect", vec![id.to_owned()]),
         };
         Self {
@@ -62,6 +64,17 @@ impl Answer {
         let mut effects = list(&diagnosis["effects"]);
         if effects.is_empty() {
             effects.extend(text(&diagnosis["effect"]));
+        }
+        if verdict == AMBIGUOUS {
+            // Only the best guess is among the effects: what it cannot be told from is left open with it.
+            for pair in diagnosis["confusable"].as_array().into_iter().flatten() {
+                let pair = list(pair);
+                if pair.iter().any(|id| effects.contains(id)) {
+                    let others = pair.into_iter().filter(|id| !effects.contains(id));
+                    let others: Vec<String> = others.collect();
+                    effects.extend(others);
+                }
+            }
         }
         let mut answer = Self {
             verdict,
@@ -160,9 +173,8 @@ pub fn reveal(truth: Truth, answer: Option<Answer>, guess: Option<&str>) -> Reve
     let card = hidden
         .and_then(|hidden| effect::find(&hidden.id))
         .map(Effect::card);
-    let best_guess_right = answer.as_ref().is_some_and(|answer| {
-        answer.effects.first().map(String::as_str) == hidden.map(|hidden| hidden.id.as_str())
-            && !answer.effects.is_empty()
+    let best_guess_right = answer.as_ref().zip(hidden).is_some_and(|(answer, hidden)| {
+        answer.effects.first() == Some(&hidden.id) && wrong_order(hidden, answer).is_none()
     });
     Revelation {
         outcome: scored.as_ref().map(|scored| scored.0),
@@ -182,11 +194,22 @@ pub fn reveal(truth: Truth, answer: Option<Answer>, guess: Option<&str>) -> Reve
     }
 }
 
+/// Key of the number of waves in a turn.
+const ORDER: &str = "order";
+
+/// The order that the answer gives the hidden effect and the true one, where they differ: a wave of another number of
+/// cogs is another effect under the same name. Orders are whole numbers.
+fn wrong_order(hidden: &TrueEffect, answer: &Answer) -> Option<(f64, f64)> {
+    let order = hidden.parameters.iter().find(|one| one.key == ORDER)?.value;
+    let found = answer.value(&hidden.id, ORDER)?;
+    ((found - order).abs() >= 0.5).then_some((found, order))
+}
+
 /// An answer is right if it names what is there and nothing else, or says why it cannot be seen. One that says nothing is
 /// wrong only if it claims that there is nothing.
 fn score(hidden: Option<&TrueEffect>, answer: &Answer) -> (Outcome, String) {
     let named = answer.effects.join(", ");
-    let abstains = answer.verdict == "ambiguous";
+    let abstains = answer.verdict == AMBIGUOUS;
     let Some(hidden) = hidden else {
         return match answer.verdict.as_str() {
             NONE => (
@@ -204,7 +227,15 @@ fn score(hidden: Option<&TrueEffect>, answer: &Answer) -> (Outcome, String) {
         };
     };
     let id = &hidden.id;
+    let wrong_order = wrong_order(hidden, answer);
     match answer.verdict.as_str() {
+        "effect" if answer.effects == [id.clone()] && wrong_order.is_some() => {
+            let (found, order) = wrong_order.unwrap_or_default();
+            (
+                Outcome::Wrong,
+                format!("{id} was named with {found} waves in a turn, it has {order}"),
+            )
+        }
         "effect" if answer.effects == [id.clone()] => (Outcome::Right, format!("{id} was named")),
         "effect" if answer.effects.contains(id) => (
             Outcome::Wrong,
@@ -234,7 +265,8 @@ fn score(hidden: Option<&TrueEffect>, answer: &Answer) -> (Outcome, String) {
     }
 }
 
-/// Every true value for which the answer has one.
+/// Every true value for which the answer has one. A diagnosis has a size for each of its candidates; only of those that it
+/// names is it an answer.
 fn sizes(truth: &Truth, answer: &Answer) -> Vec<Size> {
     let motor = &truth.motor;
     let kt = motor.torque_constant();
@@ -261,7 +293,9 @@ fn sizes(truth: &Truth, answer: &Answer) -> Vec<Size> {
             error_percent: 100.0 * (found - truth) / scale.abs(),
         })
     };
-    let of_effects = truth.effects.iter().flat_map(|effect| {
+    let named = truth.effects.iter();
+    let named = named.filter(|effect| answer.effects.contains(&effect.id));
+    let of_effects = named.flat_map(|effect| {
         effect.parameters.iter().filter_map(|parameter| {
             let value = |prefix: &str| {
                 effect
@@ -270,7 +304,7 @@ fn sizes(truth: &Truth, answer: &Answer) -> Vec<Size> {
                     .find(|other| other.key.starts_with(prefix))
             };
             let scale = match (value("sin_"), value("cos_")) {
-                (Some(sin), Some(cos)) if parameter.key != "order" => sin.value.hypot(cos.value),
+                (Some(sin), Some(cos)) if parameter.key != ORDER => sin.value.hypot(cos.value),
                 _ => parameter.value,
             };
             size(
@@ -301,7 +335,7 @@ impl Revelation {
                 let values: Vec<String> = hidden
                     .parameters
                     .iter()
-                    .map(|one| format!("{} = {:.4} {}", one.key, Short(one.value), one.unit))
+                    .map(|one| format!("{} = {:.4}{}", one.key, Short(one.value), unit(&one.unit)))
                     .collect();
                 lines.push(format!("hidden: {} ({})", hidden.id, values.join(", ")));
             }
@@ -325,10 +359,10 @@ impl Revelation {
                 format!("{}.{}", size.effect, size.key)
             };
             lines.push(format!(
-                "  {name}: true {:.4}, found {:.4} {} ({:+.1} %)",
+                "  {name}: true {:.4}, found {:.4}{} ({:+.1} %)",
                 Short(size.truth),
                 Short(size.found),
-                size.unit,
+                unit(&size.unit),
                 size.error_percent
             ));
         }
@@ -337,6 +371,15 @@ impl Revelation {
             lines.push(format!("what brings it out: {excite}"));
         }
         lines.join("\n")
+    }
+}
+
+/// Behind a number; nothing where there is none.
+fn unit(unit: &str) -> String {
+    if unit.is_empty() || unit == "-" {
+        String::new()
+    } else {
+        format!(" {unit}")
     }
 }
 

@@ -80,6 +80,32 @@ fn an_extra_name_is_a_wrong_answer_and_an_open_one_may_have_the_best_guess() {
 }
 
 #[test]
+fn what_the_best_guess_cannot_be_told_from_is_left_open_with_it() {
+    let hidden = of_effect("speed_delay");
+    let diagnosis = json!({
+        "verdict": "ambiguous", "effect": "speed_filter", "effects": ["speed_filter"],
+        "confusable": [["speed_filter", "speed_delay"], ["cogging", "backlash"]], "candidates": [],
+    });
+    let answer = Answer::from_json(&diagnosis).unwrap();
+    assert_eq!(answer.effects, ["speed_filter", "speed_delay"]);
+    let told = reveal(hidden, Some(answer), None);
+    assert_eq!(told.outcome, Some(Outcome::Abstained));
+    assert!(!told.best_guess_right);
+    let reason = told.reason.unwrap();
+    assert!(
+        reason.contains("left open: speed_filter, speed_delay"),
+        "{reason}"
+    );
+}
+
+#[test]
+fn a_number_without_a_unit_has_none() {
+    let ratio = reveal(of_effect("load_dependent_friction"), None, None).text();
+    assert!(ratio.contains("(ratio = 0."), "{ratio}");
+    assert!(!ratio.contains(" -)"), "{ratio}");
+}
+
+#[test]
 fn sizes_are_compared_and_those_of_a_commissioning_count_more() {
     let cogging = of_effect("cogging");
     let value = |key: &str| {
@@ -135,6 +161,53 @@ fn sizes_are_compared_and_those_of_a_commissioning_count_more() {
         value("order")
     );
     assert_eq!(json["outcome"], "right");
+}
+
+#[test]
+fn a_wave_of_another_order_is_not_what_is_hidden() {
+    for id in ["cogging", "torque_ripple"] {
+        let hidden = of_effect(id);
+        let mut orders = hidden.effects[0].parameters.iter();
+        let order = orders.find(|one| one.key == "order").unwrap().value;
+        let said = |order: f64| {
+            let json = json!({
+                "verdict": "effect", "effect": id, "effects": [id],
+                "candidates": [{ "effect": id, "parameters": { "order": { "value": order } } }],
+            });
+            reveal(hidden.clone(), Answer::from_json(&json), None)
+        };
+        let (right, other) = (said(order), said(2.0 * order));
+        assert_eq!(
+            (right.outcome, right.best_guess_right),
+            (Some(Outcome::Right), true)
+        );
+        assert_eq!(
+            (other.outcome, other.best_guess_right),
+            (Some(Outcome::Wrong), false)
+        );
+        assert!(other.reason.unwrap().contains("waves in a turn"));
+    }
+}
+
+#[test]
+fn sizes_are_those_of_what_was_named() {
+    let drop = of_effect("voltage_drop");
+    let said = |verdict: &str, effects: &[&str]| {
+        let json = json!({
+            "verdict": verdict, "effects": effects,
+            "candidates": [
+                { "effect": "supply_sag", "parameters": { "sag_ohm": { "value": 0.3 } } },
+                { "effect": "voltage_drop", "parameters": { "drop_v": { "value": 1.1 } } },
+            ],
+        });
+        let revealed = reveal(drop.clone(), Answer::from_json(&json), None);
+        let mut sizes = revealed.sizes.iter();
+        sizes.any(|size| size.effect == "voltage_drop")
+    };
+    assert!(said("effect", &["voltage_drop"]));
+    assert!(said("ambiguous", &["supply_sag", "voltage_drop"]));
+    assert!(!said("effect", &["supply_sag"]));
+    assert!(!said("unexplained", &[]));
 }
 
 #[test]

@@ -14,7 +14,9 @@ pub(crate) struct Session {
     output: Receiver<Vec<u8>>,
     keys: Box<dyn Write + Send>,
     pub(crate) child: Box<dyn Child + Send + Sync>,
-    _master: Box<dyn portable_pty::MasterPty + Send>,
+    /// Modes of the terminal before the program was started.
+    modes: String,
+    master: Box<dyn portable_pty::MasterPty + Send>,
 }
 
 impl Session {
@@ -35,6 +37,7 @@ impl Session {
         command.args(arguments);
         command.cwd(folder);
         command.env("TERM", "xterm-256color");
+        let modes = modes(pair.master.as_ref());
         let child = pair.slave.spawn_command(command).unwrap();
         drop(pair.slave);
         let mut reader = pair.master.try_clone_reader().unwrap();
@@ -54,7 +57,8 @@ impl Session {
             output,
             keys,
             child,
-            _master: pair.master,
+            modes,
+            master: pair.master,
         }
     }
 
@@ -93,4 +97,16 @@ impl Session {
         }
         self.child.wait().unwrap().exit_code()
     }
+
+    /// The shell gets the terminal as it was: its modes, its own screen, a cursor.
+    #[track_caller]
+    pub(crate) fn expect_terminal_as_it_was(&self) {
+        assert_eq!(modes(self.master.as_ref()), self.modes);
+        assert!(!self.screen.screen().alternate_screen());
+        assert!(!self.screen.screen().hide_cursor());
+    }
+}
+
+fn modes(master: &dyn portable_pty::MasterPty) -> String {
+    format!("{:?}", master.get_termios().unwrap())
 }

@@ -1,8 +1,19 @@
 use super::*;
+use crate::bench::speed::GainsSection;
+use crate::control::Actuator;
+use crate::control::tuning::Rule;
 
 fn changed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
     assert!(EMBEDDED_DEFAULT.contains(from), "{from}");
     BenchFile::parse("b.toml", &EMBEDDED_DEFAULT.replacen(from, to, 1))
+}
+
+/// The same as `speed` reads it.
+fn changed_for_speed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
+    assert!(EMBEDDED_DEFAULT.contains(from), "{from}");
+    let text = EMBEDDED_DEFAULT.replacen(from, to, 1);
+    let bench = BenchFile::parse("b.toml", &text)?;
+    bench.check_speed("b.toml", &text).map(|()| bench)
 }
 
 #[test]
@@ -23,6 +34,17 @@ fn the_embedded_bench_documents_every_key() {
         travel_rad: Some(1.0),
         ..full.limits
     };
+    if let Some(speed) = &mut full.speed {
+        speed.bandwidth_rad_s = Some(1.0);
+        speed.slew_v_per_s = Some(1.0);
+        speed.actuator = Some(Actuator::Voltage);
+        speed.drive_lag_s = Some(1.0);
+        speed.rule = Some(Rule::ModulusOptimum);
+        speed.gains = Some(GainsSection {
+            proportional_v_s_per_rad: 1.0,
+            integral_time_s: 1.0,
+        });
+    }
     for key in full
         .to_toml()
         .lines()
@@ -134,4 +156,52 @@ fn a_motor_may_be_left_out_but_for_its_rated_values() {
     assert!(!BenchFile::embedded_default().motor.is_unknown());
     let error = changed("rated_current_a = 5.7 ", "# ").unwrap_err();
     assert!(error.to_string().contains("rated_current_a"), "{error}");
+}
+
+#[test]
+fn a_reference_beyond_a_limit_is_refused_with_line_and_value() {
+    let (right, wrong) = ("high_rad_s = 110.0", "high_rad_s = 400.0");
+    // A run of the excitation does not follow it.
+    assert!(changed(right, wrong).is_ok());
+    let error = changed_for_speed(right, wrong).unwrap_err();
+    let BenchFileError::Text(place) = &error else {
+        panic!("{error}");
+    };
+    let line = EMBEDDED_DEFAULT
+        .lines()
+        .position(|line| line.starts_with("square = {"))
+        .unwrap();
+    assert_eq!(place.line, line + 1);
+    // (110 V - 1.1 ohm 0.455 N.m/Kt)/Ke is less than the speed limit.
+    assert!(error.to_string().contains("high_rad_s = 400"), "{error}");
+    assert!(error.to_string().contains("306.9"), "{error}");
+}
+
+#[test]
+fn a_speed_section_is_strict() {
+    for (from, to, expected) in [
+        ("controller = \"addc\"", "controller = \"pid\"", "pid"),
+        ("rule = \"modulus", "rule = \"modulo", "modulo-optimum"),
+        (
+            "current_limit_a = 10.0",
+            "current_limit_a = 14.0",
+            "speed.current_limit_a = 14 is not allowed (expected up to limits.current_a = 13 A)",
+        ),
+        (
+            "# bandwidth_rad_s = 20.0",
+            "bandwidth_rad_s = -1.0",
+            "speed.bandwidth_rad_s = -1",
+        ),
+        (
+            "half_period_s = 2.0",
+            "half_period_s = 5.0",
+            "limits.time_s = 30",
+        ),
+        ("periods = 3", "period = 3", "period"),
+    ] {
+        let error = changed_for_speed(from, to).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let without = changed("[speed]", "[[sequence]]\nstandstill = { seconds = 0.5 }\n#").map(drop);
+    assert!(without.is_err(), "keys of [speed] are none of a sequence");
 }

@@ -79,6 +79,10 @@ impl Shaper {
         self.was_off = true;
     }
 
+    pub(super) const fn set_slew(&mut self, v_per_s: f64) {
+        self.slew_v_per_s = v_per_s;
+    }
+
     pub(super) fn see_speed(&mut self, speed_rad_s: f64) {
         self.speed_rad_s = speed_rad_s;
     }

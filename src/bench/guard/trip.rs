@@ -28,6 +28,14 @@ pub enum TripKind {
     DriveFault,
     /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
     NotRunning,
+    /// The measured speed stays where it is while voltage and current say that it changes.
+    EncoderFrozen,
+    /// The measured speed has the opposite sign of what voltage and current say.
+    EncoderReversed,
+    /// The measured speed is far from what voltage and current say.
+    SpeedImplausible,
+    /// The speed grows beyond its reference although the torque is against it.
+    Runaway,
 }
 
 impl TripKind {
@@ -46,6 +54,10 @@ impl TripKind {
             Self::ClockStuck => "clock stuck",
             Self::DriveFault => "drive fault",
             Self::NotRunning => "drive does not run",
+            Self::EncoderFrozen => "encoder frozen",
+            Self::EncoderReversed => "encoder reversed",
+            Self::SpeedImplausible => "speed implausible",
+            Self::Runaway => "runaway",
         }
     }
 
@@ -140,5 +152,42 @@ impl Trip {
                 state.name()
             ),
         }
+    }
+
+    /// A speed that cannot be: by the encoder, by voltage and current, and the difference that would be believed, rad/s.
+    pub(in crate::bench) fn of_speed(
+        kind: TripKind,
+        at_s: f64,
+        (by_encoder, by_voltage, doubt): (f64, f64, f64),
+        what: &str,
+    ) -> Self {
+        Self {
+            kind,
+            at_s,
+            value: by_encoder,
+            limit: by_voltage,
+            reason: format!(
+                "{}: the measured speed {what} {by_encoder:.1} rad/s, by voltage and current it is {by_voltage:.1} rad/s, \
+                 {doubt:.1} rad/s of difference are allowed",
+                kind.name()
+            ),
+        }
+    }
+
+    pub(in crate::bench) fn runaway(at_s: f64, speed_rad_s: f64, reference_rad_s: f64) -> Self {
+        Self {
+            kind: TripKind::Runaway,
+            at_s,
+            value: speed_rad_s,
+            limit: reference_rad_s,
+            reason: format!(
+                "runaway: the speed grows to {speed_rad_s:.1} rad/s against the torque, the reference is {reference_rad_s:.1} rad/s"
+            ),
+        }
+    }
+
+    /// No speed to answer to for too long.
+    pub(in crate::bench) fn silent_speed(at_s: f64, silent_s: f64, limit_s: f64) -> Self {
+        Self::after(TripKind::SignalMissing, at_s, silent_s, limit_s, "no speed")
     }
 }

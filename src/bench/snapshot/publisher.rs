@@ -57,7 +57,12 @@ impl Publisher {
         }
     }
 
-    pub(in crate::bench) fn sample(&mut self, sample: &Sample, demand: Demand) {
+    pub(in crate::bench) fn sample(
+        &mut self,
+        sample: &Sample,
+        demand: Demand,
+        reference_rad_s: Option<f64>,
+    ) {
         let origin_s = *self.origin_s.get_or_insert(sample.time_s);
         let cell = |channel| sample.get(channel).unwrap_or(f64::NAN);
         if self.points.len() == POINTS {
@@ -69,6 +74,7 @@ impl Publisher {
             current_a: cell(Channel::Current),
             speed_rad_s: cell(Channel::Speed),
             model_speed_rad_s: self.model.follow(sample, demand),
+            reference_rad_s: reference_rad_s.unwrap_or(f64::NAN),
         });
     }
 

@@ -9,6 +9,14 @@ use crate::plant::MotorKey;
 /// Passes of reweighting that bring least squares to least absolute values.
 const PASSES: usize = 12;
 
+/// Share of the mean absolute error within which an error counts as a square: without it one window of no error would weigh
+/// as much as all others together.
+const SOFT: f64 = 0.05;
+/// Windows that each parameter needs.
+const WINDOWS_EACH: f64 = 3.0;
+/// Damping of the scaled normal matrix: parameters that the run all but ties stay finite.
+const TIED: f64 = 1e-9;
+
 /// Columns of the equation's own parameters in one window. Losses: a resistance that is 1 ohm too low in the model
 /// leaves `+i`; an inertia that is too low, `+dw/dt`.
 pub(super) const fn columns(window: &Window, equation: Equation) -> [f64; 3] {
@@ -46,7 +54,7 @@ pub(super) fn changes(windows: &Windows<'_>, equation: Equation) -> Option<Vec<f
             let error = window.error(equation);
             let left = error - (0..k).map(|at| row[at] * change[at]).sum::<f64>();
             // Huber: absolute values beyond the noise, squares within.
-            let soft = window.floor(equation).max(0.05 * scale.min(1e300));
+            let soft = window.floor(equation).max(SOFT * scale.min(f64::MAX));
             let weight = if pass == 0 {
                 1.0
             } else {
@@ -62,7 +70,7 @@ pub(super) fn changes(windows: &Windows<'_>, equation: Equation) -> Option<Vec<f
             n += 1.0;
         }
         scale = size / f64::max(n, 1.0);
-        if scale <= 0.0 || n < 3.0 * k as f64 {
+        if scale <= 0.0 || n < WINDOWS_EACH * k as f64 {
             return None;
         }
         let units: Vec<f64> = (0..k).map(|at| normal[(at, at)].sqrt()).collect();
@@ -74,7 +82,7 @@ pub(super) fn changes(windows: &Windows<'_>, equation: Equation) -> Option<Vec<f
             for other in 0..k {
                 normal[(at, other)] /= units[at] * units[other];
             }
-            normal[(at, at)] += 1e-9;
+            normal[(at, at)] += TIED;
         }
         let solved = normal.cholesky()?.solve(&right);
         change = DVector::from_fn(k, |at, _| solved[at] / units[at]);

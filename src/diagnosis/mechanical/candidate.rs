@@ -6,7 +6,8 @@ use super::sides::{Scale, Sides};
 use super::trial::{Judged, Of, Trial};
 use crate::diagnosis::candidates::{Candidate, Status};
 
-/// Every candidate as it stood when nothing had been added yet, those of the answer first.
+/// Every candidate as it stood when nothing had been added yet, those of the answer first; of several in the answer each
+/// with its size beside the others.
 pub(super) fn describe(
     base: &Score,
     error_before: f64,
@@ -32,7 +33,20 @@ pub(super) fn describe(
         .map(|index| &found.first_round[*index])
         .collect();
     let accepted = |trial: &Trial<'_>| found.accepted.contains(&trial.of.id());
-    of_trials(&ordered, &accepted, base, error_before, scale, sides)
+    let mut candidates = of_trials(&ordered, &accepted, base, error_before, scale, sides);
+    if found.accepted.len() > 1 {
+        let named = |candidate: &&mut Candidate| found.accepted.contains(&candidate.effect);
+        for candidate in candidates.iter_mut().filter(named) {
+            let prefix = format!("{}.", candidate.effect);
+            let own = found.fit.parameters.iter();
+            let own = own.filter(|parameter| parameter.key.starts_with(&prefix));
+            candidate.parameters = own.cloned().collect();
+            candidate
+                .evidence
+                .push_str(" alone; its size is from the fit of the whole answer");
+        }
+    }
+    candidates
 }
 
 /// The same for any trials, in their order; `accepted` says which are supported.
@@ -77,6 +91,7 @@ pub(super) fn of_trials(
             minimum_detectable: judged
                 .map(|judged| judged.minimum_detectable)
                 .filter(|size| size.is_finite()),
+            detectable_below_hz: None,
             evidence: evidence(trial, status, base, share, sides),
         }
     };

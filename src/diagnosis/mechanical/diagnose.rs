@@ -5,12 +5,13 @@ use std::fmt::Write as _;
 use super::Settings;
 use super::candidate::{describe, of_trials};
 use super::regression::BalanceFit;
-use super::score::Score;
+use super::score::{Score, z};
 use super::search::{EXPLAINS_SOMETHING, Found, SUFFICIENT, explained, search};
 use super::sides::{Scale, Sides};
 use super::terms::Extra;
 use super::trial::{self, Trial};
 use crate::diagnosis::candidates::{Candidate, Status};
+use crate::diagnosis::confirmation::{Repeated, confirmation};
 use crate::diagnosis::diagnose::{Diagnosis, DiagnosisVerdict};
 use crate::diagnosis::equivalences;
 use crate::diagnosis::evidence::Evidence;
@@ -98,7 +99,9 @@ pub(super) fn diagnose_with(
                 holdout_rmse: rmse / unit,
             })
             .collect(),
+        confirm: None,
         sentence: String::new(),
+        limits: Vec::new(),
         equivalences: found
             .accepted
             .iter()
@@ -111,6 +114,20 @@ pub(super) fn diagnose_with(
         baseline: fitted(baseline),
         model: fitted(&found.fit),
     };
+    diagnosis.confirm = sides.confirm.as_ref().map(|rows| {
+        let on = |fit: &BalanceFit| Sides::score(fit, None, rows);
+        let (before, after) = (on(baseline), on(&found.fit));
+        let share = explained(&before, &after, floor_n_m);
+        let repeated = Repeated {
+            before: before.rmse / unit,
+            after: after.rmse / unit,
+            z: z(&before, &after, settings.block),
+            share,
+            holds: trial::pays(&before, &after, sides) && share >= EXPLAINS_SOMETHING,
+            at_the_floor: scale.source != FloorSource::None && before.rmse < AT_THE_FLOOR * unit,
+        };
+        confirmation(verdict, scale.source, &diagnosis.effects, &repeated)
+    });
     diagnosis.sentence = sentence(&diagnosis, &base, &found, sides);
     Ok(diagnosis)
 }

@@ -4,10 +4,11 @@ use super::Settings;
 use super::compare::{ProcessingError, comparison, processing_error};
 use super::diagnose::{Start, superfluous_sentence};
 use super::regression::BalanceFit;
-use super::score::z;
+use super::score::{first_rank_shares, z};
 use super::search::superfluous;
 use super::sides::Sides;
 use super::trial::{self, Trial, WORTHWHILE};
+use crate::diagnosis::decide::{Certainty, fall};
 use crate::diagnosis::evidence::Evidence;
 use crate::diagnosis::ladder::{AddResult, Rung};
 use crate::diagnosis::location::ErrorOf;
@@ -186,9 +187,19 @@ fn adding(trial: &Trial<'_>, result: &AddResult, start: &Start, before: &Balance
     let figures = both_processings(result);
     let sides = &start.sides;
     let base = sides.held_out(before, None);
-    let z = z(&base, &judged.holdout, sides.settings.block);
+    let (before_percent, after_percent) = (base.relative_percent, judged.holdout.relative_percent);
+    let fall = fall(
+        [before_percent, after_percent].map(|percent| format!("{percent:.2}")),
+        1.0 - judged.holdout.rmse / base.rmse,
+        " % of the torque",
+        Certainty {
+            better: first_rank_shares(&[&base, &judged.holdout])[1],
+            z: z(&base, &judged.holdout, sides.settings.block),
+            asked: sides.settings.significant,
+        },
+    );
     if result.accepted {
-        return format!("{figures}; z {z:.1}");
+        return format!("with {name} {fall}; {figures}");
     }
     if let Some(reason) = &judged.refused {
         return format!("{name}: {reason}; {figures}");
@@ -197,7 +208,6 @@ fn adding(trial: &Trial<'_>, result: &AddResult, start: &Start, before: &Balance
     if helps_in_training && judged.holdout.rmse >= (1.0 - WORTHWHILE) * base.rmse {
         format!("{name} helps only in training: {figures}")
     } else {
-        let asked = sides.settings.significant;
-        format!("{name} does not pay: {figures}; z {z:.1}, {asked} asked")
+        format!("{name} does not pay: {fall}; {figures}")
     }
 }

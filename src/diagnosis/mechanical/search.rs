@@ -4,6 +4,7 @@ use super::regression::BalanceFit;
 use super::score::{Score, z};
 use super::sides::Sides;
 use super::trial::{self, Trial, WORTHWHILE};
+use crate::diagnosis::decide::{AS_GOOD, UNTIL_FLOOR};
 use crate::plant::{Model, Scenario};
 
 /// Effects that one search adds at most.
@@ -80,7 +81,7 @@ pub(super) fn search(
             found.first_round = std::mem::take(&mut trials);
         }
         let enough = if until_floor {
-            found.score.rmse < 1.08 * floor_n_m
+            found.score.rmse < UNTIL_FLOOR * floor_n_m
         } else {
             explained(&base, &found.score, floor_n_m) >= SUFFICIENT
         };
@@ -122,7 +123,7 @@ fn not_told_apart(base: &Score, trials: &[Trial<'_>], sides: &Sides) -> Vec<usiz
             let (Ok(rival), Ok(first)) = (&trials[index].found, &trials[best].found) else {
                 return false;
             };
-            let close = error(index).powi(2) - least < 0.02 * least.max(gained);
+            let close = error(index).powi(2) - least < AS_GOOD * least.max(gained);
             let apart = z(&rival.holdout, &first.holdout, sides.settings.block);
             index == best || close || apart < sides.settings.significant
         })

@@ -4,11 +4,13 @@
 //! command block --> [ state machine ] --> [ output stage: loops, limits ] --> terminals --> [ truth ]
 //! watchdog, trips --^                                                                         |
 //! telemetry, capture <------------------------- sensors <-------------------------------------+
+//! encoder.rs breaks speed and angle where a fault says so
 //! latecomer.rs holds set-points back where a hidden delay is at work
 //! registers.rs and stream.rs show all of it on the two protocols
 //! ```
 
 mod capture;
+mod encoder;
 mod latecomer;
 mod output;
 mod registers;
@@ -20,6 +22,7 @@ use firmware_protocol::{
 };
 
 use self::capture::Capture;
+use self::encoder::Encoder;
 use self::output::{Output, OutputStage};
 use super::config::EmulatorConfig;
 use super::truth::effect::{Site, TrueParameter};
@@ -45,6 +48,7 @@ pub struct SoftDrive {
     hidden: Vec<(&'static str, TrueParameter)>,
     plant: Plant,
     sensors: Sensors,
+    encoder: Encoder,
     output_stage: OutputStage,
     output: Output,
     /// The output of this tick is decided already.
@@ -90,7 +94,8 @@ impl SoftDrive {
             seed: chance,
         };
         let plant = Plant::on_site(site, &config.hidden)
-            .broken(config.faults.locked_rotor, config.faults.open_phase);
+            .broken(config.faults.locked_rotor, config.faults.open_phase)
+            .with_changes(config.changes.clone());
         let path = *plant.path();
         Self {
             identity: identity(config, seed),
@@ -100,6 +105,7 @@ impl SoftDrive {
             specimen,
             sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), chance)
                 .behind(path, TICK_S),
+            encoder: Encoder::new(config.faults),
             output_stage: OutputStage::new(&config.limits, &config.motor, &path),
             output: Output::off(config.limits.output_off, config.limits.bus_v),
             output_fresh: false,
@@ -314,7 +320,8 @@ impl SoftDrive {
             angle_rad: self.plant.angle_rad(),
             bus_v: self.plant.bus_v(),
         };
-        self.sensors.read(self.tick, truth)
+        let reading = self.sensors.read(self.tick, truth);
+        self.encoder.read(self.plant.time_s(), reading)
     }
 }
 

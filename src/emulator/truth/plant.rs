@@ -1,5 +1,6 @@
 //! The true motor in time: armature circuit, torque balance, stick and slip.
 
+use super::change::{Change, Changes};
 use super::effect::{HiddenEffect, Mechanism, Moment, Site};
 use super::shaft::Shaft;
 use super::{MotorTruth, Path};
@@ -89,10 +90,13 @@ pub struct Plant {
     /// Since the last start, s.
     time_s: f64,
     motion: Motion,
+    /// Whether a shaft that is stuck has been so for any time: one that only passes zero speed has not.
+    has_rested: bool,
     load_motion: Motion,
     terminal_v: f64,
     is_locked: bool,
     is_open: bool,
+    changes: Changes,
 }
 
 impl Plant {
@@ -122,11 +126,20 @@ impl Plant {
             state: State::default(),
             time_s: 0.0,
             motion: Motion::Stuck,
+            has_rested: true,
             load_motion: Motion::Stuck,
             terminal_v: 0.0,
             is_locked: false,
             is_open: false,
+            changes: Changes::new(Vec::new()),
         }
+    }
+
+    /// The same machine with a load that changes while the drive runs, in the order of the times.
+    #[must_use]
+    pub fn with_changes(mut self, changes: Vec<Change>) -> Self {
+        self.changes = Changes::new(changes);
+        self
     }
 
     /// The same machine with a shaft that cannot turn, or a circuit that is interrupted, or both.
@@ -137,11 +150,14 @@ impl Plant {
     }
 
     /// The drive has been started: events and drifts count from here.
-    pub fn start(&mut self) {
+    pub const fn start(&mut self) {
         self.time_s = 0.0;
-        for effect in &mut self.effects {
-            effect.started();
-        }
+        self.changes.restart();
+    }
+
+    /// Since the last start of the drive, s.
+    pub const fn time_s(&self) -> f64 {
+        self.time_s
     }
 
     /// What lies between the command, this machine and the measurement: for the drive around it.
@@ -202,6 +218,7 @@ impl Plant {
 
     /// Advances by `step_s` with the terminals held; stick, slip and reversal are located inside the step.
     pub fn advance(&mut self, terminals: Terminals, step_s: f64) {
+        self.changes.advance_to(self.time_s);
         let circuit = self.circuit(terminals);
         let before = self.state;
         let mut left = step_s;
@@ -283,6 +300,7 @@ impl Plant {
         let end = self.rk4(start, circuit, 0.0, step_s);
         if give_up || self.is_locked || (excess(start) <= 0.0 && excess(end) <= 0.0) {
             self.state = end;
+            self.has_rested = true;
             return step_s;
         }
         let used = if excess(start) > 0.0 {
@@ -290,11 +308,14 @@ impl Plant {
         } else {
             let used = locate(step_s, |h| excess(self.rk4(start, circuit, 0.0, h)));
             self.state = self.rk4(start, circuit, 0.0, used);
+            self.has_rested = true;
             used
         };
         self.motion = Motion::towards(self.torque_at_rest(&self.state).0);
-        for effect in &mut self.effects {
-            effect.broke_away(self.motion.direction());
+        if self.has_rested {
+            for effect in &mut self.effects {
+                effect.broke_away(self.motion.direction());
+            }
         }
         used
     }
@@ -320,6 +341,7 @@ impl Plant {
         self.state.w = 0.0;
         // Whether it holds or goes through is for the stuck mode to say.
         self.motion = Motion::Stuck;
+        self.has_rested = false;
         used
     }
 
@@ -374,7 +396,7 @@ impl Plant {
             let s2 = self.load_motion.direction();
             let level = shaft.friction_split * motor.load_torque_n_m;
             let torque = (coupled - level * s2) * s2.abs();
-            (torque / (shaft.load_share * motor.inertia_kg_m2), w - w2)
+            (torque / (shaft.load_share * self.inertia()), w - w2)
         });
         let mut rate = State {
             i: di,
@@ -392,7 +414,7 @@ impl Plant {
                 .sum();
             let held = (self.coulomb() + friction).max(0.0) * direction;
             let share = self.shaft.as_ref().map_or(1.0, |shaft| shaft.motor_share);
-            rate.w = (at.torque_n_m - held - drag - load - coupled) / (share * motor.inertia_kg_m2);
+            rate.w = (at.torque_n_m - held - drag - load - coupled) / (share * self.inertia());
             rate.theta = w;
         }
         rate
@@ -418,9 +440,10 @@ impl Plant {
 
     /// Torque from outside and friction beyond Coulomb, N.m.
     fn loads(&self, at: &Moment) -> (f64, f64) {
+        let pull = self.changes.now().load_n_m;
         self.effects
             .iter()
-            .fold((0.0, 0.0), |(load, friction), effect| {
+            .fold((pull, 0.0), |(load, friction), effect| {
                 (
                     load + effect.load_torque_n_m(at),
                     friction + effect.friction_n_m(at),
@@ -459,6 +482,10 @@ impl Plant {
             .iter()
             .map(|effect| effect.inductance_factor(i));
         self.motor.inductance_h * factors.product::<f64>()
+    }
+
+    fn inertia(&self) -> f64 {
+        self.changes.now().inertia_ratio * self.motor.inertia_kg_m2
     }
 
     fn supply_factor(&self) -> f64 {

@@ -69,6 +69,32 @@ fn the_shaft_breaks_away_with_its_friction_fully_built_up() {
 }
 
 #[test]
+fn a_shaft_that_passes_zero_keeps_its_bristle_and_one_that_rested_does_not() {
+    let stribeck = [HiddenEffect::StribeckFriction(StribeckFriction {
+        stribeck_n_m: 0.16,
+        stribeck_speed_rad_s: 10.0,
+    })];
+    // After each leg: the torque of the bristle a quarter of a millisecond into the reversed motion, far less than its stretch.
+    let after = |rest_s: f64| {
+        let mut plant = Plant::new(zk_22fc(), &stribeck);
+        run(&mut plant, Terminals::Voltage(20.0), 0.5, H);
+        if rest_s > 0.0 {
+            run(&mut plant, Terminals::Voltage(0.0), rest_s, H);
+            assert_eq!(plant.motion(), Motion::Stuck);
+        }
+        while plant.motion() != Motion::Backward {
+            plant.advance(Terminals::Voltage(-20.0), H);
+        }
+        run(&mut plant, Terminals::Voltage(-20.0), 2.5e-4, H);
+        assert!(plant.speed_rad_s() < 0.0 && plant.speed_rad_s() > -3.0);
+        plant.effects[0].drag_torque_n_m(plant.speed_rad_s())
+    };
+    let (passing, rested) = (after(0.0), after(1.0));
+    assert!(passing > 0.1, "{passing}");
+    assert!(rested < -0.1, "{rested}");
+}
+
+#[test]
 fn no_load_speed_is_where_the_voltage_balances() {
     let mut plant = Plant::new(zk_22fc(), &[]);
     run(&mut plant, Terminals::Voltage(110.0), 2.0, H);
@@ -222,4 +248,53 @@ proptest! {
                 || (plus.speed_rad_s() == 0.0 && minus.speed_rad_s() == 0.0));
         }
     }
+}
+
+#[test]
+fn a_changed_inertia_keeps_the_speed_and_divides_the_acceleration() {
+    let changes = vec![Change {
+        time_s: 1.0,
+        inertia_ratio: 4.0,
+        load_n_m: 0.0,
+    }];
+    let mut plant = Plant::new(zk_22fc(), &[]).with_changes(changes);
+    // Nothing but friction brakes: Mc/J before, a quarter of it afterwards.
+    run(&mut plant, Terminals::Voltage(60.0), 0.5, H);
+    let open = Terminals::Open { bus_v: 1000.0 };
+    run(&mut plant, open, 0.3, H);
+    let slope = |plant: &mut Plant| {
+        let before = plant.speed_rad_s();
+        run(plant, open, 0.1, H);
+        (plant.speed_rad_s() - before) / 0.1
+    };
+    let expected = -0.455 / 0.0045;
+    assert!((slope(&mut plant) / expected - 1.0).abs() < 1e-6);
+    run(&mut plant, open, 0.1 - H, H);
+    let before = plant.speed_rad_s();
+    run(&mut plant, open, 2.0 * H, H);
+    assert!((plant.speed_rad_s() - before).abs() < 0.02, "it jumped");
+    assert!((slope(&mut plant) / expected - 0.25).abs() < 1e-6);
+    plant.start();
+    assert!((slope(&mut plant) / expected - 1.0).abs() < 1e-6);
+}
+
+#[test]
+fn a_load_that_comes_on_pulls_backwards_also_at_rest() {
+    let pull = |load_n_m| {
+        let changes = vec![Change {
+            time_s: 0.1,
+            inertia_ratio: 1.0,
+            load_n_m,
+        }];
+        let mut plant = Plant::new(zk_22fc(), &[]).with_changes(changes);
+        let open = Terminals::Open { bus_v: 1000.0 };
+        run(&mut plant, open, 0.1, H);
+        assert_eq!(plant.motion(), Motion::Stuck);
+        run(&mut plant, open, 0.1, H);
+        plant.speed_rad_s()
+    };
+    // Below the friction nothing turns; beyond it what is left accelerates.
+    assert!(pull(0.4).abs() < 1e-12);
+    assert!((pull(0.955) / (-0.5 / 0.0045 * 0.1) - 1.0).abs() < 1e-3);
+    assert!(pull(-0.955) > 11.0);
 }

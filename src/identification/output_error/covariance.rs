@@ -44,8 +44,7 @@ pub(super) fn interval_factor(
     noise: &NoiseFloor,
 ) -> f64 {
     let residual = minimum.residual.as_slice();
-    let count = residual.len().max(1) as f64;
-    let nrms = (residual.iter().map(|value| value * value).sum::<f64>() / count).sqrt();
+    let nrms = super::nrms(minimum, rows);
     let above = noise.source != FloorSource::None && nrms > noise.tolerance(ABOVE_THE_NOISE);
     let is_coloured = |speed: bool| {
         let of_signal: Vec<f64> = rows

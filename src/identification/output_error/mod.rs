@@ -13,7 +13,7 @@ mod free_run;
 
 use thiserror::Error;
 
-use crate::numerics::levenberg_marquardt::{self, Minimum, Options, Problem};
+use crate::numerics::levenberg_marquardt::{self, Minimum, Options};
 use crate::plant::{Model, ModelError, ParameterRole, Scenario, Slot, State, Trajectory};
 use crate::sample::{ParameterEstimate, Verdict};
 
@@ -74,7 +74,8 @@ pub struct Fit {
     /// What the standard deviations above were multiplied by: more than one where more than noise is left over, so that
     /// they hold only if nothing else is missing.
     pub interval_factor: f64,
-    /// Root of the mean square of the weighted residual on the scored samples.
+    /// Root of the mean over the signals of `(rmse / noise)^2` on the scored samples, as `diagnosis::Score` has it: a signal
+    /// that was sampled more often does not count more. The cost of the minimum weighs every sample alike.
     pub nrms: f64,
     pub start: State,
     pub iterations: usize,
@@ -134,7 +135,7 @@ fn fit_from(
     let interval_factor = covariance::interval_factor(&minimum, problem.rows(), noise);
     let parameters = estimates(&model, &problem, &minimum, scenario, interval_factor);
     Ok(Fit {
-        nrms: (minimum.cost / problem.residual_len().max(1) as f64).sqrt(),
+        nrms: nrms(&minimum, problem.rows()),
         start: problem.initial_state(&minimum.x),
         iterations: minimum.iterations,
         free: problem.free_slots().to_vec(),
@@ -144,6 +145,21 @@ fn fit_from(
         interval_factor,
         minimum,
     })
+}
+
+/// Root of the mean over the signals of the mean square of their weighted residuals; a row is `(sample, is_speed)`.
+fn nrms(minimum: &Minimum, rows: &[(usize, bool)]) -> f64 {
+    let mut sums = [(0.0, 0.0); 2];
+    for ((_, is_speed), value) in rows.iter().zip(minimum.residual.as_slice()) {
+        let (squares, count) = &mut sums[usize::from(*is_speed)];
+        *squares += value * value;
+        *count += 1.0;
+    }
+    let present = sums.iter().filter(|(_, count)| *count > 0.0);
+    let (sum, signals) = present.fold((0.0, 0.0), |(sum, signals), (squares, count)| {
+        (sum + squares / count, signals + 1.0)
+    });
+    (sum / f64::max(signals, 1.0)).sqrt()
 }
 
 /// Estimates of every slot of `model`, free and fixed.

@@ -59,10 +59,13 @@ fn the_truth_is_found_from_thirty_per_cent_off_at_both_rates() {
     }
 }
 
+/// Standard deviations within which half of all normal values lie.
+const HALF: f64 = 0.674;
+
 #[test]
-fn intervals_cover_the_truth() {
+fn intervals_cover_the_truth_and_are_no_wider_than_that_takes() {
     let truth = Model::baseline(Motor::zk_22fc());
-    let (mut inside, mut all) = (0_u32, 0_u32);
+    let (mut inside, mut within_half, mut all) = (0_u32, 0_u32, 0_u32);
     for seed in 0..30 {
         let fit = fit(
             std::slice::from_ref(&truth),
@@ -73,11 +76,16 @@ fn intervals_cover_the_truth() {
         for (slot, estimate) in truth.slots().iter().zip(&fit.parameters) {
             let z = (estimate.value.unwrap() - truth.get(slot).unwrap()) / estimate.std.unwrap();
             inside += u32::from(z.abs() < 2.1);
+            within_half += u32::from(z.abs() < HALF);
             all += 1;
         }
     }
     let share = f64::from(inside) / f64::from(all);
     assert!((0.85..=1.0).contains(&share), "{share}");
+    // Intervals that are far too wide cover too: half of the errors must lie beyond two thirds of a deviation. With 150
+    // values that go together by fives 0.62 is three standard errors away; intervals of twice the width would cover 0.82.
+    let half = f64::from(within_half) / f64::from(all);
+    assert!((0.30..0.70).contains(&half), "{half}");
 }
 
 #[test]

@@ -55,12 +55,12 @@ const KEYS: &[(&str, &[&str])] = &[
     ),
 ];
 
-/// Effects of a second inertia: no size of one coefficient makes them vanish in the balances.
 /// There or not there: no size of it is none.
 fn is_finite_by_nature(effect: &dyn Effect) -> bool {
     couples(effect) || effect.card().id == "start_delay"
 }
 
+/// Effects of a second inertia: no size of one coefficient makes them vanish in the balances.
 fn couples(effect: &dyn Effect) -> bool {
     effect.terms(&guesses(effect)).coupling().is_some()
 }
@@ -105,6 +105,20 @@ fn added(effect: &dyn Effect, share: f64) -> [f64; 4] {
         sums.torque_n_m,
         sums.friction_n_m,
         sums.current_rate_gain,
+    ]
+}
+
+/// What lies on the way of command and measurement.
+fn on_the_way(effect: &dyn Effect, share: f64) -> [f64; 7] {
+    let path = effect.terms(&sized(effect, share)).path();
+    [
+        path.command_delay_s,
+        path.start_delay_s,
+        path.speed_delay_s,
+        path.speed_filter_s,
+        path.current_filter_s,
+        path.current_offset_a,
+        path.speed_offset_rad_s,
     ]
 }
 
@@ -164,11 +178,9 @@ fn distance(one: &Trajectory, other: &Trajectory) -> (f64, f64) {
 
 #[test]
 fn ids_and_keys_are_those_that_files_use_and_are_unique() {
+    assert_eq!(CATALOGUE.len(), KEYS.len(), "an id that files use is gone");
     for effect in CATALOGUE {
         let id = effect.card().id;
-        if ["custom", "table"].contains(&id) {
-            continue;
-        }
         let (_, expected) = KEYS
             .iter()
             .find(|(known, _)| *known == id)
@@ -186,7 +198,6 @@ fn ids_and_keys_are_those_that_files_use_and_are_unique() {
             1,
             "{id}"
         );
-        assert_eq!(find(id).unwrap().card().id, id);
     }
 }
 
@@ -209,9 +220,7 @@ fn parameters_have_a_unit_bounds_and_grids_inside_them() {
         let id = effect.card().id;
         let specs = effect.parameters();
         assert!(
-            specs.is_empty()
-                || specs.iter().any(ParameterSpec::is_coefficient)
-                || is_finite_by_nature(*effect),
+            specs.iter().any(ParameterSpec::is_coefficient) || is_finite_by_nature(*effect),
             "{id} has no size"
         );
         for spec in specs {
@@ -238,16 +247,15 @@ fn parameters_have_a_unit_bounds_and_grids_inside_them() {
 
 #[test]
 fn size_zero_adds_nothing_and_a_small_size_adds_in_proportion() {
-    for effect in CATALOGUE.iter().filter(|effect| !couples(**effect)) {
+    for effect in CATALOGUE
+        .iter()
+        .filter(|effect| !is_finite_by_nature(**effect))
+    {
         let id = effect.card().id;
-        if effect.parameters().is_empty() {
-            continue;
-        }
-        assert!(
-            added(*effect, 0.0).iter().all(|term| term.abs() < 1e-15),
-            "{id}"
-        );
-        let (once, twice) = (added(*effect, 0.01), added(*effect, 0.02));
+        let all = |share: f64| [&added(*effect, share)[..], &on_the_way(*effect, share)].concat();
+        assert!(all(0.0).iter().all(|term| term.abs() < 1e-15), "{id}");
+        let (once, twice) = (all(0.01), all(0.02));
+        assert!(once.iter().any(|one| one.abs() > 1e-9), "{id} adds nothing");
         for (one, two) in once.iter().zip(&twice) {
             assert!((two - 2.0 * one).abs() <= 2e-3 * one.abs(), "{id}");
         }
@@ -258,9 +266,6 @@ fn size_zero_adds_nothing_and_a_small_size_adds_in_proportion() {
 fn an_effect_enters_the_balance_that_its_card_names_and_no_other() {
     for effect in CATALOGUE.iter().filter(|effect| !couples(**effect)) {
         let card = effect.card();
-        if effect.parameters().is_empty() {
-            continue;
-        }
         let [voltage, torque, friction, rate] = added(*effect, 1.0).map(f64::abs);
         let entered = (voltage.max(rate) > 1e-6, torque.max(friction) > 1e-6);
         let expected = (
@@ -268,6 +273,8 @@ fn an_effect_enters_the_balance_that_its_card_names_and_no_other() {
             card.enters.includes(Balance::Torque),
         );
         assert_eq!(entered, expected, "{}", card.id);
+        let is_on_the_way = on_the_way(*effect, 1.0).iter().any(|value| *value != 0.0);
+        assert_eq!(is_on_the_way, card.enters == Enters::Path, "{}", card.id);
     }
 }
 
@@ -275,9 +282,6 @@ fn an_effect_enters_the_balance_that_its_card_names_and_no_other() {
 fn what_depends_on_the_angle_says_so() {
     for effect in CATALOGUE {
         let card = effect.card();
-        if effect.parameters().is_empty() {
-            continue;
-        }
         let terms = effect.terms(&sized(*effect, 1.0));
         let own = vec![2.0; terms.states()];
         let turned = Instant {
@@ -296,9 +300,6 @@ fn every_effect_changes_a_simulated_run_and_none_of_size_zero_does() {
     let baseline = trajectory(None);
     for &effect in CATALOGUE {
         let id = effect.card().id;
-        if effect.parameters().is_empty() {
-            continue;
-        }
         if !is_finite_by_nature(effect) {
             // Sub-steps of another length: equal but for the second order of a reversal.
             let (current, speed) = distance(&baseline, &trajectory(Some((effect, 0.0))));
@@ -313,9 +314,6 @@ fn every_effect_changes_a_simulated_run_and_none_of_size_zero_does() {
 fn a_model_file_gives_every_effect_back() {
     for effect in CATALOGUE {
         let id = effect.card().id;
-        if effect.parameters().is_empty() {
-            continue;
-        }
         let mut model = Model::baseline(Motor::zk_22fc()).with_effect(id).unwrap();
         let values = sized(*effect, 1.234_567_890_123);
         model.effects[0].values = values.iter().copied().map(Some).collect();

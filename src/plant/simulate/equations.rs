@@ -163,6 +163,28 @@ impl Equations {
         [voltage_v * self.per_volt, acceleration]
     }
 
+    /// What the full supply would drive through the resistance alone, A.
+    pub(super) fn stall_current_a(&self) -> f64 {
+        (self.motor.supply_v / self.motor.resistance_ohm).abs()
+    }
+
+    /// By how much effects change the rate at which the current settles between two currents, 1/s: at rest, under the
+    /// full supply. With the gain `g` of the current's rate it is `((1 + g) (R + dU/di) - R) / L`.
+    pub(super) fn added_rate(&self, from_a: f64, to_a: f64) -> f64 {
+        let sums = |current_a: f64| {
+            let at = Instant {
+                voltage_v: self.motor.supply_v,
+                ..Instant::default()
+            };
+            self.sums(&State::at(current_a, 0.0), &at)
+        };
+        let (from, to) = (sums(from_a), sums(to_a));
+        let slope_ohm = (to.voltage_v - from.voltage_v) / (to_a - from_a);
+        let gain = from.current_rate_gain.max(to.current_rate_gain);
+        let resistance_ohm = self.motor.resistance_ohm;
+        ((1.0 + gain) * (resistance_ohm + slope_ohm) - resistance_ohm).abs() * self.per_volt
+    }
+
     /// The instant `at` with what is known here.
     fn instant(&self, state: &State, at: &Instant) -> Instant {
         Instant {

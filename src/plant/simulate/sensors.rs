@@ -71,6 +71,25 @@ impl Sensors {
         )
     }
 
+    /// The motion is set to what was measured, this far from what the sensors showed. All that they remember of it moves
+    /// along, so that they show the measured values at once: what still comes out of a delay or a filter would otherwise
+    /// be corrected again at every sample. What was not measured stays.
+    pub(super) fn anchor(&mut self, change_a: f64, change_rad_s: f64) {
+        let moved = |value: &mut f64, change: f64| {
+            if change.is_finite() {
+                *value += change;
+            }
+        };
+        for reading in self
+            .past
+            .iter_mut()
+            .chain([&mut self.delayed, &mut self.filtered])
+        {
+            moved(&mut reading.current_a, change_a);
+            moved(&mut reading.speed_rad_s, change_rad_s);
+        }
+    }
+
     /// The speed one delay before `now`, which joins the past.
     fn speed_before(&mut self, now: Reading) -> f64 {
         if self.path.speed_delay_s <= 0.0 {

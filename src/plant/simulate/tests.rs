@@ -191,3 +191,127 @@ fn heating_raises_the_resistance_as_its_state_says() {
         "{i} {heat}"
     );
 }
+
+/// Root mean square of what two signals differ by.
+fn rms(one: &[f64], other: &[f64]) -> f64 {
+    let squares: f64 = one.iter().zip(other).map(|(a, b)| (a - b).powi(2)).sum();
+    (squares / one.len() as f64).sqrt()
+}
+
+#[test]
+fn one_step_predictions_of_the_true_model_err_by_the_noise_behind_slow_sensors() {
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
+    let events = vec![(0.0, 20.0), (0.3, -12.0), (0.6, 30.0), (0.8, 10.0)];
+    for effects in [
+        vec![("speed_delay", &[0.002][..])],
+        vec![("speed_delay", &[0.0075][..])],
+        vec![("speed_filter", &[0.005][..])],
+        vec![
+            ("speed_delay", &[0.003][..]),
+            ("speed_filter", &[0.004][..]),
+            ("current_filter", &[0.003][..]),
+            ("speed_offset", &[1.5][..]),
+        ],
+    ] {
+        let model = model(&effects);
+        let run = record(&model, events.clone(), 0.001, 1.0, 7);
+        let ahead =
+            Plant::new(&model, Input::Voltage)
+                .unwrap()
+                .predict_ahead(&run, State::default(), 1);
+        let (speed, current) = (
+            rms(&ahead.speed_rad_s, &run.speed_rad_s) / SPEED_NOISE_RAD_S,
+            rms(&ahead.current_a, &run.current_a) / CURRENT_NOISE_A,
+        );
+        // The noise of the sample before and that of the sample itself, and what of one comes through the other.
+        assert!(
+            speed < 1.7 && current < 1.7,
+            "{effects:?}: {speed} {current}"
+        );
+    }
+}
+
+type OfCurrent = fn(f64) -> f64;
+
+#[test]
+fn steep_effects_settle_on_a_motor_of_little_inductance() {
+    use crate::plant::MotorKey;
+    // R, L, Ke, J, Mc of a small fast motor: 0.6 ms electrical.
+    let (r, l, ke, j, mc) = (0.8, 5e-4, 0.05, 3e-5, 0.01);
+    let events = [
+        (0.0, 0.0),
+        (0.05, 12.0),
+        (0.15, -12.0),
+        (0.25, 3.0),
+        (0.35, 0.0),
+    ];
+    let cases: [(&str, &[f64], OfCurrent, OfCurrent); 3] = [
+        ("voltage_drop", &[1.5], |i| 1.5 * (i / 0.1).tanh(), |_| 0.0),
+        (
+            "discontinuous_conduction",
+            &[8.0, 0.5],
+            |i| 8.0 * i.clamp(-0.5, 0.5),
+            |_| 0.0,
+        ),
+        ("inductance_saturation", &[0.03], |_| 0.0, |i| 0.03 * i * i),
+    ];
+    for (id, values, drop, gain) in cases {
+        let mut model = model(&[(id, values)]);
+        for (key, value) in [
+            (MotorKey::Resistance, r),
+            (MotorKey::Inductance, l),
+            (MotorKey::BackEmf, ke),
+            (MotorKey::Inertia, j),
+            (MotorKey::LoadTorque, mc),
+        ] {
+            model.motor = model.motor.with(key, value);
+        }
+        for period_s in [0.001, 0.01] {
+            let samples = whole(0.45 / period_s);
+            let out = Plant::new(&model, Input::Voltage).unwrap().simulate(
+                &scenario(events.to_vec(), period_s, samples),
+                State::default(),
+            );
+            // Independent formulation: tiny midpoint steps, friction over a narrow band.
+            let h = 1e-6;
+            let (mut i, mut w, mut worst) = (0.0_f64, 0.0_f64, [0.0_f64; 2]);
+            let rates = |u: f64, i: f64, w: f64| {
+                let di = (1.0 + gain(i)) * (u - r * i - ke * w - drop(i)) / l;
+                [di, (ke * i - mc * (w / 1e-3).tanh()) / j]
+            };
+            for k in 1..samples {
+                for step in 0..whole((period_s / h).round()) {
+                    let t = (k - 1) as f64 * period_s + step as f64 * h;
+                    let u = events[events.partition_point(|event| event.0 <= t + 1e-9) - 1].1;
+                    let begin = rates(u, i, w);
+                    let middle = rates(u, i + 0.5 * h * begin[0], w + 0.5 * h * begin[1]);
+                    i += h * middle[0];
+                    w += h * middle[1];
+                }
+                worst[0] = worst[0].max((out.current_a[k] - i).abs());
+                worst[1] = worst[1].max((out.speed_rad_s[k] - w).abs());
+            }
+            assert!(
+                worst[0] < 0.1 && worst[1] < 0.5,
+                "{id} {period_s}: {worst:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn no_place_is_steep_on_an_ordinary_motor() {
+    for (id, values) in [
+        ("voltage_drop", &[1.0][..]),
+        ("discontinuous_conduction", &[2.0, 0.6][..]),
+        ("inductance_saturation", &[3e-4][..]),
+        ("stribeck_friction", &[0.2, 8.0][..]),
+    ] {
+        let equations = &mut Equations::new(&model(&[(id, values)]), Input::Voltage).unwrap();
+        equations.set_supply(110.0);
+        assert!(
+            Steep::of(equations, LONGEST_STEP_WITH_EFFECTS_S).is_empty(),
+            "{id}"
+        );
+    }
+}

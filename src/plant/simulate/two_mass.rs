@@ -25,7 +25,7 @@ const SHALLOW_RAD_S: f64 = 1e-9;
 
 /// The load side.
 #[derive(Clone, Copy, Debug, Default)]
-struct Load {
+pub(super) struct Load {
     speed_rad_s: f64,
     /// Natural frequency times the angle by which the motor is ahead, rad/s: all mechanical states have one unit.
     twist_rad_s: f64,
@@ -169,6 +169,15 @@ impl TwoMass {
             self.load.speed_rad_s += change_rad_s;
             self.load.mode = Mode::Undecided;
         }
+    }
+
+    /// The load side as it is, to come back to.
+    pub(super) const fn load(&self) -> Load {
+        self.load
+    }
+
+    pub(super) const fn set_load(&mut self, load: Load) {
+        self.load = load;
     }
 
     /// One sub-step with its changes of mode.

@@ -22,13 +22,16 @@ fn number() -> impl Strategy<Value = f64> {
 }
 
 fn point() -> impl Strategy<Value = TracePoint> {
-    (number(), number(), number(), number(), number()).prop_map(
-        |(time_s, voltage_v, current_a, speed_rad_s, model_speed_rad_s)| TracePoint {
-            time_s,
-            voltage_v,
-            current_a,
-            speed_rad_s,
-            model_speed_rad_s,
+    (number(), number(), number(), number(), number(), number()).prop_map(
+        |(time_s, voltage_v, current_a, speed_rad_s, model_speed_rad_s, reference_rad_s)| {
+            TracePoint {
+                time_s,
+                voltage_v,
+                current_a,
+                speed_rad_s,
+                model_speed_rad_s,
+                reference_rad_s,
+            }
         },
     )
 }

@@ -50,6 +50,7 @@ fn trace(seconds: f64) -> Vec<TracePoint> {
                 current_a: measured((settled - speed) * 0.02 + 1.3 * voltage.signum()),
                 speed_rad_s: measured(speed),
                 model_speed_rad_s: speed * 1.1,
+                reference_rad_s: f64::NAN,
             }
         })
         .collect()

@@ -1,4 +1,4 @@
-//! Three charts over one time axis: voltage; current; speed, measured and of the model.
+//! Three charts over one time axis: voltage; current; speed, measured and of the model, or with a loop its reference.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -128,14 +128,16 @@ fn draw(
         pairs.collect()
     };
     let measured = trace(&|point| chart.value(point));
-    let model = if chart == Chart::Speed {
-        trace(&|point| point.model_speed_rad_s)
-    } else {
-        Vec::new()
+    // A loop is held against its reference; the model knows nothing of a load that changes meanwhile.
+    let follows = points.iter().any(|point| point.reference_rad_s.is_finite());
+    let model = match chart {
+        Chart::Speed if follows => trace(&|point| point.reference_rad_s),
+        Chart::Speed => trace(&|point| point.model_speed_rad_s),
+        _ => Vec::new(),
     };
     let (low, high) = bounds(&measured, &model);
     let newest = measured.last().map_or(f64::NAN, |point| point.1);
-    title(chart, snapshot, newest, area.width).render(Rect { height: 1, ..area }, buffer);
+    title(chart, snapshot, follows, newest, area.width).render(Rect { height: 1, ..area }, buffer);
 
     let plot_area = Rect {
         x: area.x + LABELS,
@@ -165,7 +167,13 @@ fn draw(
     plot::draw(&traces, bounds, plot_area, buffer);
 }
 
-fn title(chart: Chart, snapshot: &Snapshot, newest: f64, width: u16) -> Line<'static> {
+fn title(
+    chart: Chart,
+    snapshot: &Snapshot,
+    follows: bool,
+    newest: f64,
+    width: u16,
+) -> Line<'static> {
     let channel = chart.channel();
     let mut spans = vec![
         Span::styled(
@@ -183,16 +191,21 @@ fn title(chart: Chart, snapshot: &Snapshot, newest: f64, width: u16) -> Line<'st
         }));
         if width < WIDE {
             spans.push(Span::styled(" ⣀⣀meas", chart.style()));
-            spans.push(Span::styled(" ⣀ ⣀model", theme::MODEL));
+            let dashed = if follows {
+                " ⣀ ⣀ref"
+            } else {
+                " ⣀ ⣀model"
+            };
+            spans.push(Span::styled(dashed, theme::MODEL));
             return Line::from(spans);
         }
         spans.push(Span::styled("  ⣀⣀ measured", chart.style()));
-        let whose = if snapshot.model_is_identified {
-            "identified"
-        } else {
-            "nameplate"
+        let dashed = match (follows, snapshot.model_is_identified) {
+            (true, _) => "reference",
+            (false, true) => "model, identified",
+            (false, false) => "model, nameplate",
         };
-        spans.push(Span::styled(format!("  ⣀ ⣀ model, {whose}"), theme::MODEL));
+        spans.push(Span::styled(format!("  ⣀ ⣀ {dashed}"), theme::MODEL));
     }
     Line::from(spans)
 }
@@ -331,6 +344,7 @@ mod tests {
             current_a: 0.0,
             speed_rad_s: 0.0,
             model_speed_rad_s: 0.0,
+            reference_rad_s: f64::NAN,
         };
         assert_eq!(window(&[], 10.0), (0.0, 10.0));
         assert_eq!(window(&[point(0.0), point(3.0)], 10.0), (0.0, 10.0));

@@ -3,19 +3,24 @@
 //! ```text
 //! machine (exact discrete motor), signal (excitation, noise, spread) -> figure_2, figure_3, figure_4, table_1
 //!                                       schemes (one record, every scheme) -> sampling, noise
-//!                                            all of them -> PaperA -> pages -> report (HTML, SVG, CSV, text)
+//! loops (machines, regulators, trials) -> adaptive: Figures 5 to 7 of paper A
+//!                                      -> paper_b: Figures 4 and 5 of paper B, convergence, noise, Hall edges
+//!                                  all of them -> PaperA, PaperB -> pages -> report (HTML, SVG, CSV, text)
 //! ```
 //!
 //! Pure computation from stated seeds: the same program gives the same numbers. Where a paper does not say what it
 //! did (motor, excitation, what S/N is a ratio of), the result says what was chosen.
 
+pub mod adaptive;
 pub mod discovery;
 mod figure_2;
 mod figure_3;
 mod figure_4;
+mod loops;
 mod machine;
 mod noise;
 mod pages;
+pub mod paper_b;
 mod sampling;
 mod schemes;
 mod signal;
@@ -23,10 +28,13 @@ mod table_1;
 
 use serde::{Serialize, Serializer};
 
+pub use adaptive::AdaptiveLoop;
 pub use figure_2::{ByParameter, Figure2, Method};
 pub use figure_3::Figure3;
 pub use figure_4::Figure4;
+pub use loops::{Case, CaseRow, Comparison, Kind, LoadChange, Named, Step};
 pub use noise::NoiseSweep;
+pub use paper_b::{PaperB, paper_b};
 pub use sampling::{AtTa, Curve, Sampling, Sweep};
 pub use schemes::{Errors, NAMES};
 pub use signal::{RatioOf, SignalToNoise, Spread};
@@ -106,6 +114,7 @@ pub struct PaperA {
     pub table_1: Table1,
     pub sampling: Sampling,
     pub noise: NoiseSweep,
+    pub adaptive: AdaptiveLoop,
     pub paper_iteration_time: IterationTime,
 }
 
@@ -122,6 +131,7 @@ pub fn paper_a(mut begins: impl FnMut(&str)) -> PaperA {
     let sampling = sampling::sampling();
     part("errors against the noise");
     let noise = noise::noise();
+    let adaptive = adaptive::adaptive_loop(&mut part);
     PaperA {
         paper: "paper-a",
         title: "Ma Runjin, Feng Yajun, Shi Miaohe: on-line identification of the parameters of a separately excited DC motor, and adaptive control",
@@ -132,6 +142,7 @@ pub fn paper_a(mut begins: impl FnMut(&str)) -> PaperA {
         table_1,
         sampling,
         noise,
+        adaptive,
         paper_iteration_time: IterationTime {
             computer: "TQ16",
             scheme_1_ms: 8.0,
@@ -159,6 +170,7 @@ fn chosen() -> Vec<String> {
             figure_4::VOLTAGE_V,
             1e3 * figure_4::PERIOD_S
         ),
+        adaptive::chosen(),
         format!("Seeds are fixed: the same program gives the same figures. Spreads are over {SEEDS} seeds, one of which is drawn."),
     ]
 }

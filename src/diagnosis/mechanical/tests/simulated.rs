@@ -290,6 +290,56 @@ fn halves_and_settings_do_not_change_the_name() {
 }
 
 #[test]
+fn sizes_of_two_effects_are_those_of_the_fit_with_both() {
+    let mut truth = truth("quadratic_load", &[8e-5]);
+    truth = with_effects(truth, &["constant_load"]);
+    let last = truth.effects.len() - 1;
+    truth.effects[last].values = vec![Some(0.12)];
+    let data = Evidence::new(record(&truth, 80, 0.0), Some(record(&truth, 81, 0.0)), None);
+    let diagnosis = diagnose(&nameplate(), &data, true).unwrap();
+    let mut named = diagnosis.effects.clone();
+    named.sort_unstable();
+    assert_eq!(
+        named,
+        ["constant_load", "quadratic_load"],
+        "{}",
+        diagnosis.sentence
+    );
+    for (place, id) in diagnosis.effects.iter().enumerate() {
+        let candidate = &diagnosis.candidates[place];
+        assert_eq!(candidate.effect, *id);
+        let size = &candidate.parameters[0];
+        let mut joint = diagnosis.model.parameters.iter();
+        assert_eq!(joint.find(|own| own.key == size.key), Some(size));
+        let true_size = if *id == "constant_load" { 0.12 } else { 8e-5 };
+        assert!(
+            (size.value.unwrap() / true_size - 1.0).abs() < 0.05,
+            "{size:?}"
+        );
+    }
+}
+
+#[test]
+fn the_confirming_run_has_the_last_word() {
+    let (id, values) = KNOWN[1];
+    let truth = truth(id, values);
+    let mut data = evidence(&truth, 1);
+    for (third, holds) in [(&truth, true), (&axis(), false)] {
+        data.confirm = Some(record(third, 12, 1.0));
+        let diagnosis = diagnose(&nameplate(), &data, false).unwrap();
+        assert_eq!(diagnosis.effect, Some(id), "{}", diagnosis.sentence);
+        let confirm = diagnosis.confirm.unwrap();
+        assert_eq!(confirm.confirmed, Some(holds), "{}", confirm.sentence);
+        assert_eq!(
+            confirm.error_after.unwrap() < confirm.error_before.unwrap(),
+            holds,
+            "{}",
+            confirm.sentence
+        );
+    }
+}
+
+#[test]
 fn add_and_remove_tell_both_processings_and_refuse_what_does_not_pay() {
     let (id, values) = KNOWN[1];
     let effect = effect::find(id).unwrap();

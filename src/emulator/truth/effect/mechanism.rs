@@ -64,7 +64,8 @@ pub trait Mechanism: Send {
         0.0
     }
 
-    /// The shaft has just broken away in `direction` (+1 or -1).
+    /// The shaft has rested and just broken away in `direction` (+1 or -1). One that passes zero speed on its way back has
+    /// not rested, and keeps what it remembers.
     fn broke_away(&mut self, _direction: f64) {}
 
     /// Voltage lost inside the motor, V, with the sign of the current.
@@ -97,9 +98,6 @@ pub trait Mechanism: Send {
     fn winding_rise_k(&self) -> Option<f64> {
         None
     }
-
-    /// The drive has been started: a new run begins.
-    fn started(&mut self) {}
 
     /// Advances own states by one step with the machine as it is in the step's middle, `put_out_v` the voltage that the
     /// drive means to put out.

@@ -123,10 +123,16 @@ impl Expression {
             .unwrap_or(f64::NAN)
     }
 
-    /// Whether the expression is linear in all of `indices` together: every second derivative among them vanishes.
+    /// Whether the expression is proportional to all of `indices` together: straight in them, and nothing is left where
+    /// they are zero.
+    pub(super) fn is_linear_in(&self, indices: &[usize]) -> bool {
+        self.is_affine_in(indices) && self.is_scaled_by(indices)
+    }
+
+    /// Whether the expression is straight in all of `indices` together: every second derivative among them vanishes.
     /// The derivatives are symbolic; whether one is zero is seen from its values at some points. What a derivative
     /// cannot see, a corner at zero as in `abs(a)`, is excluded by comparing both sides of zero.
-    pub(super) fn is_linear_in(&self, indices: &[usize]) -> bool {
+    pub(super) fn is_affine_in(&self, indices: &[usize]) -> bool {
         indices.iter().enumerate().all(|(place, one)| {
             indices[place..]
                 .iter()
@@ -135,17 +141,43 @@ impl Expression {
         })
     }
 
+    /// Whether the value is zero, twofold or opposite where all of `indices` are.
+    fn is_scaled_by(&self, indices: &[usize]) -> bool {
+        let mut seen = false;
+        points(self.all).all(|point| {
+            let at = |factor: f64| {
+                let mut scaled = point.clone();
+                for index in indices {
+                    scaled[*index] *= factor;
+                }
+                self.value(&scaled)
+            };
+            let (one, near) = (at(1.0), 1e-9 * at(1.0).abs());
+            let errors = [at(0.0), at(2.0) - 2.0 * one, at(-1.0) + one];
+            // Where the expression has no value it shows nothing.
+            let is_known = one.is_finite() && errors.iter().all(|error| error.is_finite());
+            seen |= is_known;
+            !is_known || errors.iter().all(|error| error.abs() <= near)
+        }) && seen
+    }
+
     fn second_derivative_vanishes(&self, one: usize, other: usize) -> bool {
         if !self.has(one) || !self.has(other) {
             return true;
         }
-        let place = |index: usize| self.takes.iter().position(|taken| *taken == index);
-        let (Some(one), Some(other)) = (place(one), place(other)) else {
-            return true;
-        };
         let Ok(smooth) = Compiled::parse(&self.written.smooth) else {
             return false;
         };
+        let names = smooth.var_names();
+        let place = |index: usize| {
+            let name = grammar::variable(index);
+            names.iter().position(|known| *known == name)
+        };
+        // What stands within signs only has no derivative there.
+        let (Some(one), Some(other)) = (place(one), place(other)) else {
+            return true;
+        };
+        let taken = names.len();
         let Ok(first) = smooth.partial(one) else {
             return false;
         };
@@ -153,7 +185,7 @@ impl Expression {
         let Ok(second) = first.clone().partial(other) else {
             return false;
         };
-        let values: Vec<[f64; 2]> = points(self.takes.len())
+        let values: Vec<[f64; 2]> = points(taken)
             .filter_map(|point| Some([first.eval(&point).ok()?, second.eval(&point).ok()?]))
             .filter(|pair| pair.iter().all(|value| value.is_finite()))
             .collect();
@@ -240,7 +272,13 @@ mod tests {
         assert!(linear("a*exp(-(w/b)^2)*sgn(w)", &["a"]));
         assert!(!linear("a*exp(-(w/b)^2)*sgn(w)", &["b"]));
         assert!(!linear("a*(w + b*w^2)", &["a", "b"]));
-        assert!(linear("a*(w + b*w^2)", &["b"]));
+        // Straight in b, but at b = 0 a part is left: b is no size of it.
+        assert!(!linear("a*(w + b*w^2)", &["b"]));
+        assert!(!linear("a + b*w", &["b"]));
+        assert!(linear("a + b*w", &["a", "b"]));
+        assert!(!linear("0.1 + a*w", &["a"]));
+        assert!(!linear("w*sgn(a)", &["a"]));
+        assert!(linear("a*sgn(w - sgn(i)*sgn(b - w))", &["a"]));
         assert!(!linear("abs(a)*w", &["a"]));
         assert!(!linear("abs(a*w)", &["a"]));
         assert!(!linear("a^2*w", &["a"]));

@@ -33,7 +33,8 @@ pub(super) struct Mistake {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Written {
     pub(super) value: String,
-    /// The same with `abs` and `sgn` in terms of a root, whose derivatives the evaluator knows.
+    /// The same for derivatives: `abs` as a root, whose derivative the evaluator knows, and each `sgn` as a number of its
+    /// own, because its derivative is zero wherever it has one.
     pub(super) smooth: String,
 }
 
@@ -59,10 +60,6 @@ impl Written {
                 value: format!("abs({value})"),
                 smooth: format!("sqrt(({smooth})^2)"),
             },
-            "sgn" | "sign" | "signum" => Self {
-                value: format!("sgn({value})"),
-                smooth: format!("(({smooth})/sqrt(({smooth})^2))"),
-            },
             other => Self {
                 value: format!("{other}({value})"),
                 smooth: format!("{other}({smooth})"),
@@ -76,6 +73,9 @@ pub(super) fn variable(index: usize) -> String {
     format!("v{index:04}")
 }
 
+/// Index of the variable that stands for the first sign in [`Written::smooth`]: behind all others.
+const SIGNS: usize = 1000;
+
 /// Writes `text` for the evaluator. `names` gives the index of a variable; `direction` is the index under which the
 /// sign of the speed, written `sgn(w)`, is handed on as a variable of its own.
 pub(super) fn read(
@@ -87,6 +87,7 @@ pub(super) fn read(
         text,
         at: 0,
         depth: 0,
+        signs: 0,
         names,
         direction,
     };
@@ -111,6 +112,8 @@ struct Reader<'a> {
     text: &'a str,
     at: usize,
     depth: usize,
+    /// Signs that have been read.
+    signs: usize,
     names: &'a dyn Fn(&str) -> Result<usize, String>,
     direction: usize,
 }
@@ -272,6 +275,12 @@ impl Reader<'_> {
             let inside = self.text[open + 1..self.at - 1].trim();
             return Ok(if is_sign && inside == "w" {
                 Written::plain(format!("{{{}}}", variable(self.direction)))
+            } else if is_sign {
+                self.signs += 1;
+                Written {
+                    value: format!("sgn({})", argument.value),
+                    smooth: format!("{{{}}}", variable(SIGNS + self.signs)),
+                }
             } else {
                 argument.call(name)
             });
@@ -332,6 +341,21 @@ mod tests {
             let mistake = read(text, &names, 9).unwrap_err();
             assert_eq!(mistake.offset, offset, "{text}: {mistake:?}");
             assert!(mistake.message.contains(part), "{text}: {mistake:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_handed_on_grows_with_the_text_alone() {
+        for function in FUNCTIONS {
+            let text = format!("{}a{}", format!("{function}(").repeat(60), ")".repeat(60));
+            let written = read(&text, &names, 9).unwrap();
+            let longest = 16 * text.len();
+            assert!(
+                written.value.len() < longest && written.smooth.len() < longest,
+                "{function}: {} {}",
+                written.value.len(),
+                written.smooth.len()
+            );
         }
     }
 

@@ -86,20 +86,15 @@ pub(super) fn define(
             ));
         }
     }
-    // Parameters become coefficients one after the other, as long as the expression is linear in all of them together.
-    let mut linear: Vec<usize> = Vec::new();
+    let linear = coefficients(&expression, declared.len());
     for (index, one) in declared.iter_mut().enumerate() {
-        linear.push(PARAMETERS + index);
-        let is_coefficient = expression.is_linear_in(&linear);
-        one.is_coefficient = is_coefficient;
-        if !is_coefficient {
-            linear.pop();
-        }
+        one.is_coefficient = linear.contains(&(PARAMETERS + index));
     }
     if linear.is_empty() {
         return Err(DefinitionError::new(
             "expression",
-            "the expression is linear in none of its parameters, so that nothing gives it a size",
+            "the expression is linear in none of its parameters, or a part of it stands without one, so that \
+             nothing gives it a size",
             format!("write size*({text}) with a parameter `size`"),
         ));
     }
@@ -115,7 +110,7 @@ pub(super) fn define(
     let effect = interned(&key, || {
         let splits = balance == Balance::Torque
             && expression.has(DIRECTION)
-            && expression.is_linear_in(&[DIRECTION]);
+            && expression.is_affine_in(&[DIRECTION]);
         let needs_angle = expression.has(ANGLE);
         Box::new(Custom {
             card: Box::leak(Box::new(Card {
@@ -143,6 +138,25 @@ pub(super) fn define(
         })
     });
     Ok((effect, values))
+}
+
+/// The parameters that give the expression its size: the most in which it is linear together, of those sets that come
+/// up when the parameters are taken in turn from each of them.
+fn coefficients(expression: &Expression, parameters: usize) -> Vec<usize> {
+    let mut most = Vec::new();
+    for first in 0..parameters {
+        let mut set: Vec<usize> = Vec::new();
+        for step in 0..parameters {
+            set.push(PARAMETERS + (first + step) % parameters);
+            if !expression.is_affine_in(&set) {
+                set.pop();
+            }
+        }
+        if set.len() > most.len() && expression.is_linear_in(&set) {
+            most = set;
+        }
+    }
+    most
 }
 
 struct Custom {
@@ -217,13 +231,21 @@ impl Evaluated {
         self.body.expression.value(&all)
     }
 
-    /// `(torque, friction level)`.
+    /// `(torque, friction level)`. A friction level holds the shaft and is never below zero, so what stands with `sgn(w)`
+    /// is one only as far as it is there at rest and positive; the rest pushes as it is written, as `a*w` does in
+    /// `(b + a*w)*sgn(w)`.
     fn split(&self, at: &Instant) -> (f64, f64) {
+        let direction = sign(at.speed_rad_s);
         if !self.body.splits {
-            return (self.value(at, sign(at.speed_rad_s)), 0.0);
+            return (self.value(at, direction), 0.0);
         }
-        let without = self.value(at, 0.0);
-        (without, self.value(at, 1.0) - without)
+        let at_rest = Instant {
+            speed_rad_s: 0.0,
+            ..*at
+        };
+        let level = (self.value(&at_rest, 1.0) - self.value(&at_rest, 0.0)).max(0.0);
+        let level = if level.is_finite() { level } else { 0.0 };
+        (self.value(at, direction) - direction * level, level)
     }
 }
 

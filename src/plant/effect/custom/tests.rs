@@ -59,6 +59,56 @@ fn what_stands_with_the_sign_of_the_speed_is_friction() {
 }
 
 #[test]
+fn what_falls_below_zero_beside_the_sign_of_the_speed_still_pushes() {
+    let effect = torque("(b + a*w)*sgn(w)", "{ a = {}, b = {} }");
+    let values: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(|spec| if spec.key == "a" { 0.02 } else { 0.1 })
+        .collect();
+    for (speed_rad_s, expected) in [(30.0, 0.7), (3.0, 0.16), (-3.0, -0.04), (-30.0, 0.5)] {
+        let at = Instant {
+            speed_rad_s,
+            ..Instant::default()
+        };
+        let sums = effect.terms(&values).sums(&at, &[]);
+        // As a simulation adds it up, with nothing but this friction.
+        let total = sums.torque_n_m + speed_rad_s.signum() * sums.friction_n_m.max(0.0);
+        assert!((total - expected).abs() < 1e-12, "{speed_rad_s}: {total}");
+        assert!((sums.friction_n_m - 0.1).abs() < 1e-12, "{sums:?}");
+    }
+}
+
+#[test]
+fn a_parameter_that_leaves_a_part_at_zero_gives_no_size() {
+    let effect = torque("(1 + a*w)*z", "{ a = 0.01, z = {} }");
+    let roles: Vec<(&str, ParameterRole)> = (effect.parameters().iter())
+        .map(|spec| (spec.key, spec.role))
+        .collect();
+    assert_eq!(
+        roles,
+        [
+            ("z", ParameterRole::Coefficient),
+            ("a", ParameterRole::Shape)
+        ]
+    );
+    let text = "equation = \"torque\"\nexpression = \"0.1 + a*w\"\nparameters = [\"a\"]";
+    let error = defined(text).err().unwrap();
+    assert!(error.message.contains("stands without one"), "{error}");
+}
+
+#[test]
+fn signs_within_signs_are_read_at_once() {
+    let nested = format!("a*{}i{}", "sgn(".repeat(60), ")".repeat(60));
+    let effect = torque(&nested, "[\"a\"]");
+    let at = Instant {
+        current_a: -2.0,
+        ..Instant::default()
+    };
+    assert!((effect.terms(&[0.3]).sums(&at, &[]).torque_n_m + 0.3).abs() < 1e-12);
+}
+
+#[test]
 fn its_own_coulomb_friction_holds_the_shaft_as_the_baseline_does() {
     let scenario = Scenario {
         name: "r".into(),

@@ -70,6 +70,7 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
         holdout_after: Some(after),
         explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
         minimum_detectable: Some(0.002),
+        detectable_below_hz: None,
         evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
     }
 }
@@ -94,6 +95,8 @@ pub(super) fn diagnosis() -> Diagnosis {
         confusable: Vec::new(),
         ladder: Vec::new(),
         axis_map: Vec::new(),
+        confirm: None,
+        limits: Vec::new(),
         equivalences: Vec::new(),
         next_experiment: None,
         rivals: Vec::new(),

@@ -87,7 +87,7 @@ impl Case {
             excitation,
             hidden: hidden.to_vec(),
             right,
-            seed: seed_of(&cell, size.seed.wrapping_add(set)),
+            seed: seed_of(&cell, size.seed, set),
             seconds: SECONDS,
         }
     }
@@ -102,9 +102,11 @@ impl Case {
     }
 }
 
-/// FNV-1a of the cell's name with the seed behind it: a cell keeps its sets when others are added to the study.
-fn seed_of(cell: &str, seed: u64) -> u64 {
-    let bytes = cell.bytes().chain(seed.to_le_bytes());
+/// FNV-1a of the cell's name with the study's seed and the set's number behind it, one after the other: a cell keeps its
+/// sets when others are added to the study, and studies of two seeds share none.
+fn seed_of(cell: &str, seed: u64, set: u64) -> u64 {
+    let numbers = seed.to_le_bytes().into_iter().chain(set.to_le_bytes());
+    let bytes = cell.bytes().chain(numbers);
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     })

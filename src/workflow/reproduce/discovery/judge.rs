@@ -1,31 +1,32 @@
 //! What an answer is worth.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::sizes::{self, BACKGROUND};
 use super::{Case, Group};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
+use crate::plant::{Model, Slot};
 
 /// Two names for what is the same to first order, and in most runs to the noise: either is told apart only by a quick
 /// dither (DISCOVERY.md 2.11).
 const TWINS: [[&str; 2]; 1] = [["speed_delay", "speed_filter"]];
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// Every hidden effect is named, nothing else is. Where nothing known is hidden: it is said.
     Right,
     /// The twin of the hidden effect is named.
     Twin,
-    /// The answer is a set that cannot be told apart, and what is hidden is in it.
+    /// The answer is a set that cannot be told apart, and all that is hidden is in it.
     Ambiguous,
-    /// One of two is named, and nothing that is not there.
+    /// One of two is named, and nothing that is not there; or one of two is in a set that cannot be told apart.
     Partial,
     /// Nothing is named, and the run is said not to excite the effect.
     NotExcited,
     /// Nothing is named: no missing effect is visible, or none that is known explains the error.
     Abstained,
-    /// Something is named that is not there.
+    /// Something is named that is not there, or a wave with another number of cogs.
     Wrong,
     /// No answer: the fit or the study failed.
     Failed,
@@ -49,13 +50,14 @@ pub struct Answer {
 }
 
 impl Answer {
-    pub(super) fn of(case: &Case, diagnosis: &Diagnosis) -> Self {
+    /// `orders` are the true waves in a turn of what is hidden, as [`Case::right`] lists it.
+    pub(super) fn of(case: &Case, orders: &[Option<f64>], diagnosis: &Diagnosis) -> Self {
         Self {
             group: case.group,
             excitation: case.excitation.name(),
             class: case.class(),
             seed: case.seed,
-            outcome: outcome(case, &Said::of(diagnosis)),
+            outcome: outcome(case, orders, &Said::of(diagnosis)),
             verdict: Some(diagnosis.verdict),
             effects: diagnosis.effects.clone(),
             sufficient: diagnosis.sufficient,
@@ -105,6 +107,8 @@ struct Said<'a> {
     /// Named, or said not to be told from what is named.
     pool: Vec<&'static str>,
     not_excited: Vec<&'static str>,
+    /// Waves in a turn of what is named.
+    orders: Vec<(&'static str, f64)>,
 }
 
 impl<'a> Said<'a> {
@@ -120,11 +124,28 @@ impl<'a> Said<'a> {
                 .filter(|candidate| candidate.status == Status::NotExcited)
                 .map(|candidate| candidate.effect)
                 .collect(),
+            orders: orders(&diagnosis.model.model),
         }
+    }
+
+    /// Whether `id` may have this many waves in a turn, as whole numbers.
+    fn is_of_order(&self, id: &str, order: Option<f64>) -> bool {
+        let mut known = self.orders.iter().filter(|known| known.0 == id);
+        known.all(|(_, found)| order.is_none_or(|order| (found - order).abs() < 0.5))
     }
 }
 
-fn outcome(case: &Case, said: &Said<'_>) -> Outcome {
+fn orders(model: &Model) -> Vec<(&'static str, f64)> {
+    let slots = model.slots().into_iter();
+    slots
+        .filter_map(|slot| match slot {
+            Slot::Effect { spec, id, .. } if spec.key == "order" => Some((id, model.get(&slot)?)),
+            _ => None,
+        })
+        .collect()
+}
+
+fn outcome(case: &Case, orders: &[Option<f64>], said: &Said<'_>) -> Outcome {
     let nothing_known = case.right.is_empty();
     match said.verdict {
         DiagnosisVerdict::None | DiagnosisVerdict::Unexplained if nothing_known => {
@@ -148,32 +169,35 @@ fn outcome(case: &Case, said: &Said<'_>) -> Outcome {
             }
         }
         DiagnosisVerdict::Ambiguous => {
-            let inside = |names: &Vec<&str>| names.iter().any(|id| said.pool.contains(id));
-            if case.right.iter().any(inside) {
-                Outcome::Ambiguous
-            } else {
-                Outcome::Wrong
+            let inside = |names: &&Vec<&str>| names.iter().any(|id| said.pool.contains(id));
+            match case.right.iter().filter(inside).count() {
+                0 => Outcome::Wrong,
+                all if all == case.right.len() => Outcome::Ambiguous,
+                _ => Outcome::Partial,
             }
         }
-        DiagnosisVerdict::Effect => named(case, said.effects),
+        DiagnosisVerdict::Effect => named(case, orders, said),
     }
 }
 
-fn named(case: &Case, effects: &[&'static str]) -> Outcome {
+fn named(case: &Case, orders: &[Option<f64>], said: &Said<'_>) -> Outcome {
+    let effects = said.effects;
+    // A wave of another number of cogs is another effect under the same name.
+    let orders = orders.iter().copied().chain(std::iter::repeat(None));
+    let right: Vec<Vec<&str>> = (case.right.iter().zip(orders))
+        .map(|(names, order)| {
+            let names = names.iter().copied();
+            names.filter(|id| said.is_of_order(id, order)).collect()
+        })
+        .collect();
     let belongs = |id: &str| {
         let background = matches!(case.group, Group::Background { .. }) && BACKGROUND.contains(&id);
-        background || case.right.iter().flatten().any(|right| *right == id)
+        background || right.iter().flatten().any(|right| *right == id)
     };
     let strangers: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();
-    let found = case
-        .right
-        .iter()
-        .filter(|names| names.iter().any(|id| effects.contains(id)))
-        .count();
-    let missed: Vec<&str> = case
-        .right
-        .iter()
-        .filter(|names| !names.iter().any(|id| effects.contains(id)))
+    let is_found = |names: &&Vec<&str>| names.iter().any(|id| effects.contains(id));
+    let found = right.iter().filter(is_found).count();
+    let missed: Vec<&str> = (right.iter().filter(|names| !is_found(names)))
         .flatten()
         .copied()
         .collect();
@@ -219,13 +243,44 @@ mod tests {
             effects,
             pool: effects.to_vec(),
             not_excited: vec!["constant_load"],
+            orders: vec![("cogging", 6.0)],
         }
+    }
+
+    #[test]
+    fn a_wave_of_another_order_is_another_effect() {
+        let (single, pair) = (
+            case(Group::Single, &[&["cogging"]]),
+            case(Group::Pair, &[&["backlash"], &["cogging"]]),
+        );
+        let effect = |case: &Case, orders: &[Option<f64>], effects: &[&'static str]| {
+            outcome(case, orders, &said(DiagnosisVerdict::Effect, effects))
+        };
+        assert_eq!(effect(&single, &[Some(6.0)], &["cogging"]), Outcome::Right);
+        assert_eq!(effect(&single, &[Some(12.0)], &["cogging"]), Outcome::Wrong);
+        let both = ["backlash", "cogging"];
+        assert_eq!(effect(&pair, &[None, Some(6.0)], &both), Outcome::Right);
+        assert_eq!(effect(&pair, &[None, Some(8.0)], &both), Outcome::Wrong);
+    }
+
+    #[test]
+    fn an_open_answer_to_a_pair_has_both_in_it() {
+        let pair = case(Group::Pair, &[&["backlash"], &["cogging"]]);
+        let tie = |effects: &[&'static str]| {
+            outcome(&pair, &[], &said(DiagnosisVerdict::Ambiguous, effects))
+        };
+        assert_eq!(
+            tie(&["supply_sag", "cogging", "backlash"]),
+            Outcome::Ambiguous
+        );
+        assert_eq!(tie(&["supply_sag", "cogging"]), Outcome::Partial);
+        assert_eq!(tie(&["supply_sag", "voltage_drop"]), Outcome::Wrong);
     }
 
     #[test]
     fn a_name_is_right_only_if_it_is_all_that_is_named() {
         let effect = |case: &Case, effects: &[&'static str]| {
-            outcome(case, &said(DiagnosisVerdict::Effect, effects))
+            outcome(case, &[], &said(DiagnosisVerdict::Effect, effects))
         };
         let one = case(Group::Single, &[&["cogging"]]);
         assert_eq!(effect(&one, &["cogging"]), Outcome::Right);
@@ -244,8 +299,9 @@ mod tests {
     #[test]
     fn on_a_messy_bench_the_background_may_be_named_but_is_not_the_answer() {
         let messy = case(Group::Background { level: 1.0 }, &[&["voltage_drop"]]);
-        let effect =
-            |effects: &[&'static str]| outcome(&messy, &said(DiagnosisVerdict::Effect, effects));
+        let effect = |effects: &[&'static str]| {
+            outcome(&messy, &[], &said(DiagnosisVerdict::Effect, effects))
+        };
         assert_eq!(effect(&["voltage_drop", "cogging"]), Outcome::Right);
         assert_eq!(effect(&["cogging"]), Outcome::Abstained);
         assert_eq!(effect(&["backlash"]), Outcome::Wrong);
@@ -254,7 +310,7 @@ mod tests {
     #[test]
     fn silence_is_right_only_where_nothing_known_is_hidden() {
         let (none, unexplained) = (DiagnosisVerdict::None, DiagnosisVerdict::Unexplained);
-        let verdict = |case: &Case, verdict| outcome(case, &said(verdict, &[]));
+        let verdict = |case: &Case, verdict| outcome(case, &[], &said(verdict, &[]));
         let null = case(Group::Null, &[]);
         assert_eq!(verdict(&null, none), Outcome::Right);
         assert_eq!(verdict(&null, unexplained), Outcome::Abstained);
@@ -266,7 +322,7 @@ mod tests {
         let invisible = case(Group::Single, &[&["constant_load"]]);
         assert_eq!(verdict(&invisible, none), Outcome::NotExcited);
         let tie = said(DiagnosisVerdict::Ambiguous, &["cogging", "backlash"]);
-        assert_eq!(outcome(&hidden, &tie), Outcome::Ambiguous);
-        assert_eq!(outcome(&invisible, &tie), Outcome::Wrong);
+        assert_eq!(outcome(&hidden, &[], &tie), Outcome::Ambiguous);
+        assert_eq!(outcome(&invisible, &[], &tie), Outcome::Wrong);
     }
 }

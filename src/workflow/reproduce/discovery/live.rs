@@ -2,7 +2,7 @@
 //!
 //! Recorded by whoever starts the program (`cli`): this is the sheet that is filled in, and its marking.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::judge::are_twins;
@@ -11,7 +11,7 @@ use crate::emulator::mystery::{Truth, draw};
 use crate::workflow::reveal::{self, Answer as Said, reveal};
 
 /// A link and its rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LiveLink {
     ModbusRtu,
@@ -51,7 +51,7 @@ pub struct Heard {
 }
 
 /// One mystery from `run` to `add`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LiveAnswer {
     pub link: LiveLink,
     pub seed: u64,
@@ -241,6 +241,19 @@ mod tests {
             outcome_of(NOTHING, "effect", &["cogging"], &[]),
             Outcome::Wrong
         );
+    }
+
+    #[test]
+    fn a_set_is_all_that_the_answer_leaves_open() {
+        let heard = Heard {
+            diagnosis: json!({
+                "verdict": "ambiguous", "effects": ["speed_filter"], "candidates": [],
+                "confusable": [["speed_filter", "speed_delay"]]
+            }),
+            ..Heard::default()
+        };
+        let answer = LiveAnswer::of(LiveLink::Stream, seed_of("speed_delay"), &heard);
+        assert_eq!(answer.outcome, Outcome::Ambiguous);
     }
 
     #[test]

@@ -61,6 +61,17 @@ pub struct Discovery {
     /// Mysteries that the whole program was given in real time; empty where that was not asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub live: Vec<LiveAnswer>,
+    /// Mysteries that were asked for; more than there are answers where the study was interrupted.
+    #[serde(skip_serializing_if = "is_none")]
+    pub live_asked: usize,
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "the signature that serde asks for"
+)]
+const fn is_none(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Counts of one group, for one excitation.
@@ -101,20 +112,22 @@ pub fn discovery(
         matrix: tally::matrix(&answers),
         answers,
         live: Vec::new(),
+        live_asked: 0,
     })
 }
 
 /// One set from the machine to the verdict. The diagnosis starts from the nameplate and gets the rows of two runs,
 /// nothing else.
 fn answer(case: &Case) -> Answer {
-    let runs = match record::runs(case) {
-        Ok(runs) => runs,
+    let (runs, orders) = match record::runs(case).and_then(|runs| Ok((runs, record::orders(case)?)))
+    {
+        Ok(both) => both,
         Err(error) => return Answer::failed(case, error.to_string()),
     };
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs.fit, Some(runs.holdout), None);
     match diagnose(&nameplate, evidence, false) {
-        Ok(diagnosis) => Answer::of(case, &diagnosis),
+        Ok(diagnosis) => Answer::of(case, &orders, &diagnosis),
         Err(error) => Answer::failed(case, error.to_string()),
     }
 }

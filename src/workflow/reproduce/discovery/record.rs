@@ -8,6 +8,7 @@ use thiserror::Error;
 use super::sizes::{self};
 use super::{Case, Group};
 use crate::drive::{DriveLink, LinkError};
+use crate::emulator::truth::effect::HiddenEffect;
 use crate::emulator::{
     EmulatorConfig, EmulatorConfigError, Latency, MemoryLink, SoftDrive, VirtualClock,
 };
@@ -191,6 +192,19 @@ pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
         fit: run("fit")?,
         holdout: run("hold-out")?,
     })
+}
+
+/// The waves in a turn of each hidden effect that has some, as the runs of this case are drawn.
+pub(super) fn orders(case: &Case) -> Result<Vec<Option<f64>>, StudyError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(case.seed);
+    let hidden = config(case, &mut rng)?.hidden.into_iter();
+    let order = |effect: HiddenEffect| {
+        let mut parameters = effect.parameters().into_iter();
+        parameters
+            .find(|(key, ..)| *key == "order")
+            .map(|(_, value, _)| value)
+    };
+    Ok(hidden.take(case.hidden.len()).map(order).collect())
 }
 
 /// The specimen: drawn here and not by the drive, whose seed is left for noise and for what is random in an effect.

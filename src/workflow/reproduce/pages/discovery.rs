@@ -51,7 +51,7 @@ impl Discovery {
             ]);
         }
         if !self.live.is_empty() {
-            sections.push(live::section(&self.live));
+            sections.push(live::section(&self.live, self.live_asked));
         }
         sections
     }
@@ -61,7 +61,7 @@ impl Discovery {
     }
 
     fn live_option(&self) -> String {
-        match self.live.len() / LiveLink::ALL.len() {
+        match self.live_asked / LiveLink::ALL.len() {
             0 => String::new(),
             drives => format!(" --live {drives}"),
         }
@@ -69,7 +69,7 @@ impl Discovery {
 
     fn in_short(&self) -> String {
         let mut text = self.in_virtual_time();
-        text.extend(live::in_short(&self.live));
+        text.extend(live::in_short(&self.live, self.live_asked));
         text.trim_start().to_owned()
     }
 

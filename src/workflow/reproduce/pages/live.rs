@@ -25,21 +25,33 @@ impl Outcome {
 }
 
 /// One sentence for the head of the page; none where no mystery was run.
-pub(super) fn in_short(answers: &[LiveAnswer]) -> Option<String> {
+pub(super) fn in_short(answers: &[LiveAnswer], asked: usize) -> Option<String> {
     let tally = Tally::of_live(answers);
     (tally.sets > 0).then(|| {
-        format!(
+        let mut text = format!(
             " Of {} mystery drives in real time, through the whole program, {} were answered rightly ({} of them that the run cannot show the effect), {} were given a wrong name.",
             tally.sets,
             tally.right + tally.not_excited,
             tally.not_excited,
             tally.wrong
+        );
+        text.extend(unfinished(answers, asked));
+        text
+    })
+}
+
+/// Where the study was interrupted.
+fn unfinished(answers: &[LiveAnswer], asked: usize) -> Option<String> {
+    (answers.len() < asked).then(|| {
+        format!(
+            " The study was interrupted: these are {} of the {asked} drives that were asked for.",
+            answers.len()
         )
     })
 }
 
 /// Counts over each link, and every answer.
-pub(super) fn section(answers: &[LiveAnswer]) -> Section {
+pub(super) fn section(answers: &[LiveAnswer], asked: usize) -> Section {
     let of = |link: LiveLink| answers.iter().filter(move |answer| answer.link == link);
     let counts = LiveLink::ALL
         .into_iter()
@@ -50,9 +62,11 @@ pub(super) fn section(answers: &[LiveAnswer]) -> Section {
             of(link).filter_map(|answer| Some((answer.holdout_before?, answer.holdout_after?)));
         tally_row(label, Tally::of_live(of(link)), median_errors(errors))
     });
+    let mut how = HOW.to_owned();
+    how.extend(unfinished(answers, asked));
     Section {
         heading: "Mystery drives, through the whole program in real time".to_owned(),
-        paragraphs: vec![HOW.to_owned()],
+        paragraphs: vec![how],
         tables: vec![
             table(
                 "Counts. The errors are over the drives to which an effect was added.",
@@ -106,10 +120,20 @@ fn confusion(answers: &[LiveAnswer]) -> (String, crate::report::reproduce::Named
     )
 }
 
+/// A reason without the paths of the machine on which it came about: the page is read elsewhere.
+fn without_paths(reason: &str) -> String {
+    let words = reason.split(' ').map(|word| match word.strip_prefix('/') {
+        Some(path) if path.ends_with(':') => "port:",
+        Some(_) => "port",
+        None => word,
+    });
+    words.collect::<Vec<_>>().join(" ")
+}
+
 fn row(answer: &LiveAnswer) -> Vec<Cell> {
     let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |v| significant(v, 3));
     let said = match answer.outcome {
-        Outcome::Failed => answer.reason.clone(),
+        Outcome::Failed => without_paths(&answer.reason),
         _ => answer.column(),
     };
     cells([
@@ -127,4 +151,16 @@ fn row(answer: &LiveAnswer) -> Vec<Cell> {
             .size_error_percent
             .map_or_else(|| "-".to_owned(), |e| format!("{} %", significant(e, 2))),
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_reason_names_no_path_and_keeps_everything_else() {
+        let reason = "error: /dev/pts/7: no reply within 42 ms, 3 of /dev/pts/7 at 5 m/s";
+        assert_eq!(
+            super::without_paths(reason),
+            "error: port: no reply within 42 ms, 3 of port at 5 m/s"
+        );
+    }
 }

@@ -1,30 +1,44 @@
 //! The reproduction as pictures, tables and sentences.
 //!
 //! ```text
-//! PaperA -> figure_2, figure_3, table_1 (with Figure 4), beyond (period and noise) -> Section -> Reproduction (report)
+//! PaperA -> figure_2, figure_3, table_1 (with Figure 4), beyond (period and noise), adaptive (Figures 5, 6), rivals (7) \
+//! PaperB -> paper_b (Figures 4, 5), paper_b_design, paper_b_beyond (noise, Hall edges, back-EMF) ------------------------> Section
+//!           comparison: every regulator on the same cases -------------------------------------------------------------/   |
+//!                                                                                                 Reproduction (report) <--'
 //! ```
 
+mod adaptive;
 mod beyond;
+mod comparison;
 mod discovery;
 mod figure_2;
 mod figure_3;
 mod live;
+mod paper_b;
+mod paper_b_beyond;
+mod paper_b_design;
+mod rivals;
 mod table_1;
 
 use std::fmt::Write as _;
 
 use super::{Method, NoiseModel, PaperA, RatioOf, Spread};
+use crate::control::TrialPoint;
 use crate::report::number::{fixed, significant};
-use crate::report::page::Cell;
-use crate::report::reproduce::{Reproduction, Section};
+use crate::report::page::{Cell, Table};
+use crate::report::plot::{Panel, Series, Style};
+use crate::report::reproduce::{NamedTable, Reproduction, Section};
 
 impl PaperA {
     /// The page with its pictures and tables.
     pub fn report(&self) -> Reproduction {
+        let mut lead = self.in_short();
+        lead.push(' ');
+        lead.push_str(&adaptive::in_short(&self.adaptive));
         Reproduction {
             title: "Paper A, computed again".to_owned(),
             subtitle: self.title.to_owned(),
-            lead: ("In short".to_owned(), self.in_short()),
+            lead: ("In short".to_owned(), lead),
             sections: vec![
                 Section {
                     heading: "What the paper leaves open, and what was chosen".to_owned(),
@@ -37,6 +51,11 @@ impl PaperA {
                 table_1::section(&self.table_1),
                 beyond::sampling(&self.sampling),
                 beyond::noise(&self.noise),
+                adaptive::figure_5(&self.adaptive.figure_5),
+                adaptive::figure_6(&self.adaptive.figure_6),
+                rivals::saturation(&self.adaptive.figure_7),
+                rivals::adaptation(&self.adaptive.figure_7),
+                comparison::section(&self.adaptive.comparison),
                 Section {
                     heading: "Time per iteration".to_owned(),
                     paragraphs: vec![format!(
@@ -142,4 +161,37 @@ fn csv(axis: &str, at: &[f64], columns: &[(String, &[f64])]) -> String {
     }
     out.push('\n');
     out
+}
+
+/// The times of a trace.
+fn times(trace: &[TrialPoint]) -> Vec<f64> {
+    trace.iter().map(|point| point.time_s).collect()
+}
+
+/// One column of a trace.
+fn of(trace: &[TrialPoint], column: fn(&TrialPoint) -> f64) -> Vec<f64> {
+    trace.iter().map(column).collect()
+}
+
+/// Reference and speed of a trial.
+fn speed_panel(title: String, trace: &[TrialPoint]) -> Panel {
+    let t = times(trace);
+    let series = |label: &str, style, column: fn(&TrialPoint) -> f64| {
+        Series::sampled(label, style, &t, &of(trace, column))
+    };
+    Panel::new(title, "rad/s")
+        .with(series("reference", Style::Command, |p| p.reference_rad_s))
+        .with(series("speed", Style::After, |p| p.speed_rad_s))
+}
+
+/// A time that may never come.
+fn seconds(time_s: Option<f64>) -> String {
+    time_s.map_or_else(|| "never".to_owned(), |s| fixed(s, 3))
+}
+
+fn named(name: &str, head: Vec<&'static str>, rows: Vec<Vec<Cell>>) -> NamedTable {
+    NamedTable {
+        name: name.to_owned(),
+        table: Table { head, rows },
+    }
 }

@@ -1,0 +1,83 @@
+//! Who decides what the drive is asked in each cycle: a program that knows time only, or a loop that answers to samples.
+
+use super::guard::Trip;
+use super::program::Program;
+use super::speed::SpeedReport;
+use crate::sample::{Command, Demand, Sample};
+
+/// One run's source of demands, driven by the session; time comes in.
+///
+/// In each cycle `demand` is asked for first, then `sent` tells what really left after the guard; `sample` comes where
+/// the exchange brought one. A cycle without a `sample` after it has lost its reply.
+pub trait Pilot: Send {
+    fn duration_s(&self) -> f64;
+
+    fn segment_at(&self, time_s: f64) -> usize;
+
+    fn segment_name(&self, index: usize) -> &str;
+
+    /// Zero in the quantity that is commanded.
+    fn zero(&self) -> Demand;
+
+    /// Fastest change of the voltage while it runs, V/s; `None`: the bench's.
+    fn slew_v_per_s(&self) -> Option<f64> {
+        None
+    }
+
+    /// The run begins, the first time or again; nothing of before is to be remembered. The last sample is given.
+    fn begin(&mut self, _now_s: f64, _sample: Option<&Sample>) {}
+
+    /// The demand for this cycle, or why the run has to end.
+    fn demand(&mut self, now_s: f64, elapsed_s: f64) -> Result<Demand, Trip>;
+
+    fn sent(&mut self, _command: &Command) {}
+
+    /// A sample that came while it runs; a trip where it cannot be trusted.
+    fn sample(&mut self, _now_s: f64, _elapsed_s: f64, _sample: &Sample) -> Option<Trip> {
+        None
+    }
+
+    /// The speed reference in force, rad/s.
+    fn reference_rad_s(&self) -> Option<f64> {
+        None
+    }
+
+    /// What changed since the last cycle and why, as a line of the log.
+    fn news(&mut self) -> Option<String> {
+        None
+    }
+
+    /// How the loop went; `None` for a program.
+    fn report(&self) -> Option<SpeedReport> {
+        None
+    }
+}
+
+/// A program as the simplest pilot: what is measured changes nothing.
+pub(super) struct OpenLoop(pub(super) Box<dyn Program>);
+
+impl Pilot for OpenLoop {
+    fn duration_s(&self) -> f64 {
+        self.0.duration_s()
+    }
+
+    fn segment_at(&self, time_s: f64) -> usize {
+        self.0.segment_at(time_s)
+    }
+
+    fn segment_name(&self, index: usize) -> &str {
+        self.0.segment_name(index)
+    }
+
+    fn zero(&self) -> Demand {
+        match self.0.demand_at(0.0) {
+            Demand::Current(_) => Demand::Current(0.0),
+            Demand::Speed(_) => Demand::Speed(0.0),
+            _ => Demand::Voltage(0.0),
+        }
+    }
+
+    fn demand(&mut self, _now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
+        Ok(self.0.demand_at(elapsed_s))
+    }
+}

@@ -1,0 +1,29 @@
+//! The speed loop on a live drive.
+//!
+//! ```text
+//! [speed] section --> Reference (refused beyond the limits) ---------------------------\
+//! model + measured delay (delay.rs) --> Design --> Regulator (controller, limiter) -----+-> SpeedPilot --> session
+//!                                          \--> refused: not physical, another motor,  /        |
+//!                                               a loop that would swing                 EncoderWatch: trip
+//!                                                                                       report: figures of each step
+//! ```
+
+mod delay;
+mod encoder_watch;
+mod hindsight;
+mod pilot;
+mod reference;
+mod refusal;
+mod regulator;
+mod report;
+mod section;
+#[cfg(test)]
+mod tests;
+
+pub use delay::{LoopDelay, measure_delay};
+pub use pilot::{PilotSettings, SpeedPilot};
+pub use reference::{Reference, ReferenceError, ReferencePart, ReferenceStep};
+pub use refusal::RegulatorError;
+pub use regulator::{Design, Regulator, check_kinship, timing};
+pub use report::{GainChange, SpeedReport, StepFigures, Tracking};
+pub use section::{ControllerKind, ForwardUse, GainsSection, SpeedSection};

@@ -1,0 +1,336 @@
+//! The speed loop as a pilot: reference, controller and limiter, answering to samples.
+
+use std::collections::VecDeque;
+
+use super::delay::DelayMeter;
+use super::encoder_watch::{EncoderWatch, Seen};
+use super::hindsight::Hindsight;
+use super::reference::Reference;
+use super::regulator::Regulator;
+use super::report::{Cycle, GainChange, SpeedReport, figures, tracking};
+use crate::bench::guard::Trip;
+use crate::bench::limits::Nameplate;
+use crate::bench::pilot::Pilot;
+use crate::control::{Actuator, Measured, SpeedController};
+use crate::plant::Model;
+use crate::sample::{Channel, Command, Demand, Sample};
+
+/// Cycles that are kept for the figures: at 100 Hz nearly three hours.
+const RECORD_MAX: usize = 1_000_000;
+/// Changes of the gains that are kept for the result; the events hold all of them.
+const CHANGES_MAX: usize = 10_000;
+/// Sampling times that a controller is told, in periods: after a gap it must not believe in a jump.
+const SHORTEST_PERIODS: f64 = 0.2;
+const LONGEST_PERIODS: f64 = 20.0;
+/// Until the encoder has been seen to turn in the right direction the controller has this share of its current, but no
+/// longer than so many seconds: a shaft that needs more to break away has to get it.
+const FIRST_MOVE: f64 = 0.4;
+const FIRST_MOVE_S: f64 = 0.3;
+/// Commands that may be on their way.
+const WAITING_MAX: usize = 64;
+
+/// The loop's settings beside the regulator.
+pub struct PilotSettings {
+    pub slew_v_per_s: f64,
+    /// Longest time for which the last output is held without a speed, s.
+    pub silence_s: f64,
+    pub speed_limit_rad_s: f64,
+    /// The speed sensor was noisy at rest: the same reading again and again is then a sensor that is stuck.
+    pub is_noisy: bool,
+}
+
+/// A speed loop over a voltage, current or speed command.
+pub struct SpeedPilot {
+    regulator: Regulator,
+    /// The pass over the reference, whose controller is at work.
+    pass: usize,
+    reference: Reference,
+    settings: PilotSettings,
+    watch: EncoderWatch,
+    meter: DelayMeter,
+    reference_rad_s: Option<f64>,
+    /// The sample that the next output answers to.
+    fresh: Option<Sample>,
+    /// Time stamp and speed of the sample that was answered last.
+    answered: Option<(f64, f64)>,
+    /// Host time of the last sample with a speed.
+    heard_s: f64,
+    /// Whether the controller waits to be told what left.
+    stepped: bool,
+    wanted: f64,
+    output: f64,
+    /// Commands that may be in force, with their outputs.
+    on_their_way: VecDeque<(u64, f64)>,
+    hindsight: Hindsight,
+    elapsed_s: f64,
+    held_cycles: u64,
+    changes: Vec<GainChange>,
+    record: Vec<Cycle>,
+}
+
+impl SpeedPilot {
+    pub fn new(
+        regulator: Regulator,
+        reference: Reference,
+        model: &Model,
+        motor: &Nameplate,
+        settings: PilotSettings,
+    ) -> Self {
+        let period_s = regulator.timing.period_s;
+        Self {
+            watch: EncoderWatch::new(
+                model,
+                motor,
+                settings.speed_limit_rad_s,
+                period_s,
+                settings.is_noisy,
+            ),
+            regulator,
+            pass: 0,
+            reference,
+            settings,
+            meter: DelayMeter::default(),
+            reference_rad_s: None,
+            fresh: None,
+            answered: None,
+            heard_s: 0.0,
+            stepped: false,
+            wanted: 0.0,
+            output: 0.0,
+            on_their_way: VecDeque::new(),
+            hindsight: Hindsight::new(motor),
+            elapsed_s: 0.0,
+            held_cycles: 0,
+            changes: Vec::new(),
+            record: Vec::new(),
+        }
+    }
+
+    /// One step of the controller on a sample with a speed.
+    fn answer(&mut self, sample: &Sample, speed_rad_s: f64, elapsed_s: f64) {
+        let timing = &self.regulator.timing;
+        let period_s = match self.answered {
+            Some((before_s, _)) => (sample.time_s - before_s).clamp(
+                SHORTEST_PERIODS * timing.period_s,
+                LONGEST_PERIODS * timing.period_s,
+            ),
+            None => timing.period_s,
+        };
+        // The first reference after a start is the speed that is there.
+        let reference = match self.answered {
+            Some(_) => self.reference.value_at(elapsed_s),
+            None => speed_rad_s,
+        };
+        let acceleration = self
+            .answered
+            .map_or(0.0, |(_, before)| (speed_rad_s - before) / period_s);
+        let now = Measured {
+            speed_rad_s,
+            current_a: sample.get(Channel::Current),
+            angle_rad: sample.get(Channel::Angle),
+            limited: sample.limited,
+        };
+        self.turn_to_pass(elapsed_s, &now);
+        self.wanted = self.controller().step(reference, &now, period_s);
+        let mut limiter = self.regulator.limiter;
+        let unproven = !self.watch.has_seen_direction() && elapsed_s < FIRST_MOVE_S;
+        if let Some(current) = limiter.current.as_mut().filter(|_| unproven) {
+            current.current_a *= FIRST_MOVE;
+        }
+        self.output = limiter.limit(self.wanted, speed_rad_s, acceleration);
+        self.reference_rad_s = Some(reference);
+        self.answered = Some((sample.time_s, speed_rad_s));
+        self.stepped = true;
+    }
+
+    fn controller(&mut self) -> &mut dyn SpeedController {
+        self.regulator.passes[self.pass].1.as_mut()
+    }
+
+    /// Each pass over the reference has its own controller, which begins with what is asked now.
+    fn turn_to_pass(&mut self, elapsed_s: f64, now: &Measured) {
+        let pass = self.reference.pass_at(elapsed_s);
+        let pass = pass.min(self.regulator.passes.len().saturating_sub(1));
+        if pass != self.pass {
+            self.pass = pass;
+            let output = self.output;
+            self.controller().reset(now, output);
+        }
+    }
+
+    /// The voltage in force from this sample on; a drive that limits puts out what it measures. Behind a drive's own loop:
+    /// what was measured.
+    fn voltage_in_force(&self, sample: &Sample) -> Option<f64> {
+        if sample.limited || self.regulator.actuator != Actuator::Voltage {
+            return sample.get(Channel::Voltage);
+        }
+        let seq = sample.applied.map(|applied| applied.seq).or(sample.seq)?;
+        let known = self.on_their_way.iter().find(|(sent, _)| *sent == seq);
+        known.map(|(_, volts)| *volts)
+    }
+}
+
+impl Pilot for SpeedPilot {
+    fn duration_s(&self) -> f64 {
+        self.reference.duration_s()
+    }
+
+    fn segment_at(&self, time_s: f64) -> usize {
+        self.reference.part_at(time_s)
+    }
+
+    fn segment_name(&self, index: usize) -> &str {
+        self.reference.part_name(index)
+    }
+
+    fn zero(&self) -> Demand {
+        self.regulator.actuator.demand(0.0)
+    }
+
+    fn slew_v_per_s(&self) -> Option<f64> {
+        Some(self.settings.slew_v_per_s)
+    }
+
+    fn begin(&mut self, now_s: f64, sample: Option<&Sample>) {
+        let speed_rad_s = sample
+            .and_then(|sample| sample.get(Channel::Speed))
+            .unwrap_or(0.0);
+        let now = Measured {
+            current_a: sample.and_then(|sample| sample.get(Channel::Current)),
+            ..Measured::at(speed_rad_s)
+        };
+        let output = self.regulator.holding.output(speed_rad_s);
+        self.pass = 0;
+        self.controller().reset(&now, output);
+        self.hindsight.reset();
+        self.watch.begin();
+        self.on_their_way.clear();
+        self.fresh = sample.cloned();
+        self.answered = None;
+        self.heard_s = now_s;
+        (self.output, self.wanted) = (output, output);
+        self.stepped = false;
+        self.reference_rad_s = Some(speed_rad_s);
+        self.record.clear();
+    }
+
+    fn demand(&mut self, now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
+        self.elapsed_s = elapsed_s;
+        let fresh = self.fresh.take();
+        let speed = fresh.as_ref().and_then(|sample| sample.get(Channel::Speed));
+        if let (Some(sample), Some(speed)) = (&fresh, speed) {
+            self.answer(sample, speed, elapsed_s);
+        } else {
+            // Nothing to answer to: what was asked last goes on, for as long as may be.
+            self.held_cycles += 1;
+            self.reference_rad_s = Some(self.reference.value_at(elapsed_s));
+            let silent_s = now_s - self.heard_s;
+            if silent_s > self.settings.silence_s {
+                return Err(Trip::silent_speed(now_s, silent_s, self.settings.silence_s));
+            }
+        }
+        Ok(self.regulator.actuator.demand(self.output))
+    }
+
+    fn sent(&mut self, command: &Command) {
+        let Some(output) = self.regulator.actuator.of(command.demand) else {
+            return;
+        };
+        // What the guard let through.
+        self.output = output;
+        if std::mem::take(&mut self.stepped) {
+            self.controller().applied(output);
+            if let Some((time_s, _)) = self.answered {
+                self.meter.sent(command.seq, time_s);
+            }
+        }
+        if self.on_their_way.len() == WAITING_MAX {
+            self.on_their_way.pop_front();
+        }
+        self.on_their_way.push_back((command.seq, output));
+    }
+
+    fn sample(&mut self, now_s: f64, elapsed_s: f64, sample: &Sample) -> Option<Trip> {
+        self.meter.sample(sample);
+        let speed_rad_s = sample.get(Channel::Speed);
+        let voltage_v = self.voltage_in_force(sample);
+        let seen = speed_rad_s
+            .zip(sample.get(Channel::Current))
+            .map(|(speed_rad_s, current_a)| Seen {
+                time_s: sample.time_s,
+                speed_rad_s,
+                current_a,
+                voltage_v,
+                reference_rad_s: self.reference_rad_s.unwrap_or(speed_rad_s),
+            });
+        if let Some(speed_rad_s) = speed_rad_s {
+            self.heard_s = now_s;
+            self.fresh = Some(sample.clone());
+            if self.record.len() < RECORD_MAX {
+                self.record.push(Cycle {
+                    time_s: elapsed_s,
+                    reference_rad_s: self.reference.value_at(elapsed_s),
+                    speed_rad_s,
+                    output: self.output,
+                    limited: sample.limited
+                        || (self.wanted - self.output).abs() > 1e-9 * self.wanted.abs().max(1.0),
+                });
+            }
+        }
+        let Some(seen) = seen else {
+            self.watch.reset();
+            self.hindsight.reset();
+            return None;
+        };
+        let seen = match self.regulator.actuator {
+            Actuator::Voltage => seen,
+            Actuator::Current => self.hindsight.look_back(seen, self.output)?,
+            // The drive's own loop does with the voltage what it likes: what is left is the watch for a runaway.
+            Actuator::Speed => Seen {
+                voltage_v: None,
+                ..seen
+            },
+        };
+        self.watch.look(now_s, seen)
+    }
+
+    fn reference_rad_s(&self) -> Option<f64> {
+        self.reference_rad_s
+    }
+
+    fn news(&mut self) -> Option<String> {
+        let reason = self.controller().news()?;
+        if self.changes.len() < CHANGES_MAX {
+            self.changes.push(GainChange {
+                time_s: self.elapsed_s,
+                reason: reason.clone(),
+            });
+        }
+        Some(reason)
+    }
+
+    fn report(&self) -> Option<SpeedReport> {
+        let timing = self.regulator.timing;
+        let (_, controller) = &self.regulator.passes[self.pass];
+        let compensated = self
+            .regulator
+            .passes
+            .iter()
+            .map(|(is_compensated, _)| *is_compensated);
+        let passes: Vec<_> = compensated
+            .zip(self.reference.passes().iter().copied())
+            .collect();
+        Some(SpeedReport {
+            controller: controller.id(),
+            actuator: self.regulator.actuator,
+            timing,
+            delay: self.meter.delay(timing.period_s),
+            reasons: self.regulator.reasons.clone(),
+            gains: controller.explain(),
+            gain_changes: self.changes.clone(),
+            held_cycles: self.held_cycles,
+            tracking: tracking(&self.record, &passes),
+            steps: figures(&self.record, &self.reference.steps()),
+        })
+    }
+}

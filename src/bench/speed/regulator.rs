@@ -1,0 +1,410 @@
+//! From a model, the measured timing and `[speed]` to a controller and its limiter, or to the reason why not.
+
+use super::refusal::RegulatorError;
+use super::section::{ControllerKind, GainsSection, SpeedSection};
+use crate::bench::limits::{Limits, Nameplate};
+use crate::control::tuning::{Request, Rule, tune};
+use crate::control::{
+    Actuator, Addc, AddcSettings, AntiWindup, Compensated, Course, CurrentLimit, FeedForward,
+    Holding, Limiter, LinearPlant, LoadObserving, LoadObservingSettings, LoopShape, LoopTiming,
+    Mrac, MracScales, PaperB, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
+    SpeedController, TrialMachine, trial,
+};
+use crate::plant::{Model, MotorKey};
+
+/// Gain margin that gains given by hand have to leave.
+const LEAST_GAIN_MARGIN: f64 = 1.6;
+/// How far a model may be from the nameplate and still be of this motor: factors either way. A winding that is 100 K
+/// warmer has 1.39 times its resistance; the flux of a specimen differs by some 15 %.
+const RESISTANCE_FACTOR: f64 = 1.6;
+const BACK_EMF_FACTOR: f64 = 1.3;
+/// Cycles of the rehearsal, and the step that it takes, as a share of the peak reference.
+const REHEARSAL_CYCLES: usize = 600;
+const REHEARSAL_STEP: f64 = 0.2;
+/// Swing that is left at its end, as a share of the step, with which a loop counts as stable.
+const STILL_SWINGS: f64 = 0.25;
+/// Lag of a drive's current loop where the bench file does not say, s: what drives of some kilowatts reach.
+const CURRENT_LAG_S: f64 = 0.002;
+
+/// What closes a loop.
+pub struct Regulator {
+    pub actuator: Actuator,
+    /// One for each pass over the reference, and whether it gives the model's effects forward.
+    pub passes: Vec<(bool, Box<dyn SpeedController>)>,
+    pub limiter: Limiter,
+    pub holding: Holding,
+    pub timing: LoopTiming,
+    /// Why the gains are what they are, before the motor moves.
+    pub reasons: Vec<String>,
+}
+
+/// What a regulator is made from.
+pub struct Design<'a> {
+    pub model: &'a Model,
+    pub motor: &'a Nameplate,
+    pub limits: &'a Limits,
+    pub section: &'a SpeedSection,
+    pub actuator: Actuator,
+    pub timing: LoopTiming,
+    /// Standard deviation of a speed sample, rad/s.
+    pub noise_rad_s: f64,
+    pub peak_reference_rad_s: f64,
+}
+
+/// Refuses a model of another motor: gains tuned on one are not for another.
+pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorError> {
+    let name = &model.motor.name;
+    if !name.is_empty() && *name != motor.name {
+        return Err(RegulatorError::OtherName {
+            model: name.clone(),
+            bench: motor.name.clone(),
+        });
+    }
+    for (key, plate, factor) in [
+        (
+            MotorKey::Resistance,
+            motor.resistance_ohm,
+            RESISTANCE_FACTOR,
+        ),
+        (
+            MotorKey::BackEmf,
+            motor.back_emf_v_s_per_rad,
+            BACK_EMF_FACTOR,
+        ),
+    ] {
+        let (low, high) = (plate / factor, plate * factor);
+        // What is missing or not physical is for the plant to say.
+        let value = model.motor.get(key).filter(|value| *value > 0.0);
+        if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
+            return Err(RegulatorError::OtherMotor {
+                key: key.key(),
+                value,
+                low,
+                high,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The slope of the model's friction, N.m.s/rad.
+fn viscous(model: &Model) -> Result<f64, RegulatorError> {
+    let slope = effect_value(model, "viscous_friction");
+    if slope < 0.0 {
+        return Err(RegulatorError::Drives(slope));
+    }
+    Ok(slope)
+}
+
+/// The first value of an effect of the model; 0 without the effect.
+fn effect_value(model: &Model, id: &str) -> f64 {
+    let effect = model.effects.iter().find(|effect| effect.id() == id);
+    effect
+        .and_then(|effect| effect.values.first().copied().flatten())
+        .unwrap_or(0.0)
+}
+
+/// The loop's timing: what was measured on the link, and what the model knows to lie behind it.
+pub fn timing(model: &Model, period_s: f64, link_delay_s: f64) -> LoopTiming {
+    let behind_s = effect_value(model, "command_delay") + effect_value(model, "speed_delay");
+    LoopTiming {
+        period_s,
+        delay_s: link_delay_s + behind_s.max(0.0),
+        filter_s: effect_value(model, "speed_filter").max(0.0),
+    }
+}
+
+impl Design<'_> {
+    /// # Errors
+    /// A model that is not physical or of another motor, a loop that the link cannot carry, gains outside their bounds.
+    pub fn regulator(&self) -> Result<Regulator, RegulatorError> {
+        check_kinship(self.model, self.motor)?;
+        self.check_kind()?;
+        let viscous = viscous(self.model)?;
+        let (plant, mut reasons) = self.plant(viscous)?;
+        let holding = Holding::of(self.model, self.actuator, viscous);
+        let limiter = self.limiter();
+        let mut passes = Vec::new();
+        for is_compensated in self.section.feed_forward.passes().iter().copied() {
+            let (mut controller, why) = self.controller(&plant, holding)?;
+            if passes.is_empty() {
+                reasons.extend(why);
+            }
+            if matches!(
+                self.section.controller,
+                ControllerKind::PaperB | ControllerKind::LoadObserver | ControllerKind::Mrac
+            ) {
+                // No rule with margins stands behind these.
+                self.rehearse(controller.as_mut(), &limiter, viscous)?;
+                controller = self.controller(&plant, holding)?.0;
+            }
+            if is_compensated {
+                controller = self.compensated(&plant)?;
+            }
+            passes.push((is_compensated, controller));
+        }
+        if let Some((_, last)) = passes.last() {
+            reasons.extend(last.explain());
+        }
+        Ok(Regulator {
+            actuator: self.actuator,
+            passes,
+            limiter,
+            holding,
+            timing: self.timing,
+            reasons,
+        })
+    }
+
+    /// The plant, and what is taken for granted of it.
+    fn plant(&self, viscous: f64) -> Result<(LinearPlant, Vec<String>), RegulatorError> {
+        let lag_s = self.section.drive_lag_s;
+        Ok(match self.actuator {
+            Actuator::Voltage => (LinearPlant::voltage(self.model, viscous)?, Vec::new()),
+            Actuator::Current => {
+                let plant =
+                    LinearPlant::current(self.model, viscous, lag_s.unwrap_or(CURRENT_LAG_S))?;
+                let reason = format!(
+                    "the drive's current loop is taken for a lag of {:.1} ms ({})",
+                    1e3 * lag_s.unwrap_or(CURRENT_LAG_S),
+                    lag_s.map_or("speed.drive_lag_s is not given", |_| "speed.drive_lag_s")
+                );
+                (plant, vec![reason])
+            }
+            Actuator::Speed => {
+                let plant = LinearPlant::speed(lag_s.ok_or(RegulatorError::NoLag)?)?;
+                (plant, Vec::new())
+            }
+        })
+    }
+
+    fn check_kind(&self) -> Result<(), RegulatorError> {
+        let kind = self.section.controller;
+        let actuators = kind.actuators();
+        if !actuators.contains(&self.actuator) {
+            let names: Vec<&str> = actuators.iter().map(|actuator| actuator.name()).collect();
+            return Err(RegulatorError::Acts {
+                controller: kind.id(),
+                actuator: self.actuator.name(),
+                allowed: names.join(", "),
+            });
+        }
+        let by_hand = kind == ControllerKind::Pi && self.actuator == Actuator::Voltage;
+        if self.section.gains.is_some() && !by_hand {
+            return Err(RegulatorError::GainsOf {
+                controller: kind.id(),
+                actuator: self.actuator.name(),
+            });
+        }
+        Ok(())
+    }
+
+    /// The controller with the model's effects beside it. What is given forward is not for it to hold.
+    fn compensated(&self, plant: &LinearPlant) -> Result<Box<dyn SpeedController>, RegulatorError> {
+        let forward = FeedForward::new(self.model, self.actuator, None);
+        let why = match self.actuator {
+            Actuator::Speed => "with a speed command: the drive's own loop holds the speed",
+            _ => "without the motor's friction and constants in the model",
+        };
+        let forward = forward.ok_or(RegulatorError::NothingForward { why })?;
+        let rest = Holding {
+            against: 0.0,
+            ..Holding::of(self.model, self.actuator, 0.0)
+        };
+        let inner = self.controller(plant, rest)?.0;
+        Ok(Box::new(Compensated::new(inner, forward)))
+    }
+
+    fn controller(
+        &self,
+        plant: &LinearPlant,
+        holding: Holding,
+    ) -> Result<(Box<dyn SpeedController>, Vec<String>), RegulatorError> {
+        let request = Request {
+            rule: self.rule(),
+            bandwidth_rad_s: self.section.bandwidth_rad_s,
+        };
+        let refused = |error| RegulatorError::Tuning {
+            rule: request.rule.id(),
+            error,
+        };
+        let value = |key| self.model.motor.get(key).unwrap_or(f64::NAN);
+        Ok(match self.section.controller {
+            ControllerKind::Pi => {
+                let (gains, reasons) = if let Some(given) = &self.section.gains {
+                    (self.checked(plant, given)?, Vec::new())
+                } else {
+                    let tuning = tune(plant, &self.timing, &request).map_err(refused)?;
+                    (tuning.gains, tuning.reasons)
+                };
+                (Box::new(Pi::new(gains, AntiWindup::Hold, holding)), reasons)
+            }
+            ControllerKind::Addc => {
+                let tuning = tune(plant, &self.timing, &request).map_err(refused)?;
+                let settings = AddcSettings {
+                    request,
+                    ..AddcSettings::new(holding, self.noise_rad_s)
+                };
+                let addc =
+                    Addc::new(self.model, plant, &self.timing, &settings).map_err(refused)?;
+                (Box::new(addc), tuning.reasons)
+            }
+            ControllerKind::Mrac => {
+                let scales = MracScales {
+                    speed_rad_s: self.peak_reference_rad_s.max(1.0),
+                    current_a: self.current_limit_a(),
+                };
+                let mrac = Mrac::new(plant, &self.timing, scales, true);
+                let integrates = RegulatorError::Plant(PlantError::NotPhysical {
+                    key: MotorKey::BackEmf.key(),
+                    value: value(MotorKey::BackEmf),
+                });
+                (Box::new(mrac.ok_or(integrates)?), Vec::new())
+            }
+            ControllerKind::PaperB => {
+                let motor = &self.model.motor;
+                let times = motor
+                    .electrical_time_constant_s()
+                    .zip(motor.mechanical_time_constant_s());
+                let (electrical_s, mechanical_s) = times.unwrap_or((f64::NAN, f64::NAN));
+                let ke = value(MotorKey::BackEmf);
+                let plant = PaperBPlant::new(self.timing.period_s, electrical_s, mechanical_s, ke);
+                let made = PaperB::new(plant, PaperBSettings::default());
+                (Box::new(made.map_err(RegulatorError::PaperB)?), Vec::new())
+            }
+            ControllerKind::LoadObserver => {
+                let settings = LoadObservingSettings {
+                    speed_noise_rad_s: self.noise_rad_s,
+                    ..LoadObservingSettings::default()
+                };
+                let made = LoadObserving::new(self.model, plant, &self.timing, &settings);
+                (
+                    Box::new(made.map_err(RegulatorError::LoadObserver)?),
+                    Vec::new(),
+                )
+            }
+        })
+    }
+
+    /// Gains given by hand, on the sampled loop with its delay.
+    fn checked(
+        &self,
+        plant: &LinearPlant,
+        given: &GainsSection,
+    ) -> Result<PiGains, RegulatorError> {
+        let gains = PiGains {
+            proportional: given.proportional_v_s_per_rad,
+            integral_time_s: given.integral_time_s,
+            reference_filter_s: 0.0,
+        };
+        let margins = LoopShape::new(plant, &self.timing, &gains).margins();
+        if margins.gain_margin < LEAST_GAIN_MARGIN {
+            return Err(RegulatorError::Gain {
+                value: gains.proportional,
+                most: gains.proportional * margins.gain_margin / LEAST_GAIN_MARGIN,
+                cycles: self.timing.delay_cycles(),
+            });
+        }
+        if margins.radius >= 1.0 {
+            return Err(RegulatorError::IntegralTime {
+                value: gains.integral_time_s,
+                radius: margins.radius,
+            });
+        }
+        Ok(gains)
+    }
+
+    fn rule(&self) -> Rule {
+        self.section.rule(self.actuator)
+    }
+
+    fn current_limit_a(&self) -> f64 {
+        self.section
+            .current_limit_a(self.motor.rated_current_a, self.limits)
+    }
+
+    fn limiter(&self) -> Limiter {
+        let value = |key, plate| self.model.motor.get(key).unwrap_or(plate);
+        let output = match self.actuator {
+            Actuator::Voltage => self.limits.voltage_v,
+            Actuator::Current => self.current_limit_a(),
+            Actuator::Speed => self.limits.speed_rad_s,
+        };
+        if self.actuator != Actuator::Voltage {
+            return Limiter {
+                output,
+                current: None,
+            };
+        }
+        Limiter {
+            output,
+            current: Some(CurrentLimit {
+                current_a: self.current_limit_a(),
+                resistance_ohm: value(MotorKey::Resistance, self.motor.resistance_ohm),
+                back_emf_v_s_per_rad: value(MotorKey::BackEmf, self.motor.back_emf_v_s_per_rad),
+                ahead_s: self.timing.dead_time_s(),
+            }),
+        }
+    }
+
+    /// Two steps on the model in virtual time, the delay rounded up to whole cycles: what swings there is not let at the
+    /// motor.
+    fn rehearse(
+        &self,
+        controller: &mut dyn SpeedController,
+        limiter: &Limiter,
+        viscous: f64,
+    ) -> Result<(), RegulatorError> {
+        let value = |key, plate| self.model.motor.get(key).unwrap_or(plate);
+        let ke = value(MotorKey::BackEmf, self.motor.back_emf_v_s_per_rad);
+        let inertia = value(MotorKey::Inertia, self.motor.inertia_kg_m2);
+        let machine = TrialMachine {
+            resistance_ohm: value(MotorKey::Resistance, self.motor.resistance_ohm),
+            inductance_h: value(MotorKey::Inductance, self.motor.inductance_h),
+            back_emf_v_s_per_rad: ke,
+            torque_n_m_per_a: self.model.motor.torque_constant().unwrap_or(ke),
+            friction_n_m: value(MotorKey::LoadTorque, 0.0),
+            viscous_n_m_s_per_rad: viscous,
+            drive_current_limit_a: self.limits.current_a,
+            period_s: self.timing.period_s,
+            delay_periods: whole(self.timing.delay_cycles() - 0.05),
+            speed_noise_rad_s: 0.0,
+            current_noise_a: 0.0,
+        };
+        let high = self.peak_reference_rad_s.max(1.0);
+        let step = REHEARSAL_STEP * high;
+        let half_s = 0.5 * REHEARSAL_CYCLES as f64 * self.timing.period_s;
+        let course = Course {
+            reference_rad_s: &|t| if t < half_s { high } else { high - step },
+            inertia_kg_m2: &|_| inertia,
+            load_n_m: &|_| 0.0,
+        };
+        let trace = trial(&machine, &course, controller, limiter, REHEARSAL_CYCLES, 1);
+        let end = &trace[REHEARSAL_CYCLES * 9 / 10..];
+        let (low, top) = end.iter().fold((f64::MAX, f64::MIN), |(low, top), point| {
+            (low.min(point.speed_rad_s), top.max(point.speed_rad_s))
+        });
+        let swing = top - low;
+        let most = STILL_SWINGS * step;
+        // Also false for what is no number any more.
+        if swing <= most {
+            return Ok(());
+        }
+        Err(RegulatorError::Swings {
+            controller: self.section.controller.id(),
+            cycles: self.timing.delay_cycles(),
+            swing,
+            step,
+            most,
+        })
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "between 0 and 64"
+)]
+fn whole(cycles: f64) -> usize {
+    cycles.ceil().clamp(0.0, 64.0) as usize
+}

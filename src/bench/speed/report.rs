@@ -1,0 +1,187 @@
+//! How a closed loop went: timing, gains with their reasons, and the response to each step of the reference.
+
+use serde::Serialize;
+
+use super::delay::LoopDelay;
+use super::reference::ReferenceStep;
+use crate::control::{Actuator, LoopTiming, Response, response};
+
+/// A change of the gains while the loop ran.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GainChange {
+    /// Since the begin of the reference, s.
+    pub time_s: f64,
+    pub reason: String,
+}
+
+/// The response to one step of the reference.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StepFigures {
+    #[serde(flatten)]
+    pub step: ReferenceStep,
+    /// What was measured at the instant of the step, rad/s: the response is counted from there.
+    pub speed_rad_s: f64,
+    #[serde(flatten)]
+    pub response: Response,
+    /// Largest size of what left, actuator's unit, and share of the cycles in which a limit held it.
+    pub peak_output: f64,
+    pub limited_share: f64,
+}
+
+/// How the reference was followed in one pass over it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Tracking {
+    /// Whether the model's effects were given forward.
+    pub feed_forward: bool,
+    pub from_s: f64,
+    pub until_s: f64,
+    /// Root of the mean square of the error, its largest size, its mean size, rad/s.
+    pub rms_rad_s: f64,
+    pub peak_rad_s: f64,
+    pub mean_abs_rad_s: f64,
+}
+
+/// One cycle of the record that figures are made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cycle {
+    pub(super) time_s: f64,
+    pub(super) reference_rad_s: f64,
+    pub(super) speed_rad_s: f64,
+    pub(super) output: f64,
+    pub(super) limited: bool,
+}
+
+/// How the loop went.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SpeedReport {
+    pub controller: &'static str,
+    pub actuator: Actuator,
+    pub timing: LoopTiming,
+    /// While it ran.
+    pub delay: Option<LoopDelay>,
+    /// Before the motor moved.
+    pub reasons: Vec<String>,
+    /// At the end.
+    pub gains: Vec<String>,
+    pub gain_changes: Vec<GainChange>,
+    /// Cycles without a speed, in which the last output was held.
+    pub held_cycles: u64,
+    /// One for each pass over the reference that came to its end.
+    pub tracking: Vec<Tracking>,
+    pub steps: Vec<StepFigures>,
+}
+
+/// The error of each pass that the record reaches the end of.
+pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<Tracking> {
+    let end_s = record.last().map_or(0.0, |cycle| cycle.time_s);
+    let period_s = end_s / record.len().max(1) as f64;
+    passes
+        .iter()
+        .filter(|(_, (_, until_s))| *until_s <= end_s + 2.0 * period_s)
+        .filter_map(|(feed_forward, (from_s, until_s))| {
+            let from = record.partition_point(|cycle| cycle.time_s < *from_s);
+            let to = record.partition_point(|cycle| cycle.time_s < *until_s);
+            let cycles = record.get(from..to).filter(|cycles| !cycles.is_empty())?;
+            let errors = || {
+                let error = |cycle: &Cycle| (cycle.reference_rad_s - cycle.speed_rad_s).abs();
+                cycles.iter().map(error)
+            };
+            let count = cycles.len() as f64;
+            Some(Tracking {
+                feed_forward: *feed_forward,
+                from_s: *from_s,
+                until_s: *until_s,
+                rms_rad_s: (errors().map(|error| error * error).sum::<f64>() / count).sqrt(),
+                peak_rad_s: errors().fold(0.0, f64::max),
+                mean_abs_rad_s: errors().sum::<f64>() / count,
+            })
+        })
+        .collect()
+}
+
+/// Figures of the steps that the record reaches; a step that a stop cut short has none.
+pub(super) fn figures(record: &[Cycle], steps: &[ReferenceStep]) -> Vec<StepFigures> {
+    let end_s = record.last().map_or(0.0, |cycle| cycle.time_s);
+    let period_s = end_s / record.len().max(1) as f64;
+    steps
+        .iter()
+        .filter(|step| step.until_s <= end_s + 2.0 * period_s)
+        .filter_map(|step| {
+            let from = record.partition_point(|cycle| cycle.time_s < step.at_s);
+            let to = record.partition_point(|cycle| cycle.time_s < step.until_s);
+            let cycles = record.get(from..to)?;
+            let speed_rad_s = cycles.first()?.speed_rad_s;
+            let trace: Vec<(f64, f64)> = cycles
+                .iter()
+                .map(|cycle| (cycle.time_s, cycle.speed_rad_s))
+                .collect();
+            let limited = cycles.iter().filter(|cycle| cycle.limited).count();
+            let peak = cycles.iter().map(|cycle| cycle.output.abs());
+            Some(StepFigures {
+                step: *step,
+                speed_rad_s,
+                response: response(&trace, speed_rad_s, step.to_rad_s),
+                peak_output: peak.fold(0.0, f64::max),
+                limited_share: limited as f64 / cycles.len() as f64,
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_step_has_the_figures_of_its_own_time() {
+        let steps = [
+            (0.0, 1.0, 0.0, 10.0),
+            (1.0, 2.0, 10.0, 20.0),
+            (2.0, 9.0, 20.0, 0.0),
+        ];
+        let steps = steps.map(|(at_s, until_s, from_rad_s, to_rad_s)| ReferenceStep {
+            at_s,
+            until_s,
+            from_rad_s,
+            to_rad_s,
+        });
+        // A lag of 0.1 s, and 20 % beyond at one instant of the second step; the third is cut short.
+        let record: Vec<Cycle> = (0..250)
+            .map(|n| {
+                let time_s = f64::from(n) * 0.01;
+                let (from, to) = if time_s < 1.0 {
+                    (0.0, 10.0)
+                } else {
+                    (10.0, 20.0)
+                };
+                let lag = to + (from - to) * (-(time_s % 1.0) / 0.1).exp();
+                Cycle {
+                    time_s,
+                    speed_rad_s: if n == 150 { 22.0 } else { lag },
+                    output: f64::from(n),
+                    reference_rad_s: to,
+                    limited: n < 25,
+                }
+            })
+            .collect();
+        let found = figures(&record, &steps);
+        assert_eq!(found.len(), 2);
+        assert!(found[0].response.overshoot_percent < 1e-9);
+        assert!((found[0].response.settling_s.unwrap() - 0.3).abs() < 0.011);
+        assert!((found[0].limited_share - 0.25).abs() < 1e-12);
+        assert!((found[1].response.overshoot_percent - 20.0).abs() < 0.1);
+        assert!((found[1].response.settling_s.unwrap() - 0.51).abs() < 1e-6);
+        assert!((found[1].peak_output - 199.0).abs() < 1e-12);
+        let passes = [(false, (0.0, 1.0)), (true, (1.0, 2.0)), (true, (2.0, 9.0))];
+        let tracked = tracking(&record, &passes);
+        // The third is cut short. Of the lag: the mean of 10 exp(-t/0.1) over a second, and of its square.
+        assert_eq!(tracked.len(), 2);
+        assert!(!tracked[0].feed_forward && tracked[1].feed_forward);
+        assert!(
+            (tracked[0].mean_abs_rad_s - 1.05).abs() < 0.01,
+            "{tracked:?}"
+        );
+        assert!((tracked[0].rms_rad_s - 2.35).abs() < 0.02, "{tracked:?}");
+        assert!((tracked[0].peak_rad_s - 10.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,258 @@
+//! `tune`: from a model and the link's timing to the gains of a speed regulator, with reasons, before the motor moves.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::data::read_model;
+use super::failure::{Failure, USAGE};
+use super::output;
+use crate::control::tuning::{Request, Rule, Tuning, TuningError, tune};
+use crate::control::{
+    LinearPlant, LoopShape, LoopTiming, Margins, PlantError, Schedule, StepPoint,
+};
+use crate::plant::{Model, ModelFile, MotorKey};
+
+/// Standard deviations of the inertia at whose ends the loop is looked at.
+const DOUBT: f64 = 2.0;
+/// Lines of the predicted step response.
+const LINES: usize = 16;
+/// Width of the bars behind them.
+const BAR: f64 = 40.0;
+
+/// Gains of a speed regulator from an identified model, with reasons, margins and the predicted step response
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench tune --model model.toml                          100 Hz, one cycle of delay
+  drivebench tune --model model.toml --delay-cycles 2 --rule symmetrical-optimum
+  drivebench tune --model model.toml --rule pole-placement --bandwidth-hz 0.5")]
+pub(super) struct Arguments {
+    /// Model file with every value of the motor (drivebench identify writes one)
+    #[arg(long)]
+    model: PathBuf,
+    /// Tuning rule
+    #[arg(long, value_enum, default_value_t = RuleName::ModulusOptimum)]
+    rule: RuleName,
+    /// Cycles of the loop per second
+    #[arg(long, value_name = "HZ", default_value_t = 100.0)]
+    rate_hz: f64,
+    /// From a sample to the instant at which its answer is applied, in cycles: what `speed` measures on the link
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    delay_cycles: f64,
+    /// Time constant of the speed's filter in the drive, ms
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
+    filter_ms: f64,
+    /// Bandwidth of the closed loop; without it the rule's own
+    #[arg(long, value_name = "HZ")]
+    bandwidth_hz: Option<f64>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum RuleName {
+    /// Kessler 1955: the large time constant is cancelled
+    ModulusOptimum,
+    /// Kessler 1958: for a plant that integrates
+    SymmetricalOptimum,
+    /// Natural frequency and damping of the slow poles
+    PolePlacement,
+}
+
+impl From<RuleName> for Rule {
+    fn from(name: RuleName) -> Self {
+        match name {
+            RuleName::ModulusOptimum => Self::ModulusOptimum,
+            RuleName::SymmetricalOptimum => Self::SymmetricalOptimum,
+            RuleName::PolePlacement => Self::PolePlacement,
+        }
+    }
+}
+
+/// The same gains on a motor whose inertia is at an end of its interval.
+#[derive(Serialize)]
+struct Corner {
+    inertia_kg_m2: f64,
+    margins: Margins,
+}
+
+#[derive(Serialize)]
+struct TuneResult<'a> {
+    #[serde(flatten)]
+    tuning: &'a Tuning,
+    step: &'a [StepPoint],
+    /// At the ends of the inertia's interval, where the model file gives its standard deviation.
+    corners: Vec<Corner>,
+    /// Inertia over the model's between which gains can follow it on line.
+    adaptation_range: (f64, f64),
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let file = read_model(&arguments.model)?;
+    let plant = LinearPlant::voltage(&file.model, viscous_n_m_s_per_rad(&file.model))?;
+    let timing = timing(arguments)?;
+    let request = Request {
+        rule: arguments.rule.into(),
+        bandwidth_rad_s: arguments.bandwidth_hz.map(|hz| std::f64::consts::TAU * hz),
+    };
+    let tuning = tune(&plant, &timing, &request)?;
+    let corners = corners(&file, &plant, &tuning);
+    let result = TuneResult {
+        step: &tuning.step,
+        corners,
+        adaptation_range: Schedule::new(&plant, &timing, &request)?.range(),
+        tuning: &tuning,
+    };
+    output::result(&result, arguments.json, text)
+}
+
+fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
+    let allowed = |what: &str, value: f64, range: &str| {
+        Failure::with_help(
+            USAGE,
+            format!("--{what} {value} is not allowed (expected {range})"),
+            "drivebench tune --help shows the defaults",
+        )
+    };
+    if !(1.0..=20_000.0).contains(&arguments.rate_hz) {
+        return Err(allowed("rate-hz", arguments.rate_hz, "1 to 20000 Hz"));
+    }
+    if !(0.0..=64.0).contains(&arguments.delay_cycles) {
+        return Err(allowed("delay-cycles", arguments.delay_cycles, "0 to 64"));
+    }
+    if !(0.0..=10_000.0).contains(&arguments.filter_ms) {
+        return Err(allowed("filter-ms", arguments.filter_ms, "0 to 10000 ms"));
+    }
+    let period_s = 1.0 / arguments.rate_hz;
+    Ok(LoopTiming {
+        period_s,
+        delay_s: arguments.delay_cycles * period_s,
+        filter_s: 1e-3 * arguments.filter_ms,
+    })
+}
+
+/// Slope of the friction as the model has it.
+fn viscous_n_m_s_per_rad(model: &Model) -> f64 {
+    let viscous = model
+        .effects
+        .iter()
+        .find(|active| active.id() == "viscous_friction");
+    viscous.map_or(0.0, |active| active.values_or_guess()[0])
+}
+
+fn corners(file: &ModelFile, plant: &LinearPlant, tuning: &Tuning) -> Vec<Corner> {
+    let key = MotorKey::Inertia.key();
+    let std = file.history.fitted.iter().find(|fitted| fitted.key == key);
+    let (Some(std), Some(inertia)) = (std, file.model.motor.get(MotorKey::Inertia)) else {
+        return Vec::new();
+    };
+    [-DOUBT, DOUBT]
+        .into_iter()
+        .map(|doubt| inertia + doubt * std.std)
+        .filter(|value| *value > 0.0)
+        .map(|value| Corner {
+            inertia_kg_m2: value,
+            margins: LoopShape::new(
+                &plant.with_inertia_ratio(value / inertia),
+                &tuning.timing,
+                &tuning.gains,
+            )
+            .margins(),
+        })
+        .collect()
+}
+
+fn text(result: &TuneResult<'_>) -> String {
+    let Tuning {
+        rule,
+        gains,
+        margins,
+        response,
+        reasons,
+        ..
+    } = result.tuning;
+    let mut text = format!(
+        "{}: Kp = {:.4} V per rad/s, Tn = {:.4} s",
+        rule.name(),
+        gains.proportional,
+        gains.integral_time_s
+    );
+    if gains.reference_filter_s > 0.0 {
+        let _ = write!(text, ", reference filter {:.4} s", gains.reference_filter_s);
+    }
+    text.push('\n');
+    for reason in reasons {
+        let _ = writeln!(text, "why        {reason}");
+    }
+    let _ = writeln!(text, "margins    {}", margins_text(margins));
+    for corner in &result.corners {
+        let _ = writeln!(
+            text,
+            "           at {:.5} kg.m2: {}",
+            corner.inertia_kg_m2,
+            margins_text(&corner.margins)
+        );
+    }
+    let (low, high) = result.adaptation_range;
+    let _ = writeln!(
+        text,
+        "adaptation gains can follow an inertia of {low:.2} to {high:.1} times the model's"
+    );
+    let settling = response.settling_s.map_or_else(
+        || "does not settle".to_owned(),
+        |s| format!("settles within 5 % in {s:.3} s"),
+    );
+    let _ = writeln!(
+        text,
+        "step       overshoot {:.1} %, {settling}; linear, no limit is met",
+        response.overshoot_percent
+    );
+    let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
+    let last = result
+        .step
+        .partition_point(|point| point.time_s <= shown_s)
+        .max(2);
+    for n in 0..LINES {
+        let point = &result.step[n * (last - 1) / (LINES - 1)];
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a length between 0 and 80"
+        )]
+        let bar = (BAR * point.speed.clamp(0.0, 2.0)) as usize;
+        let _ = writeln!(
+            text,
+            "{:>8.3} s {:>6.3} {}",
+            point.time_s,
+            point.speed,
+            "#".repeat(bar)
+        );
+    }
+    text
+}
+
+fn margins_text(margins: &Margins) -> String {
+    format!(
+        "phase {:.0} degrees, gain {:.2} times, crossover {:.2} rad/s, bandwidth {:.2} rad/s ({:.2} Hz), radius {:.4}",
+        margins.phase_margin_deg,
+        margins.gain_margin,
+        margins.crossover_rad_s,
+        margins.bandwidth_rad_s,
+        margins.bandwidth_rad_s / std::f64::consts::TAU,
+        margins.radius
+    )
+}
+
+impl From<PlantError> for Failure {
+    fn from(error: PlantError) -> Self {
+        Self::with_help(USAGE, error.to_string(), error.help())
+    }
+}
+
+impl From<TuningError> for Failure {
+    fn from(error: TuningError) -> Self {
+        Self::with_help(USAGE, error.to_string(), error.help())
+    }
+}

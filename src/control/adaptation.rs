@@ -1,0 +1,259 @@
+//! Inertia and load while the loop runs: scheme 2 of paper A from sample to sample, with a watch for jumps.
+//!
+//! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T`, the current as a trapezoid. Rows in which the shaft does not move one
+//! way are left out, nothing is forgotten while nothing moves, and when the prediction misses row after row the memory is
+//! dropped: the load was changed.
+
+use crate::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
+
+/// Below this speed the direction is noise, rad/s.
+const LEAST_SPEED_RAD_S: f64 = 2.0;
+/// Rows that must have spoken before anything is believed.
+const FEWEST_ROWS: u64 = 8;
+/// Relative standard deviation of Kt/J at which it is believed.
+const SETTLED: f64 = 0.05;
+/// Rows of which the misses are added up. The noise of the sum is that of its two ends, however many rows lie between:
+/// a changed load stands out of it sooner than in any single row.
+const WATCHED: usize = 8;
+/// A jump is a sum beyond this share of the moves of its rows, and beyond so many times the noise.
+const SURPRISE_SHARE: f64 = 0.25;
+const SURPRISE_NOISES: f64 = 6.0;
+/// Fewest rows that make a jump.
+const SURPRISES: usize = 3;
+/// Prior variance of the parameters over their size, in noise variances.
+const PRIOR: f64 = 1e8;
+/// Share by which the noise of the rows is followed.
+const NOISE_SHARE: f64 = 0.02;
+
+/// What is known of the load now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Load {
+    /// Kt/J, rad/s^2 per A.
+    pub acceleration_per_a: f64,
+    /// Its standard deviation.
+    pub std: f64,
+    /// Coulomb torque over the inertia, rad/s^2.
+    pub friction_rad_s2: f64,
+    /// Whether the data carry it.
+    pub settled: bool,
+}
+
+/// The estimator.
+#[derive(Clone, Debug)]
+pub struct LoadEstimator {
+    estimator: RecursiveLeastSquares<2>,
+    scale: [f64; 2],
+    forgetting: f64,
+    last: Option<(f64, f64)>,
+    continues: bool,
+    /// Mean square of the misses of rows, (rad/s)^2.
+    noise: f64,
+    /// Miss and size of the last rows that follow each other, and how many they are.
+    watched: [(f64, f64); WATCHED],
+    rows: usize,
+    jumps: u32,
+    watches: bool,
+}
+
+impl LoadEstimator {
+    /// Starts from the model: `acceleration_per_a` is Kt/J, `friction_rad_s2` Mc/J, `noise_rad_s` the standard deviation
+    /// of a speed sample.
+    pub fn new(
+        acceleration_per_a: f64,
+        friction_rad_s2: f64,
+        forgetting: f64,
+        noise_rad_s: f64,
+    ) -> Self {
+        let start = [acceleration_per_a, friction_rad_s2];
+        let scale = [acceleration_per_a, friction_rad_s2.max(acceleration_per_a)];
+        Self {
+            estimator: RecursiveLeastSquares::new(start, scale, PRIOR, forgetting),
+            scale,
+            forgetting,
+            last: None,
+            continues: false,
+            noise: 2.0 * noise_rad_s * noise_rad_s,
+            watched: [(0.0, 0.0); WATCHED],
+            rows: 0,
+            jumps: 0,
+            watches: true,
+        }
+    }
+
+    /// Without the watch for jumps: a changed load is forgotten row by row, as paper A does it.
+    #[must_use]
+    pub const fn by_forgetting_alone(mut self) -> Self {
+        self.watches = false;
+        self
+    }
+
+    /// How often the memory was dropped because the load had changed.
+    pub const fn jumps(&self) -> u32 {
+        self.jumps
+    }
+
+    /// One sample; `None` where the current is missing. Returns whether the row told something.
+    pub fn push(&mut self, current_a: Option<f64>, speed_rad_s: f64, period_s: f64) -> bool {
+        let now = current_a.filter(|amps| amps.is_finite());
+        let now = now.map(|current| (current, speed_rad_s));
+        let (Some((current, speed)), Some((last_current, last_speed))) = (now, self.last) else {
+            self.last = now;
+            self.interrupt();
+            return false;
+        };
+        self.last = now;
+        let moving = last_speed.abs() > LEAST_SPEED_RAD_S
+            && speed.abs() > LEAST_SPEED_RAD_S
+            && last_speed * speed > 0.0;
+        if !moving {
+            self.interrupt();
+            return false;
+        }
+        let charge = 0.5 * (current + last_current) * period_s;
+        let regressor = [charge, -speed.signum() * period_s];
+        let moved = speed - last_speed;
+        let noise = RowNoise {
+            carry: 1.0,
+            continues: self.continues,
+        };
+        self.continues = true;
+        if self.watches {
+            self.watch(&regressor, moved);
+        }
+        self.estimator
+            .update_row(&regressor, moved, noise)
+            .is_some()
+    }
+
+    const fn interrupt(&mut self) {
+        (self.continues, self.rows) = (false, 0);
+    }
+
+    /// Drops the memory when the rows say together that the load is another.
+    fn watch(&mut self, regressor: &[f64; 2], moved: f64) {
+        let known = self.estimator.parameters();
+        let foreseen = known[0] * regressor[0] + known[1] * regressor[1];
+        let miss = moved - foreseen;
+        self.watched[self.rows % WATCHED] = (miss, foreseen.abs().max(moved.abs()));
+        self.rows += 1;
+        let rows = &self.watched[..self.rows.min(WATCHED)];
+        let (sum, size) = rows
+            .iter()
+            .fold((0.0, 0.0), |(sum, size), row| (sum + row.0, size + row.1));
+        let believed = self.estimator.rows() >= FEWEST_ROWS && self.rows >= SURPRISES;
+        let stands_out = sum.abs() > SURPRISE_SHARE * size
+            && sum * sum > SURPRISE_NOISES * SURPRISE_NOISES * self.noise;
+        if believed && stands_out {
+            self.estimator = RecursiveLeastSquares::new(known, self.scale, PRIOR, self.forgetting);
+            self.rows = 0;
+            self.continues = false;
+            self.jumps += 1;
+        } else if !stands_out {
+            self.noise += NOISE_SHARE * (miss * miss - self.noise);
+        }
+    }
+
+    pub fn load(&self) -> Load {
+        let [value, friction] = self.estimator.parameters();
+        let std = self
+            .estimator
+            .standard_deviations()
+            .map_or(f64::INFINITY, |stds| stds[0]);
+        Load {
+            acceleration_per_a: value,
+            std,
+            friction_rad_s2: friction.max(0.0),
+            settled: self.estimator.rows() >= FEWEST_ROWS && value > 0.0 && std < SETTLED * value,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::testing::assert_close;
+    use crate::numerics::count::whole;
+
+    /// A shaft under a square wave of current; returns the estimate after each row.
+    fn follow(
+        estimator: &mut LoadEstimator,
+        gain: impl Fn(f64) -> f64,
+        current: impl Fn(f64) -> f64,
+        seconds: f64,
+    ) -> Vec<(f64, Load)> {
+        let (period_s, friction) = (0.01, 20.0);
+        // The shaft begins anew: what came before is no neighbour.
+        estimator.push(None, 100.0, period_s);
+        let mut speed = 100.0;
+        let mut noise = 1u32;
+        let rows = u32::try_from(whole(seconds / period_s)).unwrap();
+        (0..rows)
+            .map(|n| {
+                let t = f64::from(n) * period_s;
+                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let error = 0.3 * (f64::from(noise) / f64::from(u32::MAX) - 0.5);
+                estimator.push(Some(current(t)), speed + error, period_s);
+                let amps = 0.5 * (current(t) + current(t + period_s));
+                speed += period_s * (gain(t) * amps - friction * speed.signum());
+                (t, estimator.load())
+            })
+            .collect()
+    }
+
+    fn swinging(t: f64) -> f64 {
+        if (t / 0.4).floor() % 2.0 == 0.0 {
+            4.0
+        } else {
+            -3.0
+        }
+    }
+
+    #[test]
+    fn finds_inertia_and_friction_and_follows_a_jump_of_both_kinds() {
+        for ratio in [0.25, 4.0] {
+            let mut estimator = LoadEstimator::new(20.0, 20.0, 0.96, 0.15);
+            let gain = |t| if t < 4.0 { 15.0 } else { 15.0 / ratio };
+            let found = follow(&mut estimator, gain, swinging, 6.0);
+            let before = found[395].1;
+            assert!(before.settled);
+            assert_close(before.acceleration_per_a / 15.0, 1.0, 0.05);
+            let after = found.last().unwrap().1;
+            assert!(after.settled);
+            assert_close(after.acceleration_per_a * ratio / 15.0, 1.0, 0.05);
+            // Noticed as a jump, not forgotten row by row.
+            assert!(estimator.jumps() >= 1);
+            let soon = found.iter().find(|(t, _)| *t >= 4.8).unwrap().1;
+            assert_close(soon.acceleration_per_a * ratio / 15.0, 1.0, 0.2);
+        }
+    }
+
+    #[test]
+    fn a_minute_at_constant_speed_changes_nothing() {
+        let mut estimator = LoadEstimator::new(20.0, 20.0, 0.96, 0.15);
+        let before = follow(&mut estimator, |_| 15.0, swinging, 4.0)
+            .last()
+            .unwrap()
+            .1;
+        let held = |_| 20.0 / 15.0;
+        let after = follow(&mut estimator, |_| 15.0, held, 60.0)
+            .last()
+            .unwrap()
+            .1;
+        let drift = after.acceleration_per_a / before.acceleration_per_a - 1.0;
+        assert!(drift.abs() < 0.05, "{drift}");
+        assert_eq!(estimator.jumps(), 0);
+    }
+
+    #[test]
+    fn missing_currents_and_standstill_say_nothing() {
+        let mut estimator = LoadEstimator::new(20.0, 20.0, 0.96, 0.15);
+        for n in 0..100 {
+            assert!(!estimator.push(None, 50.0 + f64::from(n), 0.01));
+            assert!(!estimator.push(Some(f64::NAN), 50.0, 0.01));
+        }
+        for _ in 0..100 {
+            assert!(!estimator.push(Some(3.0), 0.4, 0.01));
+        }
+        assert!(!estimator.load().settled);
+    }
+}

@@ -1,0 +1,271 @@
+//! ADDC of paper A: a PI regulator whose gains follow the inertia that is identified on line.
+//!
+//! The paper prints no tuning rule: here it is one of [`tuning`](super::tuning), worked out for every inertia beforehand.
+//! Gains change at a bounded rate, within bounds from the estimate's uncertainty, and stand still while the estimate is
+//! not settled or the output is limited. A loop that swings by itself is made softer ([`super::swing`]).
+
+use super::adaptation::LoadEstimator;
+use super::swing::{Swing, Verdict};
+use super::tuning::{Request, TuningError};
+use super::{
+    AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
+};
+use crate::plant::{Model, MotorKey};
+
+/// Time in which a gain may change by a factor of e, s.
+const GAIN_TIME_S: f64 = 0.1;
+/// Relative change of the proportional gain below which it stays, at least and in standard deviations of the estimate: no
+/// hunting for noise.
+const DEAD_BAND: f64 = 0.05;
+const DEAD_STDS: f64 = 3.0;
+/// Relative change that is worth a line of the log, once the gains have come to rest.
+const NEWS: f64 = 0.01;
+/// Standard deviations of the estimate that the bounds allow for.
+const DOUBT: f64 = 2.0;
+/// Forgetting factor of paper A's Figure 6.
+const FORGETTING: f64 = 0.96;
+
+/// What the regulator is made of.
+#[derive(Clone, Debug)]
+pub struct AddcSettings {
+    pub request: Request,
+    pub forgetting: f64,
+    /// Standard deviation of a speed sample, rad/s.
+    pub noise_rad_s: f64,
+    pub holding: Holding,
+}
+
+impl AddcSettings {
+    pub fn new(holding: Holding, noise_rad_s: f64) -> Self {
+        Self {
+            request: Request::default(),
+            forgetting: FORGETTING,
+            noise_rad_s,
+            holding,
+        }
+    }
+}
+
+/// Why the gains do not move in this cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Still {
+    No,
+    NotSettled,
+    Limited,
+}
+
+/// The self-tuning regulator.
+#[derive(Clone, Debug)]
+pub struct Addc {
+    pi: Pi,
+    schedule: Schedule,
+    estimator: LoadEstimator,
+    /// Kt/J of the model: the ratio of the schedule refers to it.
+    model_acceleration_per_a: f64,
+    /// Mechanical time constant of the model, s.
+    model_mechanical_s: f64,
+    still: Still,
+    /// The gains moved in this cycle.
+    moved: bool,
+    swing: Swing,
+    swung: Option<Verdict>,
+    told_proportional: f64,
+    told_jumps: u32,
+}
+
+impl Addc {
+    pub const ID: &str = "addc";
+
+    /// # Errors
+    /// What the tuning refuses at the model's own inertia.
+    pub fn new(
+        model: &Model,
+        plant: &LinearPlant,
+        timing: &LoopTiming,
+        settings: &AddcSettings,
+    ) -> Result<Self, TuningError> {
+        let schedule = Schedule::new(plant, timing, &settings.request)?;
+        let value = |key| model.motor.get(key).unwrap_or(0.0);
+        let inertia = value(MotorKey::Inertia);
+        let acceleration_per_a = model.motor.torque_constant().unwrap_or(0.0) / inertia;
+        let estimator = LoadEstimator::new(
+            acceleration_per_a,
+            value(MotorKey::LoadTorque) / inertia,
+            settings.forgetting,
+            settings.noise_rad_s,
+        );
+        let gains = schedule.at(1.0).gains;
+        Ok(Self {
+            pi: Pi::new(gains, AntiWindup::Hold, settings.holding),
+            schedule,
+            estimator,
+            model_acceleration_per_a: acceleration_per_a,
+            model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
+            still: Still::NotSettled,
+            moved: false,
+            swing: Swing::new(settings.noise_rad_s),
+            swung: None,
+            told_proportional: gains.proportional,
+            told_jumps: 0,
+        })
+    }
+
+    /// The same with an estimate that forgets and does not look for jumps, as paper A's.
+    #[must_use]
+    pub fn by_forgetting_alone(mut self) -> Self {
+        self.estimator = self.estimator.by_forgetting_alone();
+        self
+    }
+
+    /// Whether the data carry the estimate that the gains would follow.
+    pub fn is_settled(&self) -> bool {
+        self.estimator.load().settled
+    }
+
+    /// Inertia over the model's, as the gains take it.
+    pub fn inertia_ratio(&self) -> f64 {
+        self.model_acceleration_per_a / self.estimator.load().acceleration_per_a
+    }
+
+    pub const fn pi(&self) -> &Pi {
+        &self.pi
+    }
+
+    /// The mechanical time constant that is known now. One that is being searched for is no number to show.
+    fn mechanical_text(&self) -> String {
+        let ratio = self.inertia_ratio();
+        if self.is_settled() {
+            format!(
+                "TM = {:.4} s ({ratio:.3} times the model's inertia)",
+                ratio * self.model_mechanical_s
+            )
+        } else {
+            "TM is being searched for".to_owned()
+        }
+    }
+
+    /// Softer gains, or those of before, at once: a swing does not wait for the estimate.
+    fn still_the_swing(&mut self, reference_rad_s: f64, speed_rad_s: f64) {
+        let before = self.swing.share();
+        self.swung = self.swing.push(reference_rad_s, speed_rad_s).or(self.swung);
+        let change = self.swing.share() / before;
+        if (change - 1.0).abs() > 1e-9 {
+            let mut gains = *self.pi.gains();
+            gains.proportional *= change;
+            self.pi.set_gains(gains, reference_rad_s - speed_rad_s);
+        }
+    }
+
+    fn adapt(&mut self, error_rad_s: f64, period_s: f64) {
+        let load = self.estimator.load();
+        self.moved = false;
+        self.still = if !load.settled {
+            Still::NotSettled
+        } else if self.pi.is_limited() {
+            Still::Limited
+        } else {
+            Still::No
+        };
+        if self.still != Still::No {
+            return;
+        }
+        let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
+        let wanted = self.schedule.within(
+            ratio(load.acceleration_per_a + DOUBT * load.std),
+            ratio(load.acceleration_per_a),
+        );
+        let share = self.swing.share();
+        let now = *self.pi.gains();
+        let proportional = share * wanted.gains.proportional;
+        let integral_time_s = wanted.gains.integral_time_s;
+        let change = proportional / now.proportional;
+        let outside = now.proportional > wanted.most_proportional;
+        let band = DEAD_BAND.max(DEAD_STDS * load.std / load.acceleration_per_a);
+        if (change - 1.0).abs() < band && !outside {
+            return;
+        }
+        let most = (period_s / GAIN_TIME_S).exp();
+        let moved = |from: f64, to: f64| to.clamp(from / most, from * most);
+        let mut gains = now;
+        gains.proportional = moved(now.proportional, proportional);
+        gains.integral_time_s = moved(now.integral_time_s, integral_time_s);
+        gains.reference_filter_s = wanted.gains.reference_filter_s;
+        self.pi.set_gains(gains, error_rad_s);
+        self.moved = true;
+    }
+}
+
+impl SpeedController for Addc {
+    fn id(&self) -> &'static str {
+        Self::ID
+    }
+
+    fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
+        self.estimator
+            .push(now.current_a, now.speed_rad_s, period_s);
+        self.still_the_swing(reference_rad_s, now.speed_rad_s);
+        self.adapt(reference_rad_s - now.speed_rad_s, period_s);
+        self.pi.step(reference_rad_s, now, period_s)
+    }
+
+    fn applied(&mut self, output: f64) {
+        self.pi.applied(output);
+    }
+
+    fn reset(&mut self, now: &Measured, output: f64) {
+        self.pi.reset(now, output);
+    }
+
+    fn explain(&self) -> Vec<String> {
+        let gains = self.pi.gains();
+        let state = match self.still {
+            Still::No => "follow the estimate",
+            Still::NotSettled => "stand still: the estimate is not settled",
+            Still::Limited => "stand still: the output is limited",
+        };
+        vec![
+            format!(
+                "Kp = {:.4} per rad/s, Tn = {:.4} s; {}",
+                gains.proportional,
+                gains.integral_time_s,
+                self.mechanical_text()
+            ),
+            format!("gains {state}"),
+        ]
+    }
+
+    fn news(&mut self) -> Option<String> {
+        let gains = self.pi.gains();
+        let change = gains.proportional / self.told_proportional;
+        let jumped = self.estimator.jumps() > self.told_jumps;
+        // One line for a change that takes some cycles, at its end.
+        let arrived = !self.moved && (change - 1.0).abs() > NEWS;
+        let swung = self.swung.take();
+        if !arrived && !jumped && swung.is_none() {
+            return None;
+        }
+        let because = match swung {
+            Some(Verdict::Soften { share, swing_rad_s }) => format!(
+                "the loop swings by {swing_rad_s:.1} rad/s: {:.0} % of the tuned gain",
+                100.0 * share
+            ),
+            Some(Verdict::GiveBack { swing_rad_s }) => {
+                format!(
+                    "the swing of {swing_rad_s:.1} rad/s is not the loop's: softer gains did not help"
+                )
+            }
+            None if jumped => "the load changed: the memory of the estimate was dropped".to_owned(),
+            None => "the estimate moved".to_owned(),
+        };
+        let line = format!(
+            "Kp {:.4} -> {:.4}, Tn {:.4} s: {because}; {}",
+            self.told_proportional,
+            gains.proportional,
+            gains.integral_time_s,
+            self.mechanical_text()
+        );
+        self.told_proportional = gains.proportional;
+        self.told_jumps = self.estimator.jumps();
+        Some(line)
+    }
+}

@@ -1,0 +1,101 @@
+//! Speed control, host-side: tuning, controllers, limiter, feed-forward. Pure; time comes in with each cycle.
+//!
+//! ```text
+//! model + timing --> tuning (rule) --> gains, reasons, margins, predicted step
+//!                                        |
+//! reference, Measured --> SpeedController --> wanted output --> limiter --> output --(applied)--> SpeedController
+//!                             ^   PI, ADDC, MRAC, LQ            ^
+//!       on-line TM, Ta -------/                                 \-- current, voltage, slew
+//! ```
+//!
+//! A controller is a function of what is measured; it never sees a link, a file or a clock. A new one is one file here and
+//! one arm where the `[speed]` of a bench file becomes a controller.
+
+mod actuator;
+mod adaptation;
+mod addc;
+mod feed_forward;
+mod holding;
+mod limiter;
+mod linear_plant;
+mod loop_shape;
+mod mrac;
+mod optimal;
+mod pi;
+mod response;
+mod schedule;
+mod sensor;
+mod swing;
+#[cfg(test)]
+pub(crate) mod testing;
+mod timing;
+mod trial;
+pub mod tuning;
+
+pub use actuator::Actuator;
+pub use adaptation::{Load, LoadEstimator};
+pub use addc::{Addc, AddcSettings};
+pub use feed_forward::{Compensated, FeedForward};
+pub use holding::Holding;
+pub use limiter::{CurrentLimit, Limiter};
+pub use linear_plant::{Dominant, LinearPlant, PlantError};
+pub use loop_shape::{LoopShape, Margins, PiGains, StepPoint};
+pub use mrac::{Mrac, MracScales};
+pub use optimal::{
+    LoadObserving, LoadObservingSettings, PaperB, PaperBError, PaperBPlant, PaperBSettings,
+};
+pub use pi::{AntiWindup, Pi};
+pub use response::{Response, response};
+pub use schedule::{Schedule, Scheduled};
+pub use sensor::{Direct, HallSensor, SpeedSensor};
+pub use timing::LoopTiming;
+pub use trial::{Course, TrialMachine, TrialPoint, trial, trial_seen_by};
+
+#[cfg(test)]
+mod loop_tests;
+
+/// What a controller is given in each cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measured {
+    pub speed_rad_s: f64,
+    /// Where the drive measures it.
+    pub current_a: Option<f64>,
+    /// Unwrapped, where the drive gives it.
+    pub angle_rad: Option<f64>,
+    /// A limit of the drive held its output: the motor had less than was asked for.
+    pub limited: bool,
+}
+
+impl Measured {
+    pub const fn at(speed_rad_s: f64) -> Self {
+        Self {
+            speed_rad_s,
+            current_a: None,
+            angle_rad: None,
+            limited: false,
+        }
+    }
+}
+
+/// A regulator of the shaft's speed.
+pub trait SpeedController: Send {
+    /// Key in bench files and on the command line.
+    fn id(&self) -> &'static str;
+
+    /// One cycle of `period_s`: the output that is wanted, in the unit of the actuator.
+    fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64;
+
+    /// What really leaves after all limits; once after each [`Self::step`].
+    fn applied(&mut self, output: f64);
+
+    /// Bumpless start: the shaft turns as measured, and `output` is what holds it there. No memory of before remains.
+    fn reset(&mut self, now: &Measured, output: f64);
+
+    /// Why the gains are what they are, one sentence each.
+    fn explain(&self) -> Vec<String>;
+
+    /// A change of the gains since the last call, as a line of the log.
+    fn news(&mut self) -> Option<String> {
+        None
+    }
+}

@@ -1,0 +1,210 @@
+//! Model-reference adaptive control, paper A's rival: no identification, the gains are driven by the error to a model.
+//!
+//! The paper only cites it. The law here, stated in full: `u = kr r - kw w - ki i + k1`, reference model of second order
+//! `wm / r = 1 / ((1 + s Tm)(1 + s Te))` behind the loop's dead time, `v = e + Td de/dt` with `e = wm - w`, and
+//! proportional-integral adaptation `k = integral of g v x / n + p v x / n` with `x = (r, -w, -i, 1)` and `n = 1 + |x|^2`
+//! (Landau 1979, hyperstability; normalised). In saturation the model's error is not the gains' fault: there the
+//! adaptation is disconnected and the model put on the shaft's speed, unless that is switched off to see what happens.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use super::{LinearPlant, LoopTiming, Measured, SpeedController};
+
+/// Time constant of the reference model, in small time constants.
+const MODEL_SMALL_TIMES: f64 = 3.0;
+/// Weight of the error's rate, in small time constants.
+const RATE_SMALL_TIMES: f64 = 1.0;
+/// Integral adaptation, 1/s for a unit error on a unit signal.
+const INTEGRAL: f64 = 6.0;
+/// Proportional adaptation for the same.
+const PROPORTIONAL: f64 = 0.3;
+/// Largest gain, in those of the start: without identification there is no other bound.
+const LARGEST: f64 = 40.0;
+const ROUNDING: f64 = 1e-9;
+
+/// Sizes that make speed, current and voltage comparable.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MracScales {
+    pub speed_rad_s: f64,
+    pub current_a: f64,
+}
+
+#[derive(Clone, Debug)]
+pub struct Mrac {
+    /// Of reference, speed, current and one, scaled to volts.
+    integral: [f64; 4],
+    now: [f64; 4],
+    largest_v: f64,
+    scales: MracScales,
+    /// Slow and quick time constant of the reference model, s, and the weight of the error's rate.
+    model_s: [f64; 2],
+    rate_s: f64,
+    model: [f64; 2],
+    late: VecDeque<f64>,
+    last_speed: Option<f64>,
+    last_error: f64,
+    disconnects: bool,
+    wanted: f64,
+    limited: bool,
+}
+
+impl Mrac {
+    pub const ID: &str = "mrac";
+
+    /// Gains that fit the model's plant exactly; `disconnects` in saturation, as paper A does. `None` for a plant without
+    /// a back-EMF: the law is one for a voltage command.
+    pub fn new(
+        plant: &LinearPlant,
+        timing: &LoopTiming,
+        scales: MracScales,
+        disconnects: bool,
+    ) -> Option<Self> {
+        let gain = plant.gain()?;
+        let (a, b) = plant.matrices();
+        // The quick pole stays where the circuit has it; the slow one is asked of the loop.
+        let small_s = -1.0 / a[(0, 0)] + timing.small_time_s();
+        let model_s = [MODEL_SMALL_TIMES * small_s, -1.0 / a[(0, 0)]];
+        // (s + 1/Tm)(s + 1/Te) = s^2 + (R + ki)/L s + (Ke + kw) Kt/(L J).
+        let to_rate = a[(1, 0)] * b[0];
+        let current = (1.0 / model_s[0] + 1.0 / model_s[1] + a[(0, 0)]) / b[0];
+        let whole = 1.0 / (model_s[0] * model_s[1] * to_rate);
+        let gains = [
+            whole * scales.speed_rad_s,
+            (whole - 1.0 / gain) * scales.speed_rad_s,
+            current * scales.current_a,
+            0.0,
+        ];
+        let delay = timing.delay_cycles().round().max(0.0);
+        Some(Self {
+            integral: gains,
+            now: gains,
+            largest_v: LARGEST * gains[0].abs(),
+            scales,
+            model_s,
+            rate_s: RATE_SMALL_TIMES * small_s,
+            model: [0.0; 2],
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "a few cycles"
+            )]
+            late: vec![0.0; delay.min(64.0) as usize].into(),
+            last_speed: None,
+            last_error: 0.0,
+            disconnects,
+            wanted: 0.0,
+            limited: false,
+        })
+    }
+
+    /// Gains of reference, speed and current, V per rad/s and V per A, and the constant part, V.
+    pub fn gains(&self) -> [f64; 4] {
+        let MracScales {
+            speed_rad_s,
+            current_a,
+        } = self.scales;
+        [
+            self.now[0] / speed_rad_s,
+            self.now[1] / speed_rad_s,
+            self.now[2] / current_a,
+            self.now[3],
+        ]
+    }
+
+    /// One period of the reference model: two lags in series, each exact for a held input.
+    fn advance_model(&mut self, reference_rad_s: f64, period_s: f64) {
+        self.late.push_back(reference_rad_s);
+        let input = self.late.pop_front().unwrap_or(reference_rad_s);
+        let [slow, quick] = self.model_s.map(|time_s| -(-period_s / time_s).exp_m1());
+        self.model[0] += quick * (input - self.model[0]);
+        self.model[1] += slow * (self.model[0] - self.model[1]);
+    }
+
+    fn adapt(&mut self, signals: &[f64; 4], speed: f64, period_s: f64) {
+        let error = (self.model[1] - speed) / self.scales.speed_rad_s;
+        let rate = (error - self.last_error) / period_s;
+        self.last_error = error;
+        let filtered = error + self.rate_s * rate;
+        let size = 1.0 + signals.iter().map(|x| x * x).sum::<f64>();
+        let unit_v = self.largest_v / LARGEST;
+        for ((gain, now), signal) in self.integral.iter_mut().zip(&mut self.now).zip(signals) {
+            let push = unit_v * filtered * signal / size;
+            *gain = (*gain + INTEGRAL * period_s * push).clamp(-self.largest_v, self.largest_v);
+            *now = (*gain + PROPORTIONAL * push).clamp(-self.largest_v, self.largest_v);
+        }
+    }
+}
+
+impl SpeedController for Mrac {
+    fn id(&self) -> &'static str {
+        Self::ID
+    }
+
+    fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
+        let speed = now.speed_rad_s;
+        let signals = [
+            reference_rad_s / self.scales.speed_rad_s,
+            -speed / self.scales.speed_rad_s,
+            -now.current_a.unwrap_or(0.0) / self.scales.current_a,
+            1.0,
+        ];
+        if self.last_speed.replace(speed).is_none() {
+            self.model = [speed; 2];
+            self.late.iter_mut().for_each(|late| *late = speed);
+        }
+        self.advance_model(reference_rad_s, period_s);
+        if self.disconnects && (self.limited || now.limited) {
+            self.model = [speed; 2];
+            self.last_error = 0.0;
+            self.now = self.integral;
+        } else {
+            self.adapt(&signals, speed, period_s);
+        }
+        self.wanted = self
+            .now
+            .iter()
+            .zip(&signals)
+            .map(|(gain, x)| gain * x)
+            .sum();
+        self.wanted
+    }
+
+    fn applied(&mut self, output: f64) {
+        let rounding = ROUNDING * self.wanted.abs().max(1.0);
+        self.limited = (self.wanted - output).abs() > rounding;
+    }
+
+    fn reset(&mut self, now: &Measured, output: f64) {
+        let speed = now.speed_rad_s;
+        self.model = [speed; 2];
+        self.late.iter_mut().for_each(|late| *late = speed);
+        self.last_speed = Some(speed);
+        self.last_error = 0.0;
+        self.limited = false;
+        // The constant part takes what the others do not give at this speed.
+        let scaled = speed / self.scales.speed_rad_s;
+        let current = now.current_a.unwrap_or(0.0) / self.scales.current_a;
+        self.integral[3] =
+            output - (self.integral[0] - self.integral[1]) * scaled + self.integral[2] * current;
+        self.now = self.integral;
+        self.wanted = output;
+    }
+
+    fn explain(&self) -> Vec<String> {
+        let [reference, speed, current, constant] = self.gains();
+        vec![
+            format!(
+                "reference model with {:.1} and {:.1} ms; gains now: reference {reference:.4}, speed {speed:.4} V per rad/s, current {current:.4} V per A, constant {constant:.3} V",
+                1e3 * self.model_s[0],
+                1e3 * self.model_s[1]
+            ),
+            if self.disconnects {
+                "the adaptation is disconnected while the output is limited".to_owned()
+            } else {
+                "the adaptation goes on while the output is limited: it takes the limit for a wrong gain".to_owned()
+            },
+        ]
+    }
+}

@@ -1,0 +1,252 @@
+//! PI regulator with anti-windup, bumpless start and bumpless change of gains.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Holding, Measured, PiGains, SpeedController};
+
+/// Share of an output's size below which a difference is rounding and no limit.
+const ROUNDING: f64 = 1e-9;
+
+/// What the integral part does while the output is limited.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AntiWindup {
+    /// It goes on: the textbook's windup, for comparison.
+    Off,
+    /// It stands still while the error would drive it further into the limit.
+    Clamp,
+    /// It follows what holds the present speed, so that the loop leaves the limit as from rest at that speed.
+    #[default]
+    Hold,
+}
+
+/// `u = Kp e + I`, `I` grows by `Kp T/Tn e` per cycle.
+#[derive(Clone, Debug)]
+pub struct Pi {
+    gains: PiGains,
+    anti_windup: AntiWindup,
+    holding: Holding,
+    integral: f64,
+    /// The reference after its filter; `None` before the first step.
+    reference_rad_s: Option<f64>,
+    wanted: f64,
+    /// Sign of the limit that held the last output: +1 where more was wanted than was given.
+    limited: f64,
+    /// What the integral holds beyond the model: the load that nobody told us.
+    load: f64,
+}
+
+impl Pi {
+    pub const ID: &str = "pi";
+
+    pub const fn new(gains: PiGains, anti_windup: AntiWindup, holding: Holding) -> Self {
+        Self {
+            gains,
+            anti_windup,
+            holding,
+            integral: 0.0,
+            reference_rad_s: None,
+            wanted: 0.0,
+            limited: 0.0,
+            load: 0.0,
+        }
+    }
+
+    pub const fn gains(&self) -> &PiGains {
+        &self.gains
+    }
+
+    /// Whether the last output was cut by a limit.
+    pub fn is_limited(&self) -> bool {
+        self.limited.abs() > 0.0
+    }
+
+    /// New gains without a step of the output at this error.
+    pub fn set_gains(&mut self, gains: PiGains, error_rad_s: f64) {
+        self.integral += (self.gains.proportional - gains.proportional) * error_rad_s;
+        self.gains = gains;
+    }
+
+    /// The holding torque changed, as with a new estimate of the load.
+    pub const fn set_holding(&mut self, holding: Holding) {
+        self.holding = holding;
+    }
+
+    fn filtered(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) -> f64 {
+        let share = if self.gains.reference_filter_s > 0.0 {
+            -(-period_s / self.gains.reference_filter_s).exp_m1()
+        } else {
+            1.0
+        };
+        // A start from rest or after a stop begins at the speed that is there.
+        let before = self.reference_rad_s.unwrap_or(speed_rad_s);
+        let after = before + share * (reference_rad_s - before);
+        self.reference_rad_s = Some(after);
+        after
+    }
+}
+
+impl SpeedController for Pi {
+    fn id(&self) -> &'static str {
+        Self::ID
+    }
+
+    fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
+        let speed_rad_s = now.speed_rad_s;
+        let error = self.filtered(reference_rad_s, speed_rad_s, period_s) - speed_rad_s;
+        if now.limited && !self.is_limited() {
+            // A limit of the drive that this side does not see: what it gives less lies on the side of the error.
+            self.limited = error.signum();
+        }
+        let growth = self.gains.proportional * period_s / self.gains.integral_time_s * error;
+        let outward = growth * self.limited > 0.0;
+        match self.anti_windup {
+            AntiWindup::Clamp if outward => {}
+            AntiWindup::Hold if outward => {
+                self.integral = self.holding.output(speed_rad_s) + self.load;
+            }
+            _ => {
+                self.integral += growth;
+                if !self.is_limited() {
+                    self.load = self.integral - self.holding.output(speed_rad_s);
+                }
+            }
+        }
+        self.wanted = self.gains.proportional * error + self.integral;
+        self.wanted
+    }
+
+    fn applied(&mut self, output: f64) {
+        let short = self.wanted - output;
+        let rounding = ROUNDING * self.wanted.abs().max(1.0);
+        self.limited = if short.abs() > rounding {
+            short.signum()
+        } else {
+            0.0
+        };
+    }
+
+    fn reset(&mut self, now: &Measured, output: f64) {
+        self.integral = output;
+        self.load = 0.0;
+        self.limited = 0.0;
+        self.wanted = output;
+        self.reference_rad_s = Some(now.speed_rad_s);
+    }
+
+    fn explain(&self) -> Vec<String> {
+        let integral = match self.anti_windup {
+            AntiWindup::Off => "goes on growing",
+            AntiWindup::Clamp => "stands still",
+            AntiWindup::Hold => "follows what holds the present speed",
+        };
+        vec![
+            format!(
+                "Kp = {:.4} per rad/s, Tn = {:.4} s, fixed",
+                self.gains.proportional, self.gains.integral_time_s
+            ),
+            format!("while the output is limited the integral part {integral}"),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::testing::assert_close;
+
+    fn gains() -> PiGains {
+        PiGains {
+            proportional: 2.0,
+            integral_time_s: 0.5,
+            reference_filter_s: 0.0,
+        }
+    }
+
+    fn holding() -> Holding {
+        Holding {
+            per_speed: 0.35,
+            against: 0.0,
+        }
+    }
+
+    #[test]
+    fn unlimited_it_is_the_sum_of_its_parts() {
+        let mut pi = Pi::new(gains(), AntiWindup::Hold, holding());
+        let mut integral = 0.0;
+        for (reference, speed) in [(10.0, 0.0), (10.0, 3.0), (-5.0, 6.0), (-5.0, 7.0)] {
+            let output = pi.step(reference, &Measured::at(speed), 0.01);
+            pi.applied(output);
+            integral += 2.0 * 0.01 / 0.5 * (reference - speed);
+            assert_close(output, 2.0 * (reference - speed) + integral, 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_reset_starts_without_a_step_of_the_output() {
+        let mut pi = Pi::new(gains(), AntiWindup::Hold, holding());
+        pi.reset(&Measured::at(100.0), 36.5);
+        assert_close(pi.step(100.0, &Measured::at(100.0), 0.01), 36.5, 1e-12);
+    }
+
+    #[test]
+    fn new_gains_do_not_move_the_output() {
+        let mut pi = Pi::new(gains(), AntiWindup::Hold, holding());
+        let before = pi.step(10.0, &Measured::at(2.0), 0.01);
+        let stronger = PiGains {
+            proportional: 6.0,
+            ..gains()
+        };
+        pi.set_gains(stronger, 8.0);
+        assert_close(6.0 * 8.0 + pi.integral, before, 1e-12);
+    }
+
+    /// An integrating load, limited hard: what is beyond the reference at the end of a long acceleration.
+    fn overshoot(anti_windup: AntiWindup) -> f64 {
+        let mut pi = Pi::new(gains(), anti_windup, holding());
+        let (mut speed, mut most) = (0.0_f64, 0.0_f64);
+        for _ in 0..4000 {
+            let wanted = pi.step(100.0, &Measured::at(speed), 0.01);
+            let back_emf = 0.35 * speed;
+            let output = wanted.clamp(back_emf - 5.0, back_emf + 5.0);
+            pi.applied(output);
+            speed += 0.01 * 10.0 * (output - back_emf);
+            most = most.max(speed);
+        }
+        assert_close(speed, 100.0, 1e-3);
+        most - 100.0
+    }
+
+    #[test]
+    fn a_limit_that_only_the_drive_sees_does_not_wind_up_either() {
+        // The drive gives 5 above the back-EMF, whatever is asked, and says that it limits.
+        let most_with = |says: bool| {
+            let mut pi = Pi::new(gains(), AntiWindup::Hold, holding());
+            let (mut speed, mut limited, mut most) = (0.0_f64, false, 0.0_f64);
+            for _ in 0..4000 {
+                let now = Measured {
+                    limited: limited && says,
+                    ..Measured::at(speed)
+                };
+                let wanted = pi.step(100.0, &now, 0.01);
+                pi.applied(wanted);
+                let back_emf = 0.35 * speed;
+                let output = wanted.clamp(back_emf - 5.0, back_emf + 5.0);
+                limited = (output - wanted).abs() > 0.0;
+                speed += 0.01 * 10.0 * (output - back_emf);
+                most = most.max(speed);
+            }
+            most - 100.0
+        };
+        assert!(most_with(true) < 5.0, "{}", most_with(true));
+        assert!(most_with(false) > 20.0, "{}", most_with(false));
+    }
+
+    #[test]
+    fn the_integral_winds_up_only_where_it_is_let() {
+        let [off, clamp, hold] =
+            [AntiWindup::Off, AntiWindup::Clamp, AntiWindup::Hold].map(overshoot);
+        assert!(off > 20.0, "{off}");
+        assert!(clamp < 5.0 && hold < 5.0, "{clamp} {hold}");
+    }
+}

@@ -1,0 +1,191 @@
+//! Gains and their bounds over the inertia, worked out before the motor moves.
+//!
+//! On line nothing is tuned: an estimate finds its place between two grid points. Each point holds the gains of the rule
+//! and the largest proportional gain at which the sampled loop keeps half of its gain margin.
+
+use super::tuning::{Request, TuningError, tune};
+use super::{LinearPlant, LoopShape, LoopTiming, PiGains};
+
+/// Points of the grid, and how far it reaches either way from the model's inertia.
+const POINTS: usize = 41;
+const REACH: f64 = 32.0;
+/// Gain margin that is left at the largest gain.
+const LEAST_GAIN_MARGIN: f64 = 1.6;
+
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    gains: PiGains,
+    most_proportional: f64,
+    small_time_s: f64,
+}
+
+/// Gains over the ratio of the inertia to the model's.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    points: Vec<Point>,
+    /// Logarithm of the lowest ratio and of the step.
+    lowest: f64,
+    step: f64,
+}
+
+/// What the schedule says of a ratio.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scheduled {
+    pub gains: PiGains,
+    /// Largest proportional gain with margin.
+    pub most_proportional: f64,
+    pub small_time_s: f64,
+}
+
+impl Schedule {
+    /// The grid around the model's plant; it ends where the rule refuses.
+    ///
+    /// # Errors
+    /// What [`tune`] refuses at the model's own inertia.
+    pub fn new(
+        plant: &LinearPlant,
+        timing: &LoopTiming,
+        request: &Request,
+    ) -> Result<Self, TuningError> {
+        let step = 2.0 * REACH.ln() / (POINTS - 1) as f64;
+        let at = |index: usize| {
+            let ratio = (index as f64 * step - REACH.ln()).exp();
+            point(&plant.with_inertia_ratio(ratio), timing, request)
+        };
+        let middle = POINTS / 2;
+        let mut points = vec![at(middle)?];
+        let mut first = middle;
+        while first > 0
+            && let Ok(point) = at(first - 1)
+        {
+            points.insert(0, point);
+            first -= 1;
+        }
+        for index in middle + 1..POINTS {
+            let Ok(point) = at(index) else { break };
+            points.push(point);
+        }
+        Ok(Self {
+            points,
+            lowest: first as f64 * step - REACH.ln(),
+            step,
+        })
+    }
+
+    /// Smallest and largest ratio of the grid.
+    pub fn range(&self) -> (f64, f64) {
+        let highest = self.lowest + (self.points.len() - 1) as f64 * self.step;
+        (self.lowest.exp(), highest.exp())
+    }
+
+    /// Gains for a ratio; beyond the grid those of its end.
+    pub fn at(&self, ratio: f64) -> Scheduled {
+        let last = self.points.len() - 1;
+        let place = ((ratio.ln() - self.lowest) / self.step).clamp(0.0, last as f64);
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "between 0 and the last point"
+        )]
+        let index = (place as usize).min(last.saturating_sub(1));
+        let (low, high) = (&self.points[index], &self.points[(index + 1).min(last)]);
+        let share = place - index as f64;
+        let between = |of: fn(&Point) -> f64| of(low) + share * (of(high) - of(low));
+        Scheduled {
+            gains: PiGains {
+                proportional: between(|point| point.gains.proportional),
+                integral_time_s: between(|point| point.gains.integral_time_s),
+                reference_filter_s: between(|point| point.gains.reference_filter_s),
+            },
+            most_proportional: between(|point| point.most_proportional),
+            small_time_s: between(|point| point.small_time_s),
+        }
+    }
+
+    /// Gains for an inertia that may be anything between two ratios: those of the middle, but never beyond what the
+    /// lightest of them bears.
+    pub fn within(&self, low: f64, ratio: f64) -> Scheduled {
+        let mut scheduled = self.at(ratio);
+        let bound = self.at(low.min(ratio)).most_proportional;
+        scheduled.most_proportional = scheduled.most_proportional.min(bound);
+        let gains = &mut scheduled.gains;
+        gains.proportional = gains.proportional.min(scheduled.most_proportional);
+        scheduled
+    }
+}
+
+fn point(
+    plant: &LinearPlant,
+    timing: &LoopTiming,
+    request: &Request,
+) -> Result<Point, TuningError> {
+    let tuning = tune(plant, timing, request)?;
+    let shape = LoopShape::new(plant, timing, &tuning.gains);
+    let margin = shape.margins().gain_margin;
+    Ok(Point {
+        gains: tuning.gains,
+        most_proportional: tuning.gains.proportional * (margin / LEAST_GAIN_MARGIN).max(1.0),
+        small_time_s: tuning.small_time_s,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::testing::assert_close;
+    use crate::plant::{Model, Motor, MotorKey};
+
+    fn plant() -> LinearPlant {
+        let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.0228);
+        LinearPlant::voltage(&Model::baseline(motor), 0.0).unwrap()
+    }
+
+    fn timing() -> LoopTiming {
+        LoopTiming {
+            period_s: 0.01,
+            delay_s: 0.02,
+            filter_s: 0.0,
+        }
+    }
+
+    #[test]
+    fn between_the_points_it_is_what_tuning_gives() {
+        let schedule = Schedule::new(&plant(), &timing(), &Request::default()).unwrap();
+        for ratio in [0.26, 0.5, 1.0, 1.7, 5.0] {
+            let exact = tune(
+                &plant().with_inertia_ratio(ratio),
+                &timing(),
+                &Request::default(),
+            );
+            let exact = exact.unwrap().gains;
+            let found = schedule.at(ratio).gains;
+            assert_close(found.proportional / exact.proportional, 1.0, 0.02);
+            assert_close(found.integral_time_s / exact.integral_time_s, 1.0, 0.02);
+        }
+    }
+
+    #[test]
+    fn no_gain_of_the_bounds_is_unstable_for_any_inertia_within_them() {
+        let schedule = Schedule::new(&plant(), &timing(), &Request::default()).unwrap();
+        for (low, ratio) in [(0.2, 1.0), (0.8, 1.0), (1.0, 4.0), (0.5, 0.6)] {
+            let gains = schedule.within(low, ratio).gains;
+            for true_ratio in [low, (low * ratio).sqrt(), ratio, 2.0 * ratio] {
+                let shape =
+                    LoopShape::new(&plant().with_inertia_ratio(true_ratio), &timing(), &gains);
+                assert!(shape.radius() < 1.0, "{low} {ratio} {true_ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn beyond_the_grid_stand_its_ends() {
+        let schedule = Schedule::new(&plant(), &timing(), &Request::default()).unwrap();
+        let (low, high) = schedule.range();
+        assert_eq!(schedule.at(1e-9), schedule.at(low));
+        assert_close(
+            schedule.at(1e9).gains.proportional,
+            schedule.at(high).gains.proportional,
+            1e-9,
+        );
+    }
+}
