@@ -1,7 +1,5 @@
 //! From "these two cannot be told apart" over the recommended bench file to a name: the real binary against its software
-//! drive behind a pseudo-terminal, in real time.
-#![cfg(target_os = "linux")]
-
+//! drive, in virtual time, so that no stalled machine decides what a run can tell apart.
 mod program;
 
 use std::fs;
@@ -30,9 +28,10 @@ fn weak_bench(emulator: &Path) -> String {
     )
 }
 
-fn recorded(bench: &Path, out: &Path) -> std::path::PathBuf {
-    let arguments = "run {} --headless --port emulator --seed 5 --out {} --json";
-    drivebench(line(arguments, &[bench, out])).expect(0);
+fn recorded(bench: &Path, run_seed: u64, out: &Path) -> std::path::PathBuf {
+    let arguments =
+        format!("run {{}} --headless --port sim: --seed 5 --run-seed {run_seed} --out {{}} --json");
+    drivebench(line(&arguments, &[bench, out])).expect(0);
     only_folder(out)
 }
 
@@ -53,7 +52,7 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     fs::write(&emulator, format!("{plain}{hidden}")).expect("a file");
     fs::write(&bench, weak_bench(&emulator)).expect("a file");
 
-    let run = recorded(&bench, &at("weak"));
+    let run = recorded(&bench, 1, &at("weak"));
     let weak = diagnosed(&run, &bench, &next);
     assert_eq!(weak["verdict"], "ambiguous", "{}", weak["sentence"]);
     let rivals = weak["confusable"].to_string();
@@ -67,7 +66,7 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     assert!(missing.error().contains("no.toml"), "{}", missing.stderr);
 
     // Exactly the file that was written; the drive keeps the limits that the plan promised.
-    let run = recorded(&next, &at("next"));
+    let run = recorded(&next, 2, &at("next"));
     let told = diagnosed(&run, &bench, &at("none.toml"));
     assert_eq!(told["verdict"], "effect", "{}", told["sentence"]);
     assert_eq!(told["effects"], serde_json::json!(["current_offset"]));
