@@ -1,8 +1,13 @@
 //! The Modbus link: one exchange is one request of function code 23, which writes the command and reads the sample.
 //!
 //! ```text
-//! exchange: [suspect? silence, probe] -> gap -> FC23 { sequence, control, set-point | 16 registers } -> echo = sequence?
+//! exchange: gap, listen -> FC23 { sequence, control, set-point | 16 registers } -> only a reply that echoes the sequence
+//! read:     gap, listen, [suspect? silence, probe] -> FC03 | 04 -> probe: was it the only reply under way?
 //! ```
+//!
+//! A command is its own proof: its sequence number comes back with the sample. A plain read has none, and a copy of an
+//! older reply can look exactly like its own; its value counts only when a probe with a number behind it came back and
+//! nothing else did.
 //!
 //! This file owns the clock of the exchanges.
 
@@ -10,8 +15,8 @@ use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use firmware_protocol::registers::{
-    COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, IDENTITY_WORDS, TELEMETRY_ADDRESS,
-    TELEMETRY_WORDS,
+    COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, IDENTITY_WORDS, SEQUENCE_ECHO,
+    TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
 use firmware_protocol::{DriveCommand, Telemetry};
 use tokio::runtime::Runtime;
@@ -22,7 +27,7 @@ use tokio_modbus::{Error, ExceptionCode, Request, Response, Slave};
 use super::clock_map::ClockMap;
 use super::guard::{Guard, Leftover, LineCounts, Port, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::reply::FrameKind;
+use super::reply::{Echo, FrameKind};
 use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, identity_error, low_word};
 use super::timing::{LineTiming, wait_until};
@@ -34,6 +39,10 @@ const READ_ATTEMPTS: usize = 3;
 const STOP_ATTEMPTS: usize = 5;
 /// Probes of one resynchronisation.
 const PROBES: usize = 6;
+/// Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
+const FAILURES_BEFORE_SILENCE: u32 = 2;
+/// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it.
+const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
 /// Bytes of an RTU frame beside its PDU.
 const RTU_EXTRA: usize = 3;
 
@@ -61,6 +70,8 @@ pub struct ModbusLink {
     nonce: u16,
     /// Something came in that was not asked for, or did not come: what comes next may be old.
     suspect: bool,
+    /// Commands without a sample since the last one that had one.
+    failed_in_a_row: u32,
     gone: bool,
 }
 
@@ -99,6 +110,7 @@ impl ModbusLink {
             nonce: u16::from_be_bytes([high, low]),
             // A reply to whoever used the line before us may be under way.
             suspect: kind == FrameKind::Rtu,
+            failed_in_a_row: 0,
             gone: false,
         }
     }
@@ -146,23 +158,23 @@ impl ModbusLink {
         .map(|answer| answer.value)
     }
 
-    /// What the line carried beside replies.
-    pub fn line(&self) -> LineCounts {
-        self.guard.line()
-    }
-
+    /// The deadline of an exchange that may need a probe before it and after it.
     fn deadline(&self, request_bytes: usize, reply_bytes: usize) -> Instant {
-        let probe = if self.suspect && self.kind == FrameKind::Rtu {
-            self.timing.quiet() + self.timing.allowed(8, 8)
-        } else {
-            Duration::ZERO
+        let probes = match (self.kind, self.suspect) {
+            (FrameKind::Tcp, _) => Duration::ZERO,
+            (FrameKind::Rtu, false) => self.timing.allowed(8, 8),
+            (FrameKind::Rtu, true) => self.timing.quiet() + 2 * self.timing.allowed(8, 8),
         };
-        now() + probe + self.timing.allowed(request_bytes, reply_bytes)
+        now() + probes + self.timing.allowed(request_bytes, reply_bytes)
     }
 
-    /// One command on the wire. A wrong echo means that the sample is that of another command.
+    /// One command on the wire. Only a reply that carries its number is its sample.
     fn command(&mut self, command: Command, deadline: Instant) -> Result<Sample, LinkError> {
         let seq = low_word(command.seq);
+        self.guard.expect(Echo {
+            at: ECHO_AT,
+            bytes: seq.to_be_bytes(),
+        });
         let words: [u16; COMMAND_WORDS] = DriveCommand {
             seq,
             control: control(command.demand),
@@ -175,25 +187,19 @@ impl ModbusLink {
             COMMAND_ADDRESS,
             Cow::Borrowed(&words),
         );
-        let answer = self.call(request, "the command", deadline, |response| {
-            let Response::ReadWriteMultipleRegisters(values) = response else {
-                return Err(format!("{response:?}"));
-            };
-            let telemetry = telemetry(&values)?;
-            if telemetry.seq == seq {
-                Ok(telemetry)
-            } else {
-                Err(format!(
-                    "it carries sequence number {}, the request had {seq}",
-                    telemetry.seq
-                ))
-            }
-        })?;
+        let answer = self.call(request, "the command", deadline, |response| match response {
+            Response::ReadWriteMultipleRegisters(values) => telemetry(&values),
+            other => Err(format!("{other:?}")),
+        });
+        self.failed_in_a_row = match &answer {
+            Ok(_) => 0,
+            Err(_) => self.failed_in_a_row.saturating_add(1),
+        };
         let Answer {
             value,
             sent_s,
             received_s,
-        } = answer;
+        } = answer?;
         Ok(self
             .timeline
             .sample(&value, command.seq, sent_s, received_s))
@@ -213,7 +219,8 @@ impl ModbusLink {
             let deadline = self.deadline(request_bytes, reply_bytes);
             let result = self
                 .prove_fresh(deadline)
-                .and_then(|()| self.call(request(), what, deadline, &check));
+                .and_then(|()| self.call(request(), what, deadline, &check))
+                .and_then(|answer| self.vouch(deadline).map(|()| answer));
             match result {
                 Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
                 result => return result,
@@ -221,50 +228,84 @@ impl ModbusLink {
         }
     }
 
+    /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
+    fn listen(&mut self) -> Result<(), LinkError> {
+        self.live()?;
+        if self.kind == FrameKind::Rtu {
+            wait_until(self.guard.last_activity() + self.timing.gap());
+        }
+        let strays = self.runtime.block_on(self.guard.begin());
+        self.suspect |= strays.map_err(|error| self.lost(&error))? > 0;
+        Ok(())
+    }
+
+    /// Waits until nothing of an earlier exchange can come any more.
+    fn silence(&mut self, deadline: Instant) -> Result<(), LinkError> {
+        let silence = self.guard.silence(self.timing.quiet(), deadline);
+        match self.runtime.block_on(silence) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(LinkError::Corrupt {
+                link: self.name.clone(),
+                reason: "the line is never silent: something talks all the time".to_owned(),
+            }),
+            Err(error) => Err(self.lost(&error)),
+        }
+    }
+
     /// Makes sure that what comes next is not a reply to something older: silence for the longest turnaround, then a
     /// probe with a number of its own that the drive sends back (function code 08).
     fn prove_fresh(&mut self, deadline: Instant) -> Result<(), LinkError> {
-        self.live()?;
-        let strays = self.runtime.block_on(self.guard.begin());
-        let strays = strays.map_err(|error| self.lost(&error))?;
-        self.suspect |= strays > 0;
-        if !self.suspect || self.kind == FrameKind::Tcp {
+        self.listen()?;
+        if self.kind == FrameKind::Tcp {
             return Ok(());
         }
-        let silence = self.guard.silence(self.timing.quiet(), deadline);
-        match self.runtime.block_on(silence) {
-            Ok(true) => {}
-            Ok(false) => {
-                return Err(LinkError::Corrupt {
-                    link: self.name.clone(),
-                    reason: "the line is never silent: something talks all the time".to_owned(),
-                });
-            }
-            Err(error) => return Err(self.lost(&error)),
-        }
-        let mut last = None;
-        for _ in 0..PROBES {
-            if now() >= deadline {
-                break;
-            }
-            self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
-            let [high, low] = self.nonce.to_be_bytes();
-            let request = Request::Custom(8, Cow::Owned(vec![0, 0, high, low]));
-            let probe_deadline = deadline.min(now() + self.timing.allowed(8, 8));
-            // The guard has compared all bytes.
-            match self.call(request, "the probe", probe_deadline, |_| Ok(())) {
-                Ok(_) => {
-                    self.suspect = false;
-                    return Ok(());
-                }
-                Err(error) if error.is_transient() => last = Some(error),
-                Err(error) => return Err(error),
+        let mut probes = 0;
+        while self.suspect {
+            self.silence(deadline)?;
+            let result = self.probe(deadline);
+            probes += 1;
+            match result {
+                // What came during the probe, or comes in the gap behind it, was not asked for either.
+                Ok(()) => self.listen()?,
+                Err(error) if !error.is_transient() => return Err(error),
+                Err(error) if probes == PROBES || now() >= deadline => return Err(error),
+                Err(_) => {}
             }
         }
-        Err(last.unwrap_or_else(|| self.timeout("the probe", deadline, now())))
+        Ok(())
     }
 
-    /// One request and its reply, booked in the statistics. `check` turns the reply into a value or says what is
+    /// Whether the reply just taken was the only one under way: a probe behind it must come back alone.
+    fn vouch(&mut self, deadline: Instant) -> Result<(), LinkError> {
+        if self.kind == FrameKind::Tcp {
+            return Ok(());
+        }
+        self.listen()?;
+        if !self.suspect {
+            self.probe(deadline)?;
+        }
+        if self.suspect {
+            return Err(LinkError::Stale {
+                link: self.name.clone(),
+                reason: "more than one reply came, and which is the right one cannot be told"
+                    .to_owned(),
+            });
+        }
+        Ok(())
+    }
+
+    /// One probe. The guard compares all its bytes.
+    fn probe(&mut self, deadline: Instant) -> Result<(), LinkError> {
+        self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
+        let [high, low] = self.nonce.to_be_bytes();
+        let request = Request::Custom(8, Cow::Owned(vec![0, 0, high, low]));
+        let deadline = deadline.min(now() + self.timing.allowed(8, 8));
+        self.listen()?;
+        self.call(request, "the probe", deadline, |_| Ok(()))
+            .map(drop)
+    }
+
+    /// One request and its reply, booked in the statistics; who calls has listened. `check` turns the reply into a value or says what is
     /// wrong with it.
     fn call<T>(
         &mut self,
@@ -273,13 +314,8 @@ impl ModbusLink {
         deadline: Instant,
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
-        self.live()?;
-        let strays = self.runtime.block_on(self.guard.begin());
-        let strays = strays.map_err(|error| self.lost(&error))?;
-        self.suspect |= strays > 0;
-        if self.kind == FrameKind::Rtu {
-            wait_until(self.guard.last_activity() + self.timing.gap());
-        }
+        // What came before the request has been judged.
+        self.guard.take_anomaly();
         let sent = now();
         let reply = self.runtime.block_on(async {
             tokio::time::timeout_at(deadline.into(), self.context.call(request)).await
@@ -292,7 +328,8 @@ impl ModbusLink {
             Ok(Err(Error::Transport(error))) => Err(self.broken(&error)),
             Err(_) => Err(self.missing(what, deadline, sent)),
         };
-        self.suspect |= self.guard.take_anomaly() || matches!(&result, Err(e) if e.is_transient());
+        // A reply that carries its own number ends every doubt about what came before it.
+        self.suspect = self.guard.take_anomaly() || matches!(&result, Err(e) if e.is_transient());
         if result.is_err() && self.kind == FrameKind::Rtu {
             // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
             // transaction number, and the guard drops replies to older ones.
@@ -360,6 +397,10 @@ impl ModbusLink {
     fn missing(&self, what: &str, deadline: Instant, sent: Instant) -> LinkError {
         match self.guard.leftover() {
             Leftover::Nothing => self.timeout(what, deadline, sent),
+            Leftover::Stale => LinkError::Stale {
+                link: self.name.clone(),
+                reason: format!("only late answers came after {what}"),
+            },
             Leftover::Foreign => {
                 self.mismatch(format!("only frames that do not answer {what} came"))
             }
@@ -440,8 +481,13 @@ impl DriveLink for ModbusLink {
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
         let request_bytes = 10 + 2 * COMMAND_WORDS + RTU_EXTRA;
-        let deadline = self.deadline(request_bytes, 2 + 2 * TELEMETRY_WORDS + RTU_EXTRA);
-        self.prove_fresh(deadline)?;
+        let reply_bytes = 2 + 2 * TELEMETRY_WORDS + RTU_EXTRA;
+        self.listen()?;
+        let mut deadline = now() + self.timing.allowed(request_bytes, reply_bytes);
+        if self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu {
+            deadline += self.timing.quiet();
+            self.silence(deadline)?;
+        }
         self.command(command, deadline)
     }
 
@@ -456,6 +502,7 @@ impl DriveLink for ModbusLink {
             reason: format!("the drive still runs after {STOP_ATTEMPTS} requests to stop"),
         };
         for _ in 0..STOP_ATTEMPTS {
+            self.listen()?;
             let deadline = now() + self.timing.allowed(21, 37);
             match self.command(stop, deadline) {
                 Ok(sample) if sample.state != Some(DriveState::Running) => return Ok(()),
@@ -477,6 +524,10 @@ impl DriveLink for ModbusLink {
 
     fn round_trips(&self) -> Option<&RoundTrips> {
         Some(&self.tally.round_trips)
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        Some(self.guard.line())
     }
 
     fn clock_map(&self) -> Option<&ClockMap> {

@@ -221,7 +221,7 @@ fn a_peer_that_vanishes_is_noticed_at_once_and_for_good() {
             assert!(matches!(error, LinkError::Gone { .. }), "{error}");
         }
         assert!(start.elapsed() < Duration::from_secs(10));
-        assert_eq!(link.statistics().io, 1);
+        assert_eq!(link.statistics().aborted, 1);
     }
 }
 

@@ -86,11 +86,12 @@ impl Tally {
             }
             Err(LinkError::Timeout { .. }) => s.timeout += 1,
             Err(LinkError::Corrupt { .. }) => s.crc += 1,
+            Err(LinkError::Stale { .. }) => s.stale += 1,
             Err(
                 LinkError::Mismatch { .. } | LinkError::Version { .. } | LinkError::Identity { .. },
             ) => s.mismatch += 1,
             Err(LinkError::Exception { .. }) => s.exception += 1,
-            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => s.io += 1,
+            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => s.aborted += 1,
         }
     }
 }
@@ -124,7 +125,7 @@ mod tests {
     #[test]
     fn every_end_has_one_class() {
         let link = String::new;
-        let ends: [Result<(), LinkError>; 7] = [
+        let ends: [Result<(), LinkError>; 8] = [
             Ok(()),
             Err(LinkError::Timeout {
                 link: link(),
@@ -132,6 +133,10 @@ mod tests {
                 request: link(),
             }),
             Err(LinkError::Corrupt {
+                link: link(),
+                reason: link(),
+            }),
+            Err(LinkError::Stale {
                 link: link(),
                 reason: link(),
             }),
@@ -161,6 +166,6 @@ mod tests {
             assert!(tally.statistics.balances());
         }
         let s = tally.statistics;
-        assert_eq!((s.sent, s.ok, s.mismatch, s.io), (7, 1, 2, 1));
+        assert_eq!((s.sent, s.ok, s.stale, s.mismatch, s.aborted), (8, 1, 1, 2, 1));
     }
 }
