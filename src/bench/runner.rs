@@ -21,7 +21,7 @@ use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Phase, Sessio
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::timing::{Punctuality, Timing, whole};
-use crate::drive::{DriveLink, LinkStatistics};
+use crate::drive::{DriveLink, LineCounts, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use crate::sample::{Command, Demand, DriveState, ParameterEstimate, Sample};
 
@@ -80,6 +80,8 @@ pub struct RunSummary {
     pub duration_s: f64,
     pub timing: Timing,
     pub link: LinkStatistics,
+    /// What the line carried, and how long round trips took; `None` where no wire is involved.
+    pub wire: Option<Wire>,
     pub estimates: Vec<ParameterEstimate>,
     /// How far the data carried each of them at the end.
     pub excitation: Excitation,
@@ -91,6 +93,31 @@ pub struct RunSummary {
     pub stop_error: Option<String>,
     /// What the recorder could not write, if anything.
     pub recorder_error: Option<String>,
+}
+
+/// Bytes and times of a wire.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Wire {
+    #[serde(flatten)]
+    pub line: LineCounts,
+    pub round_trip_p50_s: Option<f64>,
+    pub round_trip_p99_s: Option<f64>,
+    pub round_trip_longest_s: f64,
+    /// Upper bound of a bucket in us, and the round trips in it.
+    pub round_trips_us: Vec<(f64, u64)>,
+}
+
+impl Wire {
+    fn of(link: &dyn DriveLink) -> Option<Self> {
+        let (line, trips) = (link.line()?, link.round_trips()?);
+        Some(Self {
+            line,
+            round_trip_p50_s: trips.p50_s(),
+            round_trip_p99_s: trips.p99_s(),
+            round_trip_longest_s: trips.longest_s(),
+            round_trips_us: trips.histogram_us(),
+        })
+    }
 }
 
 impl RunSummary {
@@ -105,6 +132,7 @@ impl RunSummary {
             Outcome::NotStarted { reason } => format!("not started: {reason}"),
         });
         manifest.link_statistics = serde_json::to_value(self.link).unwrap_or(Value::Null);
+        manifest.wire = serde_json::to_value(&self.wire).unwrap_or(Value::Null);
         manifest.period_asked_s = Some(1.0 / self.timing.rate_asked_hz);
         manifest.period_achieved_s =
             (self.timing.rate_achieved_hz > 0.0).then(|| 1.0 / self.timing.rate_achieved_hz);
@@ -228,6 +256,7 @@ impl Runner<'_> {
             duration_s: now_s - begin_s,
             timing: self.punctuality.timing(options.rate_hz),
             link: self.link.0.statistics(),
+            wire: Wire::of(self.link.0),
             estimates: self.estimates(),
             excitation: self.excitation(),
             speed: self.session.report(),

@@ -15,7 +15,7 @@ use clap::Args;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
-use super::live_link::{latency, link_protocol, serve, target};
+use super::live_link::{latency, serve, target, wired_profile};
 use super::recorded::Recorded;
 use super::{interrupt, output, reveal};
 use crate::bench::{
@@ -200,11 +200,7 @@ impl Rig {
     /// `run_seed` where one run of several is asked for: the emulator then has another day.
     pub(super) fn open(arguments: &LiveArguments, run_seed: Option<u64>) -> Result<Self, Failure> {
         let bench = arguments.bench()?;
-        let mut profile = DriveProfile::named(&bench.drive.profile)
-            .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?;
-        // The bench file knows how this drive is wired up; the profile only what is usual.
-        profile.link.protocol = link_protocol(bench.link.protocol);
-        profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
+        let profile = wired_profile(&bench)?;
         let port = bench.port();
         // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
         let mystery = (bench.emulator.config == MYSTERY

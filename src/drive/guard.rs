@@ -236,7 +236,11 @@ impl Inner {
             } else {
                 0
             };
-            self.expected.echoes |= found.echo;
+            // A reply that cannot be a copy of its request shows whether the line returns requests.
+            let copies = matches!(self.expected.request.get(1), Some(5 | 6 | 8));
+            if found.echo || (self.kind == FrameKind::Rtu && !copies) {
+                self.expected.echoes = found.echo;
+            }
             self.line.echoes |= found.echo;
             self.line.stale_frames += found.stale as u64;
             self.line.foreign_frames += found.foreign as u64;

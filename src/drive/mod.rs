@@ -13,9 +13,12 @@
 //!
 //! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
+mod budget;
 mod clock_map;
 #[cfg(test)]
 mod fake;
+#[cfg(test)]
+mod fault_tests;
 mod guard;
 mod link;
 mod modbus;
@@ -27,7 +30,10 @@ mod stream;
 mod tally;
 pub mod timeline;
 mod timing;
+#[cfg(test)]
+mod virtual_line;
 
+pub use budget::{AdapterRate, LineBudget};
 pub use clock_map::{ClockMap, DriveClock};
 pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};

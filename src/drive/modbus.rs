@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! exchange: gap, listen -> FC23 { sequence, control, set-point | 16 registers } -> only a reply that echoes the sequence
-//! read:     gap, listen, [suspect? silence, probe] -> FC03 | 04 -> probe: was it the only reply under way?
+//! read:     gap, listen, [suspect? silence, probe], [looks like a recent one? silence] -> FC03 | 04
 //! ```
 //!
-//! A command is its own proof: its sequence number comes back with the sample. A plain read has none, and a copy of an
-//! older reply can look exactly like its own; its value counts only when a probe with a number behind it came back and
-//! nothing else did.
+//! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read says neither
+//! what was read nor when: only function, unit and length. Two that look alike are kept apart by a silence in which
+//! every copy of the earlier reply would have come.
 //!
 //! This file owns the clock of the exchanges.
 
@@ -43,8 +43,11 @@ const PROBES: usize = 6;
 const FAILURES_BEFORE_SILENCE: u32 = 2;
 /// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it.
 const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
-/// Bytes of an RTU frame beside its PDU.
-const RTU_EXTRA: usize = 3;
+/// A line that talks for so many times the silence that is waited for is given up.
+const SILENCE_PATIENCE: u32 = 4;
+/// RTU frames of a command and of its reply.
+pub(super) const COMMAND_BYTES: usize = 13 + 2 * COMMAND_WORDS;
+pub(super) const TELEMETRY_BYTES: usize = 5 + 2 * TELEMETRY_WORDS;
 
 /// Which of the two register tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +73,8 @@ pub struct ModbusLink {
     nonce: u16,
     /// Something came in that was not asked for, or did not come: what comes next may be old.
     suspect: bool,
+    /// Lengths of the replies to the latest plain reads, and when those ended.
+    recent: Vec<(usize, Instant)>,
     /// Commands without a sample since the last one that had one.
     failed_in_a_row: u32,
     gone: bool,
@@ -110,6 +115,7 @@ impl ModbusLink {
             nonce: u16::from_be_bytes([high, low]),
             // A reply to whoever used the line before us may be under way.
             suspect: kind == FrameKind::Rtu,
+            recent: Vec::new(),
             failed_in_a_row: 0,
             gone: false,
         }
@@ -148,28 +154,18 @@ impl ModbusLink {
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
         let what = format!("write {} registers at {address}", values.len());
-        let deadline = self.deadline(9 + 2 * values.len(), 8);
-        self.prove_fresh(deadline)?;
+        let allowed = self.timing.allowed(9 + 2 * values.len(), 8);
+        self.prove_fresh()?;
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
-        self.call(request, &what, deadline, |response| match response {
+        self.call(request, &what, allowed, |response| match response {
             Response::WriteMultipleRegisters(..) => Ok(()),
             other => Err(format!("{other:?}")),
         })
         .map(|answer| answer.value)
     }
 
-    /// The deadline of an exchange that may need a probe before it and after it.
-    fn deadline(&self, request_bytes: usize, reply_bytes: usize) -> Instant {
-        let probes = match (self.kind, self.suspect) {
-            (FrameKind::Tcp, _) => Duration::ZERO,
-            (FrameKind::Rtu, false) => self.timing.allowed(8, 8),
-            (FrameKind::Rtu, true) => self.timing.quiet() + 2 * self.timing.allowed(8, 8),
-        };
-        now() + probes + self.timing.allowed(request_bytes, reply_bytes)
-    }
-
     /// One command on the wire. Only a reply that carries its number is its sample.
-    fn command(&mut self, command: Command, deadline: Instant) -> Result<Sample, LinkError> {
+    fn command(&mut self, command: Command) -> Result<Sample, LinkError> {
         let seq = low_word(command.seq);
         self.guard.expect(Echo {
             at: ECHO_AT,
@@ -187,7 +183,8 @@ impl ModbusLink {
             COMMAND_ADDRESS,
             Cow::Borrowed(&words),
         );
-        let answer = self.call(request, "the command", deadline, |response| match response {
+        let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
+        let answer = self.call(request, "the command", allowed, |response| match response {
             Response::ReadWriteMultipleRegisters(values) => telemetry(&values),
             other => Err(format!("{other:?}")),
         });
@@ -216,11 +213,12 @@ impl ModbusLink {
     ) -> Result<Answer<T>, LinkError> {
         let mut attempt = 1;
         loop {
-            let deadline = self.deadline(request_bytes, reply_bytes);
+            let allowed = self.timing.allowed(request_bytes, reply_bytes);
             let result = self
-                .prove_fresh(deadline)
-                .and_then(|()| self.call(request(), what, deadline, &check))
-                .and_then(|answer| self.vouch(deadline).map(|()| answer));
+                .prove_fresh()
+                .and_then(|()| self.keep_apart(reply_bytes))
+                .and_then(|()| self.call(request(), what, allowed, &check));
+            self.recent.push((reply_bytes, now()));
             match result {
                 Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
                 result => return result,
@@ -240,8 +238,9 @@ impl ModbusLink {
     }
 
     /// Waits until nothing of an earlier exchange can come any more.
-    fn silence(&mut self, deadline: Instant) -> Result<(), LinkError> {
-        let silence = self.guard.silence(self.timing.quiet(), deadline);
+    fn silence(&mut self) -> Result<(), LinkError> {
+        let quiet = self.timing.quiet();
+        let silence = self.guard.silence(quiet, now() + SILENCE_PATIENCE * quiet);
         match self.runtime.block_on(silence) {
             Ok(true) => Ok(()),
             Ok(false) => Err(LinkError::Corrupt {
@@ -254,69 +253,62 @@ impl ModbusLink {
 
     /// Makes sure that what comes next is not a reply to something older: silence for the longest turnaround, then a
     /// probe with a number of its own that the drive sends back (function code 08).
-    fn prove_fresh(&mut self, deadline: Instant) -> Result<(), LinkError> {
+    fn prove_fresh(&mut self) -> Result<(), LinkError> {
         self.listen()?;
         if self.kind == FrameKind::Tcp {
             return Ok(());
         }
         let mut probes = 0;
         while self.suspect {
-            self.silence(deadline)?;
-            let result = self.probe(deadline);
+            self.silence()?;
+            let result = self.probe();
             probes += 1;
             match result {
                 // What came during the probe, or comes in the gap behind it, was not asked for either.
                 Ok(()) => self.listen()?,
-                Err(error) if !error.is_transient() => return Err(error),
-                Err(error) if probes == PROBES || now() >= deadline => return Err(error),
+                Err(error) if !error.is_transient() || probes == PROBES => return Err(error),
                 Err(_) => {}
             }
         }
         Ok(())
     }
 
-    /// Whether the reply just taken was the only one under way: a probe behind it must come back alone.
-    fn vouch(&mut self, deadline: Instant) -> Result<(), LinkError> {
-        if self.kind == FrameKind::Tcp {
-            return Ok(());
-        }
-        self.listen()?;
-        if !self.suspect {
-            self.probe(deadline)?;
-        }
-        if self.suspect {
-            return Err(LinkError::Stale {
-                link: self.name.clone(),
-                reason: "more than one reply came, and which is the right one cannot be told"
-                    .to_owned(),
-            });
+    /// Keeps replies apart that look alike: waits until no copy of an earlier one can come any more.
+    fn keep_apart(&mut self, reply_bytes: usize) -> Result<(), LinkError> {
+        let quiet = self.timing.quiet();
+        self.recent
+            .retain(|(_, ended)| now().saturating_duration_since(*ended) < quiet);
+        let alike = self.recent.iter().any(|(bytes, _)| *bytes == reply_bytes);
+        if alike && self.kind == FrameKind::Rtu {
+            self.silence()?;
         }
         Ok(())
     }
 
     /// One probe. The guard compares all its bytes.
-    fn probe(&mut self, deadline: Instant) -> Result<(), LinkError> {
+    fn probe(&mut self) -> Result<(), LinkError> {
         self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
         let [high, low] = self.nonce.to_be_bytes();
         let request = Request::Custom(8, Cow::Owned(vec![0, 0, high, low]));
-        let deadline = deadline.min(now() + self.timing.allowed(8, 8));
+        let allowed = self.timing.allowed(8, 8);
         self.listen()?;
-        self.call(request, "the probe", deadline, |_| Ok(()))
+        self.call(request, "the probe", allowed, |_| Ok(()))
             .map(drop)
     }
 
-    /// One request and its reply, booked in the statistics; who calls has listened. `check` turns the reply into a value or says what is
-    /// wrong with it.
+    /// One request and its reply, booked in the statistics; who calls has listened. `check` turns the reply into a
+    /// value or says what is wrong with it.
     fn call<T>(
         &mut self,
         request: Request<'_>,
         what: &str,
-        deadline: Instant,
+        allowed: Duration,
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
         // What came before the request has been judged.
         self.guard.take_anomaly();
         let sent = now();
+        let deadline = sent + allowed;
         let reply = self.runtime.block_on(async {
             tokio::time::timeout_at(deadline.into(), self.context.call(request)).await
         });
@@ -326,7 +318,7 @@ impl ModbusLink {
             Ok(Ok(Err(code))) => Err(self.exception(what, code)),
             Ok(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
             Ok(Err(Error::Transport(error))) => Err(self.broken(&error)),
-            Err(_) => Err(self.missing(what, deadline, sent)),
+            Err(_) => Err(self.missing(what, allowed)),
         };
         // A reply that carries its own number ends every doubt about what came before it.
         self.suspect = self.guard.take_anomaly() || matches!(&result, Err(e) if e.is_transient());
@@ -394,9 +386,13 @@ impl ModbusLink {
     }
 
     /// No reply in time: what came instead tells the class.
-    fn missing(&self, what: &str, deadline: Instant, sent: Instant) -> LinkError {
+    fn missing(&self, what: &str, allowed: Duration) -> LinkError {
         match self.guard.leftover() {
-            Leftover::Nothing => self.timeout(what, deadline, sent),
+            Leftover::Nothing => LinkError::Timeout {
+                link: self.name.clone(),
+                deadline_ms: u64::try_from(allowed.as_millis()).unwrap_or(u64::MAX),
+                request: what.to_owned(),
+            },
             Leftover::Stale => LinkError::Stale {
                 link: self.name.clone(),
                 reason: format!("only late answers came after {what}"),
@@ -408,15 +404,6 @@ impl ModbusLink {
                 link: self.name.clone(),
                 reason: format!("{bytes} bytes without a valid frame came in reply to {what}"),
             },
-        }
-    }
-
-    fn timeout(&self, what: &str, deadline: Instant, sent: Instant) -> LinkError {
-        let allowed = deadline.saturating_duration_since(sent).as_millis();
-        LinkError::Timeout {
-            link: self.name.clone(),
-            deadline_ms: u64::try_from(allowed).unwrap_or(u64::MAX),
-            request: what.to_owned(),
         }
     }
 }
@@ -480,15 +467,11 @@ impl DriveLink for ModbusLink {
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
-        let request_bytes = 10 + 2 * COMMAND_WORDS + RTU_EXTRA;
-        let reply_bytes = 2 + 2 * TELEMETRY_WORDS + RTU_EXTRA;
         self.listen()?;
-        let mut deadline = now() + self.timing.allowed(request_bytes, reply_bytes);
         if self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu {
-            deadline += self.timing.quiet();
-            self.silence(deadline)?;
+            self.silence()?;
         }
-        self.command(command, deadline)
+        self.command(command)
     }
 
     /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
@@ -503,8 +486,7 @@ impl DriveLink for ModbusLink {
         };
         for _ in 0..STOP_ATTEMPTS {
             self.listen()?;
-            let deadline = now() + self.timing.allowed(21, 37);
-            match self.command(stop, deadline) {
+            match self.command(stop) {
                 Ok(sample) if sample.state != Some(DriveState::Running) => return Ok(()),
                 Ok(_) => {}
                 Err(error @ LinkError::Gone { .. }) => return Err(error),
@@ -519,7 +501,7 @@ impl DriveLink for ModbusLink {
     }
 
     fn shortest_cycle_s(&self) -> Option<f64> {
-        self.timing.shortest_cycle_s(21, 37)
+        self.timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {

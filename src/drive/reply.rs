@@ -270,7 +270,11 @@ mod tests {
             frame(1, &[6, 0, 0, 0, 2]),
         ] {
             let search = rtu(&request, &[&other], false);
-            assert_eq!((search.reply, search.foreign + search.stale), (None, 1), "{other:?}");
+            assert_eq!(
+                (search.reply, search.foreign + search.stale),
+                (None, 1),
+                "{other:?}"
+            );
             let search = rtu(&request, &[&other, &reply], false);
             assert_eq!(search.reply, Some((other.len(), other.len() + 9)));
         }

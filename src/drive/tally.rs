@@ -58,6 +58,19 @@ impl RoundTrips {
         Some((centre_us * 1e-6).min(self.longest_s))
     }
 
+    /// The buckets that are not empty: upper bound in us, and how many round trips fell into each.
+    pub fn histogram_us(&self) -> Vec<(f64, u64)> {
+        self.counts
+            .iter()
+            .enumerate()
+            .filter(|(_, count)| **count > 0)
+            .map(|(bucket, count)| {
+                let bound_us = ((bucket as f64 + 1.0) / PER_DOUBLING).exp2();
+                ((10.0 * bound_us).round() / 10.0, *count)
+            })
+            .collect()
+    }
+
     pub fn p50_s(&self) -> Option<f64> {
         self.quantile_s(0.5)
     }
@@ -111,6 +124,9 @@ mod tests {
         assert!((trips.p99_s().unwrap() / 9.9e-3 - 1.0).abs() < 0.06);
         assert!((trips.quantile_s(0.0).unwrap() / 1e-5 - 1.0).abs() < 0.06);
         assert!((trips.longest_s() - 0.01).abs() < 1e-12);
+        let histogram = trips.histogram_us();
+        assert_eq!(histogram.iter().map(|(_, count)| count).sum::<u64>(), 1000);
+        assert!(histogram.is_sorted_by(|a, b| a.0 < b.0) && histogram[0].0 > 10.0);
     }
 
     #[test]
@@ -166,6 +182,9 @@ mod tests {
             assert!(tally.statistics.balances());
         }
         let s = tally.statistics;
-        assert_eq!((s.sent, s.ok, s.stale, s.mismatch, s.aborted), (8, 1, 1, 2, 1));
+        assert_eq!(
+            (s.sent, s.ok, s.stale, s.mismatch, s.aborted),
+            (8, 1, 1, 2, 1)
+        );
     }
 }
