@@ -16,7 +16,7 @@ use clap::Args;
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
 use super::live_link::{latency, serve, target, wired_profile};
-use super::recorded::Recorded;
+use super::recorded::{Recorded, keep_capture};
 use super::{interrupt, output, reveal};
 use crate::bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
@@ -373,7 +373,8 @@ impl Rig {
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
         let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
-        let session = Session::new(Box::new(self.program(seed)?), guard);
+        let session = Session::new(Box::new(self.program(seed)?), guard)
+            .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1));
         let run = Planned {
             session,
             motor: Some(motor),
@@ -506,6 +507,9 @@ impl Rig {
         }
         // The writer thread may still have been busy when the run ended: only now is every row counted.
         summary.rows = recorder.finish(&manifest)?.rows as u64;
+        if let Some(capture) = &summary.capture {
+            keep_capture(&folder, name, capture)?;
+        }
         let recorded = Recorded {
             folder,
             summary,

@@ -5,6 +5,7 @@ use std::fmt;
 use serde::Serialize;
 use thiserror::Error;
 
+use super::burst::Burst;
 use super::clock_map::ClockMap;
 use super::guard::LineCounts;
 use super::tally::RoundTrips;
@@ -164,6 +165,11 @@ pub trait DriveLink: Send {
 
     /// What the line carried, byte for byte; `None` where no wire is involved.
     fn line(&self) -> Option<LineCounts> {
+        None
+    }
+
+    /// The drive's own recorder, where it has one; known once it is identified.
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
         None
     }
 

@@ -5,6 +5,7 @@
 //!
 //! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
 //!                  |            |
+//!                  |            |             burst.rs: what the drive records by itself
 //!              guard.rs      port.rs        bytes, silence, hang-up
 //!              reply.rs                     which bytes answer this request
 //!                  +-- timing.rs (deadlines, gaps), tally.rs (counts, round trips)
@@ -14,6 +15,7 @@
 //! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
 mod budget;
+pub mod burst;
 mod clock_map;
 #[cfg(test)]
 mod fake;
@@ -34,7 +36,8 @@ mod timing;
 mod virtual_line;
 
 pub use budget::{AdapterRate, LineBudget};
-pub use clock_map::{ClockMap, DriveClock};
+pub use burst::{Burst, Capture};
+pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 pub use modbus::{ModbusLink, RegisterTable};
@@ -43,5 +46,5 @@ pub use profile::{
     Capabilities, DriveLimits, DriveProfile, Framing, KickedBy, LinkSettings, ProfileError,
     Protocol, SignalOrigins, Trust, Watchdog,
 };
-pub use stream::{Capture, CapturedSample, StreamLink};
+pub use stream::StreamLink;
 pub use tally::RoundTrips;

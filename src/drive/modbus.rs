@@ -24,6 +24,7 @@ use tokio_modbus::client::{Client, Context, rtu, tcp};
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, ExceptionCode, Request, Response, Slave};
 
+use super::burst::Burst;
 use super::clock_map::ClockMap;
 use super::guard::{Guard, Leftover, LineCounts, Port, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
@@ -73,6 +74,8 @@ pub struct ModbusLink {
     nonce: u16,
     /// Something came in that was not asked for, or did not come: what comes next may be old.
     suspect: bool,
+    /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
+    capture_period_s: f64,
     /// Lengths of the replies to the latest plain reads, and when those ended.
     recent: Vec<(usize, Instant)>,
     /// Commands without a sample since the last one that had one.
@@ -115,6 +118,7 @@ impl ModbusLink {
             nonce: u16::from_be_bytes([high, low]),
             // A reply to whoever used the line before us may be under way.
             suspect: kind == FrameKind::Rtu,
+            capture_period_s: 0.0,
             recent: Vec::new(),
             failed_in_a_row: 0,
             gone: false,
@@ -200,6 +204,22 @@ impl ModbusLink {
         Ok(self
             .timeline
             .sample(&value, command.seq, sent_s, received_s))
+    }
+
+    /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
+    fn note_clock(&mut self) -> Result<(u32, f64), LinkError> {
+        let ask = || Request::ReadHoldingRegisters(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS));
+        let bytes = 5 + 2 * TELEMETRY_WORDS;
+        let answer =
+            self.read_with_retries("the telemetry", 8, bytes, ask, |response| match response {
+                Response::ReadHoldingRegisters(values) => telemetry(&values),
+                other => Err(format!("{other:?}")),
+            })?;
+        let time_us = answer.value.time_us;
+        let time_s = self
+            .timeline
+            .note(time_us, answer.sent_s, answer.received_s);
+        Ok((time_us, time_s))
     }
 
     /// A question without effect on the drive may be asked again.
@@ -453,16 +473,9 @@ impl DriveLink for ModbusLink {
             Err(LinkError::Exception { .. }) => {}
             Err(error) => return Err(error),
         }
+        self.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
         // The origin of the time axis.
-        let ask = || Request::ReadHoldingRegisters(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS));
-        let bytes = 5 + 2 * TELEMETRY_WORDS;
-        let answer =
-            self.read_with_retries("the telemetry", 8, bytes, ask, |response| match response {
-                Response::ReadHoldingRegisters(values) => telemetry(&values),
-                other => Err(format!("{other:?}")),
-            })?;
-        self.timeline
-            .note(answer.value.time_us, answer.sent_s, answer.received_s);
+        self.note_clock()?;
         Ok(identity)
     }
 
@@ -512,6 +525,10 @@ impl DriveLink for ModbusLink {
         Some(self.guard.line())
     }
 
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+    }
+
     fn clock_map(&self) -> Option<&ClockMap> {
         Some(&self.timeline.map)
     }
@@ -550,6 +567,9 @@ const fn exception_name(code: ExceptionCode) -> &'static str {
         ExceptionCode::Custom(_) => "a code of the maker",
     }
 }
+
+#[path = "modbus_burst.rs"]
+mod burst;
 
 #[cfg(test)]
 #[path = "modbus_tests.rs"]

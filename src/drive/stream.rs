@@ -11,7 +11,8 @@ use firmware_protocol::stream::{
 };
 use firmware_protocol::{CaptureControl, CaptureState, DriveCommand};
 
-use super::clock_map::ClockMap;
+use super::burst::{Burst, Capture};
+use super::clock_map::{ClockMap, signed_difference};
 use super::guard::{LineCounts, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::port::TimedPort;
@@ -45,22 +46,6 @@ pub struct StreamLink {
     /// What the drive sees next may be the rest of something broken: a delimiter goes first.
     suspect: bool,
     gone: bool,
-}
-
-/// A burst that the drive recorded by itself, on the link's time axis.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Capture {
-    pub period_s: f64,
-    pub samples: Vec<CapturedSample>,
-}
-
-/// One instant of a burst; NaN where the drive does not have the quantity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CapturedSample {
-    pub time_s: f64,
-    pub voltage_v: f64,
-    pub current_a: f64,
-    pub speed_rad_s: f64,
 }
 
 struct Answer<T> {
@@ -102,63 +87,6 @@ impl StreamLink {
             suspect: true,
             gone: false,
         }
-    }
-
-    /// Starts a burst: with the next command that is applied, or now.
-    pub fn start_capture(&mut self, with_next_command: bool) -> Result<(), LinkError> {
-        let control = if with_next_command {
-            CaptureControl::Arm
-        } else {
-            CaptureControl::Start
-        };
-        self.ask_numbered(
-            &Message::CaptureArm(control),
-            "start of a capture",
-            |message| matches!(message, Message::CaptureStatus(_)).then_some(()),
-        )
-        .map(drop)
-    }
-
-    /// Fetches the burst; `None` while the drive still records.
-    pub fn download_capture(&mut self) -> Result<Option<Capture>, LinkError> {
-        let status = self.capture_status()?;
-        if status.value.state != CaptureState::Complete {
-            return Ok(None);
-        }
-        let (count, first_us) = (status.value.count, status.value.first_time_us);
-        let now_s = self
-            .timeline
-            .note(status.drive_us, status.sent_s, status.received_s);
-        let age_us = super::clock_map::signed_difference(status.drive_us, first_us);
-        let first_s = now_s - f64::from(age_us) * 1e-6;
-        let mut capture = Capture {
-            period_s: self.capture_period_s,
-            samples: Vec::with_capacity(count.into()),
-        };
-        while capture.samples.len() < usize::from(count) {
-            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
-            let block = self.read_with_retries(
-                &Message::CaptureRequest(index),
-                "captured samples",
-                |message| match message {
-                    Message::CaptureBlock(block)
-                        if block.index == index && !block.samples().is_empty() =>
-                    {
-                        Some(*block)
-                    }
-                    _ => None,
-                },
-            )?;
-            for sample in block.value.samples() {
-                capture.samples.push(CapturedSample {
-                    time_s: first_s + capture.samples.len() as f64 * self.capture_period_s,
-                    voltage_v: sample.voltage_v,
-                    current_a: sample.current_a,
-                    speed_rad_s: sample.speed_rad_s,
-                });
-            }
-        }
-        Ok(Some(capture))
     }
 
     fn capture_status(&mut self) -> Result<Answer<CaptureStatus>, LinkError> {
@@ -479,8 +407,57 @@ impl DriveLink for StreamLink {
         Some(self.line)
     }
 
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+    }
+
     fn clock_map(&self) -> Option<&ClockMap> {
         Some(&self.timeline.map)
+    }
+}
+
+impl Burst for StreamLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        self.ask_numbered(
+            &Message::CaptureArm(CaptureControl::Arm),
+            "start of a capture",
+            |message| matches!(message, Message::CaptureStatus(_)).then_some(()),
+        )
+        .map(drop)
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        let status = self.capture_status()?;
+        if status.value.state != CaptureState::Complete {
+            return Ok(None);
+        }
+        let (count, first_us) = (status.value.count, status.value.first_time_us);
+        let now_s = self
+            .timeline
+            .note(status.drive_us, status.sent_s, status.received_s);
+        let age_us = signed_difference(status.drive_us, first_us);
+        let mut capture = Capture {
+            first_s: now_s - f64::from(age_us) * 1e-6,
+            period_s: self.capture_period_s,
+            samples: Vec::with_capacity(count.into()),
+        };
+        while capture.samples.len() < usize::from(count) {
+            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
+            let block = self.read_with_retries(
+                &Message::CaptureRequest(index),
+                "captured samples",
+                |message| match message {
+                    Message::CaptureBlock(block)
+                        if block.index == index && !block.samples().is_empty() =>
+                    {
+                        Some(*block)
+                    }
+                    _ => None,
+                },
+            )?;
+            capture.samples.extend_from_slice(block.value.samples());
+        }
+        Ok(Some(capture))
     }
 }
 

@@ -1,6 +1,6 @@
 //! A drive that the host knows nothing of: its own checksum and framing, and a fault for some of its replies.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use firmware_protocol::registers::TELEMETRY_WORDS;
 use firmware_protocol::stream::{Decoder, Frame, MAX_FRAME, Message, encode};
@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use super::fault::{Dice, Fault, Held, Reply, Times, inflict};
+use crate::drive::guard::now;
 use crate::drive::virtual_line::Device;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,6 +26,8 @@ pub(super) struct Stranger {
     times: Times,
     dice: Dice,
     held: Held,
+    /// A drive answers one request after the other: nothing overtakes a reply that is late.
+    busy_until: Instant,
     decoder: Decoder,
     line: Vec<u8>,
     /// Requests that were understood: every value that is read is made of this number.
@@ -62,6 +65,7 @@ impl Stranger {
             times,
             dice: Dice(ChaCha8Rng::seed_from_u64(seed)),
             held: Held::default(),
+            busy_until: now(),
             decoder: Decoder::new(),
             line: Vec::new(),
             heard: 0,
@@ -74,13 +78,24 @@ impl Stranger {
         let faulty = self.per_mille > 0 && self.dice.below(1000) < self.per_mille;
         self.last_fault = faulty.then(|| self.faults[self.dice.below(self.faults.len())]);
         self.tampered += u64::from(faulty);
-        inflict(
+        let mut out = inflict(
             self.last_fault,
             reply,
             &mut self.held,
             self.times,
             &mut self.dice,
-        )
+        );
+        let heard_at = now();
+        let busy = self.busy_until.saturating_duration_since(heard_at);
+        for (delay, _) in &mut out {
+            *delay = busy.max(*delay);
+        }
+        if self.last_fault == Some(Fault::Late)
+            && let Some((delay, _)) = out.last()
+        {
+            self.busy_until = heard_at + *delay;
+        }
+        out
     }
 
     fn hear_rtu(&mut self, byte: u8) -> Vec<(Duration, Vec<u8>)> {
