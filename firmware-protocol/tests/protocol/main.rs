@@ -3,7 +3,7 @@
 //! ```text
 //!   registers    the table and its blocks         properties   any bytes, any values, any splits
 //!   modbus       codec and framing by example     golden       vectors/ against the code
-//!   specification  SPEC.md against the code
+//!   specification  SPEC.md against the code; examples: vectors taken apart for it
 //!   header       include/drive_protocol.h against the table
 //!   c_slave      the reference slave in c/ against vectors/ and, dialogue by dialogue, against the codec
 //!   support      a bank of registers, hexadecimal text, freshness of generated files
@@ -12,6 +12,7 @@
 #[path = "../c_compiler/mod.rs"]
 mod c_compiler;
 mod c_slave;
+mod examples;
 mod golden;
 mod header;
 mod modbus;
