@@ -101,6 +101,14 @@ impl RawClient {
         }
     }
 
+    /// From here on another unit of the line is asked.
+    pub fn set_unit(&mut self, unit: u8) {
+        self.unit = unit;
+        self.heard = false;
+        self.known = None;
+        self.method = None;
+    }
+
     pub const fn counters(&self) -> RawCounters {
         self.counters
     }
