@@ -175,3 +175,107 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten();
     entries.flatten().map(|entry| entry.path()).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    fn put(root: &Path, file: &str, text: &str) {
+        let file = root.join(file);
+        fs::create_dir_all(file.parent().unwrap()).unwrap();
+        fs::write(file, text).unwrap();
+    }
+
+    fn link(root: &Path, from: &str, to: &str) {
+        let from = root.join(from);
+        fs::create_dir_all(from.parent().unwrap()).unwrap();
+        symlink(to, from).unwrap();
+    }
+
+    /// A machine with an FTDI adapter and a chip that is not there.
+    fn machine() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let usb = "sys/devices/usb1/1-2";
+        for (file, text) in [
+            ("idVendor", "0403\n"),
+            ("idProduct", "6001\n"),
+            ("serial", "A50285BI\n"),
+            ("product", "FT232R USB UART\n"),
+            ("1-2:1.0/ttyUSB3/latency_timer", "16\n"),
+        ] {
+            put(root, &format!("{usb}/{file}"), text);
+        }
+        fs::create_dir_all(root.join("sys/bus/drivers/ftdi_sio")).unwrap();
+        fs::create_dir_all(root.join("sys/bus/drivers/serial8250")).unwrap();
+        link(
+            root,
+            &format!("{usb}/1-2:1.0/ttyUSB3/driver"),
+            "../../../../../bus/drivers/ftdi_sio",
+        );
+        link(
+            root,
+            "sys/class/tty/ttyUSB3/device",
+            "../../../devices/usb1/1-2/1-2:1.0/ttyUSB3",
+        );
+        put(root, "sys/devices/8250/x", "");
+        link(
+            root,
+            "sys/devices/8250/driver",
+            "../../bus/drivers/serial8250",
+        );
+        link(root, "sys/class/tty/ttyS0/device", "../../../devices/8250");
+        put(root, "sys/class/tty/ttyS0/type", "0\n");
+        put(root, "sys/class/tty/tty1/dev", "4:1\n");
+        put(root, "dev/ttyUSB3", "");
+        link(
+            root,
+            "dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00",
+            "../../ttyUSB3",
+        );
+        put(root, "proc/4711/comm", "minicom\n");
+        link(root, "proc/4711/fd/3", "/dev/ttyUSB3");
+        put(root, "proc/4712/comm", "bash\n");
+        link(root, "proc/4712/fd/0", "/dev/null");
+        folder
+    }
+
+    #[test]
+    fn an_adapter_is_listed_with_its_names_and_its_holder() {
+        let machine = machine();
+        let ports = list(machine.path());
+        assert_eq!(ports.len(), 1, "{ports:?}");
+        let port = &ports[0];
+        assert_eq!(port.path, Path::new("/dev/ttyUSB3"));
+        assert_eq!(
+            port.by_id,
+            [Path::new("/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00")]
+        );
+        assert_eq!(port.driver.as_deref(), Some("ftdi_sio"));
+        let usb = port.usb.as_ref().unwrap();
+        assert_eq!(
+            (usb.vendor_id.as_str(), usb.product_id.as_str()),
+            ("0403", "6001")
+        );
+        assert_eq!(usb.serial_number.as_deref(), Some("A50285BI"));
+        assert_eq!(usb.manufacturer, None);
+        assert_eq!(port.latency_ms, Some(16));
+        assert_eq!(port.holders.len(), 1);
+        assert_eq!(port.holders[0].to_string(), "pid 4711 (minicom)");
+    }
+
+    #[test]
+    fn a_stable_name_leads_to_the_same_port_and_a_wrong_one_to_nothing() {
+        let machine = machine();
+        let by_id = Path::new("/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00");
+        let port = describe(machine.path(), by_id);
+        assert_eq!(port, list(machine.path())[0]);
+        let none = describe(machine.path(), Path::new("/dev/ttyUSB9"));
+        assert_eq!((none.driver, none.usb, none.latency_ms), (None, None, None));
+        assert!(none.holders.is_empty() && none.by_id.is_empty());
+        let empty = tempfile::tempdir().unwrap();
+        assert!(list(empty.path()).is_empty());
+    }
+}

@@ -15,6 +15,8 @@ mod client;
 mod counters;
 mod proof;
 mod request;
+#[cfg(test)]
+mod tests;
 mod wire;
 
 use std::time::Duration;
