@@ -72,6 +72,13 @@ impl RawClient {
         Ok(self.anomalies == before)
     }
 
+    /// Whether a late or second reply to a request since the last proof could be taken for the reply to this one.
+    pub fn could_confuse(&self, request: ReadRequest) -> bool {
+        self.since_proof
+            .iter()
+            .any(|sent| sent.function == request.function() && sent.count == request.count)
+    }
+
     /// Answers that were taken turn out to be doubtful: they are counted as stale.
     pub fn withdraw(&mut self, answers: u64) {
         self.counters.withdraw(answers);
