@@ -25,6 +25,9 @@ use findings::{Findings, Latency, RoundTripFindings, Settings};
 const PROBES: usize = 50;
 /// Probes without any answer after which the rest is not worth its wait.
 const SILENT_PROBES: usize = 3;
+/// Silence after which a server that took an unknown request for the start of another one listens again (libmodbus:
+/// one second).
+const RECOVERY: Duration = Duration::from_millis(1200);
 /// What an FTDI adapter can be set to, ms.
 const SHORTEST_LATENCY_MS: u32 = 1;
 
@@ -166,12 +169,21 @@ fn names(client: &mut RawClient) -> Result<Vec<String>, Failure> {
     match client.ask(&[43, 14, 1, 0], "the device identification") {
         Ok(pdu) => Ok(findings::object_texts(pdu)),
         Err(error @ LinkError::Gone { .. }) => Err(error.into()),
-        Err(_) => Ok(Vec::new()),
+        Err(error) => {
+            recover(&error);
+            Ok(Vec::new())
+        }
     }
 }
 
-/// Whether the unit sends a number back (function code 08). The last request of all: some servers take its data for
-/// the next request and are deaf for a second.
+/// Leaves a unit that did not know the function code in peace until it listens again.
+fn recover(error: &LinkError) {
+    if !matches!(error, LinkError::Exception { .. }) {
+        std::thread::sleep(RECOVERY);
+    }
+}
+
+/// Whether the unit sends a number back (function code 08). The last request of all, for some servers are deaf after it.
 fn diagnostics(client: &mut RawClient, answered: usize) -> Result<Option<bool>, Failure> {
     if answered == 0 {
         return Ok(None);
@@ -179,6 +191,9 @@ fn diagnostics(client: &mut RawClient, answered: usize) -> Result<Option<bool>, 
     match client.ask(&[8, 0, 0, 0x5A, 0xC3], "the diagnostic echo") {
         Ok(_) => Ok(Some(true)),
         Err(error @ LinkError::Gone { .. }) => Err(error.into()),
-        Err(_) => Ok(Some(false)),
+        Err(error) => {
+            recover(&error);
+            Ok(Some(false))
+        }
     }
 }

@@ -10,7 +10,8 @@ mod write;
 
 use clap::Subcommand;
 
-use super::failure::Failure;
+use super::failure::{Failure, LINK};
+use crate::drive::LinkError;
 
 /// Read or write raw Modbus registers of any unit, over a serial port or TCP
 #[derive(clap::Args)]
@@ -32,6 +33,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         Command::Read(arguments) => read::execute(arguments),
         Command::Write(arguments) => write::execute(arguments),
+    }
+}
+
+/// What a link error means to someone who named the registers himself.
+fn failure(error: LinkError) -> Failure {
+    match error {
+        LinkError::Exception { .. } => Failure::with_help(
+            LINK,
+            error.to_string(),
+            "the unit has no such register, or not so many in one request; addresses count from 0 (40001 is 0)",
+        ),
+        other => other.into(),
     }
 }
 

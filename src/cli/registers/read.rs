@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::super::failure::{Failure, INTERRUPTED, LINK};
 use super::super::wire::{Tap, WireArguments};
 use super::super::{interrupt, output};
-use super::number;
+use super::{failure, number};
 use crate::drive::{Batch, MOST_READ, RawCounters, Read, ReadRequest, RegisterTable, read_batch};
 
 /// Values on one line of the text.
@@ -135,7 +135,7 @@ fn verdict(batch: Batch) -> Result<(), Failure> {
     }
     let missing = batch.asked - batch.answered.min(batch.asked);
     match batch.reads.into_iter().find_map(|read| read.values.err()) {
-        Some(error) => Err(error.into()),
+        Some(error) => Err(failure(error)),
         None => Err(Failure::with_help(
             LINK,
             format!("{missing} of {} reads got no answer", batch.asked),

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::super::failure::{Failure, LINK, USAGE};
 use super::super::output;
 use super::super::wire::{Tap, WireArguments};
-use super::number;
+use super::{failure, number};
 use crate::drive::{
     LinkError, MOST_WRITTEN, RawClient, RawCounters, ReadRequest, RegisterTable, WriteFunction,
     read_batch,
@@ -104,8 +104,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     drop(tap);
     output::result(&result, arguments.json, text)?;
     match (written, after) {
-        (Err(error), _) => Err(error.into()),
-        (Ok(()), Err(error)) => Err(error.into()),
+        (Err(error), _) | (Ok(()), Err(error)) => Err(failure(error)),
         (Ok(()), Ok(_)) if confirmed => Ok(()),
         (Ok(()), Ok(after)) => Err(Failure::with_help(
             LINK,

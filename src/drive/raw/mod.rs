@@ -19,6 +19,7 @@ mod request;
 mod tests;
 mod wire;
 
+use std::num::NonZeroU64;
 use std::time::Duration;
 
 pub use batch::{Batch, Read, read_batch};
@@ -62,6 +63,8 @@ impl RawClient {
         tap: Option<&TapFile>,
     ) -> Result<Self, LinkError> {
         let name = target.to_string();
+        // The kernel may put off the end of a sleep by 50 us to save wake-ups; where it refuses, gaps are a little longer.
+        let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
         let (wire, kind, unit, gap) = match target {
             Target::Serial { path, baud, unit } => {
                 let baud = baud.unwrap_or(settings.baud);
