@@ -228,6 +228,9 @@ pub struct RunsSection {
     pub confirm: u64,
     /// Repeats an earlier run, for the repeatability floor.
     pub repeat: u64,
+    /// Part of the sequence, from 1, with whose first command the drive starts a burst capture.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub burst_at: Option<usize>,
 }
 
 impl Default for RunsSection {
@@ -237,6 +240,7 @@ impl Default for RunsSection {
             select: 2,
             confirm: 3,
             repeat: 1,
+            burst_at: None,
         }
     }
 }
@@ -385,6 +389,15 @@ impl BenchFile {
                     "a positive number",
                 );
             }
+        }
+        if let Some(part) = self.runs.burst_at
+            && !(1..=self.sequence.len()).contains(&part)
+        {
+            return refuse(
+                "runs.burst_at".to_owned(),
+                part.to_string(),
+                "the number of a part of the sequence, from 1",
+            );
         }
         let limits = self.limits();
         // A single reply that is waited for to its deadline must not look like a host that stood still.

@@ -17,16 +17,19 @@ use serde_json::Value;
 use super::clock::Clock;
 use super::guard::RearmError;
 use super::limits::Nameplate;
-use super::session::{Action, Input, Intent, Lost, Notice, Outcome, Phase, Session};
+use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::timing::{Punctuality, Timing, whole};
-use crate::drive::{DriveLink, LinkStatistics};
+use crate::drive::{Capture, DriveLink, LineCounts, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use crate::sample::{Command, Demand, DriveState, ParameterEstimate, Sample};
 
 /// A drive that is not safe after this time is not going to be by itself, s.
 const CONNECT_TIME_S: f64 = 5.0;
+/// Times that a burst is asked for, and the pause between, s: one may still be recording.
+const FETCH_ATTEMPTS: u32 = 20;
+const FETCH_PAUSE_S: f64 = 0.1;
 
 /// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
 pub trait LiveEstimator {
@@ -80,6 +83,11 @@ pub struct RunSummary {
     pub duration_s: f64,
     pub timing: Timing,
     pub link: LinkStatistics,
+    /// What the drive itself recorded in a burst, if that was asked for.
+    #[serde(skip)]
+    pub capture: Option<Capture>,
+    /// What the line carried, and how long round trips took; `None` where no wire is involved.
+    pub wire: Option<Wire>,
     pub estimates: Vec<ParameterEstimate>,
     /// How far the data carried each of them at the end.
     pub excitation: Excitation,
@@ -91,6 +99,31 @@ pub struct RunSummary {
     pub stop_error: Option<String>,
     /// What the recorder could not write, if anything.
     pub recorder_error: Option<String>,
+}
+
+/// Bytes and times of a wire.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Wire {
+    #[serde(flatten)]
+    pub line: LineCounts,
+    pub round_trip_p50_s: Option<f64>,
+    pub round_trip_p99_s: Option<f64>,
+    pub round_trip_longest_s: f64,
+    /// Upper bound of a bucket in us, and the round trips in it.
+    pub round_trips_us: Vec<(f64, u64)>,
+}
+
+impl Wire {
+    fn of(link: &dyn DriveLink) -> Option<Self> {
+        let (line, trips) = (link.line()?, link.round_trips()?);
+        Some(Self {
+            line,
+            round_trip_p50_s: trips.p50_s(),
+            round_trip_p99_s: trips.p99_s(),
+            round_trip_longest_s: trips.longest_s(),
+            round_trips_us: trips.histogram_us(),
+        })
+    }
 }
 
 impl RunSummary {
@@ -105,6 +138,7 @@ impl RunSummary {
             Outcome::NotStarted { reason } => format!("not started: {reason}"),
         });
         manifest.link_statistics = serde_json::to_value(self.link).unwrap_or(Value::Null);
+        manifest.wire = serde_json::to_value(&self.wire).unwrap_or(Value::Null);
         manifest.period_asked_s = Some(1.0 / self.timing.rate_asked_hz);
         manifest.period_achieved_s =
             (self.timing.rate_achieved_hz > 0.0).then(|| 1.0 / self.timing.rate_achieved_hz);
@@ -136,6 +170,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         notices: Vec::new(),
         outcome: None,
         not_started: None,
+        burst_armed: false,
     };
     runner.go(bench.clock, bench.intents, bench.interrupted, options)
 }
@@ -169,6 +204,7 @@ struct Runner<'a> {
     outcome: Option<Outcome>,
     /// Why an automatic start was given up.
     not_started: Option<String>,
+    burst_armed: bool,
 }
 
 impl Runner<'_> {
@@ -216,6 +252,7 @@ impl Runner<'_> {
             estimator.finish();
         }
         let now_s = clock.now_s();
+        let capture = self.fetch_burst(clock);
         let outcome = match (self.outcome.take(), self.not_started.take()) {
             (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
@@ -228,6 +265,8 @@ impl Runner<'_> {
             duration_s: now_s - begin_s,
             timing: self.punctuality.timing(options.rate_hz),
             link: self.link.0.statistics(),
+            capture,
+            wire: Wire::of(self.link.0),
             estimates: self.estimates(),
             excitation: self.excitation(),
             speed: self.session.report(),
@@ -288,6 +327,7 @@ impl Runner<'_> {
     fn act(&mut self, clock: &dyn Clock, action: Action) {
         match action {
             Action::Send(command) => self.exchange(clock, command),
+            Action::ArmBurst => self.arm_burst(),
             Action::Row(sample) => {
                 self.recorder.row(&sample);
                 if let Some(estimator) = self.estimator.as_mut() {
@@ -297,10 +337,7 @@ impl Runner<'_> {
                 self.publisher.sample(&sample, self.demand, reference_rad_s);
             }
             Action::Event(event) => self.recorder.event(self.event(event)),
-            Action::Notice(notice) => {
-                self.publisher.notice(notice.clone());
-                self.notices.push(notice);
-            }
+            Action::Notice(notice) => self.act_on_notice(notice),
             Action::Finished(outcome) => self.outcome = Some(outcome),
         }
     }
@@ -331,6 +368,52 @@ impl Runner<'_> {
             }
             Err(error) => Input::Lost(Lost::from(&error)),
         });
+    }
+
+    /// A burst is an extra: a run goes on without it, and says so.
+    fn arm_burst(&mut self) {
+        let armed = match self.link.0.burst() {
+            Some(burst) => burst.arm().map_err(|error| error.to_string()),
+            None => Err("the drive records no bursts".to_owned()),
+        };
+        match armed {
+            Ok(()) => self.burst_armed = true,
+            Err(reason) => self.warn(format!("no burst capture: {reason}")),
+        }
+    }
+
+    /// Fetches what the drive recorded, with the output off.
+    fn fetch_burst(&mut self, clock: &mut dyn Clock) -> Option<Capture> {
+        if !self.burst_armed {
+            return None;
+        }
+        let mut reason = "the drive does not finish it".to_owned();
+        for _ in 0..FETCH_ATTEMPTS {
+            match self.link.0.burst().map(|burst| burst.fetch()) {
+                Some(Ok(Some(capture))) => return Some(capture),
+                Some(Err(error)) if !error.is_transient() => {
+                    reason = error.to_string();
+                    break;
+                }
+                Some(Err(error)) => reason = error.to_string(),
+                Some(Ok(None)) | None => {}
+            }
+            clock.sleep_until_s(clock.now_s() + FETCH_PAUSE_S);
+        }
+        self.warn(format!("the burst capture is lost: {reason}"));
+        None
+    }
+
+    fn warn(&mut self, text: String) {
+        self.act_on_notice(Notice {
+            level: Level::Warning,
+            text,
+        });
+    }
+
+    fn act_on_notice(&mut self, notice: Notice) {
+        self.publisher.notice(notice.clone());
+        self.notices.push(notice);
     }
 
     /// An event of the session on the samples' time axis.

@@ -109,6 +109,8 @@ pub struct Session {
     shaped_cycles: u64,
     /// Magnitudes at which the program has reached what it was for.
     goals: Vec<(Channel, f64)>,
+    /// Segment with whose first command a burst capture is to start, once.
+    burst_at: Option<usize>,
 }
 
 impl Session {
@@ -136,7 +138,15 @@ impl Session {
             shaping: Causes::default(),
             shaped_cycles: 0,
             goals: Vec::new(),
+            burst_at: None,
         }
+    }
+
+    /// Has the drive start a burst capture with the first command of this segment.
+    #[must_use]
+    pub const fn with_burst_at(mut self, segment: Option<usize>) -> Self {
+        self.burst_at = segment;
+        self
     }
 
     /// Ends the program, as done and by the usual ramp down, with the first sample in which one of these quantities
@@ -404,6 +414,11 @@ impl Session {
             self.segment = Some(index);
             let detail = json!({ "index": index, "name": self.pilot.segment_name(index) });
             self.event(now_s, "segment", detail, actions);
+            if self.burst_at == Some(index) {
+                self.burst_at = None;
+                actions.push(Action::ArmBurst);
+                self.event(now_s, "burst_armed", json!({ "segment": index }), actions);
+            }
         }
     }
 

@@ -155,7 +155,7 @@ impl DriveLink for ScriptedDrive {
             });
         }
         if outcome.1 {
-            self.statistics.io += 1;
+            self.statistics.aborted += 1;
             return Err(LinkError::Gone {
                 link,
                 reason: "unplugged".to_owned(),

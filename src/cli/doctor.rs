@@ -17,7 +17,7 @@ use super::output;
 use super::wire::{Tap, WireArguments};
 use crate::drive::serial_ports::{SerialPortInfo, describe, latency_file};
 use crate::drive::{
-    LineBudget, LinkError, RawClient, ReadRequest, RegisterTable, Target, standard_gap_s,
+    LinkError, MeasuredLine, RawClient, ReadRequest, RegisterTable, Target, standard_gap_s,
 };
 use findings::{Findings, Latency, RoundTripFindings, Settings};
 
@@ -89,7 +89,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         framing: wire.framing,
         unit: wire.unit,
     };
-    let budget = port.as_ref().map(|_| LineBudget {
+    let budget = port.as_ref().map(|_| MeasuredLine {
         baud: wire.baud,
         framing: wire.framing,
         gap_s: wire

@@ -15,8 +15,8 @@ use clap::Args;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
-use super::live_link::{latency, link_protocol, open, serve, tap};
-use super::recorded::Recorded;
+use super::live_link::{latency, open, serve, tap, wired_profile};
+use super::recorded::{Recorded, keep_capture};
 use super::wire::Tap;
 use super::{interrupt, output, reveal};
 use crate::bench::{
@@ -206,11 +206,7 @@ impl Rig {
     /// `run_seed` where one run of several is asked for: the emulator then has another day.
     pub(super) fn open(arguments: &LiveArguments, run_seed: Option<u64>) -> Result<Self, Failure> {
         let bench = arguments.bench()?;
-        let mut profile = DriveProfile::named(&bench.drive.profile)
-            .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?;
-        // The bench file knows how this drive is wired up; the profile only what is usual.
-        profile.link.protocol = link_protocol(bench.link.protocol);
-        profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
+        let profile = wired_profile(&bench)?;
         let port = bench.port();
         // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
         let mystery = (bench.emulator.config == MYSTERY
@@ -385,7 +381,8 @@ impl Rig {
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
         let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
-        let session = Session::new(Box::new(self.program(seed)?), guard);
+        let session = Session::new(Box::new(self.program(seed)?), guard)
+            .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1));
         let run = Planned {
             session,
             motor: Some(motor),
@@ -518,6 +515,9 @@ impl Rig {
         }
         // The writer thread may still have been busy when the run ended: only now is every row counted.
         summary.rows = recorder.finish(&manifest)?.rows as u64;
+        if let Some(capture) = &summary.capture {
+            keep_capture(&folder, name, capture)?;
+        }
         let recorded = Recorded {
             folder,
             summary,

@@ -38,12 +38,19 @@ pub(super) fn serve(config: &EmulatorConfig, bench: &BenchFile) -> Result<Server
     Ok(handle)
 }
 
-pub(super) const fn link_protocol(protocol: Protocol) -> crate::drive::Protocol {
-    match protocol {
+/// The drive's profile, wired up as the bench file says: the profile only knows what is usual.
+pub(super) fn wired_profile(bench: &BenchFile) -> Result<DriveProfile, Failure> {
+    let mut profile = DriveProfile::named(&bench.drive.profile)
+        .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?;
+    profile.link.protocol = match bench.link.protocol {
         Protocol::ModbusRtu => crate::drive::Protocol::ModbusRtu,
         Protocol::ModbusTcp => crate::drive::Protocol::ModbusTcp,
         Protocol::Stream => crate::drive::Protocol::Stream,
-    }
+    };
+    profile.link.baud = bench.link.baud;
+    profile.link.unit = bench.link.unit;
+    profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
+    Ok(profile)
 }
 
 /// The capture of a run. Where no wire is involved there is nothing to tap.

@@ -260,12 +260,13 @@ fn context(manifest: &Manifest, folders: &[&Path]) -> Context {
     let table = |value: &serde_json::Value| -> Facts {
         let entries = value.as_object().into_iter().flatten();
         entries
-            .filter(|(_, value)| !value.is_null())
+            .filter(|(_, value)| !value.is_null() && !value.is_array())
             .map(|(key, value)| fact(&key.replace('_', " "), text(value)))
             .collect()
     };
     let mut link = vec![fact("link", manifest.link.clone())];
     link.extend(table(&manifest.link_statistics));
+    link.extend(table(&manifest.wire));
     Context {
         target: match emulator {
             Some(true) => Target::Emulator,

@@ -3,10 +3,14 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
+use serde::Serialize;
+
 use super::data::read_text;
 use super::failure::{Failure, USAGE};
+use super::live_link::wired_profile;
 use super::output;
-use crate::bench::{BenchFile, BenchFileError, Plan, plan};
+use crate::bench::{BenchFile, BenchFileError, Plan, Port, plan};
+use crate::drive::LineBudget;
 
 /// Predict peak current, speed, travel, heat and duration of a bench file's sequence
 #[derive(clap::Args)]
@@ -30,15 +34,31 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             file: bench.name.clone(),
             error,
         })?;
-    let plan = plan(
+    let profile = wired_profile(&bench)?;
+    let line = match bench.port() {
+        Port::Tcp(_) => None,
+        Port::Emulator | Port::Sim | Port::Serial(_) => LineBudget::of(&profile.link),
+    };
+    let asked_hz = bench.link.rate_hz;
+    let rate_hz = line
+        .as_ref()
+        .map_or(asked_hz, |line| asked_hz.min(line.rate_hz()));
+    let mut plan = plan(
         &program,
         &super::live::nameplate(&bench)?,
         &bench.limits(),
-        bench.link.rate_hz,
+        rate_hz,
         None,
     )?;
-    output::result(&plan, arguments.json, text)?;
-    match plan.refusals.first() {
+    if rate_hz < asked_hz {
+        plan.warnings.push(format!(
+            "{asked_hz} Hz is asked, the line carries {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
+             those of {rate_hz:.0} Hz"
+        ));
+    }
+    let forecast = Forecast { plan, line };
+    output::result(&forecast, arguments.json, text)?;
+    match forecast.plan.refusals.first() {
         Some(refusal) => Err(Failure::with_help(
             USAGE,
             format!("plan refused: {refusal}"),
@@ -48,7 +68,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-fn text(plan: &Plan) -> String {
+/// The plan of the motor and that of the line.
+#[derive(Serialize)]
+struct Forecast {
+    #[serde(flatten)]
+    plan: Plan,
+    /// `null` where no serial line is involved.
+    line: Option<LineBudget>,
+}
+
+fn text(forecast: &Forecast) -> String {
+    let Forecast { plan, line } = forecast;
     let mut text = format!(
         "{:.1} s, {} rows, peak {:.1} A ({:.1} times rated), {:.0} rad/s, {:.0} V, copper loss {:.0} J\n\n",
         plan.duration_s,
@@ -85,8 +115,29 @@ fn text(plan: &Plan) -> String {
             parameter.key, parameter.reason
         );
     }
+    if let Some(line) = line {
+        let _ = writeln!(text, "\n{}", line_text(line));
+    }
     for warning in &plan.warnings {
         let _ = writeln!(text, "warning: {warning}");
+    }
+    text
+}
+
+/// The arithmetic of the line, a rate for each kind of adapter.
+fn line_text(line: &LineBudget) -> String {
+    let mut text = format!(
+        "{} at {} baud: {} + {} bytes take {:.2} ms, silences {:.2} ms, the drive up to {:.2} ms\n",
+        line.protocol.name(),
+        line.baud,
+        line.request_bytes,
+        line.reply_bytes,
+        line.wire_ms,
+        line.gaps_ms,
+        line.reply_ms
+    );
+    for rate in &line.rates {
+        let _ = writeln!(text, "  {:<34} {:>6.0} Hz", rate.adapter, rate.rate_hz);
     }
     text
 }

@@ -3,8 +3,10 @@
 use serde::Serialize;
 
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
+use super::output;
 use crate::bench::{OnlineResult, Outcome, RunSummary};
-use crate::recording::{RunFile, RunFolder};
+use crate::drive::Capture;
+use crate::recording::{RunFile, RunFolder, write_run};
 
 /// A run that was recorded, to its end or not.
 pub(super) struct Recorded {
@@ -69,4 +71,23 @@ impl Recorded {
             )),
         }
     }
+}
+
+/// Keeps what the drive recorded in a burst beside the samples, as a run that every command takes.
+pub(super) fn keep_capture(
+    folder: &RunFolder,
+    name: &str,
+    capture: &Capture,
+) -> Result<(), Failure> {
+    let run = capture
+        .run(name)
+        .map_err(|error| Failure::new(LINK, format!("burst capture: {error}")))?;
+    let path = folder.write_capture(&write_run(&run))?;
+    output::message(&format!(
+        "burst capture: {} samples at {:.0} Hz in {}",
+        run.rows(),
+        1.0 / capture.period_s,
+        path.display()
+    ));
+    Ok(())
 }

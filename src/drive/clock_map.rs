@@ -42,7 +42,7 @@ impl DriveClock {
 }
 
 /// `later - earlier` of two counters less than half a turn apart, us.
-pub(super) const fn signed_difference(later_us: u32, earlier_us: u32) -> i32 {
+pub const fn signed_difference(later_us: u32, earlier_us: u32) -> i32 {
     later_us.wrapping_sub(earlier_us).cast_signed()
 }
 

@@ -15,9 +15,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
+use serde::Serialize;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::reply::{FrameKind, search};
+use super::reply::{Echo, Expected, FrameKind, search};
 
 /// Anything that carries bytes.
 pub(super) trait Port: AsyncRead + AsyncWrite + Unpin + Send {}
@@ -33,7 +34,7 @@ pub(super) struct Guard(Arc<Mutex<Inner>>);
 struct Inner {
     port: Box<dyn Port>,
     kind: FrameKind,
-    request: Vec<u8>,
+    expected: Expected,
     received: Vec<u8>,
     /// The accepted reply, and how much of it the client has taken.
     reply: Vec<u8>,
@@ -44,13 +45,19 @@ struct Inner {
     anomaly: bool,
 }
 
-/// What the line carried beside replies.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// What the line carried: `bytes_received` are those of accepted replies and those dropped, nothing else.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct LineCounts {
     pub bytes_sent: u64,
     pub bytes_received: u64,
+    /// Bytes of replies that were taken.
+    pub bytes_accepted: u64,
     /// Bytes that belonged to no accepted reply.
     pub bytes_dropped: u64,
+    /// Whole frames among them that answer something asked before: late, or twice.
+    pub stale_frames: u64,
+    /// Whole frames among them that answer nothing that was asked.
+    pub foreign_frames: u64,
     /// The line returns our own requests (two-wire RS-485 without echo suppression).
     pub echoes: bool,
 }
@@ -59,7 +66,9 @@ pub struct LineCounts {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Leftover {
     Nothing,
-    /// Whole frames, none of them the reply.
+    /// Whole frames that answer something asked before.
+    Stale,
+    /// Whole frames that answer nothing that was asked.
     Foreign,
     /// This many bytes that make no frame.
     Damaged(usize),
@@ -70,7 +79,7 @@ impl Guard {
         Self(Arc::new(Mutex::new(Inner {
             port,
             kind,
-            request: Vec::new(),
+            expected: Expected::default(),
             received: Vec::new(),
             reply: Vec::new(),
             taken: 0,
@@ -80,20 +89,21 @@ impl Guard {
         })))
     }
 
-    /// Reads away whatever lies on the line and forgets the last exchange. Returns the bytes that nobody asked for.
+    /// Reads away whatever lies on the line and ends the last exchange. Returns the bytes that nobody asked for.
     pub(super) async fn begin(&self) -> io::Result<usize> {
         // The reactor has to look at the port once, else bytes that came meanwhile do not show.
         tokio::task::yield_now().await;
         poll_fn(|cx| {
             let mut inner = self.inner();
-            let strays = inner.discard(cx)?;
-            inner.request.clear();
-            inner.received.clear();
-            inner.reply.clear();
-            inner.taken = 0;
-            Poll::Ready(Ok(strays))
+            inner.retire();
+            Poll::Ready(inner.discard(cx))
         })
         .await
+    }
+
+    /// What the reply to the next request must carry to be its own.
+    pub(super) fn expect(&self, echo: Echo) {
+        self.inner().expected.echo = Some(echo);
     }
 
     /// Waits until the line was silent for `quiet`; false when it never was before `deadline`.
@@ -130,13 +140,13 @@ impl Guard {
     /// Judges what came instead of a reply.
     pub(super) fn leftover(&self) -> Leftover {
         let inner = self.inner();
-        let (request, received) = (&inner.request, &inner.received);
-        let foreign = search(inner.kind, request, received, inner.line.echoes)
-            .map_or(0, |search| search.foreign);
-        match (received.len(), foreign) {
-            (0, _) => Leftover::Nothing,
-            (bytes, _) if bytes == request.len() && received == request => Leftover::Nothing,
-            (bytes, 0) => Leftover::Damaged(bytes),
+        let (request, received) = (&inner.expected.request, &inner.received);
+        let search = search(inner.kind, &inner.expected, received).unwrap_or_default();
+        match (received.len(), search.foreign, search.stale) {
+            (0, ..) => Leftover::Nothing,
+            (bytes, ..) if bytes == request.len() && received == request => Leftover::Nothing,
+            (bytes, 0, 0) => Leftover::Damaged(bytes),
+            (_, 0, _) => Leftover::Stale,
             _ => Leftover::Foreign,
         }
     }
@@ -148,20 +158,44 @@ impl Guard {
 }
 
 impl Inner {
+    /// Ends the exchange: what is left of it answers nothing any more.
+    fn retire(&mut self) {
+        let left = std::mem::take(&mut self.received);
+        self.count(&left);
+        // Anomalies of an exchange are judged where it ends; what is dropped here was one of it.
+        self.line.bytes_dropped += left.len() as u64;
+        self.expected.retire();
+        self.reply.clear();
+        self.taken = 0;
+    }
+
     /// Reads until nothing is there; drops it.
     fn discard(&mut self, cx: &mut Context<'_>) -> io::Result<usize> {
         let mut dropped = 0;
         let mut bytes = [0; 512];
+        let mut strays = Vec::new();
         // A line that babbles faster than it is read must not hold us here.
         while dropped < 1 << 16 {
             match self.read_port(cx, &mut bytes) {
-                Poll::Ready(Ok(count)) => dropped += count,
+                Poll::Ready(Ok(count)) => {
+                    dropped += count;
+                    let room = LONGEST_WAIT_BYTES.saturating_sub(strays.len());
+                    strays.extend_from_slice(&bytes[..count.min(room)]);
+                }
                 Poll::Ready(Err(error)) => return Err(error),
                 Poll::Pending => break,
             }
         }
+        self.count(&strays);
         self.drop_bytes(dropped);
         Ok(dropped)
+    }
+
+    /// Counts the frames in bytes that are dropped.
+    fn count(&mut self, bytes: &[u8]) {
+        let search = search(self.kind, &self.expected, bytes).unwrap_or_default();
+        self.line.stale_frames += search.stale as u64 + u64::from(search.reply.is_some());
+        self.line.foreign_frames += search.foreign as u64;
     }
 
     fn drop_bytes(&mut self, count: usize) {
@@ -190,23 +224,36 @@ impl Inner {
 
     /// Moves the reply out of what was received, if it is there.
     fn accept(&mut self) -> io::Result<()> {
-        let found =
-            search(self.kind, &self.request, &self.received, self.line.echoes).map_err(|_| {
-                io::Error::new(
-                    ErrorKind::ConnectionAborted,
-                    "the peer speaks no Modbus TCP",
-                )
-            })?;
+        let found = search(self.kind, &self.expected, &self.received).map_err(|_| {
+            io::Error::new(
+                ErrorKind::ConnectionAborted,
+                "the peer speaks no Modbus TCP",
+            )
+        })?;
         if let Some((begin, end)) = found.reply {
-            let echo = if found.echo { self.request.len() } else { 0 };
+            let echo = if found.echo {
+                self.expected.request.len()
+            } else {
+                0
+            };
+            // A reply that cannot be a copy of its request shows whether the line returns requests.
+            let copies = matches!(self.expected.request.get(1), Some(5 | 6 | 8));
+            if found.echo || (self.kind == FrameKind::Rtu && !copies) {
+                self.expected.echoes = found.echo;
+            }
             self.line.echoes |= found.echo;
-            let dropped = self.received.len() - (end - begin) - echo;
-            self.drop_bytes(dropped);
+            self.line.stale_frames += found.stale as u64;
+            self.line.foreign_frames += found.foreign as u64;
+            self.line.bytes_accepted += (end - begin) as u64;
+            // What follows the reply answers nothing.
+            let behind = self.received.split_off(end);
+            self.drop_bytes(begin - echo + behind.len());
             self.line.bytes_dropped += echo as u64;
             self.reply.clear();
             self.reply.extend_from_slice(&self.received[begin..end]);
             self.taken = 0;
             self.received.clear();
+            self.count(&behind);
         } else if self.received.len() > LONGEST_WAIT_BYTES && self.kind == FrameKind::Rtu {
             let excess = self.received.len() - LONGEST_WAIT_BYTES;
             self.received.drain(..excess);
@@ -252,7 +299,7 @@ impl AsyncWrite for Guard {
         let mut inner = self.inner();
         match Pin::new(&mut inner.port).poll_write(cx, bytes) {
             Poll::Ready(Ok(count)) => {
-                inner.request.extend_from_slice(&bytes[..count]);
+                inner.expected.request.extend_from_slice(&bytes[..count]);
                 inner.line.bytes_sent += count as u64;
                 inner.last_activity = now();
                 Poll::Ready(Ok(count))
@@ -283,5 +330,6 @@ impl fmt::Debug for Guard {
     reason = "this file owns the clock of the line's silence"
 )]
 pub(super) fn now() -> Instant {
-    Instant::now()
+    // The runtime's clock is the system's; a test that pauses the one pauses the other.
+    tokio::time::Instant::now().into_std()
 }

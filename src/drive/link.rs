@@ -5,7 +5,9 @@ use std::fmt;
 use serde::Serialize;
 use thiserror::Error;
 
+use super::burst::Burst;
 use super::clock_map::ClockMap;
+use super::guard::LineCounts;
 use super::tally::RoundTrips;
 use crate::sample::{Command, Sample};
 
@@ -33,17 +35,20 @@ pub struct LinkStatistics {
     pub ok: u64,
     pub timeout: u64,
     pub crc: u64,
-    /// A reply that belongs to another request: wrong unit, function, length or echoed sequence number.
+    /// Only replies to something asked before came: late, or twice.
+    pub stale: u64,
+    /// A reply to nothing that was asked: wrong unit, function or length.
     pub mismatch: u64,
     pub exception: u64,
     /// The transport failed (unplugged, peer gone).
-    pub io: u64,
+    pub aborted: u64,
 }
 
 impl LinkStatistics {
     /// The accounting invariant: nothing that was sent is unaccounted for.
     pub const fn balances(&self) -> bool {
-        self.sent == self.ok + self.timeout + self.crc + self.mismatch + self.exception + self.io
+        let failed = self.timeout + self.crc + self.stale + self.mismatch + self.exception;
+        self.sent == self.ok + failed + self.aborted
     }
 
     pub const fn lost(&self) -> u64 {
@@ -64,6 +69,8 @@ pub enum LinkError {
     },
     #[error("{link}: {reason}")]
     Corrupt { link: String, reason: String },
+    #[error("{link}: the reply belongs to an earlier request: {reason}")]
+    Stale { link: String, reason: String },
     #[error("{link}: the reply belongs to another request: {reason}")]
     Mismatch { link: String, reason: String },
     #[error("{link}: the drive refused {request}: exception {code:#04x} {name}")]
@@ -94,8 +101,11 @@ impl LinkError {
                 "check wiring, baud rate and unit address; is the drive powered?"
             }
             Self::Corrupt { .. } => "check baud rate, parity, termination and shielding",
+            Self::Stale { .. } => {
+                "the drive or an adapter answers late: allow it more (link.reply_ms, link.deadline_ms), set the adapter's latency timer to 1 ms"
+            }
             Self::Mismatch { .. } => {
-                "two devices may share the address, or a reply came late; see the link statistics"
+                "two devices may share the address or the bus; see the link statistics"
             }
             Self::Exception { .. } => {
                 "the profile asks for something this drive does not have; check the register map"
@@ -112,7 +122,10 @@ impl LinkError {
     pub const fn is_transient(&self) -> bool {
         matches!(
             self,
-            Self::Timeout { .. } | Self::Corrupt { .. } | Self::Mismatch { .. }
+            Self::Timeout { .. }
+                | Self::Corrupt { .. }
+                | Self::Stale { .. }
+                | Self::Mismatch { .. }
         )
     }
 }
@@ -147,6 +160,16 @@ pub trait DriveLink: Send {
 
     /// Times from request to reply; `None` where no wire is involved.
     fn round_trips(&self) -> Option<&RoundTrips> {
+        None
+    }
+
+    /// What the line carried, byte for byte; `None` where no wire is involved.
+    fn line(&self) -> Option<LineCounts> {
+        None
+    }
+
+    /// The drive's own recorder, where it has one; known once it is identified.
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
         None
     }
 

@@ -5,6 +5,7 @@
 //!
 //! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
 //!                  |            |
+//!                  |            |             burst.rs: what the drive records by itself
 //!              guard.rs      port.rs        bytes, silence, hang-up
 //!              reply.rs                     which bytes answer this request
 //!                  +-- timing.rs (deadlines, gaps), tally.rs (counts, round trips)
@@ -14,9 +15,13 @@
 //!
 //! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
+mod budget;
+pub mod burst;
 mod clock_map;
 #[cfg(test)]
 mod fake;
+#[cfg(test)]
+mod fault_tests;
 mod guard;
 mod link;
 mod modbus;
@@ -31,8 +36,12 @@ mod tally;
 mod tap;
 pub mod timeline;
 mod timing;
+#[cfg(test)]
+mod virtual_line;
 
-pub use clock_map::{ClockMap, DriveClock};
+pub use budget::{AdapterRate, LineBudget};
+pub use burst::{Burst, Capture};
+pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 pub use modbus::{ModbusLink, RegisterTable};
@@ -42,9 +51,9 @@ pub use profile::{
     Protocol, SignalOrigins, Trust, Watchdog,
 };
 pub use raw::{
-    Batch, LineBudget, LoopRates, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, RawSettings,
+    Batch, LoopRates, MOST_READ, MOST_WRITTEN, MeasuredLine, RawClient, RawCounters, RawSettings,
     Read, ReadRequest, WriteFunction, read_batch, standard_gap_s,
 };
-pub use stream::{Capture, CapturedSample, StreamLink};
+pub use stream::StreamLink;
 pub use tally::RoundTrips;
 pub use tap::TapFile;

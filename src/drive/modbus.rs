@@ -1,8 +1,13 @@
 //! The Modbus link: one exchange is one request of function code 23, which writes the command and reads the sample.
 //!
 //! ```text
-//! exchange: [suspect? silence, probe] -> gap -> FC23 { sequence, control, set-point | 16 registers } -> echo = sequence?
+//! exchange: gap, listen -> FC23 { sequence, control, set-point | 16 registers } -> only a reply that echoes the sequence
+//! read:     gap, listen, [suspect? silence, probe], [looks like a recent one? silence] -> FC03 | 04
 //! ```
+//!
+//! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read says neither
+//! what was read nor when: only function, unit and length. Two that look alike are kept apart by a silence in which
+//! every copy of the earlier reply would have come.
 //!
 //! This file owns the clock of the exchanges.
 
@@ -10,8 +15,8 @@ use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use firmware_protocol::registers::{
-    COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, IDENTITY_WORDS, TELEMETRY_ADDRESS,
-    TELEMETRY_WORDS,
+    COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, IDENTITY_WORDS, SEQUENCE_ECHO,
+    TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
 use firmware_protocol::{DriveCommand, Telemetry};
 use tokio::runtime::Runtime;
@@ -19,10 +24,11 @@ use tokio_modbus::client::{Client, Context, rtu, tcp};
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, ExceptionCode, Request, Response, Slave};
 
+use super::burst::Burst;
 use super::clock_map::ClockMap;
 use super::guard::{Guard, Leftover, LineCounts, Port, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::reply::FrameKind;
+use super::reply::{Echo, FrameKind};
 use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, identity_error, low_word};
 use super::timing::{LineTiming, wait_until};
@@ -34,8 +40,15 @@ const READ_ATTEMPTS: usize = 3;
 const STOP_ATTEMPTS: usize = 5;
 /// Probes of one resynchronisation.
 const PROBES: usize = 6;
-/// Bytes of an RTU frame beside its PDU.
-const RTU_EXTRA: usize = 3;
+/// Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
+const FAILURES_BEFORE_SILENCE: u32 = 2;
+/// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it.
+const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
+/// A line that talks for so many times the silence that is waited for is given up.
+const SILENCE_PATIENCE: u32 = 4;
+/// RTU frames of a command and of its reply.
+pub(super) const COMMAND_BYTES: usize = 13 + 2 * COMMAND_WORDS;
+pub(super) const TELEMETRY_BYTES: usize = 5 + 2 * TELEMETRY_WORDS;
 
 /// Which of the two register tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +74,12 @@ pub struct ModbusLink {
     nonce: u16,
     /// Something came in that was not asked for, or did not come: what comes next may be old.
     suspect: bool,
+    /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
+    capture_period_s: f64,
+    /// Lengths of the replies to the latest plain reads, and when those ended.
+    recent: Vec<(usize, Instant)>,
+    /// Commands without a sample since the last one that had one.
+    failed_in_a_row: u32,
     gone: bool,
 }
 
@@ -99,6 +118,9 @@ impl ModbusLink {
             nonce: u16::from_be_bytes([high, low]),
             // A reply to whoever used the line before us may be under way.
             suspect: kind == FrameKind::Rtu,
+            capture_period_s: 0.0,
+            recent: Vec::new(),
+            failed_in_a_row: 0,
             gone: false,
         }
     }
@@ -136,33 +158,23 @@ impl ModbusLink {
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
         let what = format!("write {} registers at {address}", values.len());
-        let deadline = self.deadline(9 + 2 * values.len(), 8);
-        self.prove_fresh(deadline)?;
+        let allowed = self.timing.allowed(9 + 2 * values.len(), 8);
+        self.prove_fresh()?;
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
-        self.call(request, &what, deadline, |response| match response {
+        self.call(request, &what, allowed, |response| match response {
             Response::WriteMultipleRegisters(..) => Ok(()),
             other => Err(format!("{other:?}")),
         })
         .map(|answer| answer.value)
     }
 
-    /// What the line carried beside replies.
-    pub fn line(&self) -> LineCounts {
-        self.guard.line()
-    }
-
-    fn deadline(&self, request_bytes: usize, reply_bytes: usize) -> Instant {
-        let probe = if self.suspect && self.kind == FrameKind::Rtu {
-            self.timing.quiet() + self.timing.allowed(8, 8)
-        } else {
-            Duration::ZERO
-        };
-        now() + probe + self.timing.allowed(request_bytes, reply_bytes)
-    }
-
-    /// One command on the wire. A wrong echo means that the sample is that of another command.
-    fn command(&mut self, command: Command, deadline: Instant) -> Result<Sample, LinkError> {
+    /// One command on the wire. Only a reply that carries its number is its sample.
+    fn command(&mut self, command: Command) -> Result<Sample, LinkError> {
         let seq = low_word(command.seq);
+        self.guard.expect(Echo {
+            at: ECHO_AT,
+            bytes: seq.to_be_bytes(),
+        });
         let words: [u16; COMMAND_WORDS] = DriveCommand {
             seq,
             control: control(command.demand),
@@ -175,28 +187,39 @@ impl ModbusLink {
             COMMAND_ADDRESS,
             Cow::Borrowed(&words),
         );
-        let answer = self.call(request, "the command", deadline, |response| {
-            let Response::ReadWriteMultipleRegisters(values) = response else {
-                return Err(format!("{response:?}"));
-            };
-            let telemetry = telemetry(&values)?;
-            if telemetry.seq == seq {
-                Ok(telemetry)
-            } else {
-                Err(format!(
-                    "it carries sequence number {}, the request had {seq}",
-                    telemetry.seq
-                ))
-            }
-        })?;
+        let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
+        let answer = self.call(request, "the command", allowed, |response| match response {
+            Response::ReadWriteMultipleRegisters(values) => telemetry(&values),
+            other => Err(format!("{other:?}")),
+        });
+        self.failed_in_a_row = match &answer {
+            Ok(_) => 0,
+            Err(_) => self.failed_in_a_row.saturating_add(1),
+        };
         let Answer {
             value,
             sent_s,
             received_s,
-        } = answer;
+        } = answer?;
         Ok(self
             .timeline
             .sample(&value, command.seq, sent_s, received_s))
+    }
+
+    /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
+    fn note_clock(&mut self) -> Result<(u32, f64), LinkError> {
+        let ask = || Request::ReadHoldingRegisters(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS));
+        let bytes = 5 + 2 * TELEMETRY_WORDS;
+        let answer =
+            self.read_with_retries("the telemetry", 8, bytes, ask, |response| match response {
+                Response::ReadHoldingRegisters(values) => telemetry(&values),
+                other => Err(format!("{other:?}")),
+            })?;
+        let time_us = answer.value.time_us;
+        let time_s = self
+            .timeline
+            .note(time_us, answer.sent_s, answer.received_s);
+        Ok((time_us, time_s))
     }
 
     /// A question without effect on the drive may be asked again.
@@ -210,10 +233,12 @@ impl ModbusLink {
     ) -> Result<Answer<T>, LinkError> {
         let mut attempt = 1;
         loop {
-            let deadline = self.deadline(request_bytes, reply_bytes);
+            let allowed = self.timing.allowed(request_bytes, reply_bytes);
             let result = self
-                .prove_fresh(deadline)
-                .and_then(|()| self.call(request(), what, deadline, &check));
+                .prove_fresh()
+                .and_then(|()| self.keep_apart(reply_bytes))
+                .and_then(|()| self.call(request(), what, allowed, &check));
+            self.recent.push((reply_bytes, now()));
             match result {
                 Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
                 result => return result,
@@ -221,66 +246,89 @@ impl ModbusLink {
         }
     }
 
-    /// Makes sure that what comes next is not a reply to something older: silence for the longest turnaround, then a
-    /// probe with a number of its own that the drive sends back (function code 08).
-    fn prove_fresh(&mut self, deadline: Instant) -> Result<(), LinkError> {
+    /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
+    fn listen(&mut self) -> Result<(), LinkError> {
         self.live()?;
+        if self.kind == FrameKind::Rtu {
+            wait_until(self.guard.last_activity() + self.timing.gap());
+        }
         let strays = self.runtime.block_on(self.guard.begin());
-        let strays = strays.map_err(|error| self.lost(&error))?;
-        self.suspect |= strays > 0;
-        if !self.suspect || self.kind == FrameKind::Tcp {
-            return Ok(());
-        }
-        let silence = self.guard.silence(self.timing.quiet(), deadline);
-        match self.runtime.block_on(silence) {
-            Ok(true) => {}
-            Ok(false) => {
-                return Err(LinkError::Corrupt {
-                    link: self.name.clone(),
-                    reason: "the line is never silent: something talks all the time".to_owned(),
-                });
-            }
-            Err(error) => return Err(self.lost(&error)),
-        }
-        let mut last = None;
-        for _ in 0..PROBES {
-            if now() >= deadline {
-                break;
-            }
-            self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
-            let [high, low] = self.nonce.to_be_bytes();
-            let request = Request::Custom(8, Cow::Owned(vec![0, 0, high, low]));
-            let probe_deadline = deadline.min(now() + self.timing.allowed(8, 8));
-            // The guard has compared all bytes.
-            match self.call(request, "the probe", probe_deadline, |_| Ok(())) {
-                Ok(_) => {
-                    self.suspect = false;
-                    return Ok(());
-                }
-                Err(error) if error.is_transient() => last = Some(error),
-                Err(error) => return Err(error),
-            }
-        }
-        Err(last.unwrap_or_else(|| self.timeout("the probe", deadline, now())))
+        self.suspect |= strays.map_err(|error| self.lost(&error))? > 0;
+        Ok(())
     }
 
-    /// One request and its reply, booked in the statistics. `check` turns the reply into a value or says what is
-    /// wrong with it.
+    /// Waits until nothing of an earlier exchange can come any more.
+    fn silence(&mut self) -> Result<(), LinkError> {
+        let quiet = self.timing.quiet();
+        let silence = self.guard.silence(quiet, now() + SILENCE_PATIENCE * quiet);
+        match self.runtime.block_on(silence) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(LinkError::Corrupt {
+                link: self.name.clone(),
+                reason: "the line is never silent: something talks all the time".to_owned(),
+            }),
+            Err(error) => Err(self.lost(&error)),
+        }
+    }
+
+    /// Makes sure that what comes next is not a reply to something older: silence for the longest turnaround, then a
+    /// probe with a number of its own that the drive sends back (function code 08).
+    fn prove_fresh(&mut self) -> Result<(), LinkError> {
+        self.listen()?;
+        if self.kind == FrameKind::Tcp {
+            return Ok(());
+        }
+        let mut probes = 0;
+        while self.suspect {
+            self.silence()?;
+            let result = self.probe();
+            probes += 1;
+            match result {
+                // What came during the probe, or comes in the gap behind it, was not asked for either.
+                Ok(()) => self.listen()?,
+                Err(error) if !error.is_transient() || probes == PROBES => return Err(error),
+                Err(_) => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps replies apart that look alike: waits until no copy of an earlier one can come any more.
+    fn keep_apart(&mut self, reply_bytes: usize) -> Result<(), LinkError> {
+        let quiet = self.timing.quiet();
+        self.recent
+            .retain(|(_, ended)| now().saturating_duration_since(*ended) < quiet);
+        let alike = self.recent.iter().any(|(bytes, _)| *bytes == reply_bytes);
+        if alike && self.kind == FrameKind::Rtu {
+            self.silence()?;
+        }
+        Ok(())
+    }
+
+    /// One probe. The guard compares all its bytes.
+    fn probe(&mut self) -> Result<(), LinkError> {
+        self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
+        let [high, low] = self.nonce.to_be_bytes();
+        let request = Request::Custom(8, Cow::Owned(vec![0, 0, high, low]));
+        let allowed = self.timing.allowed(8, 8);
+        self.listen()?;
+        self.call(request, "the probe", allowed, |_| Ok(()))
+            .map(drop)
+    }
+
+    /// One request and its reply, booked in the statistics; who calls has listened. `check` turns the reply into a
+    /// value or says what is wrong with it.
     fn call<T>(
         &mut self,
         request: Request<'_>,
         what: &str,
-        deadline: Instant,
+        allowed: Duration,
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
-        self.live()?;
-        let strays = self.runtime.block_on(self.guard.begin());
-        let strays = strays.map_err(|error| self.lost(&error))?;
-        self.suspect |= strays > 0;
-        if self.kind == FrameKind::Rtu {
-            wait_until(self.guard.last_activity() + self.timing.gap());
-        }
+        // What came before the request has been judged.
+        self.guard.take_anomaly();
         let sent = now();
+        let deadline = sent + allowed;
         let reply = self.runtime.block_on(async {
             tokio::time::timeout_at(deadline.into(), self.context.call(request)).await
         });
@@ -290,9 +338,10 @@ impl ModbusLink {
             Ok(Ok(Err(code))) => Err(self.exception(what, code)),
             Ok(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
             Ok(Err(Error::Transport(error))) => Err(self.broken(&error)),
-            Err(_) => Err(self.missing(what, deadline, sent)),
+            Err(_) => Err(self.missing(what, allowed)),
         };
-        self.suspect |= self.guard.take_anomaly() || matches!(&result, Err(e) if e.is_transient());
+        // A reply that carries its own number ends every doubt about what came before it.
+        self.suspect = self.guard.take_anomaly() || matches!(&result, Err(e) if e.is_transient());
         if result.is_err() && self.kind == FrameKind::Rtu {
             // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
             // transaction number, and the guard drops replies to older ones.
@@ -357,9 +406,17 @@ impl ModbusLink {
     }
 
     /// No reply in time: what came instead tells the class.
-    fn missing(&self, what: &str, deadline: Instant, sent: Instant) -> LinkError {
+    fn missing(&self, what: &str, allowed: Duration) -> LinkError {
         match self.guard.leftover() {
-            Leftover::Nothing => self.timeout(what, deadline, sent),
+            Leftover::Nothing => LinkError::Timeout {
+                link: self.name.clone(),
+                deadline_ms: u64::try_from(allowed.as_millis()).unwrap_or(u64::MAX),
+                request: what.to_owned(),
+            },
+            Leftover::Stale => LinkError::Stale {
+                link: self.name.clone(),
+                reason: format!("only late answers came after {what}"),
+            },
             Leftover::Foreign => {
                 self.mismatch(format!("only frames that do not answer {what} came"))
             }
@@ -367,15 +424,6 @@ impl ModbusLink {
                 link: self.name.clone(),
                 reason: format!("{bytes} bytes without a valid frame came in reply to {what}"),
             },
-        }
-    }
-
-    fn timeout(&self, what: &str, deadline: Instant, sent: Instant) -> LinkError {
-        let allowed = deadline.saturating_duration_since(sent).as_millis();
-        LinkError::Timeout {
-            link: self.name.clone(),
-            deadline_ms: u64::try_from(allowed).unwrap_or(u64::MAX),
-            request: what.to_owned(),
         }
     }
 }
@@ -425,24 +473,18 @@ impl DriveLink for ModbusLink {
             Err(LinkError::Exception { .. }) => {}
             Err(error) => return Err(error),
         }
+        self.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
         // The origin of the time axis.
-        let ask = || Request::ReadHoldingRegisters(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS));
-        let bytes = 5 + 2 * TELEMETRY_WORDS;
-        let answer =
-            self.read_with_retries("the telemetry", 8, bytes, ask, |response| match response {
-                Response::ReadHoldingRegisters(values) => telemetry(&values),
-                other => Err(format!("{other:?}")),
-            })?;
-        self.timeline
-            .note(answer.value.time_us, answer.sent_s, answer.received_s);
+        self.note_clock()?;
         Ok(identity)
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
-        let request_bytes = 10 + 2 * COMMAND_WORDS + RTU_EXTRA;
-        let deadline = self.deadline(request_bytes, 2 + 2 * TELEMETRY_WORDS + RTU_EXTRA);
-        self.prove_fresh(deadline)?;
-        self.command(command, deadline)
+        self.listen()?;
+        if self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu {
+            self.silence()?;
+        }
+        self.command(command)
     }
 
     /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
@@ -456,8 +498,8 @@ impl DriveLink for ModbusLink {
             reason: format!("the drive still runs after {STOP_ATTEMPTS} requests to stop"),
         };
         for _ in 0..STOP_ATTEMPTS {
-            let deadline = now() + self.timing.allowed(21, 37);
-            match self.command(stop, deadline) {
+            self.listen()?;
+            match self.command(stop) {
                 Ok(sample) if sample.state != Some(DriveState::Running) => return Ok(()),
                 Ok(_) => {}
                 Err(error @ LinkError::Gone { .. }) => return Err(error),
@@ -472,11 +514,19 @@ impl DriveLink for ModbusLink {
     }
 
     fn shortest_cycle_s(&self) -> Option<f64> {
-        self.timing.shortest_cycle_s(21, 37)
+        self.timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {
         Some(&self.tally.round_trips)
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        Some(self.guard.line())
+    }
+
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
     }
 
     fn clock_map(&self) -> Option<&ClockMap> {
@@ -517,6 +567,9 @@ const fn exception_name(code: ExceptionCode) -> &'static str {
         ExceptionCode::Custom(_) => "a code of the maker",
     }
 }
+
+#[path = "modbus_burst.rs"]
+mod burst;
 
 #[cfg(test)]
 #[path = "modbus_tests.rs"]

@@ -11,7 +11,7 @@ use tokio::runtime::{Builder, Runtime};
 use super::guard::Port;
 use super::link::{DriveLink, LinkError};
 use super::modbus::ModbusLink;
-use super::port::{BlockingPort, connect, serial, serial_error};
+use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::{DriveProfile, Protocol};
 use super::reply::FrameKind;
 use super::stream::StreamLink;
@@ -198,22 +198,22 @@ fn stream_with(
 ) -> Result<StreamLink, LinkError> {
     let name = target.to_string();
     let settings = &profile.link;
-    let (port, timing) = match target {
+    let (port, timing): (Box<dyn TimedPort>, _) = match target {
         Target::Serial { path, baud, .. } => {
             let baud = baud.unwrap_or(settings.baud);
             let port = serial(path, baud, settings.framing)
                 .open()
                 .map_err(|error| serial_error(path, &error))?;
             let timing = LineTiming::serial(settings, baud, false);
-            (BlockingPort::Serial(port), timing)
+            (Box::new(port), timing)
         }
         Target::Tcp { host, port, .. } => {
             let stream = connect(&name, host, *port)?;
-            (BlockingPort::Tcp(stream), LineTiming::network(settings))
+            (Box::new(stream), LineTiming::network(settings))
         }
     };
     let port = match tap {
-        Some(tap) => BlockingPort::Tapped(Box::new(port), tap.stream()),
+        Some(tap) => Box::new(TappedPort::new(port, tap.stream())),
         None => port,
     };
     Ok(StreamLink::new(name, port, timing, epoch))

@@ -10,7 +10,6 @@ use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, S
 
 use super::link::LinkError;
 use super::profile::Framing;
-use super::tap::Tap;
 
 /// How long a peer on the network may take to accept.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -111,61 +110,52 @@ fn owning_group(path: &str) -> Option<String> {
 }
 
 /// A port that is waited on.
-pub(super) enum BlockingPort {
-    Serial(Box<dyn SerialPort>),
-    Tcp(TcpStream),
-    Tapped(Box<Self>, Tap),
-}
-
-impl BlockingPort {
+pub(super) trait TimedPort: Send {
     /// Reads what is there within `timeout`; 0: nothing came. An error: the port is gone.
-    pub(super) fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        let result = match self {
-            Self::Serial(port) => {
-                port.set_timeout(timeout)?;
-                port.read(bytes)
-            }
-            Self::Tcp(stream) => {
-                stream.set_read_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
-                stream.read(bytes)
-            }
-            Self::Tapped(port, tap) => {
-                let count = port.read_within(bytes, timeout)?;
-                tap.received(&bytes[..count]);
-                return Ok(count);
-            }
-        };
-        match result {
-            Ok(0) => Err(io::Error::new(
-                ErrorKind::BrokenPipe,
-                "the other end closed",
-            )),
-            Err(error) if is_only_late(&error) => Ok(0),
-            other => other,
-        }
-    }
+    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize>;
 
     /// Writes within `timeout`; returns the bytes taken.
-    pub(super) fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
-        let result = match self {
-            Self::Serial(port) => {
-                port.set_timeout(timeout)?;
-                port.write(bytes)
-            }
-            Self::Tcp(stream) => {
-                stream.set_write_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
-                stream.write(bytes)
-            }
-            Self::Tapped(port, tap) => {
-                let count = port.write_within(bytes, timeout)?;
-                tap.sent(&bytes[..count]);
-                return Ok(count);
-            }
-        };
-        match result {
-            Err(error) if is_only_late(&error) => Ok(0),
-            other => other,
-        }
+    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize>;
+}
+
+impl TimedPort for Box<dyn SerialPort> {
+    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.set_timeout(timeout)?;
+        what_came(self.read(bytes))
+    }
+
+    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
+        self.set_timeout(timeout)?;
+        what_went(self.write(bytes))
+    }
+}
+
+impl TimedPort for TcpStream {
+    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        self.set_read_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
+        what_came(self.read(bytes))
+    }
+
+    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
+        self.set_write_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
+        what_went(self.write(bytes))
+    }
+}
+
+fn what_came(result: io::Result<usize>) -> io::Result<usize> {
+    match result {
+        Ok(0) => Err(io::Error::new(
+            ErrorKind::BrokenPipe,
+            "the other end closed",
+        )),
+        other => what_went(other),
+    }
+}
+
+fn what_went(result: io::Result<usize>) -> io::Result<usize> {
+    match result {
+        Err(error) if is_only_late(&error) => Ok(0),
+        other => other,
     }
 }
 

@@ -4,6 +4,8 @@
 //! RTU has no transaction number, and every common client takes a late reply for the next one
 //! (measured: LINKS.md 3.2).
 
+use std::collections::VecDeque;
+
 use firmware_protocol::modbus::{Length, expected_response_len, response_len, rtu, tcp};
 
 /// How frames are told apart.
@@ -13,12 +15,60 @@ pub(super) enum FrameKind {
     Tcp,
 }
 
+/// What the reply has to fit.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Expected {
+    /// The outstanding request as it went out; empty: nothing is outstanding.
+    pub(super) request: Vec<u8>,
+    /// What the reply must carry beside: the number of its own command.
+    pub(super) echo: Option<Echo>,
+    /// Requests before it: what answers one of these is an old reply and not a stranger's.
+    pub(super) earlier: VecDeque<Vec<u8>>,
+    /// This line is known to return requests.
+    pub(super) echoes: bool,
+}
+
+/// Two bytes that prove which request a reply belongs to, and where they stand in its PDU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Echo {
+    pub(super) at: usize,
+    pub(super) bytes: [u8; 2],
+}
+
+/// Requests that are remembered for naming late replies.
+const EARLIER: usize = 8;
+
+impl Expected {
+    /// The outstanding request is over, answered or not.
+    pub(super) fn retire(&mut self) {
+        self.echo = None;
+        if self.request.is_empty() {
+            return;
+        }
+        if self.earlier.len() == EARLIER {
+            self.earlier.pop_front();
+        }
+        self.earlier.push_back(std::mem::take(&mut self.request));
+    }
+
+    fn is_met_by(&self, pdu: &[u8], response: &[u8]) -> bool {
+        let refused = response.first().is_some_and(|code| code & 0x80 != 0);
+        answers(pdu, response)
+            && (refused
+                || self
+                    .echo
+                    .is_none_or(|echo| response.get(echo.at..echo.at + 2) == Some(&echo.bytes)))
+    }
+}
+
 /// What the bytes received so far hold.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Search {
     /// Begin and end of the reply.
     pub(super) reply: Option<(usize, usize)>,
-    /// Whole frames that answer something else.
+    /// Whole frames that answer an earlier request, or this one with another number.
+    pub(super) stale: usize,
+    /// Whole frames that answer nothing that was asked.
     pub(super) foreign: usize,
     /// The line returned the request itself before the reply.
     pub(super) echo: bool,
@@ -28,52 +78,63 @@ pub(super) struct Search {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
-/// Looks through everything received since the request went out. `echoes`: this line is known to return requests.
+/// Looks through everything received since the request went out.
 pub(super) fn search(
     kind: FrameKind,
-    request: &[u8],
+    expected: &Expected,
     received: &[u8],
-    echoes: bool,
 ) -> Result<Search, Unframeable> {
     match kind {
-        FrameKind::Rtu => Ok(search_rtu(request, received, echoes)),
-        FrameKind::Tcp => search_tcp(request, received),
+        FrameKind::Rtu => Ok(search_rtu(expected, received)),
+        FrameKind::Tcp => search_tcp(expected, received),
     }
 }
 
-fn search_rtu(request: &[u8], received: &[u8], echoes: bool) -> Search {
+fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
     let mut found = Search::default();
-    let Some((&unit, pdu)) = request
-        .len()
-        .checked_sub(2)
-        .and_then(|end| request[..end].split_first())
-    else {
-        return found;
-    };
+    let request = &expected.request;
+    let (unit, pdu) = unit_and_pdu(request).unwrap_or_default();
     // The reply to these equals the request: without knowing the line a copy cannot be called an echo.
     let reply_is_copy = matches!(pdu.first(), Some(5 | 6 | 8));
     let mut at = 0;
-    if received.starts_with(request) && (echoes || !reply_is_copy) {
-        found.echo = true;
-        at = request.len();
-    } else if echoes && request.starts_with(received) {
-        return found;
+    if !request.is_empty() {
+        if received.starts_with(request) && (expected.echoes || !reply_is_copy) {
+            found.echo = true;
+            at = request.len();
+        } else if expected.echoes && request.starts_with(received) {
+            return found;
+        }
     }
     while at < received.len() {
         let tail = &received[at..];
-        match rtu_frame_len(tail) {
-            Some(length) if tail[0] == unit && answers(pdu, &tail[1..length - 2]) => {
-                found.reply = Some((at, at + length));
-                return found;
-            }
-            Some(length) => {
-                found.foreign += 1;
-                at += length;
-            }
-            None => at += 1,
+        let Some(length) = rtu_frame_len(tail) else {
+            at += 1;
+            continue;
+        };
+        let response = &tail[1..length - 2];
+        if tail[0] == unit && expected.is_met_by(pdu, response) {
+            found.reply = Some((at, at + length));
+            return found;
         }
+        let is_old = |request: &Vec<u8>| {
+            unit_and_pdu(request)
+                .is_some_and(|(unit, pdu)| tail[0] == unit && answers(pdu, response))
+        };
+        if is_old(request) || expected.earlier.iter().any(is_old) {
+            found.stale += 1;
+        } else {
+            found.foreign += 1;
+        }
+        at += length;
     }
     found
+}
+
+/// Unit and PDU of an RTU frame.
+fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
+    let end = frame.len().checked_sub(2)?;
+    let (&unit, pdu) = frame[..end].split_first()?;
+    Some((unit, pdu))
 }
 
 /// Length of a whole response frame at the start of `bytes`, if there is one with a right checksum.
@@ -105,8 +166,10 @@ fn answers(request: &[u8], response: &[u8]) -> bool {
         && response.get(..echoed) == request.get(..echoed)
 }
 
-fn search_tcp(request: &[u8], received: &[u8]) -> Result<Search, Unframeable> {
+fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search, Unframeable> {
     let mut found = Search::default();
+    let request = &expected.request;
+    let pdu = request.get(tcp::HEADER..).unwrap_or_default();
     let mut at = 0;
     while let Some(tail) = received.get(at..)
         && let Some(header) = tail.first_chunk::<{ tcp::HEADER }>()
@@ -120,12 +183,17 @@ fn search_tcp(request: &[u8], received: &[u8]) -> Result<Search, Unframeable> {
             break;
         };
         let same_transaction = request.get(..2) == frame.get(..2) && request.get(6) == frame.get(6);
-        let pdu = request.get(tcp::HEADER..).unwrap_or_default();
-        if same_transaction && answers(pdu, &frame[tcp::HEADER..]) {
+        if same_transaction && expected.is_met_by(pdu, &frame[tcp::HEADER..]) {
             found.reply = Some((at, at + length + 6));
             return Ok(found);
         }
-        found.foreign += 1;
+        // The transaction number says whose answer it is.
+        let is_old = |request: &Vec<u8>| request.get(..2) == frame.get(..2);
+        if is_old(request) || expected.earlier.iter().any(is_old) {
+            found.stale += 1;
+        } else {
+            found.foreign += 1;
+        }
         at += length + 6;
     }
     Ok(found)
@@ -143,8 +211,48 @@ mod tests {
         out[..length].to_vec()
     }
 
+    fn expecting(request: &[u8], echoes: bool) -> Expected {
+        Expected {
+            request: request.to_vec(),
+            echoes,
+            ..Expected::default()
+        }
+    }
+
     fn rtu(request: &[u8], received: &[&[u8]], echoes: bool) -> Search {
-        search(FrameKind::Rtu, request, &received.concat(), echoes).unwrap()
+        let expected = expecting(request, echoes);
+        search(FrameKind::Rtu, &expected, &received.concat()).unwrap()
+    }
+
+    #[test]
+    fn the_number_of_a_command_must_come_back_and_old_answers_are_called_old() {
+        let request = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
+        let reply = |number: u8| frame(1, &[23, 4, 9, 9, 0, number]);
+        let mut expected = expecting(&request, false);
+        expected.echo = Some(Echo {
+            at: 4,
+            bytes: [0, 7],
+        });
+        let look = |expected: &Expected, bytes: &[u8]| {
+            let found = search(FrameKind::Rtu, expected, bytes).unwrap();
+            (found.reply, found.stale, found.foreign)
+        };
+        assert_eq!(look(&expected, &reply(7)), (Some((0, 9)), 0, 0));
+        assert_eq!(look(&expected, &reply(6)), (None, 1, 0));
+        let late = [reply(6), reply(7)].concat();
+        assert_eq!(look(&expected, &late), (Some((9, 18)), 1, 0));
+        let refusal = frame(1, &[0x97, 6]);
+        assert!(look(&expected, &refusal).0.is_some());
+        // After it is over its answer, and that of the one before, are old; another function is a stranger's.
+        expected.retire();
+        expected.request = frame(1, &[8, 0, 0, 1, 2]);
+        assert_eq!(look(&expected, &reply(7)), (None, 1, 0));
+        assert_eq!(look(&expected, &frame(1, &[4, 2, 0, 0])), (None, 0, 1));
+        for _ in 0..100 {
+            expected.request = request.clone();
+            expected.retire();
+        }
+        assert_eq!(expected.earlier.len(), EARLIER);
     }
 
     #[test]
@@ -162,7 +270,11 @@ mod tests {
             frame(1, &[6, 0, 0, 0, 2]),
         ] {
             let search = rtu(&request, &[&other], false);
-            assert_eq!((search.reply, search.foreign), (None, 1), "{other:?}");
+            assert_eq!(
+                (search.reply, search.foreign + search.stale),
+                (None, 1),
+                "{other:?}"
+            );
             let search = rtu(&request, &[&other, &reply], false);
             assert_eq!(search.reply, Some((other.len(), other.len() + 9)));
         }
@@ -219,11 +331,12 @@ mod tests {
         let request = adu(7, &[3, 0, 0, 0, 1]);
         let (old, reply) = (adu(6, &[3, 2, 0, 1]), adu(7, &[3, 2, 0, 2]));
         let both = [old.clone(), reply].concat();
-        let search = search(FrameKind::Tcp, &request, &both, false).unwrap();
+        let expected = expecting(&request, false);
+        let search = search(FrameKind::Tcp, &expected, &both).unwrap();
         assert_eq!(search.reply, Some((old.len(), both.len())));
         assert_eq!(search.foreign, 1);
         assert_eq!(
-            super::search(FrameKind::Tcp, &request, b"HTTP/1.1 400", false),
+            super::search(FrameKind::Tcp, &expected, b"HTTP/1.1 400"),
             Err(Unframeable)
         );
     }
@@ -234,9 +347,9 @@ mod tests {
             bytes in proptest::collection::vec(any::<u8>(), 0..600),
             echoes in any::<bool>(),
         ) {
-            let request = frame(1, &[3, 0, 0, 0, 2]);
+            let expected = expecting(&frame(1, &[3, 0, 0, 0, 2]), echoes);
             for kind in [FrameKind::Rtu, FrameKind::Tcp] {
-                if let Ok(Search { reply: Some((begin, end)), .. }) = search(kind, &request, &bytes, echoes) {
+                if let Ok(Search { reply: Some((begin, end)), .. }) = search(kind, &expected, &bytes) {
                     prop_assert!(begin < end && end <= bytes.len());
                 }
             }

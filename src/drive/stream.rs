@@ -11,26 +11,30 @@ use firmware_protocol::stream::{
 };
 use firmware_protocol::{CaptureControl, CaptureState, DriveCommand};
 
-use super::clock_map::ClockMap;
-use super::guard::now;
+use super::burst::{Burst, Capture};
+use super::clock_map::{ClockMap, signed_difference};
+use super::guard::{LineCounts, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::port::BlockingPort;
+use super::port::TimedPort;
 use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, low_word};
 use super::timing::LineTiming;
 use crate::sample::{Command, Demand, DriveState, Sample};
 
 /// Bytes of a command and of its telemetry, with COBS and delimiters.
-const COMMAND_BYTES: usize = 18;
-const TELEMETRY_BYTES: usize = 52;
+pub(super) const COMMAND_BYTES: usize = 18;
+pub(super) const TELEMETRY_BYTES: usize = 52;
 const READ_ATTEMPTS: usize = 3;
 const STOP_ATTEMPTS: usize = 5;
 
 /// A drive behind the native stream.
 pub struct StreamLink {
     name: String,
-    port: BlockingPort,
+    port: Box<dyn TimedPort>,
     decoder: Decoder,
+    /// Bytes in the decoder: those since the last delimiter.
+    pending: u64,
+    line: LineCounts,
     timing: LineTiming,
     tally: Tally,
     timeline: Timeline,
@@ -42,22 +46,6 @@ pub struct StreamLink {
     /// What the drive sees next may be the rest of something broken: a delimiter goes first.
     suspect: bool,
     gone: bool,
-}
-
-/// A burst that the drive recorded by itself, on the link's time axis.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Capture {
-    pub period_s: f64,
-    pub samples: Vec<CapturedSample>,
-}
-
-/// One instant of a burst; NaN where the drive does not have the quantity.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CapturedSample {
-    pub time_s: f64,
-    pub voltage_v: f64,
-    pub current_a: f64,
-    pub speed_rad_s: f64,
 }
 
 struct Answer<T> {
@@ -72,13 +60,14 @@ struct Answer<T> {
 struct Wreckage {
     bytes: usize,
     damaged: usize,
+    stale: usize,
     foreign: usize,
 }
 
 impl StreamLink {
     pub(super) fn new(
         name: String,
-        port: BlockingPort,
+        port: Box<dyn TimedPort>,
         timing: LineTiming,
         epoch: Instant,
     ) -> Self {
@@ -86,6 +75,8 @@ impl StreamLink {
             name,
             port,
             decoder: Decoder::new(),
+            pending: 0,
+            line: LineCounts::default(),
             timing,
             tally: Tally::default(),
             timeline: Timeline::default(),
@@ -96,63 +87,6 @@ impl StreamLink {
             suspect: true,
             gone: false,
         }
-    }
-
-    /// Starts a burst: with the next command that is applied, or now.
-    pub fn start_capture(&mut self, with_next_command: bool) -> Result<(), LinkError> {
-        let control = if with_next_command {
-            CaptureControl::Arm
-        } else {
-            CaptureControl::Start
-        };
-        self.ask_numbered(
-            &Message::CaptureArm(control),
-            "start of a capture",
-            |message| matches!(message, Message::CaptureStatus(_)).then_some(()),
-        )
-        .map(drop)
-    }
-
-    /// Fetches the burst; `None` while the drive still records.
-    pub fn download_capture(&mut self) -> Result<Option<Capture>, LinkError> {
-        let status = self.capture_status()?;
-        if status.value.state != CaptureState::Complete {
-            return Ok(None);
-        }
-        let (count, first_us) = (status.value.count, status.value.first_time_us);
-        let now_s = self
-            .timeline
-            .note(status.drive_us, status.sent_s, status.received_s);
-        let age_us = super::clock_map::signed_difference(status.drive_us, first_us);
-        let first_s = now_s - f64::from(age_us) * 1e-6;
-        let mut capture = Capture {
-            period_s: self.capture_period_s,
-            samples: Vec::with_capacity(count.into()),
-        };
-        while capture.samples.len() < usize::from(count) {
-            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
-            let block = self.read_with_retries(
-                &Message::CaptureRequest(index),
-                "captured samples",
-                |message| match message {
-                    Message::CaptureBlock(block)
-                        if block.index == index && !block.samples().is_empty() =>
-                    {
-                        Some(*block)
-                    }
-                    _ => None,
-                },
-            )?;
-            for sample in block.value.samples() {
-                capture.samples.push(CapturedSample {
-                    time_s: first_s + capture.samples.len() as f64 * self.capture_period_s,
-                    voltage_v: sample.voltage_v,
-                    current_a: sample.current_a,
-                    speed_rad_s: sample.speed_rad_s,
-                });
-            }
-        }
-        Ok(Some(capture))
     }
 
     fn capture_status(&mut self) -> Result<Answer<CaptureStatus>, LinkError> {
@@ -231,7 +165,7 @@ impl StreamLink {
         })
     }
 
-    /// Answers that came too late; the decoder keeps what may be the start of one.
+    /// Drops what came too late. A frame whose delimiter was lost must not take the next one with it.
     fn drop_leftovers(&mut self) -> Result<(), LinkError> {
         let mut bytes = [0; 512];
         // A line that babbles faster than it is read must not hold us here.
@@ -240,13 +174,26 @@ impl StreamLink {
                 Ok(0) => break,
                 Ok(count) => {
                     for byte in &bytes[..count] {
-                        self.decoder.push(*byte);
+                        if let Some((frame, length)) = self.take(*byte) {
+                            self.line.bytes_dropped += length;
+                            self.line.stale_frames += u64::from(frame.is_ok());
+                        }
                     }
                 }
                 Err(error) => return Err(self.lost(&error)),
             }
         }
+        self.line.bytes_dropped += std::mem::take(&mut self.pending);
+        self.decoder = Decoder::new();
         Ok(())
+    }
+
+    /// Takes a byte; gives the frame that it ends, and its length on the line.
+    fn take(&mut self, byte: u8) -> Option<(Result<Frame, FrameError>, u64)> {
+        self.line.bytes_received += 1;
+        self.pending += 1;
+        let frame = self.decoder.push(byte)?;
+        Some((frame, std::mem::take(&mut self.pending)))
     }
 
     fn send(&mut self, question: &Frame, deadline: Instant) -> io::Result<()> {
@@ -261,7 +208,9 @@ impl StreamLink {
         // What does not get out in time ends as a timeout of the answer.
         while at < bytes.len() && now() < deadline {
             let left = deadline.saturating_duration_since(now());
-            at += self.port.write_within(&bytes[at..], left)?;
+            let count = self.port.write_within(&bytes[at..], left)?;
+            self.line.bytes_sent += count as u64;
+            at += count;
         }
         Ok(())
     }
@@ -291,20 +240,27 @@ impl StreamLink {
             wreckage.bytes += count;
             let mut answer = None;
             for byte in &bytes[..count] {
-                let Some(frame) = self.decoder.push(*byte) else {
+                let Some((frame, length)) = self.take(*byte) else {
                     continue;
                 };
+                let before = self.line.bytes_accepted;
                 match frame {
                     Ok(frame) if frame.seq == seq && answer.is_none() => {
                         if let Message::Error(refusal) = &frame.message {
+                            self.line.bytes_accepted += length;
                             answer = Some(Err(self.refused(what, refusal.code)));
                         } else if let Some(value) = check(&frame.message) {
+                            self.line.bytes_accepted += length;
                             answer = Some(Ok((value, frame.time_us)));
                         } else {
+                            self.line.foreign_frames += 1;
                             wreckage.foreign += 1;
                         }
                     }
-                    Ok(_) => wreckage.foreign += 1,
+                    Ok(_) => {
+                        self.line.stale_frames += 1;
+                        wreckage.stale += 1;
+                    }
                     Err(FrameError::Version(found)) => {
                         answer.get_or_insert(Err(LinkError::Version {
                             link: self.name.clone(),
@@ -313,6 +269,9 @@ impl StreamLink {
                         }));
                     }
                     Err(_) => wreckage.damaged += 1,
+                }
+                if self.line.bytes_accepted == before {
+                    self.line.bytes_dropped += length;
                 }
             }
             if let Some(answer) = answer {
@@ -326,6 +285,10 @@ impl StreamLink {
         let link = self.name.clone();
         match *wreckage {
             Wreckage { foreign: 1.., .. } => LinkError::Mismatch {
+                link,
+                reason: format!("only answers of another kind came after {what}"),
+            },
+            Wreckage { stale: 1.., .. } => LinkError::Stale {
                 link,
                 reason: format!("only answers to other questions came after {what}"),
             },
@@ -440,8 +403,61 @@ impl DriveLink for StreamLink {
         Some(&self.tally.round_trips)
     }
 
+    fn line(&self) -> Option<LineCounts> {
+        Some(self.line)
+    }
+
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+    }
+
     fn clock_map(&self) -> Option<&ClockMap> {
         Some(&self.timeline.map)
+    }
+}
+
+impl Burst for StreamLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        self.ask_numbered(
+            &Message::CaptureArm(CaptureControl::Arm),
+            "start of a capture",
+            |message| matches!(message, Message::CaptureStatus(_)).then_some(()),
+        )
+        .map(drop)
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        let status = self.capture_status()?;
+        if status.value.state != CaptureState::Complete {
+            return Ok(None);
+        }
+        let (count, first_us) = (status.value.count, status.value.first_time_us);
+        let now_s = self
+            .timeline
+            .note(status.drive_us, status.sent_s, status.received_s);
+        let age_us = signed_difference(status.drive_us, first_us);
+        let mut capture = Capture {
+            first_s: now_s - f64::from(age_us) * 1e-6,
+            period_s: self.capture_period_s,
+            samples: Vec::with_capacity(count.into()),
+        };
+        while capture.samples.len() < usize::from(count) {
+            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
+            let block = self.read_with_retries(
+                &Message::CaptureRequest(index),
+                "captured samples",
+                |message| match message {
+                    Message::CaptureBlock(block)
+                        if block.index == index && !block.samples().is_empty() =>
+                    {
+                        Some(*block)
+                    }
+                    _ => None,
+                },
+            )?;
+            capture.samples.extend_from_slice(block.value.samples());
+        }
+        Ok(Some(capture))
     }
 }
 

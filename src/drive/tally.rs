@@ -58,6 +58,19 @@ impl RoundTrips {
         Some((centre_us * 1e-6).min(self.longest_s))
     }
 
+    /// The buckets that are not empty: upper bound in us, and how many round trips fell into each.
+    pub fn histogram_us(&self) -> Vec<(f64, u64)> {
+        self.counts
+            .iter()
+            .enumerate()
+            .filter(|(_, count)| **count > 0)
+            .map(|(bucket, count)| {
+                let bound_us = ((bucket as f64 + 1.0) / PER_DOUBLING).exp2();
+                ((10.0 * bound_us).round() / 10.0, *count)
+            })
+            .collect()
+    }
+
     pub fn p50_s(&self) -> Option<f64> {
         self.quantile_s(0.5)
     }
@@ -86,11 +99,12 @@ impl Tally {
             }
             Err(LinkError::Timeout { .. }) => s.timeout += 1,
             Err(LinkError::Corrupt { .. }) => s.crc += 1,
+            Err(LinkError::Stale { .. }) => s.stale += 1,
             Err(
                 LinkError::Mismatch { .. } | LinkError::Version { .. } | LinkError::Identity { .. },
             ) => s.mismatch += 1,
             Err(LinkError::Exception { .. }) => s.exception += 1,
-            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => s.io += 1,
+            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => s.aborted += 1,
         }
     }
 }
@@ -110,6 +124,9 @@ mod tests {
         assert!((trips.p99_s().unwrap() / 9.9e-3 - 1.0).abs() < 0.06);
         assert!((trips.quantile_s(0.0).unwrap() / 1e-5 - 1.0).abs() < 0.06);
         assert!((trips.longest_s() - 0.01).abs() < 1e-12);
+        let histogram = trips.histogram_us();
+        assert_eq!(histogram.iter().map(|(_, count)| count).sum::<u64>(), 1000);
+        assert!(histogram.is_sorted_by(|a, b| a.0 < b.0) && histogram[0].0 > 10.0);
     }
 
     #[test]
@@ -124,7 +141,7 @@ mod tests {
     #[test]
     fn every_end_has_one_class() {
         let link = String::new;
-        let ends: [Result<(), LinkError>; 7] = [
+        let ends: [Result<(), LinkError>; 8] = [
             Ok(()),
             Err(LinkError::Timeout {
                 link: link(),
@@ -132,6 +149,10 @@ mod tests {
                 request: link(),
             }),
             Err(LinkError::Corrupt {
+                link: link(),
+                reason: link(),
+            }),
+            Err(LinkError::Stale {
                 link: link(),
                 reason: link(),
             }),
@@ -161,6 +182,9 @@ mod tests {
             assert!(tally.statistics.balances());
         }
         let s = tally.statistics;
-        assert_eq!((s.sent, s.ok, s.mismatch, s.io), (7, 1, 2, 1));
+        assert_eq!(
+            (s.sent, s.ok, s.stale, s.mismatch, s.aborted),
+            (8, 1, 1, 2, 1)
+        );
     }
 }

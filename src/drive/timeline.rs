@@ -18,7 +18,7 @@ pub struct Timeline {
 
 impl Timeline {
     /// Notes a drive time without a sample.
-    pub(super) fn note(&mut self, time_us: u32, sent_s: f64, received_s: f64) -> f64 {
+    pub fn note(&mut self, time_us: u32, sent_s: f64, received_s: f64) -> f64 {
         let time_s = self.clock.follow(time_us, received_s);
         self.map.observe(sent_s, received_s, time_s);
         time_s

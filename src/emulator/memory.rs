@@ -5,15 +5,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use firmware_protocol::modbus::{Exception, RegisterBank};
 use firmware_protocol::registers::{
-    COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS, TELEMETRY_ADDRESS, TELEMETRY_WORDS,
+    CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS,
+    TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
-use firmware_protocol::{DriveCommand, Telemetry};
+use firmware_protocol::{CaptureControl, CaptureState, DriveCommand, Telemetry};
 
 use super::SoftDrive;
 use super::config::LineConfig;
 use super::pace::Pace;
+use crate::drive::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use crate::drive::timeline::{self, Timeline};
-use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, signed_difference};
 use crate::sample::{Command, Demand, DriveState, Sample};
 
 /// Times that a stop is asked for before it counts as failed.
@@ -84,6 +86,8 @@ pub struct MemoryLink {
     statistics: LinkStatistics,
     last_seq: u64,
     timeline: Timeline,
+    /// Distance of captured samples, s; 0 before the drive is identified.
+    capture_period_s: f64,
 }
 
 impl MemoryLink {
@@ -95,6 +99,7 @@ impl MemoryLink {
             statistics: LinkStatistics::default(),
             last_seq: 0,
             timeline: Timeline::default(),
+            capture_period_s: 0.0,
         }
     }
 
@@ -152,6 +157,7 @@ impl DriveLink for MemoryLink {
         let block: [u16; IDENTITY_WORDS] = self.ask(None, IDENTITY_ADDRESS, "read the identity")?;
         let block = firmware_protocol::Identity::from_registers(&block)
             .map_err(|error| timeline::identity_error(&self.name().0, error))?;
+        self.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
         let text = |object| {
             self.drive
                 .identification(object)
@@ -208,6 +214,47 @@ impl DriveLink for MemoryLink {
 
     fn shortest_cycle_s(&self) -> Option<f64> {
         None
+    }
+
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+    }
+}
+
+impl Burst for MemoryLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        let arm = [CaptureControl::Arm.code()];
+        self.ask(
+            Some((CAPTURE_CONTROL.address, &arm)),
+            CAPTURE_CONTROL.address,
+            "arm the capture",
+        )
+        .map(|[_]: [u16; 1]| ())
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        let head: [u16; 4] = self.ask(None, CAPTURE_STATE.address, "read the capture")?;
+        let [state, count, high, low] = head;
+        if state != CaptureState::Complete.code() {
+            return Ok(None);
+        }
+        let block = self.ask(None, TELEMETRY_ADDRESS, "read the telemetry")?;
+        let time_us = Telemetry::from_registers(&block).time_us;
+        let now_s = self.clock.time_s();
+        let time_s = self.timeline.note(time_us, now_s, now_s);
+        let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
+        let mut capture = Capture {
+            first_s: time_s - f64::from(age_us) * 1e-6,
+            period_s: self.capture_period_s,
+            samples: Vec::with_capacity(count.into()),
+        };
+        while capture.samples.len() < usize::from(count) {
+            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
+            let write = Some((WINDOW_ADDRESS, &[index][..]));
+            let words: [u16; WINDOW_WORDS] = self.ask(write, WINDOW_ADDRESS, "read a window")?;
+            capture.samples.extend(window_samples(index, &words));
+        }
+        Ok(Some(capture))
     }
 }
 

@@ -26,6 +26,8 @@ pub struct Manifest {
     /// What the drive says it is.
     pub identity: Value,
     pub link_statistics: Value,
+    /// Bytes and frames that the wire carried, and the histogram of round trips; null where there was none.
+    pub wire: Value,
     pub period_asked_s: Option<f64>,
     pub period_achieved_s: Option<f64>,
     pub missed_cycles: Option<u64>,

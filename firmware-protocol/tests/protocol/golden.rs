@@ -31,25 +31,64 @@ const DIALOGUE: &[(&str, &str)] = &[
         "06 00 21 00 01",
     ),
     ("so it reads back as 0", "03 00 20 00 04"),
+    (
+        "a set-point alone, while stopped: taken, without effect",
+        "10 00 22 00 02 04 00 00 13 88",
+    ),
+    (
+        "the control word alone: energised, but with no old set-point",
+        "06 00 21 00 03",
+    ),
+    ("so it reads back as 0 again", "03 00 20 00 04"),
     ("watchdog 100 ms", "06 00 49 00 64"),
     ("watchdog off is refused", "06 00 49 00 00"),
     ("telemetry is read-only", "06 00 07 00 01"),
     ("half a set-point is refused", "06 00 22 00 01"),
     ("control word 6 is refused", "06 00 21 00 06"),
+    (
+        "a current is refused: device_kind does not announce it",
+        "10 00 20 00 04 08 00 04 00 04 00 00 01 f4",
+    ),
+    (
+        "no set-point (\"not available\") is refused",
+        "10 00 20 00 04 08 00 04 00 03 80 00 00 00",
+    ),
+    (
+        "a read without register: the write before it does not happen either",
+        "17 00 10 00 01 00 20 00 04 08 00 04 00 03 00 00 2e e0",
+    ),
+    ("the command block is as it was", "03 00 20 00 04"),
     ("no register at 16", "03 00 10 00 01"),
     ("no registers at all", "03 00 00 00 00"),
     ("126 registers are too many", "03 00 00 00 7e"),
     ("a range past 65535", "03 ff ff 00 02"),
     ("arm the capture", "06 00 80 00 01"),
+    ("it is armed, and nothing is recorded", "03 00 80 00 03"),
     (
         "move the window to sample 40 and read its count and first sample",
         "17 00 86 00 04 00 85 00 01 02 00 28",
     ),
     ("echo", "08 00 00 a5 37"),
+    ("another diagnostic", "08 00 01 00 00"),
     ("device identification, basic", "2b 0e 01 00"),
     ("device identification, object 1", "2b 0e 04 01"),
+    ("device identification, object 9: none", "2b 0e 04 09"),
+    ("another encapsulated interface", "2b 0d 00 00"),
     ("coils are not served", "01 00 00 00 01"),
+    (
+        "an unknown function code; over RTU only silence tells its end",
+        "41 00",
+    ),
 ];
+
+/// Frames over RTU that nobody answers.
+const UNANSWERED: &[(&str, &str)] = &[
+    ("wrong checksum: silence", "01 03 00 00 00 10 44 07"),
+    ("another unit: silence", "02 03 00 00 00 10 44 35"),
+    ("half a request: silence", "01 03 00 00"),
+];
+/// Command 9: voltage 1.000 V.
+const BROADCAST: &str = "10 00 20 00 04 08 00 09 00 03 00 00 03 e8";
 
 #[test]
 fn the_modbus_vectors_are_fresh() {
@@ -58,14 +97,8 @@ fn the_modbus_vectors_are_fresh() {
     let (mut rtu_bank, mut tcp_bank) = (Bank::new(), Bank::new());
     for (number, (shows, request)) in (1..).zip(DIALOGUE) {
         let request = unhex(request);
+        rtu_exchange(&mut rtu_text, shows, &mut rtu_bank, &request);
         let mut response = [0; MAX_PDU];
-        let length = respond(&mut rtu_bank, &request, &mut response);
-        let frames = [&request[..], &response[..length]].map(|pdu| {
-            let mut frame = [0; rtu::MAX_FRAME];
-            let length = rtu::encode_frame(UNIT, pdu, &mut frame);
-            hex(&frame[..length])
-        });
-        exchange(&mut rtu_text, shows, &frames);
         let length = respond(&mut tcp_bank, &request, &mut response);
         let frames = [&request[..], &response[..length]].map(|pdu| {
             let mut frame = [0; tcp::MAX_FRAME];
@@ -74,18 +107,42 @@ fn the_modbus_vectors_are_fresh() {
         });
         exchange(&mut tcp_text, shows, &frames);
     }
-    for (shows, frame) in [
-        ("wrong checksum: silence", "01 03 00 00 00 10 44 07"),
-        ("another unit: silence", "02 03 00 00 00 10 44 35"),
-    ] {
-        exchange(&mut rtu_text, shows, &[frame.to_owned(), String::new()]);
+    for (shows, frame) in UNANSWERED {
+        exchange(&mut rtu_text, shows, &[(*frame).to_owned(), String::new()]);
     }
+    let mut command = [0; MAX_PDU];
+    respond(&mut rtu_bank, &unhex(BROADCAST), &mut command);
+    let shows = "a broadcast is executed, in silence";
+    let mut frame = [0; rtu::MAX_FRAME];
+    let length = rtu::encode_frame(rtu::BROADCAST, &unhex(BROADCAST), &mut frame);
+    exchange(
+        &mut rtu_text,
+        shows,
+        &[hex(&frame[..length]), String::new()],
+    );
+    rtu_exchange(
+        &mut rtu_text,
+        "so the command block is the broadcast's",
+        &mut rtu_bank,
+        &unhex("03 00 20 00 04"),
+    );
     assert_fresh("vectors/modbus-rtu.txt", &rtu_text);
     assert_fresh("vectors/modbus-tcp.txt", &tcp_text);
 }
 
 fn header(what: &str) -> String {
     format!("# {what}\n# The lines are one dialogue with one drive, in this order.\n")
+}
+
+fn rtu_exchange(text: &mut String, shows: &str, bank: &mut Bank, request: &[u8]) {
+    let mut response = [0; MAX_PDU];
+    let length = respond(bank, request, &mut response);
+    let frames = [request, &response[..length]].map(|pdu| {
+        let mut frame = [0; rtu::MAX_FRAME];
+        let length = rtu::encode_frame(UNIT, pdu, &mut frame);
+        hex(&frame[..length])
+    });
+    exchange(text, shows, &frames);
 }
 
 fn exchange(text: &mut String, shows: &str, [request, response]: &[String; 2]) {
@@ -110,7 +167,7 @@ fn exchanges(name: &str) -> Vec<(Vec<u8>, Vec<u8>)> {
 #[test]
 fn the_receivers_answer_the_committed_dialogues() {
     let exchanges_rtu = exchanges("vectors/modbus-rtu.txt");
-    assert_eq!(exchanges_rtu.len(), DIALOGUE.len() + 2);
+    assert_eq!(exchanges_rtu.len(), DIALOGUE.len() + UNANSWERED.len() + 2);
     let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
     for (request, response) in exchanges_rtu {
         for byte in &request {

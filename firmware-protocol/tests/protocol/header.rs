@@ -2,15 +2,20 @@
 
 use std::fmt::Write as _;
 
+use firmware_protocol::modbus::{Exception, MAX_PDU, rtu};
 use firmware_protocol::registers::{
-    self, CAPTURE_WINDOW_SAMPLES, COMMAND_WORDS, IDENTITY_WORDS, MAGIC, TELEMETRY_WORDS,
+    self, Access, CAPTURE_WINDOW_SAMPLES, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_WORDS, Kind,
+    MAGIC, TELEMETRY_WORDS,
 };
 use firmware_protocol::stream::{self, ErrorCode, MessageType};
-use firmware_protocol::{Fault, PROTOCOL_VERSION, REGISTERS, Status};
+use firmware_protocol::{
+    CaptureControl, CaptureState, Control, DeviceKind, Fault, PROTOCOL_VERSION, REGISTERS, State,
+    Status,
+};
 
 use crate::support::assert_fresh;
 
-const NAME: &str = "drivebench_protocol.h";
+const NAME: &str = "include/drive_protocol.h";
 
 #[test]
 fn the_c_header_is_fresh() {
@@ -18,7 +23,7 @@ fn the_c_header_is_fresh() {
 }
 
 fn header() -> String {
-    let mut text = "/* Generated from firmware-protocol/src/registers.rs; see SPEC.md. Do not edit.\n   *_PER_UNIT: raw steps in one SI unit. */\n#ifndef DRIVEBENCH_PROTOCOL_H\n#define DRIVEBENCH_PROTOCOL_H\n\n".to_owned();
+    let mut text = "/* Generated from firmware-protocol/src/registers.rs; see SPEC.md. Do not edit.\n   DB_REG_*: protocol address; *_PER_UNIT: raw steps in one SI unit; DB_STREAM_*: the same value on the stream. */\n#ifndef DRIVE_PROTOCOL_H\n#define DRIVE_PROTOCOL_H\n\n".to_owned();
     let mut define = |name: &str, value: String| {
         let name = name.to_uppercase().replace([' ', '-'], "_");
         writeln!(text, "#define DB_{name} {value}").expect("a string takes it");
@@ -29,13 +34,27 @@ fn header() -> String {
     define("COMMAND_WORDS", COMMAND_WORDS.to_string());
     define("IDENTITY_WORDS", IDENTITY_WORDS.to_string());
     define("CAPTURE_WINDOW_SAMPLES", CAPTURE_WINDOW_SAMPLES.to_string());
+    define("MODBUS_MAX_PDU", MAX_PDU.to_string());
+    define("RTU_MAX_FRAME", rtu::MAX_FRAME.to_string());
+    define("STREAM_HEADER", stream::HEADER.to_string());
+    define("STREAM_MAX_PAYLOAD", stream::MAX_PAYLOAD.to_string());
     define("STREAM_MAX_FRAME", stream::MAX_FRAME.to_string());
+    define(
+        "STREAM_BLOCK_SAMPLES",
+        stream::CAPTURE_BLOCK_SAMPLES.to_string(),
+    );
+    define("STREAM_NOT_AVAILABLE", "(-2147483647 - 1)".to_owned());
     for register in REGISTERS {
         let name = format!("REG_{}", register.name);
         define(&name, register.address.to_string());
         if register.scale < 1.0 {
             let steps = (1.0 / register.scale).round();
             define(&format!("{name}_PER_UNIT"), steps.to_string());
+            if register.address < COMMAND_ADDRESS {
+                let finer = if register.words == 1 { 1000.0 } else { 1.0 };
+                let name = format!("STREAM_{}_PER_UNIT", register.name);
+                define(&name, (finer * steps).to_string());
+            }
         }
         if let Some(raw) = register.not_available() {
             // The smallest 32-bit number is no literal in C.
@@ -56,6 +75,55 @@ fn header() -> String {
     ] {
         define(&format!("STATUS_{name}"), format!("0x{flag:04X}"));
     }
+    for state in [State::Disabled, State::Ready, State::Running, State::Fault] {
+        define(&format!("STATE_{state:?}"), state.code().to_string());
+    }
+    for (name, control) in [
+        ("DISABLE", Control::Disable),
+        ("STOP", Control::Stop),
+        ("RESET_FAULT", Control::ResetFault),
+        ("VOLTAGE", Control::Voltage(0.0)),
+        ("CURRENT", Control::Current(0.0)),
+        ("SPEED", Control::Speed(0.0)),
+    ] {
+        define(&format!("CONTROL_{name}"), control.code().to_string());
+    }
+    for (name, flag) in [
+        ("EMULATOR", DeviceKind::EMULATOR),
+        ("VOLTAGE", DeviceKind::VOLTAGE),
+        ("CURRENT", DeviceKind::CURRENT),
+        ("SPEED", DeviceKind::SPEED),
+    ] {
+        define(&format!("KIND_{name}"), format!("0x{flag:04X}"));
+    }
+    for control in [
+        CaptureControl::Abort,
+        CaptureControl::Arm,
+        CaptureControl::Start,
+    ] {
+        let name = format!("CAPTURE_CONTROL_{control:?}");
+        define(&name, control.code().to_string());
+    }
+    for state in [
+        CaptureState::Empty,
+        CaptureState::Armed,
+        CaptureState::Recording,
+        CaptureState::Complete,
+    ] {
+        define(&format!("CAPTURE_{state:?}"), state.code().to_string());
+    }
+    for exception in [
+        Exception::IllegalFunction,
+        Exception::IllegalAddress,
+        Exception::IllegalValue,
+        Exception::DeviceFailure,
+        Exception::Busy,
+    ] {
+        define(
+            &format!("EXCEPTION{}", words(&format!("{exception:?}"))),
+            exception.code().to_string(),
+        );
+    }
     for fault in Fault::ALL {
         define(&format!("FAULT_{}", fault.name()), fault.code().to_string());
     }
@@ -71,7 +139,29 @@ fn header() -> String {
             error.code().to_string(),
         );
     }
-    text + "\n#endif\n"
+    text + &table() + "\n#endif\n"
+}
+
+/// Every row once more, for a drive that looks its registers up.
+fn table() -> String {
+    let mut text = "\n/* X(name, address, words, is_signed, is_writable, lowest, highest, repeat, stride); raw range of what may be written. */\n#define DB_REGISTERS(X)".to_owned();
+    for register in REGISTERS {
+        write!(
+            text,
+            " \\\n    X({}, {}, {}, {}, {}, {}, {}, {}, {})",
+            register.name.to_uppercase(),
+            register.address,
+            register.words,
+            u8::from(matches!(register.kind, Kind::I16 | Kind::I32)),
+            u8::from(register.access == Access::ReadWrite),
+            register.min,
+            register.max,
+            register.repeat,
+            register.stride,
+        )
+        .expect("a string takes it");
+    }
+    text + "\n"
 }
 
 /// `BadPayload` gives `_Bad_Payload`.
@@ -94,4 +184,9 @@ fn no_name_of_the_c_header_is_defined_twice() {
     assert_eq!(unique.len(), names.len());
     assert!(names.contains(&"DB_REG_SET_POINT_PER_UNIT"));
     assert!(names.contains(&"DB_ERROR_BAD_PAYLOAD"));
+    assert!(names.contains(&"DB_STREAM_VOLTAGE_PER_UNIT"));
+    // What the reference slave takes for granted when it reads a written word.
+    let one_word_signed =
+        |r: &&firmware_protocol::Register| r.access == Access::ReadWrite && r.kind == Kind::I16;
+    assert!(!REGISTERS.iter().any(|r| one_word_signed(&r)));
 }

@@ -14,7 +14,7 @@ use proptest::test_runner::RngSeed;
 
 use crate::support::{Bank, UNIT};
 
-fn config() -> ProptestConfig {
+pub(crate) fn config() -> ProptestConfig {
     ProptestConfig {
         cases: 300,
         rng_seed: RngSeed::Fixed(1),
@@ -24,7 +24,7 @@ fn config() -> ProptestConfig {
 }
 
 /// Bytes that look like requests more often than noise does.
-fn line() -> impl Strategy<Value = Vec<u8>> {
+pub(crate) fn line() -> impl Strategy<Value = Vec<u8>> {
     let byte = prop_oneof![
         any::<u8>(),
         prop::sample::select(&[0_u8, 1, 3, 4, 6, 8, 14, 16, 23, 32, 43, 64, 128, 255][..])
@@ -32,7 +32,7 @@ fn line() -> impl Strategy<Value = Vec<u8>> {
     vec(byte, 0..600)
 }
 
-fn pdu() -> impl Strategy<Value = Vec<u8>> {
+pub(crate) fn pdu() -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![
         (0_u16..300, 1_u16..126).prop_map(|(address, quantity)| read(3, address, quantity)),
         (0_u16..300, 1_u16..126).prop_map(|(address, quantity)| read(4, address, quantity)),
@@ -68,7 +68,7 @@ fn write(mut pdu: Vec<u8>, address: u16, values: &[u16]) -> Vec<u8> {
     pdu
 }
 
-fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+pub(crate) fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     let mut out = [0; rtu::MAX_FRAME];
     let length = rtu::encode_frame(unit, pdu, &mut out);
     out[..length].to_vec()

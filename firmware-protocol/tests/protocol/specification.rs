@@ -10,6 +10,7 @@ use firmware_protocol::registers::{
 use firmware_protocol::stream::{self, ErrorCode, MessageType};
 use firmware_protocol::{Fault, PROTOCOL_VERSION, Telemetry};
 
+use crate::examples;
 use crate::support::assert_fresh;
 
 #[test]
@@ -40,6 +41,8 @@ fn spec() -> String {
         ("max_payload", stream::MAX_PAYLOAD.to_string()),
         ("max_frame", stream::MAX_FRAME.to_string()),
         ("modbus_check", format!("{:04X}", rtu::crc16(b"123456789"))),
+        ("modbus_examples", examples::modbus()),
+        ("stream_examples", examples::stream()),
         (
             "stream_check",
             format!("{:04X}", stream::crc16(b"123456789")),
@@ -51,6 +54,7 @@ fn spec() -> String {
         assert!(text.contains(&place), "the template does not use {place}");
         text = text.replace(&place, &value);
     }
+    let text = text.trim_end().to_owned() + "\n";
     assert!(
         !text.contains("{{"),
         "the template has a place without a value"

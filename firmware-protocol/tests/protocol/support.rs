@@ -4,18 +4,23 @@ use std::path::PathBuf;
 
 use firmware_protocol::modbus::{Exception, RegisterBank};
 use firmware_protocol::registers::{
-    self, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, TELEMETRY_ADDRESS,
+    self, CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS,
+    TELEMETRY_ADDRESS, WATCHDOG, WINDOW_CURRENT, WINDOW_SPEED, WINDOW_VOLTAGE,
 };
 use firmware_protocol::{
-    CommandBlock, DeviceKind, Fault, Identity, PROTOCOL_VERSION, State, Status, Telemetry,
+    CaptureControl, CaptureState, CommandBlock, Control, DeviceKind, DriveCommand, Fault, Identity,
+    PROTOCOL_VERSION, State, Status, Telemetry,
 };
 
 pub(crate) const UNIT: u8 = 1;
 
-/// Plain memory behind the rules of the register table.
+/// The drive that the vectors tell of: memory behind the rules of the register table, a state machine that never
+/// fails, and a shaft that never changes.
 pub(crate) struct Bank {
     pub(crate) memory: Vec<u16>,
     pub(crate) command: CommandBlock,
+    pub(crate) telemetry: Telemetry,
+    pub(crate) identity: Identity,
     pub(crate) writes: usize,
     pub(crate) names: Vec<(u8, String)>,
 }
@@ -23,15 +28,72 @@ pub(crate) struct Bank {
 impl Bank {
     pub(crate) fn new() -> Self {
         let mut memory = vec![0; 512];
-        put(&mut memory, TELEMETRY_ADDRESS, &telemetry().to_registers());
-        put(&mut memory, IDENTITY_ADDRESS, &identity().to_registers());
+        for register in [WINDOW_VOLTAGE, WINDOW_CURRENT, WINDOW_SPEED] {
+            for copy in 0..register.repeat {
+                memory[usize::from(register.address + copy * register.stride)] = 0x8000;
+            }
+        }
         let names = [(0, "drivebench"), (1, "DB-EMU"), (2, "1.2")];
+        let mut command = CommandBlock::default();
+        command.set(DriveCommand {
+            seq: telemetry().seq,
+            control: Control::Voltage(24.0),
+        });
         Self {
             memory,
-            command: CommandBlock::default(),
+            command,
+            telemetry: telemetry(),
+            identity: identity(),
             writes: 0,
             names: names.map(|(id, text)| (id, text.to_owned())).to_vec(),
         }
+    }
+
+    /// The telemetry; who reads the status has seen that a command was applied.
+    pub(crate) fn sample(&mut self, reads_status: bool) -> Telemetry {
+        let seen = self.telemetry;
+        if reads_status {
+            self.telemetry.status = seen.status.with(Status::COMMAND_APPLIED, false);
+        }
+        seen
+    }
+
+    pub(crate) fn supports(&self, control: Control) -> bool {
+        let flag = 1 << (8 + control.code());
+        control.code() < Control::Voltage(0.0).code() || self.identity.kind.has(flag)
+    }
+
+    pub(crate) fn apply(&mut self, command: DriveCommand) {
+        let state = match command.control {
+            Control::Disable | Control::ResetFault => State::Disabled,
+            Control::Stop => State::Ready,
+            Control::Voltage(_) | Control::Current(_) | Control::Speed(_) => State::Running,
+        };
+        self.telemetry.seq = command.seq;
+        self.telemetry.status = Status::new(state)
+            .with(Status::COMMAND_APPLIED, true)
+            .with(Status::EMULATOR, true);
+        if self.capture_state() == CaptureState::Armed {
+            self.set_capture_state(CaptureState::Recording);
+        }
+    }
+
+    pub(crate) fn control_capture(&mut self, control: CaptureControl) {
+        CAPTURE_CONTROL.put(&mut self.memory, 0, control.code().into());
+        self.set_capture_state(match control {
+            CaptureControl::Abort => CaptureState::Empty,
+            CaptureControl::Arm => CaptureState::Armed,
+            CaptureControl::Start => CaptureState::Recording,
+        });
+    }
+
+    pub(crate) fn capture_state(&self) -> CaptureState {
+        let code = self.memory[usize::from(CAPTURE_STATE.address)];
+        CaptureState::from_code(code).expect("only states are put there")
+    }
+
+    fn set_capture_state(&mut self, state: CaptureState) {
+        CAPTURE_STATE.put(&mut self.memory, 0, state.code().into());
     }
 }
 
@@ -40,7 +102,13 @@ impl RegisterBank for Bank {
         if !registers::check_read(address, out.len()) {
             return Err(Exception::IllegalAddress);
         }
+        if address < COMMAND_ADDRESS {
+            let block = self.sample(address == 0).to_registers();
+            put(&mut self.memory, TELEMETRY_ADDRESS, &block);
+        }
         put(&mut self.memory, COMMAND_ADDRESS, &self.command.registers());
+        let identity = self.identity.to_registers();
+        put(&mut self.memory, IDENTITY_ADDRESS, &identity);
         let at = usize::from(address);
         out.copy_from_slice(&self.memory[at..at + out.len()]);
         Ok(())
@@ -50,8 +118,18 @@ impl RegisterBank for Bank {
         registers::check_write(address, values)?;
         let commands = usize::from(COMMAND_ADDRESS)..usize::from(COMMAND_ADDRESS) + COMMAND_WORDS;
         if commands.contains(&usize::from(address)) {
-            let command = self.command.write(address, values)?;
-            registers::SEQUENCE_ECHO.put(&mut self.memory, 0, command.seq.into());
+            let mut block = self.command;
+            let command = block.write(address, values)?;
+            if !self.supports(command.control) {
+                return Err(Exception::IllegalValue);
+            }
+            self.command = block;
+            self.apply(command);
+        } else if address == CAPTURE_CONTROL.address {
+            let control = CaptureControl::from_code(values[0]).ok_or(Exception::IllegalValue)?;
+            self.control_capture(control);
+        } else if address == WATCHDOG.address {
+            self.identity.watchdog_ms = values[0];
         } else {
             put(&mut self.memory, address, values);
         }

@@ -280,7 +280,7 @@ fn a_link_that_is_gone_ends_the_run_and_is_described_in_the_manifest() {
     let mut manifest = Manifest::default();
     summary.describe(&mut manifest);
     assert!(manifest.outcome.unwrap().contains("unplugged"));
-    assert_eq!(manifest.link_statistics["io"], 1);
+    assert_eq!(manifest.link_statistics["aborted"], 1);
     assert!(bench.drive.stops >= 1);
 }
 

@@ -129,6 +129,8 @@ impl Outcome {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
     Send(Command),
+    /// The drive is to start a burst capture with the command that is sent next.
+    ArmBurst,
     /// A row of the record; the recorder pairs it with the commands that were sent.
     Row(Box<Sample>),
     Event(Value),

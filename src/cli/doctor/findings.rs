@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::super::ports;
 use super::scan::Scan;
 use crate::drive::serial_ports::SerialPortInfo;
-use crate::drive::{Framing, LineBudget, LoopRates, RawCounters};
+use crate::drive::{Framing, LoopRates, MeasuredLine, RawCounters};
 
 /// More than this beside wire, gap and a quick drive is worth a remark, s (LINKS.md 2.4).
 const REMARKABLE_S: f64 = 3e-3;
@@ -71,7 +71,7 @@ impl RoundTripFindings {
     pub(super) fn of(
         mut round_trips: Vec<Duration>,
         asked: usize,
-        budget: Option<LineBudget>,
+        budget: Option<MeasuredLine>,
     ) -> Option<Self> {
         round_trips.sort_unstable();
         let last = round_trips.len().checked_sub(1)?;
@@ -79,9 +79,9 @@ impl RoundTripFindings {
         let p50_s = at(500);
         // The gap before the request is no part of the round trip, and on a pseudo-terminal nothing takes its wire time.
         let added = budget.map(|line| {
-            let no_gaps = LineBudget { gap_s: 0.0, ..line };
+            let no_gaps = MeasuredLine { gap_s: 0.0, ..line };
             let added_s = (p50_s - no_gaps.read_s(1)).max(0.0);
-            (added_s, LineBudget { added_s, ..line }.rates())
+            (added_s, MeasuredLine { added_s, ..line }.rates())
         });
         Some(Self {
             asked,
@@ -275,7 +275,7 @@ mod tests {
 
     fn findings() -> Findings {
         let framing = Framing::EightNoneOne;
-        let budget = LineBudget {
+        let budget = MeasuredLine {
             baud: 115_200,
             framing,
             gap_s: standard_gap_s(115_200, framing),

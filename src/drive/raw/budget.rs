@@ -27,7 +27,7 @@ fn char_s(baud: u32, framing: Framing) -> f64 {
 
 /// A line and who is at its ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LineBudget {
+pub struct MeasuredLine {
     pub baud: u32,
     pub framing: Framing,
     /// Silence before a request and before a reply, s.
@@ -45,7 +45,7 @@ pub struct LoopRates {
     pub write_then_read_hz: f64,
 }
 
-impl LineBudget {
+impl MeasuredLine {
     /// Time on the wire of a request and its reply with both gaps, s.
     pub fn exchange_s(&self, request_bytes: f64, reply_bytes: f64) -> f64 {
         (request_bytes + reply_bytes) * char_s(self.baud, self.framing)
@@ -82,7 +82,7 @@ mod tests {
             (921_600, 177.0, 91.0),
         ] {
             let framing = Framing::EightNoneOne;
-            let budget = LineBudget {
+            let budget = MeasuredLine {
                 baud,
                 framing,
                 gap_s: standard_gap_s(baud, framing),
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn parity_costs_a_tenth() {
-        let of = |framing| LineBudget {
+        let of = |framing| MeasuredLine {
             baud: 9600,
             framing,
             gap_s: 0.0,

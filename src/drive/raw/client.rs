@@ -8,7 +8,7 @@ use firmware_protocol::modbus::{rtu, tcp};
 
 use super::super::guard::now;
 use super::super::link::LinkError;
-use super::super::reply::{FrameKind, search};
+use super::super::reply::{Expected, FrameKind, search};
 use super::super::tap::Tap;
 use super::counters::{Class, RawCounters};
 use super::proof::Method;
@@ -26,8 +26,6 @@ const WATCHED: Duration = Duration::from_micros(300);
 
 /// A request that went out since the line was last proven to be in step.
 pub(super) struct Sent {
-    /// The whole frame.
-    pub(super) frame: Vec<u8>,
     pub(super) function: u8,
     /// Registers that a read asked for.
     pub(super) count: u16,
@@ -45,7 +43,7 @@ pub struct RawClient {
     pub(super) gap: Duration,
     pub(super) counters: RawCounters,
     tap: Option<Tap>,
-    request: Vec<u8>,
+    expected: Expected,
     received: Vec<u8>,
     reply: Vec<u8>,
     transaction: u16,
@@ -87,7 +85,7 @@ impl RawClient {
             gap,
             counters: RawCounters::default(),
             tap,
-            request: Vec::with_capacity(rtu::MAX_FRAME + tcp::HEADER),
+            expected: Expected::default(),
             received: Vec::with_capacity(2 * LONGEST_WAIT_BYTES),
             reply: Vec::with_capacity(rtu::MAX_FRAME),
             transaction: u16::from_be_bytes([low, high]),
@@ -273,17 +271,12 @@ impl RawClient {
             }
         };
         self.counters.book(class);
+        self.expected.retire();
         if self.kind == FrameKind::Rtu {
-            let recycled = if self.since_proof.len() >= REMEMBERED {
-                self.since_proof.pop_front().map(|sent| sent.frame)
-            } else {
-                None
-            };
-            let mut frame = recycled.unwrap_or_default();
-            frame.clear();
-            frame.extend_from_slice(&self.request);
+            if self.since_proof.len() >= REMEMBERED {
+                self.since_proof.pop_front();
+            }
             self.since_proof.push_back(Sent {
-                frame,
                 function: pdu.first().copied().unwrap_or_default(),
                 count,
                 is_answered: class == Class::Ok,
@@ -293,18 +286,18 @@ impl RawClient {
     }
 
     fn frame(&mut self, pdu: &[u8]) {
-        self.request.clear();
+        self.expected.request.clear();
         match self.kind {
             FrameKind::Rtu => {
                 let mut frame = [0; rtu::MAX_FRAME];
                 let length = rtu::encode_frame(self.unit, pdu, &mut frame);
-                self.request.extend_from_slice(&frame[..length]);
+                self.expected.request.extend_from_slice(&frame[..length]);
             }
             FrameKind::Tcp => {
                 self.transaction = self.transaction.wrapping_add(1);
                 let mut frame = [0; tcp::MAX_FRAME];
                 let length = tcp::encode_frame(self.transaction, self.unit, pdu, &mut frame);
-                self.request.extend_from_slice(&frame[..length]);
+                self.expected.request.extend_from_slice(&frame[..length]);
             }
         }
     }
@@ -313,8 +306,8 @@ impl RawClient {
     fn send(&mut self, deadline: Instant) -> io::Result<()> {
         let mut at = 0;
         loop {
-            at += self.wire.write(&self.request[at..])?;
-            if at == self.request.len() {
+            at += self.wire.write(&self.expected.request[at..])?;
+            if at == self.expected.request.len() {
                 break;
             }
             let left = deadline.saturating_duration_since(now());
@@ -326,7 +319,7 @@ impl RawClient {
         self.last_activity = now();
         self.counters.bytes_sent += at as u64;
         if let Some(tap) = &mut self.tap {
-            tap.sent(&self.request[..at]);
+            tap.sent(&self.expected.request[..at]);
         }
         Ok(())
     }
@@ -366,16 +359,20 @@ impl RawClient {
 
     /// Takes the reply out of what was received, if it is there; anything beside it is an anomaly.
     fn accept(&mut self) -> io::Result<bool> {
-        let echoes = self.counters.echoes;
-        let found = search(self.kind, &self.request, &self.received, echoes).map_err(|_| {
+        let found = search(self.kind, &self.expected, &self.received).map_err(|_| {
             io::Error::new(
                 io::ErrorKind::ConnectionAborted,
                 "the peer speaks no Modbus TCP",
             )
         })?;
         if let Some((begin, end)) = found.reply {
-            let echo = if found.echo { self.request.len() } else { 0 };
+            let echo = if found.echo {
+                self.expected.request.len()
+            } else {
+                0
+            };
             self.counters.echoes |= found.echo;
+            self.expected.echoes |= found.echo;
             let dropped = self.received.len() - (end - begin);
             self.counters.bytes_dropped += dropped as u64;
             self.reply.clear();
@@ -398,10 +395,8 @@ impl RawClient {
     fn missing(&mut self, timeout: Duration, what: &str) -> (Class, LinkError) {
         let link = self.name.clone();
         let bytes = self.received.len();
-        let echoes = self.counters.echoes;
-        let finds =
-            |request: &[u8]| search(self.kind, request, &self.received, echoes).unwrap_or_default();
-        let only_echo = self.received == self.request;
+        let found = search(self.kind, &self.expected, &self.received).unwrap_or_default();
+        let only_echo = self.received == self.expected.request;
         let answer = if bytes == 0 || only_echo {
             let deadline_ms = u64::try_from(timeout.as_millis()).unwrap_or(u64::MAX);
             let request = what.to_owned();
@@ -413,14 +408,10 @@ impl RawClient {
                     request,
                 },
             )
-        } else if self
-            .since_proof
-            .iter()
-            .any(|sent| finds(&sent.frame).reply.is_some())
-        {
+        } else if found.stale > 0 {
             let reason = format!("only the reply to an earlier request came after {what}");
             (Class::Stale, LinkError::Mismatch { link, reason })
-        } else if finds(&self.request).foreign > 0 {
+        } else if found.foreign > 0 {
             let reason = format!("only frames that do not answer {what} came");
             (Class::Mismatch, LinkError::Mismatch { link, reason })
         } else {

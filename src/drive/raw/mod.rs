@@ -23,7 +23,7 @@ use std::num::NonZeroU64;
 use std::time::Duration;
 
 pub use batch::{Batch, Read, read_batch};
-pub use budget::{LineBudget, LoopRates, standard_gap_s};
+pub use budget::{LoopRates, MeasuredLine, standard_gap_s};
 pub use client::RawClient;
 pub use counters::RawCounters;
 pub use request::{MOST_READ, MOST_WRITTEN, ReadRequest, WriteFunction};

@@ -1,26 +1,28 @@
-//! A port of the Modbus links that tells the tap what it carries.
+//! A port that tells the tap what it carries.
 
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::super::guard::Port;
+use super::super::port::TimedPort;
 use super::Tap;
 
-pub(in super::super) struct TappedPort {
-    port: Box<dyn Port>,
+pub(in super::super) struct TappedPort<P> {
+    port: P,
     tap: Tap,
 }
 
-impl TappedPort {
-    pub(in super::super) fn new(port: Box<dyn Port>, tap: Tap) -> Self {
+impl<P> TappedPort<P> {
+    pub(in super::super) fn new(port: P, tap: Tap) -> Self {
         Self { port, tap }
     }
 }
 
-impl AsyncRead for TappedPort {
+impl AsyncRead for TappedPort<Box<dyn Port>> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -37,7 +39,7 @@ impl AsyncRead for TappedPort {
     }
 }
 
-impl AsyncWrite for TappedPort {
+impl AsyncWrite for TappedPort<Box<dyn Port>> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -57,5 +59,19 @@ impl AsyncWrite for TappedPort {
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.port).poll_shutdown(cx)
+    }
+}
+
+impl TimedPort for TappedPort<Box<dyn TimedPort>> {
+    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        let count = self.port.read_within(bytes, timeout)?;
+        self.tap.received(&bytes[..count]);
+        Ok(count)
+    }
+
+    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
+        let count = self.port.write_within(bytes, timeout)?;
+        self.tap.sent(&bytes[..count]);
+        Ok(count)
     }
 }

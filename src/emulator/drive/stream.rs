@@ -14,10 +14,13 @@ pub(in crate::emulator) fn answer(
 ) -> Option<Frame> {
     let (seq, message) = match received {
         Ok(frame) => (frame.seq, respond(drive, frame)?),
-        Err(FrameError::UnknownType { kind, seq }) => {
+        // What bit 7 marks as said by a drive is not ours to answer: two drives would refuse each other for ever.
+        Err(FrameError::UnknownType { kind, seq }) if kind & 0x80 == 0 => {
             (*seq, refusal(*kind, ErrorCode::UnknownMessage))
         }
-        Err(FrameError::Payload { kind, seq }) => (*seq, refusal(*kind, ErrorCode::BadPayload)),
+        Err(FrameError::Payload { kind, seq }) if kind & 0x80 == 0 => {
+            (*seq, refusal(*kind, ErrorCode::BadPayload))
+        }
         Err(_) => return None,
     };
     Some(Frame {

@@ -28,11 +28,12 @@ pub(crate) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
         counts(&[
             ("timeout", link.timeout, true),
             ("crc", link.crc, true),
-            ("io", link.io, true),
+            ("stale", link.stale, true),
         ]),
         counts(&[
             ("mismatch", link.mismatch, true),
             ("exception", link.exception, true),
+            ("aborted", link.aborted, true),
         ]),
         Line::raw(format!(
             "late p50 {} p99 {}",

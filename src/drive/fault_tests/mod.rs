@@ -1,0 +1,327 @@
+//! No wrong value, whatever the line does: both links against a stranger that inflicts seventeen kinds of faults.
+//!
+//! In virtual time a hundred thousand exchanges, with `DRIVEBENCH_EVERYTHING` set ten million; over a real
+//! pseudo-terminal two thousand, or a hundred thousand.
+
+mod fault;
+mod stranger;
+
+use std::fs::File;
+use std::io::{ErrorKind, Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use fault::{Fault, Times};
+use nix::fcntl::OFlag;
+use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
+use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
+use stranger::{Language, Stranger, current_a, register};
+
+use super::guard::now;
+use super::link::{DriveLink, LinkError, LinkStatistics};
+use super::modbus::{ModbusLink, RegisterTable};
+use super::reply::FrameKind;
+use super::stream::StreamLink;
+use super::timing::LineTiming;
+use super::virtual_line::{Device, VirtualPort, paused_runtime};
+use super::{DriveProfile, open_modbus, open_stream};
+use crate::sample::{Channel, Command, Demand};
+
+/// Faults in a thousand replies.
+const PER_MILLE: usize = 40;
+
+fn everything() -> bool {
+    std::env::var_os("DRIVEBENCH_EVERYTHING").is_some()
+}
+
+/// Either link; plain reads are there only over Modbus.
+enum Line {
+    Modbus(ModbusLink),
+    Stream(StreamLink),
+}
+
+impl Line {
+    fn link(&mut self) -> &mut dyn DriveLink {
+        match self {
+            Self::Modbus(link) => link,
+            Self::Stream(link) => link,
+        }
+    }
+}
+
+/// What came of many exchanges.
+#[derive(Debug, Default)]
+struct Outcome {
+    exchanges: u64,
+    wrong: u64,
+    /// Exchanges that failed although nothing was done to their reply.
+    collateral: u64,
+    statistics: LinkStatistics,
+    stale_frames: u64,
+    tampered: u64,
+}
+
+/// Exchanges as a bench makes them, one in five a plain read, and judges each value by what the device meant.
+fn exchanges(line: &mut Line, device: &Mutex<Stranger>, count: u64, reads: bool) -> Outcome {
+    let mut outcome = Outcome::default();
+    for seq in 1..=count {
+        let before = device.lock().unwrap().tampered;
+        let failed = match &mut *line {
+            Line::Modbus(link) if reads && seq % 5 == 0 => {
+                let words = 3 + (seq % 3) as u16;
+                match link.read_registers(RegisterTable::Holding, 900, words) {
+                    Ok(values) => {
+                        let heard = device.lock().unwrap().heard;
+                        let meant: Vec<_> = (0..values.len()).map(|k| register(heard, k)).collect();
+                        outcome.wrong += u64::from(values != meant);
+                        None
+                    }
+                    Err(error) => Some(error),
+                }
+            }
+            line => {
+                let demand = Demand::Voltage(1.0);
+                match line.link().exchange(Command { seq, demand }) {
+                    Ok(sample) => {
+                        let meant = current_a(device.lock().unwrap().heard);
+                        let told = sample.get(Channel::Current).unwrap_or(f64::NAN);
+                        let right = sample.seq == Some(seq) && (told - meant).abs() < 0.006;
+                        outcome.wrong += u64::from(!right);
+                        None
+                    }
+                    Err(error) => Some(error),
+                }
+            }
+        };
+        assert!(
+            !matches!(failed, Some(LinkError::Gone { .. })),
+            "{failed:?}"
+        );
+        let untouched = device.lock().unwrap().tampered == before;
+        outcome.collateral += u64::from(failed.is_some() && untouched);
+    }
+    let device = device.lock().unwrap();
+    outcome.exchanges = count;
+    outcome.tampered = device.tampered;
+    outcome.statistics = line.link().statistics();
+    let line = line.link().line().unwrap();
+    outcome.stale_frames = line.stale_frames;
+    let s = &outcome.statistics;
+    assert!(s.balances(), "{s:?}");
+    let accounted = line.bytes_accepted + line.bytes_dropped;
+    let open = line.bytes_received - accounted;
+    assert!(open < 2048, "{line:?}: only what came last may be unjudged");
+    outcome
+}
+
+/// Both languages on a virtual line that answers within 0.7 ms.
+fn virtually(
+    language: Language,
+    faults: &[Fault],
+    per_mille: usize,
+    count: u64,
+    seed: u64,
+) -> Outcome {
+    let runtime = paused_runtime();
+    let handle = runtime.handle().clone();
+    let _entered = handle.enter();
+    let settings = DriveProfile::named("own").unwrap().link;
+    let with_gaps = language == Language::Rtu;
+    let timing = LineTiming::serial(&settings, settings.baud, with_gaps);
+    let times = Times {
+        turnaround: Duration::from_micros(700),
+        deadline: timing.allowed(21, 52),
+    };
+    let device = Stranger::new(language, faults, per_mille, times, seed);
+    let device = Arc::new(Mutex::new(device));
+    let port = Box::new(VirtualPort::new(Arc::clone(&device)));
+    let (name, epoch) = ("virtual".to_owned(), now());
+    let (mut line, _runtime) = match language {
+        Language::Rtu => {
+            let kind = FrameKind::Rtu;
+            let link = ModbusLink::new(name, runtime, port, kind, 1, timing, epoch);
+            (Line::Modbus(link), None)
+        }
+        Language::Stream => {
+            let link = StreamLink::new(name, port, timing, epoch);
+            (Line::Stream(link), Some(runtime))
+        }
+    };
+    exchanges(&mut line, &device, count, true)
+}
+
+#[test]
+fn an_honest_stranger_costs_nothing() {
+    for language in [Language::Rtu, Language::Stream] {
+        let outcome = virtually(language, &[], 0, 2000, 1);
+        let s = outcome.statistics;
+        assert_eq!((outcome.wrong, s.lost()), (0, 0), "{outcome:?}");
+        assert!(s.ok >= 2000);
+    }
+}
+
+/// The classes that a fault may be counted in: timeout, crc, stale, mismatch, exception; and whether it must cost an
+/// exchange at all.
+fn classes(language: Language, fault: Fault, s: &LinkStatistics) -> (u64, bool) {
+    let damaged = s.crc + s.timeout;
+    match fault {
+        // Nothing marks the beginning of a stream's frame: what stands before it becomes a part of it.
+        Fault::GarbageBetween if language == Language::Stream => (damaged, false),
+        Fault::ByteLost | Fault::BitsFlipped | Fault::CutOff => (damaged, true),
+        Fault::ByteInserted => (damaged, false),
+        Fault::WrongBaud | Fault::Babble => (damaged, true),
+        Fault::Doubled | Fault::GarbageBetween | Fault::InChunks | Fault::OwnEcho => (0, false),
+        Fault::Late | Fault::LateTwoDeep => (s.timeout + s.stale, true),
+        Fault::Silent => (s.timeout, true),
+        Fault::OtherUnit => (s.mismatch, true),
+        Fault::OtherRequest => (s.mismatch + s.stale, true),
+        Fault::Refused | Fault::Busy => (s.exception, true),
+    }
+}
+
+#[test]
+fn every_fault_is_counted_in_its_class_and_costs_its_own_exchange_only() {
+    for language in [Language::Rtu, Language::Stream] {
+        for (seed, fault) in Fault::ALL.into_iter().enumerate() {
+            let outcome = virtually(language, &[fault], PER_MILLE, 3000, seed as u64);
+            let s = &outcome.statistics;
+            let told = format!("{language:?} {fault:?}: {outcome:?}");
+            assert_eq!(outcome.wrong, 0, "{told}");
+            assert!(outcome.tampered > 60, "{told}");
+            let (counted, costs) = classes(language, fault, s);
+            assert_eq!(s.lost(), counted, "{told}");
+            if costs {
+                assert!(counted * 10 >= outcome.tampered * 9, "{told}");
+            }
+            // A late reply may meet the next exchange; what babbles may go on into it.
+            let spreads = matches!(fault, Fault::Late | Fault::LateTwoDeep | Fault::Babble);
+            let allowed = if spreads { outcome.tampered / 4 } else { 0 };
+            assert!(outcome.collateral <= allowed, "{told}");
+            if fault == Fault::Doubled {
+                assert!(outcome.stale_frames * 10 >= outcome.tampered * 9, "{told}");
+            }
+        }
+    }
+}
+
+#[test]
+fn mixed_faults_never_give_a_wrong_value() {
+    let count = if everything() { 10_000_000 } else { 100_000 };
+    for language in [Language::Rtu, Language::Stream] {
+        let outcome = virtually(language, &Fault::ALL, PER_MILLE, count, 7);
+        println!("{language:?}: {outcome:?}");
+        assert_eq!(outcome.wrong, 0, "{outcome:?}");
+        let share = outcome.tampered as f64 / count as f64;
+        assert!((0.03..0.06).contains(&share), "{outcome:?}");
+        // What is lost is what was tampered with, and little beside it.
+        assert!(outcome.collateral * 100 < outcome.tampered, "{outcome:?}");
+        assert!(outcome.statistics.lost() <= outcome.tampered + outcome.collateral);
+    }
+}
+
+/// Serves the stranger at the far end of a pseudo-terminal until the test is over.
+struct Served {
+    device: Arc<Mutex<Stranger>>,
+    target: super::Target,
+    over: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Served {
+    fn start(device: Stranger) -> Self {
+        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
+        let master = posix_openpt(flags).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let mut termios = tcgetattr(&master).unwrap();
+        cfmakeraw(&mut termios);
+        tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
+        let target = ptsname_r(&master).unwrap().parse().unwrap();
+        let mut port = File::from(std::os::fd::OwnedFd::from(master));
+        let device = Arc::new(Mutex::new(device));
+        let over = Arc::new(AtomicBool::new(false));
+        let thread = std::thread::spawn({
+            let (device, over) = (Arc::clone(&device), Arc::clone(&over));
+            move || serve(&mut port, &device, &over)
+        });
+        Self {
+            device,
+            target,
+            over,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let ended = thread.join();
+            assert!(std::thread::panicking() || ended.is_ok());
+        }
+    }
+}
+
+fn serve(port: &mut File, device: &Mutex<Stranger>, over: &AtomicBool) {
+    let mut bytes = [0; 512];
+    let mut coming: Vec<(std::time::Instant, Vec<u8>)> = Vec::new();
+    while !over.load(Ordering::Relaxed) {
+        match port.read(&mut bytes) {
+            Ok(0) => return,
+            Ok(count) => {
+                let replies = device.lock().unwrap().hear(&bytes[..count]);
+                coming.extend(
+                    replies
+                        .into_iter()
+                        .map(|(delay, reply)| (now() + delay, reply)),
+                );
+                coming.sort_by_key(|(at, _)| *at);
+            }
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                std::thread::sleep(Duration::from_micros(50));
+            }
+            // Nobody has opened the near end yet, or nobody any more.
+            Err(_) => std::thread::sleep(Duration::from_millis(1)),
+        }
+        while coming.first().is_some_and(|(at, _)| *at <= now()) {
+            let (_, reply) = coming.remove(0);
+            let mut rest = reply.as_slice();
+            while !rest.is_empty() && !over.load(Ordering::Relaxed) {
+                match port.write(rest) {
+                    Ok(count) => rest = &rest[count..],
+                    Err(_) => std::thread::sleep(Duration::from_micros(200)),
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn over_a_real_pseudo_terminal_mixed_faults_never_give_a_wrong_value() {
+    let count = if everything() { 100_000 } else { 2000 };
+    let mut profile = DriveProfile::named("own").unwrap();
+    // Short times, as every fault costs them; a machine that stands still makes more faults of its own.
+    profile.link.deadline_ms = Some(12.0);
+    profile.link.gap_us = Some(300.0);
+    let times = Times {
+        turnaround: Duration::ZERO,
+        deadline: Duration::from_millis(12),
+    };
+    for language in [Language::Rtu, Language::Stream] {
+        let device = Stranger::new(language, &Fault::ALL, PER_MILLE, times, 11);
+        let served = Served::start(device);
+        let mut line = match language {
+            Language::Rtu => Line::Modbus(open_modbus(&served.target, &profile, now()).unwrap()),
+            Language::Stream => Line::Stream(open_stream(&served.target, &profile, now()).unwrap()),
+        };
+        let outcome = exchanges(&mut line, &served.device, count, false);
+        println!("{language:?}: {outcome:?}");
+        assert_eq!(outcome.wrong, 0, "{outcome:?}");
+        assert!(
+            outcome.tampered > 0 && outcome.statistics.ok > count / 2,
+            "{outcome:?}"
+        );
+    }
+}
