@@ -1,7 +1,7 @@
 //! Several reads, perhaps again and again, whose last values are handed out only when they are vouched for.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::super::link::LinkError;
 use super::client::RawClient;
@@ -100,20 +100,25 @@ pub fn read_batch(
                 // Everything that was not asked any more is missing as well.
                 batch.asked = rounds * requests.len() as u64;
                 abandon(&mut batch, requests);
-                batch.elapsed_s = (client.clock().duration_since(begun) - proving).as_secs_f64();
+                batch.elapsed_s = elapsed_s(client, begun + proving);
                 batch.round_trips = sorted(round_trips);
                 return batch;
             }
         }
         batch.is_interrupted = !is_last && stop.load(Ordering::Acquire);
         if is_last || batch.is_interrupted {
-            batch.elapsed_s = (client.clock().duration_since(begun) - proving).as_secs_f64();
+            batch.elapsed_s = elapsed_s(client, begun + proving);
             vouch_for(client, &mut batch, anomalies);
             break;
         }
     }
     batch.round_trips = sorted(round_trips);
     batch
+}
+
+fn elapsed_s(client: &RawClient, since: Instant) -> f64 {
+    let elapsed = client.clock().saturating_duration_since(since);
+    elapsed.as_secs_f64()
 }
 
 fn sorted(mut round_trips: Vec<Duration>) -> Vec<Duration> {

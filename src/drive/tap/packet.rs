@@ -74,7 +74,7 @@ impl Conversation {
         segment.extend([5 << 4, PUSH_ACK, 0xFF, 0xFF, 0, 0, 0, 0]);
         segment.extend_from_slice(data);
         match (from.ip(), to.ip()) {
-            (IpAddr::V4(from), IpAddr::V4(to)) => ip4(&from.octets(), &to.octets(), &mut segment),
+            (IpAddr::V4(from), IpAddr::V4(to)) => ip4(from.octets(), to.octets(), &mut segment),
             (from, to) => {
                 let sixteen = |ip| match ip {
                     IpAddr::V4(ip) => ip.to_ipv6_mapped().octets(),
@@ -86,15 +86,15 @@ impl Conversation {
     }
 }
 
-fn ip4(from: &[u8; 4], to: &[u8; 4], segment: &mut [u8]) -> Vec<u8> {
+fn ip4(from: [u8; 4], to: [u8; 4], segment: &mut [u8]) -> Vec<u8> {
     let length = u16::try_from(segment.len()).unwrap_or(u16::MAX);
-    let pseudo = [&from[..], to, &[0, TCP], &length.to_be_bytes()].concat();
+    let pseudo = [&from[..], &to, &[0, TCP], &length.to_be_bytes()].concat();
     seal(&pseudo, segment);
     let total = length.saturating_add(20).to_be_bytes();
     // Version 4, header of five words, no fragments, 64 hops.
     let mut packet = vec![0x45, 0, total[0], total[1], 0, 0, 0x40, 0, 64, TCP, 0, 0];
-    packet.extend_from_slice(from);
-    packet.extend_from_slice(to);
+    packet.extend_from_slice(&from);
+    packet.extend_from_slice(&to);
     let sum = checksum(&packet).to_be_bytes();
     packet[10..12].copy_from_slice(&sum);
     packet.extend_from_slice(segment);
