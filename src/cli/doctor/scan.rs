@@ -21,6 +21,10 @@ const FRAMINGS: [Framing; 4] = [
 /// The slowest drives answer in 60 ms (LINKS.md 2.1); wire and adapter come on top.
 const PATIENCE: Duration = Duration::from_millis(120);
 
+/// Between two openings of a port: what is under way at the old baud rate must be over, and our software drive needs a
+/// moment for a fresh pseudo-terminal.
+const SETTLING: Duration = Duration::from_millis(100);
+
 /// What a scan has found.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct Scan {
@@ -67,6 +71,10 @@ pub(super) fn scan(
         if let Some(unit) = scan.units.first() {
             (wire.baud, wire.framing, wire.unit) = (baud, framing, *unit);
             scan.found = Some((baud, framing));
+        }
+        drop(client);
+        std::thread::sleep(SETTLING);
+        if scan.found.is_some() {
             break;
         }
     }
