@@ -15,14 +15,15 @@ use clap::Args;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
-use super::live_link::{latency, serve, target, wired_profile};
+use super::live_link::{latency, open, serve, tap, wired_profile};
 use super::recorded::{Recorded, keep_capture};
+use super::wire::Tap;
 use super::{interrupt, output, reveal};
 use crate::bench::{
-    Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, Guard, Intent,
-    LiveOnline, LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol,
-    RunOptions, Session, SnapshotCell, SpeedPilot, Target, check, layout, layout_with_reference,
-    manifest, measure_delay, plan, run, stage_session,
+    Bench, BenchFile, BenchFileError, CheckOptions, CheckReport, Clock, Guard, Intent, LiveOnline,
+    LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions,
+    Session, SnapshotCell, SpeedPilot, Target, check, layout, layout_with_reference, manifest,
+    measure_delay, plan, run, stage_session,
 };
 use crate::drive::{DriveLink, DriveProfile};
 use crate::emulator::{EmulatorConfig, MemoryLink, ServerHandle, SoftDrive, VirtualClock, mystery};
@@ -75,6 +76,9 @@ pub(super) struct LiveArguments {
     /// Clear a fault that the drive has latched, as after a killed host; the output stays off
     #[arg(long)]
     reset_fault: bool,
+    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
+    #[arg(long, value_name = "FILE")]
+    tap: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     pub(super) json: bool,
@@ -178,6 +182,8 @@ pub(super) struct Rig {
     pub(super) bench: BenchFile,
     profile: DriveProfile,
     link: Box<dyn DriveLink>,
+    /// Dropping it completes the capture, so it outlives the link.
+    _tap: Tap,
     clock: Box<dyn Clock + Send>,
     last_seq: u64,
     check: Option<CheckReport>,
@@ -233,6 +239,7 @@ impl Rig {
                 &arguments.out.join(reveal::sealed_name(mystery.seed)),
             )?;
         }
+        let tap = tap(arguments.tap.as_deref(), &port)?;
         let real = MonotonicClock::start();
         let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
         let link: Box<dyn DriveLink> = match (&port, &emulator) {
@@ -252,10 +259,10 @@ impl Rig {
                     Protocol::ModbusRtu | Protocol::Stream => handle.address().to_owned(),
                 };
                 server = Some(handle);
-                crate::drive::open(&target(&address, &bench)?, &profile, real.origin())?
+                open(&address, &bench, &profile, real.origin(), &tap)?
             }
             (Port::Tcp(_) | Port::Serial(_), _) => {
-                crate::drive::open(&target(&bench.link.port, &bench)?, &profile, real.origin())?
+                open(&bench.link.port, &bench, &profile, real.origin(), &tap)?
             }
             (Port::Sim | Port::Emulator, None) => {
                 return Err(Failure::new(
@@ -267,6 +274,7 @@ impl Rig {
         Ok(Self {
             profile,
             link,
+            _tap: tap,
             clock,
             last_seq: 0,
             check: None,
@@ -551,7 +559,7 @@ impl Rig {
     clippy::disallowed_methods,
     reason = "the stamp of a run folder is wall-clock time"
 )]
-fn now() -> jiff::Timestamp {
+pub(super) fn now() -> jiff::Timestamp {
     jiff::Timestamp::now()
 }
 
@@ -576,18 +584,4 @@ pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
         EmulatorConfig::parse(name, &read_text(path)?)
     };
     config.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
-}
-
-impl From<CheckError> for Failure {
-    fn from(error: CheckError) -> Self {
-        let help = error.help();
-        Self::with_help(LINK, error.to_string(), help)
-    }
-}
-
-impl From<BenchFileError> for Failure {
-    fn from(error: BenchFileError) -> Self {
-        let help = error.help();
-        Self::with_help(USAGE, error.to_string(), help)
-    }
 }

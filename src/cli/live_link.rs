@@ -1,8 +1,14 @@
 //! From the bench file to a link: the protocol, the far end of the wire, and the emulator behind it where it is ours.
 
+use std::path::Path;
+use std::time::Instant;
+
 use super::failure::{Failure, LINK, USAGE};
-use crate::bench::{BenchFile, Protocol};
-use crate::drive::{DriveProfile, LinkError, Target as LinkTarget, TargetError};
+use super::wire::Tap;
+use crate::bench::{BenchFile, BenchFileError, CheckError, Port, Protocol};
+use crate::drive::{
+    DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError, open_tapped,
+};
 use crate::emulator::{EmulatorConfig, Endpoint, Latency, LinkKind, ServerHandle};
 
 /// What an exchange of the bench's protocol takes over its line, for a drive in memory.
@@ -47,8 +53,32 @@ pub(super) fn wired_profile(bench: &BenchFile) -> Result<DriveProfile, Failure> 
     Ok(profile)
 }
 
+/// The capture of a run. Where no wire is involved there is nothing to tap.
+pub(super) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
+    if path.is_some() && *port == Port::Sim {
+        return Err(Failure::with_help(
+            USAGE,
+            "--tap has nothing to record: sim: is a drive in memory",
+            "give --port emulator, or a serial port, or tcp:HOST:PORT",
+        ));
+    }
+    Tap::create(path)
+}
+
+/// The link of the bench file's protocol to this address.
+pub(super) fn open(
+    address: &str,
+    bench: &BenchFile,
+    profile: &DriveProfile,
+    epoch: Instant,
+    tap: &Tap,
+) -> Result<Box<dyn DriveLink>, Failure> {
+    let target = target(address, bench)?;
+    Ok(open_tapped(&target, profile, epoch, tap.file())?)
+}
+
 /// The far end of the wire with the bench file's baud rate and unit.
-pub(super) fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
+fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
     let target: LinkTarget = address
         .parse()
         .map_err(|error: TargetError| Failure::with_help(USAGE, error.to_string(), error.help()))?;
@@ -70,5 +100,19 @@ impl From<LinkError> for Failure {
     fn from(error: LinkError) -> Self {
         let help = error.help();
         Self::with_help(LINK, error.to_string(), help)
+    }
+}
+
+impl From<CheckError> for Failure {
+    fn from(error: CheckError) -> Self {
+        let help = error.help();
+        Self::with_help(LINK, error.to_string(), help)
+    }
+}
+
+impl From<BenchFileError> for Failure {
+    fn from(error: BenchFileError) -> Self {
+        let help = error.help();
+        Self::with_help(USAGE, error.to_string(), help)
     }
 }

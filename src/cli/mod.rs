@@ -11,6 +11,7 @@ mod data;
 mod defined;
 mod diagnose;
 mod discovery;
+mod doctor;
 mod effects;
 mod emulate;
 mod escalate;
@@ -28,9 +29,11 @@ mod next_experiment;
 mod output;
 mod pages;
 mod plan;
+mod ports;
 mod progress;
 mod provenance;
 mod recorded;
+mod registers;
 mod replay;
 mod reproduce;
 mod reveal;
@@ -41,6 +44,7 @@ mod simulate;
 mod speed;
 mod speed_page;
 mod tune;
+mod wire;
 
 use std::process::ExitCode;
 
@@ -71,6 +75,9 @@ struct Arguments {
 enum Command {
     Commission(commission::Arguments),
     Emulate(emulate::Arguments),
+    Ports(ports::Arguments),
+    Doctor(doctor::Arguments),
+    Registers(registers::Arguments),
     Plan(plan::Arguments),
     Run(run::Arguments),
     Speed(speed::Arguments),
@@ -110,6 +117,9 @@ pub fn main() -> ExitCode {
     let done = match arguments.command {
         Command::Commission(arguments) => commission::execute(arguments),
         Command::Emulate(arguments) => emulate::execute(arguments),
+        Command::Ports(arguments) => ports::execute(&arguments),
+        Command::Doctor(arguments) => doctor::execute(&arguments),
+        Command::Registers(arguments) => registers::execute(&arguments),
         Command::Plan(arguments) => plan::execute(&arguments),
         Command::Run(arguments) => run::execute(arguments),
         Command::Speed(arguments) => speed::execute(arguments),

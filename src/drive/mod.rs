@@ -9,6 +9,7 @@
 //!              guard.rs      port.rs        bytes, silence, hang-up
 //!              reply.rs                     which bytes answer this request
 //!                  +-- timing.rs (deadlines, gaps), tally.rs (counts, round trips)
+//!                  +-- tap/ (capture file) <- raw/ (registers of any unit), serial_ports.rs (what is plugged in)
 //!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
 //! ```
 //!
@@ -27,9 +28,12 @@ mod modbus;
 mod open;
 mod port;
 mod profile;
+mod raw;
 mod reply;
+pub mod serial_ports;
 mod stream;
 mod tally;
+mod tap;
 pub mod timeline;
 mod timing;
 #[cfg(test)]
@@ -41,10 +45,15 @@ pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 pub use modbus::{ModbusLink, RegisterTable};
-pub use open::{Target, TargetError, open, open_modbus, open_stream};
+pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
 pub use profile::{
     Capabilities, DriveLimits, DriveProfile, Framing, KickedBy, LinkSettings, ProfileError,
     Protocol, SignalOrigins, Trust, Watchdog,
 };
+pub use raw::{
+    Batch, LoopRates, MOST_READ, MOST_WRITTEN, MeasuredLine, RawClient, RawCounters, RawSettings,
+    Read, ReadRequest, WriteFunction, read_batch, standard_gap_s,
+};
 pub use stream::StreamLink;
 pub use tally::RoundTrips;
+pub use tap::TapFile;

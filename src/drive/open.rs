@@ -1,6 +1,7 @@
 //! From `PATH` or `tcp:HOST:PORT` and a profile to a link.
 
 use std::fmt;
+use std::net::TcpStream;
 use std::str::FromStr;
 use std::time::Instant;
 
@@ -14,6 +15,7 @@ use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::{DriveProfile, Protocol};
 use super::reply::FrameKind;
 use super::stream::StreamLink;
+use super::tap::{Tap, TapFile, TappedPort};
 use super::timing::LineTiming;
 
 /// Where the drive is.
@@ -109,9 +111,21 @@ pub fn open(
     profile: &DriveProfile,
     epoch: Instant,
 ) -> Result<Box<dyn DriveLink>, LinkError> {
+    open_tapped(target, profile, epoch, None)
+}
+
+/// Opens the link with a tap: everything that it carries goes into the capture file as well.
+pub fn open_tapped(
+    target: &Target,
+    profile: &DriveProfile,
+    epoch: Instant,
+    tap: Option<&TapFile>,
+) -> Result<Box<dyn DriveLink>, LinkError> {
     Ok(match profile.link.protocol {
-        Protocol::ModbusRtu | Protocol::ModbusTcp => Box::new(open_modbus(target, profile, epoch)?),
-        Protocol::Stream => Box::new(open_stream(target, profile, epoch)?),
+        Protocol::ModbusRtu | Protocol::ModbusTcp => {
+            Box::new(modbus_with(target, profile, epoch, tap)?)
+        }
+        Protocol::Stream => Box::new(stream_with(target, profile, epoch, tap)?),
     })
 }
 
@@ -121,10 +135,19 @@ pub fn open_modbus(
     profile: &DriveProfile,
     epoch: Instant,
 ) -> Result<ModbusLink, LinkError> {
+    modbus_with(target, profile, epoch, None)
+}
+
+fn modbus_with(
+    target: &Target,
+    profile: &DriveProfile,
+    epoch: Instant,
+    tap: Option<&TapFile>,
+) -> Result<ModbusLink, LinkError> {
     let name = target.to_string();
     let settings = &profile.link;
     let runtime = runtime(&name)?;
-    let (port, kind, unit, timing): (Box<dyn Port>, _, _, _) = {
+    let (port, kind, unit, timing, tap): (Box<dyn Port>, _, _, _, _) = {
         let _within = runtime.enter();
         match target {
             Target::Serial { path, baud, unit } => {
@@ -133,18 +156,24 @@ pub fn open_modbus(
                 let port = tokio_serial::SerialStream::open(&builder)
                     .map_err(|error| serial_error(path, &error))?;
                 let timing = LineTiming::serial(settings, baud, true);
-                (Box::new(port), FrameKind::Rtu, unit, timing)
+                let tap = tap.map(TapFile::rtu);
+                (Box::new(port), FrameKind::Rtu, unit, timing, tap)
             }
             Target::Tcp { host, port, unit } => {
                 let stream = connect(&name, host, *port)?;
+                let tap = tcp_tap(tap, &stream).map_err(|error| cannot(&name, &error))?;
                 let stream = stream
                     .set_nonblocking(true)
                     .and_then(|()| tokio::net::TcpStream::from_std(stream))
                     .map_err(|error| cannot(&name, &error))?;
                 let timing = LineTiming::network(settings);
-                (Box::new(stream), FrameKind::Tcp, unit, timing)
+                (Box::new(stream), FrameKind::Tcp, unit, timing, tap)
             }
         }
+    };
+    let port = match tap {
+        Some(tap) => Box::new(TappedPort::new(port, tap)),
+        None => port,
     };
     let unit = unit.unwrap_or(settings.unit);
     Ok(ModbusLink::new(
@@ -157,6 +186,15 @@ pub fn open_stream(
     target: &Target,
     profile: &DriveProfile,
     epoch: Instant,
+) -> Result<StreamLink, LinkError> {
+    stream_with(target, profile, epoch, None)
+}
+
+fn stream_with(
+    target: &Target,
+    profile: &DriveProfile,
+    epoch: Instant,
+    tap: Option<&TapFile>,
 ) -> Result<StreamLink, LinkError> {
     let name = target.to_string();
     let settings = &profile.link;
@@ -174,7 +212,18 @@ pub fn open_stream(
             (Box::new(stream), LineTiming::network(settings))
         }
     };
+    let port = match tap {
+        Some(tap) => Box::new(TappedPort::new(port, tap.stream())),
+        None => port,
+    };
     Ok(StreamLink::new(name, port, timing, epoch))
+}
+
+fn tcp_tap(tap: Option<&TapFile>, stream: &TcpStream) -> std::io::Result<Option<Tap>> {
+    let Some(tap) = tap else {
+        return Ok(None);
+    };
+    Ok(Some(tap.tcp(stream.local_addr()?, stream.peer_addr()?)))
 }
 
 fn runtime(name: &str) -> Result<Runtime, LinkError> {

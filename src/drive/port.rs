@@ -53,7 +53,24 @@ pub(super) fn connect(name: &str, host: &str, port: u16) -> Result<TcpStream, Li
 /// Says in words why a serial port cannot be opened.
 pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
     let reason = match error.kind() {
-        serialport::ErrorKind::Io(ErrorKind::NotFound) => {
+        serialport::ErrorKind::Io(kind) => {
+            return open_error(path, &io::Error::new(kind, error.to_string()));
+        }
+        serialport::ErrorKind::NoDevice => {
+            format!("another program holds it, or it is no port ({error})")
+        }
+        _ => error.to_string(),
+    };
+    LinkError::Open {
+        link: path.to_owned(),
+        reason,
+    }
+}
+
+/// Says in words why a device file cannot be opened: what is there instead, or which group it belongs to.
+pub(super) fn open_error(path: &str, error: &io::Error) -> LinkError {
+    let reason = match error.kind() {
+        ErrorKind::NotFound => {
             let mut reason = "it does not exist".to_owned();
             let there: Vec<_> = serialport::available_ports()
                 .unwrap_or_default()
@@ -68,15 +85,12 @@ pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
             };
             reason
         }
-        serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => match owning_group(path) {
+        ErrorKind::PermissionDenied => match owning_group(path) {
             Some(group) => format!(
                 "permission denied: it belongs to group {group} (sudo usermod -aG {group} $USER, then log in again)"
             ),
             None => "permission denied".to_owned(),
         },
-        serialport::ErrorKind::NoDevice => {
-            format!("another program holds it, or it is no port ({error})")
-        }
         _ => error.to_string(),
     };
     LinkError::Open {

@@ -70,6 +70,15 @@ pub enum Framing {
 }
 
 impl Framing {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::EightNoneOne => "8N1",
+            Self::EightEvenOne => "8E1",
+            Self::EightOddOne => "8O1",
+            Self::EightNoneTwo => "8N2",
+        }
+    }
+
     /// Bits on the wire for one character, start bit included.
     pub const fn bits_per_char(self) -> u8 {
         match self {

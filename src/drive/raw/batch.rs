@@ -1,0 +1,198 @@
+//! Several reads, perhaps again and again, whose last values are handed out only when they are vouched for.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use super::super::link::LinkError;
+use super::client::RawClient;
+use super::request::ReadRequest;
+
+/// Times that doubtful values are asked for again, each between two proofs.
+const CAREFUL_ATTEMPTS: usize = 3;
+
+/// One read of the last round.
+#[derive(Debug)]
+pub struct Read {
+    pub request: ReadRequest,
+    pub values: Result<Vec<u16>, LinkError>,
+}
+
+/// What a batch gave.
+#[derive(Debug, Default)]
+pub struct Batch {
+    /// The last round, in the order asked.
+    pub reads: Vec<Read>,
+    /// Reads that were answered, of all rounds; those that were repeated for safety are not among them.
+    pub answered: u64,
+    pub asked: u64,
+    /// Time of all rounds without the proofs, s.
+    pub elapsed_s: f64,
+    /// Round trips of the answered reads, ascending.
+    pub round_trips: Vec<Duration>,
+    /// Raised flag: not all rounds were done.
+    pub is_interrupted: bool,
+}
+
+impl Batch {
+    /// Answered reads per second.
+    pub fn rate_hz(&self) -> Option<f64> {
+        (self.answered > 0 && self.elapsed_s > 0.0).then(|| self.answered as f64 / self.elapsed_s)
+    }
+
+    /// The round trip that this share did not exceed, s.
+    pub fn quantile_s(&self, share: f64) -> Option<f64> {
+        let last = self.round_trips.len().checked_sub(1)?;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a share of a length is an index"
+        )]
+        let index = (share.clamp(0.0, 1.0) * last as f64).round() as usize;
+        self.round_trips.get(index).map(Duration::as_secs_f64)
+    }
+
+    pub fn is_all_answered(&self) -> bool {
+        self.answered == self.asked && self.reads.iter().all(|read| read.values.is_ok())
+    }
+}
+
+/// Reads each request once a round. A round ends early when `stop` is raised or the port is gone.
+///
+/// RTU cannot tell a late or second reply to an equal request from the right one. So the last round has a proof between
+/// reads that could be confused and one at its end, and what is not vouched for is asked for again, read by read, or
+/// ends as an error.
+pub fn read_batch(
+    client: &mut RawClient,
+    requests: &[ReadRequest],
+    rounds: u64,
+    stop: &AtomicBool,
+) -> Batch {
+    let mut batch = Batch::default();
+    let mut round_trips = Vec::new();
+    let begun = client.clock();
+    let mut proving = Duration::ZERO;
+    for round in 0..rounds {
+        let anomalies = client.anomalies();
+        let is_last = round + 1 == rounds;
+        for (index, request) in requests.iter().enumerate() {
+            if is_last && client.could_confuse(*request) {
+                let before = client.clock();
+                // A line that cannot be proven shows in the read itself and in the proof at the end.
+                let _ = client.vouch();
+                proving += client.clock().duration_since(before);
+            }
+            let values = client.read(*request);
+            batch.asked += 1;
+            let is_gone = matches!(values, Err(LinkError::Gone { .. }));
+            if values.is_ok() {
+                batch.answered += 1;
+                round_trips.push(client.last_round_trip());
+            }
+            let read = Read {
+                request: *request,
+                values,
+            };
+            match batch.reads.get_mut(index) {
+                Some(old) => *old = read,
+                None => batch.reads.push(read),
+            }
+            if is_gone {
+                // Everything that was not asked any more is missing as well.
+                batch.asked = rounds * requests.len() as u64;
+                abandon(&mut batch, requests);
+                batch.elapsed_s = elapsed_s(client, begun + proving);
+                batch.round_trips = sorted(round_trips);
+                return batch;
+            }
+        }
+        batch.is_interrupted = !is_last && stop.load(Ordering::Acquire);
+        if is_last || batch.is_interrupted {
+            batch.elapsed_s = elapsed_s(client, begun + proving);
+            vouch_for(client, &mut batch, anomalies);
+            break;
+        }
+    }
+    batch.round_trips = sorted(round_trips);
+    batch
+}
+
+fn elapsed_s(client: &RawClient, since: Instant) -> f64 {
+    let elapsed = client.clock().saturating_duration_since(since);
+    elapsed.as_secs_f64()
+}
+
+fn sorted(mut round_trips: Vec<Duration>) -> Vec<Duration> {
+    round_trips.sort_unstable();
+    round_trips
+}
+
+/// The port is gone: no value of this round can be vouched for any more.
+fn abandon(batch: &mut Batch, requests: &[ReadRequest]) {
+    let gone = |read: &Read| match &read.values {
+        Err(LinkError::Gone { link, reason }) => Some((link.clone(), reason.clone())),
+        _ => None,
+    };
+    let Some((link, reason)) = batch.reads.iter().find_map(gone) else {
+        return;
+    };
+    batch.reads = requests
+        .iter()
+        .map(|request| Read {
+            request: *request,
+            values: Err(LinkError::Gone {
+                link: link.clone(),
+                reason: reason.clone(),
+            }),
+        })
+        .collect();
+}
+
+/// Proves that the round was in step, or asks again for what it gave, each read between two proofs.
+fn vouch_for(client: &mut RawClient, batch: &mut Batch, anomalies: u64) {
+    let is_answer = |read: &Read| matches!(read.values, Ok(_) | Err(LinkError::Exception { .. }));
+    let answers = batch.reads.iter().filter(|read| is_answer(read)).count();
+    if answers == 0 {
+        return;
+    }
+    let proof = client.vouch();
+    if matches!(proof, Ok(true)) && client.anomalies() == anomalies {
+        return;
+    }
+    let taken = batch.reads.iter().filter(|read| read.values.is_ok());
+    client.withdraw(taken.count() as u64);
+    for read in batch.reads.iter_mut().filter(|read| is_answer(read)) {
+        read.values = careful(client, read.request);
+    }
+}
+
+fn careful(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
+    let mut last = None;
+    for _ in 0..CAREFUL_ATTEMPTS {
+        if !client.vouch()? {
+            continue;
+        }
+        let anomalies = client.anomalies();
+        let values = client.read(request);
+        match &values {
+            Ok(_) | Err(LinkError::Exception { .. }) => {}
+            Err(error) if error.is_transient() => {
+                last = values.err();
+                continue;
+            }
+            Err(_) => return values,
+        }
+        if client.vouch()? && client.anomalies() == anomalies {
+            return values;
+        }
+        if values.is_ok() {
+            client.withdraw(1);
+        }
+    }
+    Err(last.unwrap_or_else(|| LinkError::Corrupt {
+        link: client.name.clone(),
+        reason: format!(
+            "the reply for {} registers at {} cannot be vouched for: replies come out of step",
+            request.count, request.address
+        ),
+    }))
+}

@@ -1,0 +1,391 @@
+//! The raw client against a device of its own over a pseudo-terminal. Each register holds its own address, so that a
+//! value of another request shows.
+
+use std::io::{Read as _, Write as _};
+use std::sync::atomic::AtomicBool;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use firmware_protocol::modbus::{Length, request_len, rtu};
+use nix::fcntl::OFlag;
+use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
+use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
+use rand::{RngCore as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::super::modbus::RegisterTable;
+use super::super::profile::Framing;
+use super::*;
+
+/// What the device does wrong with one request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    None,
+    /// The reply comes when the next request does, before that one's own.
+    Late,
+    Silent,
+    Duplicate,
+    /// The second copy comes when the next request does.
+    LateDuplicate,
+    GarbageBefore,
+    GarbageAfter,
+    WrongFunction,
+    WrongCount,
+    WrongUnit,
+    BadChecksum,
+    Truncated,
+    Split,
+}
+
+const FAULTS: [Fault; 12] = [
+    Fault::Late,
+    Fault::Silent,
+    Fault::Duplicate,
+    Fault::LateDuplicate,
+    Fault::GarbageBefore,
+    Fault::GarbageAfter,
+    Fault::WrongFunction,
+    Fault::WrongCount,
+    Fault::WrongUnit,
+    Fault::BadChecksum,
+    Fault::Truncated,
+    Fault::Split,
+];
+
+/// Function codes that a device answers with an exception, or not at all.
+#[derive(Clone, Copy, Default)]
+struct Manners {
+    only_reads_of: Option<u16>,
+    is_silent_otherwise: bool,
+}
+
+/// A device behind a pseudo-terminal; it ends when the client closes.
+struct Device {
+    path: String,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Device {
+    fn start(manners: Manners, mut fault: impl FnMut(usize) -> Fault + Send + 'static) -> Self {
+        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC;
+        let mut master = posix_openpt(flags).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let mut termios = tcgetattr(&master).unwrap();
+        cfmakeraw(&mut termios);
+        tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
+        let path = ptsname_r(&master).unwrap();
+        // As long as this is open the master sees no hang-up before the client is there.
+        let held = std::fs::File::options()
+            .read(true)
+            .write(true)
+            .open(&path)
+            .unwrap();
+        let thread = std::thread::spawn(move || {
+            let (mut held, mut pending, mut received) = (Some(held), Vec::new(), Vec::new());
+            let mut index = 0;
+            let mut bytes = [0; 256];
+            while let Ok(count @ 1..) = master.read(&mut bytes) {
+                held = None;
+                received.extend_from_slice(&bytes[..count]);
+                while let Some(request) = take_request(&mut received) {
+                    for part in answer(&request, fault(index), manners, &mut pending) {
+                        if master.write_all(&part).is_err() {
+                            return;
+                        }
+                        std::thread::sleep(Duration::from_millis(5));
+                    }
+                    index += 1;
+                }
+            }
+            drop(held);
+        });
+        Self {
+            path,
+            thread: Some(thread),
+        }
+    }
+
+    fn client(&self, timeout_ms: u64) -> RawClient {
+        let target = self.path.parse().unwrap();
+        let settings = RawSettings {
+            baud: 115_200,
+            framing: Framing::EightNoneOne,
+            unit: 1,
+            timeout: Duration::from_millis(timeout_ms),
+            gap: Some(Duration::ZERO),
+        };
+        RawClient::open(&target, &settings, None).unwrap()
+    }
+
+    fn end(mut self) {
+        self.thread.take().unwrap().join().unwrap();
+    }
+}
+
+fn take_request(received: &mut Vec<u8>) -> Option<Vec<u8>> {
+    let Length::Known(length) = request_len(received.get(1..)?) else {
+        return None;
+    };
+    (received.len() >= length + 3).then(|| received.drain(..length + 3).collect())
+}
+
+fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+    let mut out = [0; rtu::MAX_FRAME];
+    let length = rtu::encode_frame(unit, pdu, &mut out);
+    out[..length].to_vec()
+}
+
+/// The pieces that the device sends for one request.
+fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>) -> Vec<Vec<u8>> {
+    let pdu = &request[1..request.len() - 2];
+    let word = |at: usize| u16::from_be_bytes([pdu[at], pdu[at + 1]]);
+    let reads = |function: u8, count: u16| {
+        let values = (0..count).flat_map(|k| (word(1) + k).to_be_bytes());
+        let bytes = u8::try_from(2 * count).unwrap();
+        [function, bytes]
+            .into_iter()
+            .chain(values)
+            .collect::<Vec<u8>>()
+    };
+    let refused = match (pdu[0], manners.only_reads_of) {
+        (3, Some(count)) => word(3) != count,
+        (_, Some(_)) => true,
+        (3 | 4 | 6 | 16, None) => false,
+        (_, None) => true,
+    };
+    let mut out = std::mem::take(pending);
+    if refused && manners.is_silent_otherwise {
+        return vec![out];
+    }
+    let reply = match pdu[0] {
+        function if refused => vec![function | 0x80, 1],
+        function @ (3 | 4) => reads(function, word(3)),
+        _ => pdu[..5].to_vec(),
+    };
+    let right = frame(1, &reply);
+    let mut wrong = right.clone();
+    match fault {
+        Fault::None => out.extend(right),
+        Fault::Late => pending.extend(right),
+        Fault::Silent => {}
+        Fault::Duplicate => out.extend([right.clone(), right].concat()),
+        Fault::LateDuplicate => {
+            out.extend(&right);
+            pending.extend(right);
+        }
+        Fault::GarbageBefore => out.extend([&[0xFF, 0x00, 0x55][..], &right].concat()),
+        Fault::GarbageAfter => out.extend([&right[..], &[0xAA, 0x03]].concat()),
+        Fault::WrongFunction => {
+            let mut reply = reply;
+            reply[0] ^= 7;
+            out.extend(frame(1, &reply));
+        }
+        Fault::WrongCount if !refused && pdu[0] == 3 => {
+            out.extend(frame(1, &reads(3, word(3) + 1)))
+        }
+        Fault::WrongCount => out.extend(right),
+        Fault::WrongUnit => out.extend(frame(2, &reply)),
+        Fault::BadChecksum => {
+            wrong[2] ^= 1;
+            out.extend(wrong);
+        }
+        Fault::Truncated => out.extend(&right[..right.len() - 2]),
+        Fault::Split => {
+            out.extend(&right[..3]);
+            return vec![out, right[3..].to_vec()];
+        }
+    }
+    vec![out]
+}
+
+fn reads(addresses: &[u16], count: u16) -> Vec<ReadRequest> {
+    let of = |address: &u16| ReadRequest {
+        table: RegisterTable::Holding,
+        address: *address,
+        count,
+    };
+    addresses.iter().map(of).collect()
+}
+
+/// No value is that of another address; returns how many were answered.
+#[track_caller]
+fn answered(batch: &Batch, context: &str) -> usize {
+    let mut answered = 0;
+    for read in &batch.reads {
+        let Ok(values) = &read.values else {
+            continue;
+        };
+        let right: Vec<u16> = (0..read.request.count)
+            .map(|k| read.request.address + k)
+            .collect();
+        assert_eq!(*values, right, "{context}: {:?}", read.request);
+        answered += 1;
+    }
+    answered
+}
+
+fn batch(client: &mut RawClient, requests: &[ReadRequest], rounds: u64) -> Batch {
+    read_batch(client, requests, rounds, &AtomicBool::new(false))
+}
+
+#[test]
+fn no_fault_of_any_request_delivers_a_wrong_value_and_the_line_recovers() {
+    let cases = FAULTS
+        .iter()
+        .flat_map(|fault| [0, 1, 4].map(|at| (*fault, at)));
+    let run = |fault: Fault, at: usize| {
+        let device = Device::start(Manners::default(), move |index| {
+            if index == at { fault } else { Fault::None }
+        });
+        let mut client = device.client(300);
+        let context = format!("{fault:?} of request {at}");
+        let first = batch(&mut client, &reads(&[10, 20, 30, 40, 50], 1), 1);
+        assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
+        let second = batch(&mut client, &reads(&[10, 20, 30], 2), 1);
+        assert_eq!(answered(&second, &context), 3, "{context}: {second:?}");
+        assert!(client.counters().balances(), "{:?}", client.counters());
+        drop(client);
+        device.end();
+    };
+    std::thread::scope(|scope| {
+        for (fault, at) in cases {
+            scope.spawn(move || run(fault, at));
+        }
+    });
+}
+
+#[test]
+fn mixed_faults_never_deliver_a_wrong_value() {
+    let mut random = ChaCha8Rng::seed_from_u64(6);
+    let device = Device::start(Manners::default(), move |_| {
+        let draw = random.next_u32() as usize % 64;
+        FAULTS.get(draw).copied().unwrap_or(Fault::None)
+    });
+    let mut client = device.client(40);
+    let mut delivered = 0;
+    for round in 0..40_u16 {
+        let requests = reads(&[10 + round, 100 + round, 200 + round], 1 + round % 3);
+        delivered += answered(&batch(&mut client, &requests, 1), "mixed");
+    }
+    assert!(delivered > 30, "{delivered} {:?}", client.counters());
+    let counters = client.counters();
+    assert!(counters.balances(), "{counters:?}");
+    assert!(counters.resynchronisations > 0, "{counters:?}");
+    drop(client);
+    device.end();
+}
+
+#[test]
+fn a_device_that_is_always_one_behind_delivers_nothing() {
+    let device = Device::start(Manners::default(), |_| Fault::Late);
+    let mut client = device.client(60);
+    let first = batch(&mut client, &reads(&[10, 20, 30], 1), 1);
+    assert_eq!(answered(&first, "one behind"), 0, "{first:?}");
+    assert!(client.counters().balances());
+    drop(client);
+    device.end();
+}
+
+#[test]
+fn a_unit_that_answers_one_length_only_is_still_vouched_for() {
+    for is_silent_otherwise in [false, true] {
+        let manners = Manners {
+            only_reads_of: Some(4),
+            is_silent_otherwise,
+        };
+        let device = Device::start(manners, |_| Fault::None);
+        let mut client = device.client(100);
+        for _ in 0..2 {
+            let all = batch(&mut client, &reads(&[10, 20], 4), 3);
+            assert_eq!(answered(&all, "one length"), 2, "{all:?}");
+            assert!(all.is_all_answered());
+        }
+        drop(client);
+        device.end();
+    }
+}
+
+#[test]
+fn a_refusal_is_an_answer_with_its_name() {
+    let manners = Manners {
+        only_reads_of: Some(1),
+        is_silent_otherwise: false,
+    };
+    let device = Device::start(manners, |_| Fault::None);
+    let mut client = device.client(2000);
+    let both = batch(&mut client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
+    assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
+    let refused = both.reads[1].values.as_ref().unwrap_err();
+    assert!(
+        matches!(refused, LinkError::Exception { code: 1, .. }),
+        "{refused}"
+    );
+    assert_eq!((both.asked, both.answered), (2, 1));
+    drop(client);
+    device.end();
+}
+
+#[test]
+fn a_write_goes_out_once_even_when_nobody_answers() {
+    let device = Device::start(Manners::default(), |index| {
+        if index == 1 {
+            Fault::Silent
+        } else {
+            Fault::None
+        }
+    });
+    let mut client = device.client(200);
+    assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
+    let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
+    assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
+    client.write(WriteFunction::Single, 5, &[9]).unwrap();
+    assert!(client.counters().balances());
+    drop(client);
+    device.end();
+}
+
+#[test]
+fn a_silent_unit_costs_one_timeout_a_read_and_a_peer_that_goes_ends_it() {
+    let device = Device::start(Manners::default(), |_| Fault::Silent);
+    let mut client = device.client(30);
+    let none = batch(&mut client, &reads(&[1, 2, 3], 1), 2);
+    assert_eq!((none.asked, none.answered), (6, 0));
+    assert_eq!(client.counters().sent, 6);
+    assert_eq!(client.counters().timeout, 6);
+    assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
+    // Who else has the port is refused by name.
+    let second = Wire::serial(&device.path, 9600, Framing::EightNoneOne).map(drop);
+    let refused = second.unwrap_err().to_string();
+    assert!(
+        refused.contains("holds it") || refused.contains("held by"),
+        "{refused}"
+    );
+    drop(client);
+    device.end();
+}
+
+#[test]
+fn a_peer_that_closes_ends_the_batch() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let server = std::thread::spawn(move || drop(listener.accept().unwrap()));
+    let settings = RawSettings {
+        baud: 9600,
+        framing: Framing::EightNoneOne,
+        unit: 1,
+        timeout: Duration::from_secs(2),
+        gap: None,
+    };
+    let target = format!("tcp:{address}").parse().unwrap();
+    let mut client = RawClient::open(&target, &settings, None).unwrap();
+    server.join().unwrap();
+    let none = batch(&mut client, &reads(&[1, 2], 1), 1000);
+    assert_eq!((none.asked, none.answered), (2000, 0));
+    let gone = |read: &Read| matches!(read.values, Err(LinkError::Gone { .. }));
+    assert!(
+        none.reads.len() == 2 && none.reads.iter().all(gone),
+        "{none:?}"
+    );
+    assert!(client.counters().balances());
+}
