@@ -11,7 +11,10 @@ use program::{drivebench, line, only_folder};
 fn bench(folder: &Path, protocol: &str) -> std::path::PathBuf {
     let text = include_str!("../bench-configs/benches/zk-22fc-emulated.toml")
         .replace("# burst_at = 2", "burst_at = 2")
-        .replace("protocol = \"modbus-rtu\"", &format!("protocol = {protocol:?}"))
+        .replace(
+            "protocol = \"modbus-rtu\"",
+            &format!("protocol = {protocol:?}"),
+        )
         .replace("zk-22fc-hidden", "zk-22fc-plain");
     let path = folder.join("bench.toml");
     fs::write(&path, text).expect("a file");
@@ -22,12 +25,14 @@ fn bench(folder: &Path, protocol: &str) -> std::path::PathBuf {
 fn capture(run: &Path) -> (usize, f64, f64) {
     let text = fs::read_to_string(run.join("capture-01.csv")).expect("the capture is kept");
     let mut lines = text.lines();
-    assert_eq!(
-        lines.next(),
-        Some("time_s,voltage_v,current_a,speed_rad_s")
-    );
+    assert_eq!(lines.next(), Some("time_s,voltage_v,current_a,speed_rad_s"));
     let times: Vec<f64> = lines
-        .map(|line| line.split(',').next().and_then(|cell| cell.parse().ok()).expect("a time"))
+        .map(|line| {
+            line.split(',')
+                .next()
+                .and_then(|cell| cell.parse().ok())
+                .expect("a time")
+        })
         .collect();
     (times.len(), times[0], times[times.len() - 1])
 }
@@ -51,13 +56,21 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
     let out = folder.path().join("runs");
     let text = "run {} --port sim: --headless --seed 3 --out {}";
     let done = drivebench(line(text, &[&bench, &out])).expect(0);
-    assert!(done.stderr.contains("burst capture: 4096 samples at 10000 Hz"), "{}", done.stderr);
+    assert!(
+        done.stderr
+            .contains("burst capture: 4096 samples at 10000 Hz"),
+        "{}",
+        done.stderr
+    );
     let run = only_folder(&out);
     let (rows, first_s, last_s) = capture(&run);
     assert_eq!(rows, 4096);
     assert!((last_s - first_s - 0.4095).abs() < 1e-6);
     let armed_s = armed_at_s(&run);
-    assert!((first_s - armed_s).abs() < 0.05, "{first_s} after {armed_s}");
+    assert!(
+        (first_s - armed_s).abs() < 0.05,
+        "{first_s} after {armed_s}"
+    );
 
     // The truth of seed 3 is within 10 % of the plate; the run itself tells it well.
     let identify = |data: &Path| {
@@ -103,5 +116,9 @@ fn a_part_that_is_not_there_is_refused() {
     let text = fs::read_to_string(&path).expect("it was written");
     fs::write(&path, text.replace("burst_at = 2", "burst_at = 99")).expect("a file");
     let refused = drivebench(line("plan {}", &[&path])).expect(2);
-    assert!(refused.error().contains("runs.burst_at 99"), "{}", refused.stderr);
+    assert!(
+        refused.error().contains("runs.burst_at 99"),
+        "{}",
+        refused.stderr
+    );
 }
