@@ -21,7 +21,7 @@ use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase,
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::timing::{Punctuality, Timing, whole};
-use crate::drive::{Capture, DriveLink, LineCounts, LinkStatistics};
+use crate::drive::{Burst, Capture, DriveLink, LineCounts, LinkStatistics};
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use crate::sample::{Command, Demand, DriveState, ParameterEstimate, Sample};
 
@@ -389,7 +389,7 @@ impl Runner<'_> {
         }
         let mut reason = "the drive does not finish it".to_owned();
         for _ in 0..FETCH_ATTEMPTS {
-            match self.link.0.burst().map(|burst| burst.fetch()) {
+            match self.link.0.burst().map(Burst::fetch) {
                 Some(Ok(Some(capture))) => return Some(capture),
                 Some(Err(error)) if !error.is_transient() => {
                     reason = error.to_string();

@@ -2,10 +2,13 @@
 //!
 //! A window carries its own index in front, so no late window can be taken for another.
 
+use std::borrow::Cow;
+
 use firmware_protocol::registers::{CAPTURE_CONTROL, CAPTURE_STATE};
 use firmware_protocol::{CaptureControl, CaptureState};
+use tokio_modbus::{Request, Response};
 
-use super::*;
+use super::{Echo, LinkError, ModbusLink, READ_ATTEMPTS, RegisterTable, quantity};
 use crate::drive::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use crate::drive::clock_map::signed_difference;
 

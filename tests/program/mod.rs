@@ -99,6 +99,7 @@ pub(crate) fn line(text: &str, paths: &[&Path]) -> Vec<PathBuf> {
 }
 
 /// The only folder inside `out`.
+#[allow(dead_code, reason = "not every test file makes runs")]
 #[track_caller]
 pub(crate) fn only_folder(out: &Path) -> PathBuf {
     let found: Vec<PathBuf> = std::fs::read_dir(out)

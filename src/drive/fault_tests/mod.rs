@@ -37,15 +37,15 @@ fn everything() -> bool {
 
 /// Either link; plain reads are there only over Modbus.
 enum Line {
-    Modbus(ModbusLink),
-    Stream(StreamLink),
+    Modbus(Box<ModbusLink>),
+    Stream(Box<StreamLink>),
 }
 
 impl Line {
     fn link(&mut self) -> &mut dyn DriveLink {
         match self {
-            Self::Modbus(link) => link,
-            Self::Stream(link) => link,
+            Self::Modbus(link) => link.as_mut(),
+            Self::Stream(link) => link.as_mut(),
         }
     }
 }
@@ -141,11 +141,11 @@ fn virtually(
         Language::Rtu => {
             let kind = FrameKind::Rtu;
             let link = ModbusLink::new(name, runtime, port, kind, 1, timing, epoch);
-            (Line::Modbus(link), None)
+            (Line::Modbus(Box::new(link)), None)
         }
         Language::Stream => {
             let link = StreamLink::new(name, port, timing, epoch);
-            (Line::Stream(link), Some(runtime))
+            (Line::Stream(Box::new(link)), Some(runtime))
         }
     };
     exchanges(&mut line, &device, count, true)
@@ -168,9 +168,10 @@ fn classes(language: Language, fault: Fault, s: &LinkStatistics) -> (u64, bool) 
     match fault {
         // Nothing marks the beginning of a stream's frame: what stands before it becomes a part of it.
         Fault::GarbageBetween if language == Language::Stream => (damaged, false),
-        Fault::ByteLost | Fault::BitsFlipped | Fault::CutOff => (damaged, true),
         Fault::ByteInserted => (damaged, false),
-        Fault::WrongBaud | Fault::Babble => (damaged, true),
+        Fault::ByteLost | Fault::BitsFlipped | Fault::CutOff | Fault::WrongBaud | Fault::Babble => {
+            (damaged, true)
+        }
         Fault::Doubled | Fault::GarbageBetween | Fault::InChunks | Fault::OwnEcho => (0, false),
         Fault::Late | Fault::LateTwoDeep => (s.timeout + s.stale, true),
         Fault::Silent => (s.timeout, true),
@@ -313,8 +314,12 @@ fn over_a_real_pseudo_terminal_mixed_faults_never_give_a_wrong_value() {
         let device = Stranger::new(language, &Fault::ALL, PER_MILLE, times, 11);
         let served = Served::start(device);
         let mut line = match language {
-            Language::Rtu => Line::Modbus(open_modbus(&served.target, &profile, now()).unwrap()),
-            Language::Stream => Line::Stream(open_stream(&served.target, &profile, now()).unwrap()),
+            Language::Rtu => Line::Modbus(Box::new(
+                open_modbus(&served.target, &profile, now()).unwrap(),
+            )),
+            Language::Stream => Line::Stream(Box::new(
+                open_stream(&served.target, &profile, now()).unwrap(),
+            )),
         };
         let outcome = exchanges(&mut line, &served.device, count, false);
         println!("{language:?}: {outcome:?}");

@@ -38,6 +38,7 @@ pub(super) struct Stranger {
 }
 
 /// What register `index` holds for the request with this number.
+#[expect(clippy::cast_possible_truncation, reason = "any sixteen bits will do")]
 pub(super) fn register(heard: u32, index: usize) -> u16 {
     (heard
         .wrapping_mul(2_654_435_761)
@@ -234,7 +235,7 @@ fn telemetry(command: DriveCommand, heard: u32) -> Telemetry {
 
 /// Registers behind their count of bytes.
 fn counted(words: &[u16]) -> Vec<u8> {
-    let mut content = vec![(2 * words.len()) as u8];
+    let mut content = vec![u8::try_from(2 * words.len()).unwrap()];
     content.extend(words.iter().flat_map(|word| word.to_be_bytes()));
     content
 }

@@ -150,9 +150,8 @@ fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>)
     };
     let refused = match (pdu[0], manners.only_reads_of) {
         (3, Some(count)) => word(3) != count,
-        (_, Some(_)) => true,
         (3 | 4 | 6 | 16, None) => false,
-        (_, None) => true,
+        _ => true,
     };
     let mut out = std::mem::take(pending);
     if refused && manners.is_silent_otherwise {
@@ -166,7 +165,10 @@ fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>)
     let right = frame(1, &reply);
     let mut wrong = right.clone();
     match fault {
-        Fault::None => out.extend(right),
+        Fault::WrongCount if !refused && pdu[0] == 3 => {
+            out.extend(frame(1, &reads(3, word(3) + 1)));
+        }
+        Fault::None | Fault::WrongCount => out.extend(right),
         Fault::Late => pending.extend(right),
         Fault::Silent => {}
         Fault::Duplicate => out.extend([right.clone(), right].concat()),
@@ -181,10 +183,6 @@ fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>)
             reply[0] ^= 7;
             out.extend(frame(1, &reply));
         }
-        Fault::WrongCount if !refused && pdu[0] == 3 => {
-            out.extend(frame(1, &reads(3, word(3) + 1)))
-        }
-        Fault::WrongCount => out.extend(right),
         Fault::WrongUnit => out.extend(frame(2, &reply)),
         Fault::BadChecksum => {
             wrong[2] ^= 1;
