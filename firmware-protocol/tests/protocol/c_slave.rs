@@ -163,7 +163,9 @@ fn compare(
         }
         Ok(())
     });
-    assert!(result.is_ok(), "{}", result.unwrap_err());
+    if let Err(failure) = result {
+        panic!("{failure}");
+    }
 }
 
 /// Addresses and values where something happens.
