@@ -22,6 +22,7 @@ mod modbus;
 mod open;
 mod port;
 mod profile;
+pub mod register_map;
 mod reply;
 mod stream;
 mod tally;
