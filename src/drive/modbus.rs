@@ -5,6 +5,9 @@
 //! ```
 //!
 //! This file owns the clock of the exchanges.
+//! bus.rs shows the link as registers, for drives with a map of their own.
+
+mod bus;
 
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
@@ -27,6 +30,8 @@ use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, identity_error, low_word};
 use super::timing::{LineTiming, wait_until};
 use crate::sample::{Command, Demand, DriveState, Sample};
+
+pub use bus::ModbusBus;
 
 /// Times that a question without effect is asked before it counts as failed.
 const READ_ATTEMPTS: usize = 3;

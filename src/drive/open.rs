@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Instant;
 
 use thiserror::Error;
@@ -9,9 +10,10 @@ use tokio::runtime::{Builder, Runtime};
 
 use super::guard::Port;
 use super::link::{DriveLink, LinkError};
-use super::modbus::ModbusLink;
+use super::modbus::{ModbusBus, ModbusLink};
 use super::port::{BlockingPort, connect, serial, serial_error};
 use super::profile::{DriveProfile, Protocol};
+use super::profiled::ProfiledLink;
 use super::reply::FrameKind;
 use super::stream::StreamLink;
 use super::timing::LineTiming;
@@ -109,6 +111,10 @@ pub fn open(
     profile: &DriveProfile,
     epoch: Instant,
 ) -> Result<Box<dyn DriveLink>, LinkError> {
+    if let Some(map) = &profile.registers {
+        let bus = ModbusBus::new(open_modbus(target, profile, epoch)?, map);
+        return Ok(Box::new(ProfiledLink::new(Arc::clone(map), bus)));
+    }
     Ok(match profile.link.protocol {
         Protocol::ModbusRtu | Protocol::ModbusTcp => Box::new(open_modbus(target, profile, epoch)?),
         Protocol::Stream => Box::new(open_stream(target, profile, epoch)?),

@@ -254,14 +254,19 @@ impl ProfileError {
 impl DriveProfile {
     /// A built-in profile.
     pub fn named(name: &str) -> Result<Self, ProfileError> {
-        let (file, text) = EMBEDDED
+        Self::parse(&format!("{name}.toml"), Self::text(name)?)
+    }
+
+    /// The file of a built-in profile.
+    pub fn text(name: &str) -> Result<&'static str, ProfileError> {
+        EMBEDDED
             .into_iter()
             .find(|(known, _)| *known == name)
+            .map(|(_, text)| text)
             .ok_or_else(|| ProfileError::Unknown {
                 name: name.to_owned(),
                 known: Self::names().collect::<Vec<_>>().join(", "),
-            })?;
-        Self::parse(&format!("{file}.toml"), text)
+            })
     }
 
     /// Names of the built-in profiles.
@@ -285,15 +290,18 @@ impl DriveProfile {
 
     /// One line for whoever uses it: which drive, and how far its numbers may be believed.
     pub fn provenance(&self) -> String {
-        let (title, note) = self.registers.as_ref().map_or((String::new(), String::new()), |map| {
-            let doubtful = map.unverified();
-            let doubt = if doubtful.is_empty() {
-                String::new()
-            } else {
-                format!("; unverified: {}", doubtful.join(", "))
-            };
-            (format!(" ({})", map.device.name), doubt)
-        });
+        let (title, note) = self
+            .registers
+            .as_ref()
+            .map_or((String::new(), String::new()), |map| {
+                let doubtful = map.unverified();
+                let doubt = if doubtful.is_empty() {
+                    String::new()
+                } else {
+                    format!("; unverified: {}", doubtful.join(", "))
+                };
+                (format!(" ({})", map.device.name), doubt)
+            });
         format!(
             "drive profile {}{title}: trust {}{note}; source: {}",
             self.name,

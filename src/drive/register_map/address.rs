@@ -91,9 +91,7 @@ pub(super) fn resolve(
         }
         (None, None, Some([object, channel])) => {
             if formula != Some(Formula::CanObject) {
-                return Err(
-                    "can needs link.address_formula \"(canid<<5|ch)&0xFFFF\"".to_owned()
-                );
+                return Err("can needs link.address_formula \"(canid<<5|ch)&0xFFFF\"".to_owned());
             }
             if !(0..=0xFFFF).contains(&object) || !(0..=31).contains(&channel) {
                 return Err(format!(
@@ -102,7 +100,9 @@ pub(super) fn resolve(
             }
             plain(((object << 5) | channel) & 0xFFFF, 0)
         }
-        (None, None, None) => Err("the address is missing (expected address, parameter or can)".to_owned()),
+        (None, None, None) => {
+            Err("the address is missing (expected address, parameter or can)".to_owned())
+        }
         _ => Err("more than one of address, parameter and can is given (expected one)".to_owned()),
     }
 }

@@ -6,8 +6,8 @@ use std::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 
 use super::value::Layout;
-use crate::drive::profile::{DriveProfile, KickedBy, Trust};
 use crate::drive::RegisterTable;
+use crate::drive::profile::{DriveProfile, KickedBy, Trust};
 use crate::sample::{Channel, Origin, Side};
 use crate::units::rad_s_from_rpm;
 
@@ -223,7 +223,10 @@ pub enum StoppedOnly {
 
 /// One value that is written.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(clippy::struct_excessive_bools, reason = "facts that a manual states one by one")]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "facts that a manual states one by one"
+)]
 pub struct SetPoint {
     pub name: String,
     pub location: Location,

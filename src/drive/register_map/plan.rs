@@ -38,7 +38,8 @@ pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
                 u32::from(block.address),
                 u32::from(block.address) + u32::from(block.count),
             );
-            let whole = exact.is_some_and(|(at, count)| (*at, *count) == (block.address, block.count));
+            let whole =
+                exact.is_some_and(|(at, count)| (*at, *count) == (block.address, block.count));
             let in_exact = map
                 .exact_reads
                 .iter()
