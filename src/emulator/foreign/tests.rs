@@ -16,20 +16,6 @@ struct Table {
     seq: u64,
 }
 
-const NAMES: [&str; 11] = [
-    "abb-dcs-gateway",
-    "abb-efb",
-    "delta-ms300",
-    "epulse50-dc",
-    "leadshine-iem",
-    "roboteq-dc",
-    "schneider-atv312",
-    "siemens-v20",
-    "toshiba-vfs11",
-    "vacon10",
-    "yaskawa-a1000",
-];
-
 fn profile_with(name: &str, changes: &[(&str, &str)]) -> DriveProfile {
     let mut text = DriveProfile::text(name).unwrap().to_owned();
     for (from, to) in changes {
@@ -136,131 +122,122 @@ fn target(name: &str) -> (Option<(&'static str, f64)>, f64) {
     }
 }
 
-#[test]
-fn every_drive_is_identified_enabled_driven_and_stopped() {
-    for name in NAMES {
-        let mut table = Table::new(name);
-        let identity = table.link.identify().unwrap();
-        assert!(
-            identity.is_emulator && !identity.product.is_empty(),
-            "{name}"
-        );
-        let rest = table.demand(Demand::Disable).unwrap();
-        assert_ne!(rest.state, Some(DriveState::Running), "{name}");
-        assert!(table.far().speed_rad_s().abs() < 1.0, "{name}");
-        let (reference, speed_rad_s) = target(name);
-        table.enable(reference);
-        let sample = table.hold(reference, 4.0);
-        let true_speed = table.far().speed_rad_s();
-        assert!(
-            (true_speed - speed_rad_s).abs() < 0.06 * speed_rad_s,
-            "{name}: {true_speed}, not {speed_rad_s}"
-        );
-        for channel in Channel::ALL {
-            let mapped = table.link.map().of_channel(channel).is_some();
-            assert_eq!(
-                sample.get(channel).is_some(),
-                mapped,
-                "{name} {}",
-                channel.key()
-            );
-        }
-        if let Some(speed) = sample.get(Channel::Speed) {
-            assert!(
-                (speed - true_speed).abs() < 3.0,
-                "{name}: {speed} {true_speed}"
-            );
-        }
-        if let Some(current) = sample.get(Channel::Current) {
-            assert!((0.5..4.0).contains(&current), "{name}: {current}");
-        }
-        table.link.stop().unwrap();
-        table.far();
-        table.pass(3.0);
-        let rest = table.demand(Demand::Disable).unwrap();
-        assert_ne!(rest.state, Some(DriveState::Running), "{name}");
-        let speed = table.far().speed_rad_s();
-        assert!(speed.abs() < 0.05 * 293.2, "{name} still turns: {speed}");
-        assert!(table.link.statistics().balances(), "{name}");
-        assert_eq!(table.link.statistics().exception, 0, "{name}");
-    }
-}
-
-#[test]
-fn silence_trips_the_watchdog_and_nothing_old_comes_back() {
-    for name in NAMES {
-        let mut table = Table::of(&profile_with(name, &[]), Some(0.5));
-        let boot_s = table.link.map().watchdog.boot_delay_s;
-        table.pass(boot_s);
-        table.link.identify().unwrap();
-        let (reference, _) = target(name);
-        table.enable(reference);
-        table.hold(reference, 1.5);
-        assert!(
-            table.far().speed_rad_s() > 20.0,
+fn is_identified_enabled_driven_and_stopped(name: &str) {
+    let mut table = Table::new(name);
+    let identity = table.link.identify().unwrap();
+    assert!(
+        identity.is_emulator && !identity.product.is_empty(),
+        "{name}"
+    );
+    let rest = table.demand(Demand::Disable).unwrap();
+    assert_ne!(rest.state, Some(DriveState::Running), "{name}");
+    assert!(table.far().speed_rad_s().abs() < 1.0, "{name}");
+    let (reference, speed_rad_s) = target(name);
+    table.enable(reference);
+    let sample = table.hold(reference, 4.0);
+    let true_speed = table.far().speed_rad_s();
+    assert!(
+        (true_speed - speed_rad_s).abs() < 0.06 * speed_rad_s,
+        "{name}: {true_speed}, not {speed_rad_s}"
+    );
+    for channel in Channel::ALL {
+        let mapped = table.link.map().of_channel(channel).is_some();
+        assert_eq!(
+            sample.get(channel).is_some(),
+            mapped,
             "{name} {}",
-            table.far().speed_rad_s()
+            channel.key()
         );
-        table.pass(4.0);
-        let now_s = table.link.bus().now_s();
-        table.far().advance_to(now_s);
-        let speed = table.far().speed_rad_s();
-        assert!(speed.abs() < 6.0, "{name}: {speed} after the silence");
-        let tells = table.link.map().state("fault").is_some();
-        let lapse = table.run(reference);
-        if table.link.map().watchdog.kind != SupervisionKind::Unknown
-            && table.link.map().watchdog.kind != SupervisionKind::Gateway
-        {
-            let error = lapse.unwrap_err().to_string();
-            assert!(
-                error.contains("told to stop before anything else"),
-                "{name}: {error}"
-            );
-        }
-        let sample = table.demand(Demand::Disable).unwrap();
-        if tells {
-            assert_eq!(sample.state, Some(DriveState::Fault), "{name}");
-        }
-        for _ in 0..20 {
-            table.demand(Demand::Disable).unwrap();
-        }
-        assert!(
-            table.far().speed_rad_s().abs() < 6.0,
-            "{name}: the old set-point came back"
-        );
-        // After a reset it can be enabled again.
-        for _ in 0..20 {
-            table.demand(Demand::ResetFault).unwrap();
-        }
-        table.enable(reference);
     }
+    if let Some(speed) = sample.get(Channel::Speed) {
+        assert!(
+            (speed - true_speed).abs() < 3.0,
+            "{name}: {speed} {true_speed}"
+        );
+    }
+    if let Some(current) = sample.get(Channel::Current) {
+        assert!((0.5..4.0).contains(&current), "{name}: {current}");
+    }
+    table.link.stop().unwrap();
+    table.far();
+    table.pass(3.0);
+    let rest = table.demand(Demand::Disable).unwrap();
+    assert_ne!(rest.state, Some(DriveState::Running), "{name}");
+    let speed = table.far().speed_rad_s();
+    assert!(speed.abs() < 0.05 * 293.2, "{name} still turns: {speed}");
+    assert!(table.link.statistics().balances(), "{name}");
+    assert_eq!(table.link.statistics().exception, 0, "{name}");
 }
 
-#[test]
-fn a_trip_is_a_fault_the_reference_is_zeroed_and_enable_is_not_repeated() {
-    for name in NAMES {
-        let mut table = Table::new(name);
-        if table.link.map().state("fault").is_none() {
-            continue;
-        }
-        table.link.identify().unwrap();
-        let (reference, _) = target(name);
-        table.enable(reference);
-        table.hold(reference, 1.0);
-        table.far().trip();
-        table.run(reference).unwrap();
-        for _ in 0..50 {
-            let sample = table.run(reference).unwrap();
-            assert_eq!(sample.state, Some(DriveState::Fault), "{name}");
-        }
-        assert!(!table.far().is_running(), "{name}");
-        for _ in 0..30 {
-            table.demand(Demand::ResetFault).unwrap();
-        }
-        let sample = table.demand(Demand::Disable).unwrap();
-        assert_ne!(sample.state, Some(DriveState::Fault), "{name}");
-        assert_eq!(sample.fault, None, "{name}");
+fn silence_trips_its_watchdog_and_nothing_old_comes_back(name: &str) {
+    let mut table = Table::of(&profile_with(name, &[]), Some(0.5));
+    let boot_s = table.link.map().watchdog.boot_delay_s;
+    table.pass(boot_s);
+    table.link.identify().unwrap();
+    let (reference, _) = target(name);
+    table.enable(reference);
+    table.hold(reference, 1.5);
+    assert!(
+        table.far().speed_rad_s() > 20.0,
+        "{name} {}",
+        table.far().speed_rad_s()
+    );
+    table.pass(4.0);
+    let now_s = table.link.bus().now_s();
+    table.far().advance_to(now_s);
+    let speed = table.far().speed_rad_s();
+    assert!(speed.abs() < 6.0, "{name}: {speed} after the silence");
+    let tells = table.link.map().state("fault").is_some();
+    let lapse = table.run(reference);
+    if table.link.map().watchdog.kind != SupervisionKind::Unknown
+        && table.link.map().watchdog.kind != SupervisionKind::Gateway
+    {
+        let error = lapse.unwrap_err().to_string();
+        assert!(
+            error.contains("told to stop before anything else"),
+            "{name}: {error}"
+        );
     }
+    let sample = table.demand(Demand::Disable).unwrap();
+    if tells {
+        assert_eq!(sample.state, Some(DriveState::Fault), "{name}");
+    }
+    for _ in 0..20 {
+        table.demand(Demand::Disable).unwrap();
+    }
+    assert!(
+        table.far().speed_rad_s().abs() < 6.0,
+        "{name}: the old set-point came back"
+    );
+    // After a reset it can be enabled again.
+    for _ in 0..20 {
+        table.demand(Demand::ResetFault).unwrap();
+    }
+    table.enable(reference);
+}
+
+fn a_trip_is_a_fault_and_enable_is_not_repeated(name: &str) {
+    let mut table = Table::new(name);
+    if table.link.map().state("fault").is_none() {
+        return;
+    }
+    table.link.identify().unwrap();
+    let (reference, _) = target(name);
+    table.enable(reference);
+    table.hold(reference, 1.0);
+    table.far().trip();
+    table.run(reference).unwrap();
+    for _ in 0..50 {
+        let sample = table.run(reference).unwrap();
+        assert_eq!(sample.state, Some(DriveState::Fault), "{name}");
+    }
+    assert!(!table.far().is_running(), "{name}");
+    for _ in 0..30 {
+        table.demand(Demand::ResetFault).unwrap();
+    }
+    let sample = table.demand(Demand::Disable).unwrap();
+    assert_ne!(sample.state, Some(DriveState::Fault), "{name}");
+    assert_eq!(sample.fault, None, "{name}");
 }
 
 #[test]
@@ -492,4 +469,40 @@ fn what_a_drive_does_not_know_gets_the_exact_exception() {
         drive.answer(&[6, 0xFA, 0x01, 0x07, 0xD0]),
         [6, 0xFA, 0x01, 0x07, 0xD0]
     );
+}
+
+/// One test of each kind for each drive, under its name.
+macro_rules! drives {
+    ($($module:ident: $name:literal),* $(,)?) => {
+        $(mod $module {
+            #[test]
+            fn is_identified_enabled_driven_and_stopped() {
+                super::is_identified_enabled_driven_and_stopped($name);
+            }
+
+            #[test]
+            fn silence_trips_its_watchdog_and_nothing_old_comes_back() {
+                super::silence_trips_its_watchdog_and_nothing_old_comes_back($name);
+            }
+
+            #[test]
+            fn a_trip_is_a_fault_and_enable_is_not_repeated() {
+                super::a_trip_is_a_fault_and_enable_is_not_repeated($name);
+            }
+        })*
+    };
+}
+
+drives! {
+    abb_dcs_gateway: "abb-dcs-gateway",
+    abb_efb: "abb-efb",
+    delta_ms300: "delta-ms300",
+    epulse50_dc: "epulse50-dc",
+    leadshine_iem: "leadshine-iem",
+    roboteq_dc: "roboteq-dc",
+    schneider_atv312: "schneider-atv312",
+    siemens_v20: "siemens-v20",
+    toshiba_vfs11: "toshiba-vfs11",
+    vacon10: "vacon10",
+    yaskawa_a1000: "yaskawa-a1000",
 }

@@ -54,7 +54,12 @@ pub(super) fn profile_of(file: &ProfileFile, map: &RegisterMap) -> DriveProfile 
         },
         watchdog: Watchdog {
             kicked_by: map.watchdog.kicked_by,
-            default_ms: map.watchdog.default_s.map(|s| s * 1e3),
+            // Off as delivered is no time.
+            default_ms: map
+                .watchdog
+                .default_s
+                .filter(|time_s| *time_s > 0.0)
+                .map(|time_s| time_s * 1e3),
         },
         limits: DriveLimits {
             current_a: file.limits.current_a,
