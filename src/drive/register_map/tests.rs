@@ -68,7 +68,7 @@ fn addresses_are_those_of_the_sources() {
     assert_eq!(wire("siemens-v20", "speed").address, 24);
     assert_eq!(wire("abb-efb", "status").address, 3);
     assert_eq!(wire("abb-efb", "current").address, 106);
-    assert_eq!(wire("abb-efb", "speed_scaling").address, 4600);
+    assert_eq!(wire("abb-efb", "speed_scaling").address, 29_201);
     assert_eq!(wire("roboteq-dc", "current").address, 0x2001);
     assert_eq!(wire("roboteq-dc", "speed").table, RegisterTable::Input);
     assert_eq!(wire("vacon10", "torque").table, RegisterTable::Input);
@@ -239,9 +239,9 @@ const DEFECTS: [(&str, &str, &str, &str, &str); 19] = [
     (
         "siemens-v20",
         "voltage_v =",
-        "voltage =",
+        "voltage_vv =",
         "did you mean `voltage_v`?",
-        "voltage",
+        "voltage_vv",
     ),
     (
         "siemens-v20",
