@@ -11,7 +11,7 @@
 //!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
 //! ```
 //!
-//! A drive with a register map of its own: register_map/ (facts) -> profiled.rs -> RegisterBus (modbus/bus.rs | memory).
+//! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`RegisterBus`].
 //! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
 mod clock_map;

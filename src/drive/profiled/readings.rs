@@ -24,7 +24,7 @@ pub(super) struct Readings {
     /// The slow block whose turn it is, and when.
     next_slow: usize,
     slow_due_s: f64,
-    readings: Vec<Reading>,
+    last: Vec<Reading>,
     /// Values that were no value: an invalid code, out of the valid range, not finite.
     pub(super) rejected: u64,
 }
@@ -36,7 +36,7 @@ impl Readings {
             slow: plan_reads(&map, PollRate::Slow),
             next_slow: 0,
             slow_due_s: f64::NEG_INFINITY,
-            readings: vec![Reading::default(); map.signals.len()],
+            last: vec![Reading::default(); map.signals.len()],
             rejected: 0,
             map,
         }
@@ -52,11 +52,11 @@ impl Readings {
             .signals
             .iter()
             .position(|signal| signal.name == name)?;
-        self.readings.get(at).copied()
+        self.last.get(at).copied()
     }
 
     pub(super) fn at(&self, index: usize) -> Reading {
-        self.readings.get(index).copied().unwrap_or_default()
+        self.last.get(index).copied().unwrap_or_default()
     }
 
     /// Everything, as at connect.
@@ -104,7 +104,7 @@ impl Readings {
                 .and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));
             self.rejected += u64::from(value.is_none());
-            self.readings[*index] = Reading {
+            self.last[*index] = Reading {
                 value,
                 pattern,
                 read_s,

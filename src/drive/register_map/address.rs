@@ -87,7 +87,7 @@ pub(super) fn resolve(
                 }
             };
             // A parameter's number has no leading 4: it counts from the base like a short register number.
-            plain(number, if base == Base::Zero { 0 } else { 1 })
+            plain(number, i64::from(base != Base::Zero))
         }
         (None, None, Some([object, channel])) => {
             if formula != Some(Formula::CanObject) {

@@ -223,10 +223,6 @@ pub enum StoppedOnly {
 
 /// One value that is written.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "facts that a manual states one by one"
-)]
 pub struct SetPoint {
     pub name: String,
     pub location: Location,

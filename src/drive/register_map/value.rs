@@ -148,9 +148,9 @@ impl Layout {
             (_, Order::LowFirst) => vec![low, high],
         };
         if self.bytes == Order::LowFirst {
-            registers
-                .iter_mut()
-                .for_each(|word| *word = word.swap_bytes());
+            for word in &mut registers {
+                *word = word.swap_bytes();
+            }
         }
         Some(registers)
     }

@@ -183,7 +183,7 @@ fn words(map: &RegisterMap, steps: &[Step]) -> Vec<Word> {
             mask,
         } if map
             .set_point(set_point)
-            .is_some_and(|point| point.is_word()) =>
+            .is_some_and(crate::drive::register_map::SetPoint::is_word) =>
         {
             Some(Word {
                 set_point: set_point.clone(),

@@ -240,7 +240,7 @@ impl ForeignDrive {
         let registers: Option<Vec<u16>> = (address..address.checked_add(count)?)
             .map(|address| self.written.get(&address).copied())
             .collect();
-        let raw = words::number(&point.location.layout, &registers?);
+        let raw = words::number(point.location.layout, &registers?);
         let factor = self.factor(&point.numbers.scale_by);
         let value = raw * point.numbers.scale * factor + point.numbers.offset;
         let negative = point.sign.as_ref().is_some_and(|sign| {

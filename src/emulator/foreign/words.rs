@@ -28,7 +28,7 @@ fn in_unit(speed_rad_s: f64, unit: Unit, si: Option<f64>) -> f64 {
 }
 
 /// The raw number in registers.
-pub(super) fn number(layout: &Layout, registers: &[u16]) -> f64 {
+pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
     let mut ordered: Vec<u8> = Vec::new();
     for word in registers {
         let bytes = match layout.bytes {

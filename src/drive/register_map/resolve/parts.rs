@@ -81,7 +81,7 @@ impl Reader<'_> {
                     bits,
                 },
             },
-            numbers: self.numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit, |m| {
+            numbers: Self::numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit, |m| {
                 wrong("scale", m)
             })?,
             quantity: keys.quantity,
@@ -103,7 +103,6 @@ impl Reader<'_> {
     }
 
     pub(super) fn numbers(
-        &self,
         scale: Option<f64>,
         offset: Option<f64>,
         scale_by: &[String],
@@ -155,7 +154,7 @@ impl Reader<'_> {
             bytes: keys.byte_order,
             ..Layout::plain(keys.kind)
         };
-        let numbers = self.numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit, |m| {
+        let numbers = Self::numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit, |m| {
             wrong("scale", m)
         })?;
         if let Some(limits) = keys.limits {
