@@ -91,16 +91,13 @@ pub(super) fn in_memory(
     time: VirtualClock,
 ) -> Box<dyn DriveLink> {
     let seed = bench.emulator.seed;
-    match guise {
-        Some(guise) => {
-            let drive = ForeignDrive::new(guise, config, seed);
-            let bus = ForeignBus::new(drive, guise, time);
-            Box::new(ProfiledLink::new(Arc::clone(&guise.map), bus))
-        }
-        None => {
-            let drive = SoftDrive::new(config, seed);
-            Box::new(MemoryLink::new(drive, time, latency(config, bench)))
-        }
+    if let Some(guise) = guise {
+        let drive = ForeignDrive::new(guise, config, seed);
+        let bus = ForeignBus::new(drive, guise, time);
+        Box::new(ProfiledLink::new(Arc::clone(&guise.map), bus))
+    } else {
+        let drive = SoftDrive::new(config, seed);
+        Box::new(MemoryLink::new(drive, time, latency(config, bench)))
     }
 }
 
