@@ -114,8 +114,11 @@ pub struct LinkSection {
     pub deadline_ms: Option<f64>,
 }
 
+/// Baud rate where the bench file gives none: that of our own drive.
+pub const DEFAULT_BAUD: u32 = 115_200;
+
 const fn default_baud() -> u32 {
-    115_200
+    DEFAULT_BAUD
 }
 
 const fn default_unit() -> u8 {

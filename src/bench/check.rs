@@ -7,7 +7,8 @@ use thiserror::Error;
 use super::clock::Clock;
 use super::limits::Limits;
 use super::timing::quantile;
-use crate::drive::{DriveLink, Identity, LinkError};
+use crate::drive::offer::{self, Purpose};
+use crate::drive::{DriveLink, DriveProfile, Identity, LinkError};
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// Exchanges of the link probe, all with the output disabled.
@@ -93,6 +94,19 @@ impl CheckReport {
     /// The first check that failed: the root cause belongs in the headline.
     pub fn refusal(&self) -> Option<&CheckItem> {
         self.items.iter().find(|item| !item.passed)
+    }
+}
+
+/// Whether the signals of a drive can carry what is to be done with it; asked before anything is sent.
+pub fn check_signals(profile: &DriveProfile, purpose: Purpose) -> CheckItem {
+    let refusal = offer::refusal(profile, purpose);
+    CheckItem {
+        name: "signals",
+        passed: refusal.is_none(),
+        help: refusal.as_ref().map(|_| {
+            "the profile says what the drive has: docs/adding-a-drive.md tells how to complete it"
+        }),
+        text: refusal.unwrap_or_else(|| "they carry what is asked".to_owned()),
     }
 }
 
@@ -326,8 +340,9 @@ impl Checker<'_> {
             let text = format!("{watchdog_s} s, at most {LONGEST_WATCHDOG_S} s is allowed");
             return Ok(self.note("watchdog", waived, text, HELP));
         }
-        if !self.until(Demand::Voltage(0.0), |state| state == DriveState::Running)? {
-            let text = format!("the drive does not run at 0 V within {PATIENCE} cycles");
+        let zero = self.link.zero();
+        if !self.until(zero, |state| state == DriveState::Running)? {
+            let text = format!("the drive does not run at zero within {PATIENCE} cycles");
             return Ok(self.note("watchdog", false, text, "check the drive's enable input"));
         }
         let silence_s = SILENCE_IN_WATCHDOGS * watchdog_s + self.period_s;
@@ -336,7 +351,7 @@ impl Checker<'_> {
         let after = self.exchange(Demand::Disable)?;
         let tripped = after.state == Some(DriveState::Fault) || after.fault.is_some();
         let text = format!(
-            "set to {watchdog_s} s; after {silence_s:.3} s of silence at 0 V the drive was {}{}",
+            "set to {watchdog_s} s; after {silence_s:.3} s of silence at zero the drive was {}{}",
             after.state.map_or("in no known state", DriveState::name),
             after
                 .fault

@@ -31,10 +31,12 @@ mod timing;
 
 pub use crate::emulator::VirtualClock;
 pub use bench_file::{
-    BenchFile, BenchFileError, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME, EmulatorSection,
-    LimitsSection, LinkSection, Port, Protocol, RunsSection,
+    BenchFile, BenchFileError, DEFAULT_BAUD, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME,
+    EmulatorSection, LimitsSection, LinkSection, Port, Protocol, RunsSection,
 };
-pub use check::{CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check};
+pub use check::{
+    CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check, check_signals,
+};
 pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, layout_with_reference, manifest};
 pub use difference::{Difference, first_difference};

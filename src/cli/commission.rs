@@ -8,6 +8,7 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Rig, Strings};
 use super::recorded::Recorded;
 use super::{data, interrupt, model_output, output, pages, progress, screen};
+use crate::drive::offer::Purpose;
 use crate::identification::nameplate::Comparison;
 use crate::plant::{FileHistory, Model, ModelFile, Scenario};
 use crate::recording::RunFile;
@@ -107,7 +108,7 @@ fn commission(
     strings: &Strings,
     mut publish: impl FnMut(&Progress),
 ) -> Result<Done, Failure> {
-    let mut rig = Rig::open(arguments, None)?;
+    let mut rig = Rig::open(arguments, None, Purpose::Voltages)?;
     let mut workflow = Commission::new(Model::baseline(rig.plate.clone()), rig.escalates);
     if let Some(emulator) = &rig.emulator {
         workflow.set_truth(

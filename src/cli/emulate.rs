@@ -8,8 +8,11 @@ use serde::Serialize;
 use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
 use super::reveal::{seal, sealed_name};
-use super::{interrupt, live, output};
-use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, UNIT, mystery, ready_line, serve};
+use super::{interrupt, live_link, output};
+use crate::drive::DriveProfile;
+use crate::emulator::{
+    EmulatorConfig, Endpoint, Guise, LinkKind, UNIT, mystery, ready_line, serve,
+};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
@@ -17,14 +20,15 @@ use crate::emulator::{EmulatorConfig, Endpoint, LinkKind, UNIT, mystery, ready_l
     after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty drive.pty
   drivebench run --port ./drive.pty --headless
   drivebench emulate --mystery 7 --pty drive.pty      a motor whose hidden effect is for you to find
-  drivebench reveal mystery-7.sealed.json --guess cogging"
+  drivebench reveal mystery-7.sealed.json --guess cogging
+  drivebench emulate --profile siemens-v20 --pty v20.pty  answers as that drive, with its registers and its watchdog"
 )]
 pub(super) struct Arguments {
     /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
     emulator: Option<String>,
-    /// modbus-rtu, modbus-tcp or stream
-    #[arg(long, default_value = "modbus-rtu")]
-    link: String,
+    /// modbus-rtu, modbus-tcp or stream; without it that of the profile
+    #[arg(long)]
+    link: Option<String>,
     /// Path of the pseudo-terminal's symlink; without it one in the temporary folder
     #[arg(long, value_name = "PATH", conflicts_with = "listen")]
     pty: Option<PathBuf>,
@@ -40,9 +44,12 @@ pub(super) struct Arguments {
     /// Where the sealed truth goes; without it mystery-SEED.sealed.json
     #[arg(long, value_name = "FILE", requires = "mystery")]
     seal: Option<PathBuf>,
-    /// Register map to answer with; only our own so far
-    #[arg(long, default_value = "own")]
+    /// Drive to answer as: a built-in profile or a file
+    #[arg(long, value_name = "DRIVE", default_value = "own")]
     profile: String,
+    /// The watchdog time of another drive, as set at its keypad, ms; 0 is off; without it as delivered
+    #[arg(long, value_name = "MS")]
+    watchdog_ms: Option<f64>,
     /// Print JSON: one object a line, `ready` when the drive can be opened and `stopped` at the end
     #[arg(long)]
     json: bool,
@@ -79,14 +86,30 @@ impl State<'_> {
 }
 
 pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
-    if arguments.profile != "own" {
-        let headline = format!("profile {:?} cannot be emulated", arguments.profile);
-        return Err(Failure::with_help(USAGE, headline, "allowed: own"));
-    }
-    let link: LinkKind = arguments.link.parse().map_err(|_| {
-        let headline = format!("link {:?} is not known", arguments.link);
+    let (profile, _) = live_link::profile(&arguments.profile)?;
+    let guise = guise(&profile, arguments.watchdog_ms)?;
+    let asked = arguments
+        .link
+        .as_deref()
+        .unwrap_or_else(|| profile.link.protocol.name());
+    let link: LinkKind = asked.parse().map_err(|_| {
+        let headline = format!("link {asked:?} is not known");
         Failure::with_help(USAGE, headline, "allowed: modbus-rtu, modbus-tcp, stream")
     })?;
+    if guise.is_some() {
+        if link == LinkKind::Stream {
+            let headline = format!(
+                "{} does not speak the stream of our own drive",
+                profile.name
+            );
+            return Err(Failure::with_help(
+                USAGE,
+                headline,
+                "allowed: modbus-rtu, modbus-tcp",
+            ));
+        }
+        live_link::announce(&profile);
+    }
     let mystery = arguments.mystery.map(mystery::draw);
     let seed = arguments.mystery.unwrap_or(arguments.seed);
     let config = match &arguments.emulator {
@@ -99,7 +122,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
             EmulatorConfig::parse(name, &read_text(name.as_ref())?)
                 .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?
         }
-        Some(name) => live::emulator_config(name)?,
+        Some(name) => live_link::emulator_config(name)?,
     };
     let endpoint = match (arguments.pty, arguments.listen) {
         (Some(path), _) => Endpoint::Pty(path),
@@ -117,23 +140,33 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     }
     let stop = interrupt::flag()?;
     let mut served = String::new();
-    serve(&config, seed, link, &endpoint, &stop, |address| {
-        address.clone_into(&mut served);
-        if arguments.json {
-            let state = State::Ready {
-                link: link.to_string(),
-                address,
-                unit: UNIT,
-                baud: config.line.baud,
-                profile: &arguments.profile,
-                sealed: sealed.as_deref(),
-            };
-            state.print();
-        } else {
-            // A caller that does not read the line does not need it.
-            let _ = output::line(&ready_line(link, address, &config));
-        }
-    })
+    serve(
+        guise.as_ref(),
+        &config,
+        seed,
+        link,
+        &endpoint,
+        &stop,
+        |address| {
+            address.clone_into(&mut served);
+            if arguments.json {
+                let state = State::Ready {
+                    link: link.to_string(),
+                    address,
+                    unit: guise.as_ref().map_or(UNIT, |guise| guise.unit),
+                    baud: guise
+                        .as_ref()
+                        .map_or(config.line.baud, |guise| guise.line.baud),
+                    profile: &profile.name,
+                    sealed: sealed.as_deref(),
+                };
+                state.print();
+            } else {
+                // A caller that does not read the line does not need it.
+                let _ = output::line(&ready_line(link, address, &config, guise.as_ref()));
+            }
+        },
+    )
     .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
     if arguments.json {
         let state = State::Stopped {
@@ -143,4 +176,26 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         state.print();
     }
     Ok(())
+}
+
+/// The guise of a profile; our own map needs none.
+fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guise>, Failure> {
+    let guise = Guise::of(profile);
+    match (guise, watchdog_ms) {
+        (guise, None) => Ok(guise),
+        (Some(guise), Some(ms)) if (0.0..=60_000.0).contains(&ms) => Ok(Some(Guise {
+            watchdog_s: Some(ms * 1e-3),
+            ..guise
+        })),
+        (Some(_), Some(ms)) => Err(Failure::with_help(
+            USAGE,
+            format!("--watchdog-ms {ms} is not allowed"),
+            "allowed: 0 to 60000",
+        )),
+        (None, Some(_)) => Err(Failure::with_help(
+            USAGE,
+            "--watchdog-ms is for the profile of another drive",
+            "for our own: watchdog_ms in the emulator file",
+        )),
+    }
 }

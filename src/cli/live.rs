@@ -6,7 +6,7 @@
 //!
 //! This file owns the wall clock (the stamp of run folders) and the signals.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -15,7 +15,7 @@ use clap::Args;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
-use super::live_link::{latency, open, serve, tap, wired_profile};
+use super::live_link::{emulator_config, in_memory, open, serve, suited, tap, wired_profile};
 use super::recorded::{Recorded, keep_capture};
 use super::wire::Tap;
 use super::{interrupt, output, reveal};
@@ -25,8 +25,9 @@ use crate::bench::{
     Session, SnapshotCell, SpeedPilot, Target, check, layout, layout_with_reference, manifest,
     measure_delay, plan, run, stage_session,
 };
+use crate::drive::offer::Purpose;
 use crate::drive::{DriveLink, DriveProfile};
-use crate::emulator::{EmulatorConfig, MemoryLink, ServerHandle, SoftDrive, VirtualClock, mystery};
+use crate::emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
@@ -181,6 +182,8 @@ pub(super) struct SpeedAbout {
 pub(super) struct Rig {
     pub(super) bench: BenchFile,
     profile: DriveProfile,
+    /// Its file, as it was read.
+    profile_text: String,
     link: Box<dyn DriveLink>,
     /// Dropping it completes the capture, so it outlives the link.
     _tap: Tap,
@@ -204,9 +207,16 @@ impl Rig {
     /// Opens the link. The emulator is used only where the bench file or the command line names it.
     ///
     /// `run_seed` where one run of several is asked for: the emulator then has another day.
-    pub(super) fn open(arguments: &LiveArguments, run_seed: Option<u64>) -> Result<Self, Failure> {
-        let bench = arguments.bench()?;
-        let profile = wired_profile(&bench)?;
+    /// What the drive's signals cannot carry of the `purpose` is refused before anything is opened.
+    pub(super) fn open(
+        arguments: &LiveArguments,
+        run_seed: Option<u64>,
+        purpose: Purpose,
+    ) -> Result<Self, Failure> {
+        let mut bench = arguments.bench()?;
+        let (profile, profile_text) = wired_profile(&mut bench)?;
+        let guise = Guise::of(&profile);
+        suited(&profile, purpose, arguments.is_headless())?;
         let port = bench.port();
         // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
         let mystery = (bench.emulator.config == MYSTERY
@@ -246,11 +256,10 @@ impl Rig {
             (Port::Sim, Some(config)) => {
                 let time = VirtualClock::new();
                 clock = Box::new(time.clone());
-                let drive = SoftDrive::new(config, bench.emulator.seed);
-                Box::new(MemoryLink::new(drive, time, latency(config, &bench)))
+                in_memory(config, &bench, guise.as_ref(), time)
             }
             (Port::Emulator, Some(config)) => {
-                let handle = serve(config, &bench)?;
+                let handle = serve(config, &bench, guise)?;
                 if arguments.is_headless() {
                     output::message(&format!("software drive {}", handle.ready_line()));
                 }
@@ -273,6 +282,7 @@ impl Rig {
         };
         Ok(Self {
             profile,
+            profile_text,
             link,
             _tap: tap,
             clock,
@@ -543,6 +553,9 @@ impl Rig {
             let text = toml::to_string(emulator).unwrap_or_default();
             manifest.configs.insert("emulator".to_owned(), text);
         }
+        let configs = &mut manifest.configs;
+        configs.insert("drive".to_owned(), self.profile_text.clone());
+        configs.insert("drive_provenance".to_owned(), self.profile.provenance());
         for channel in Channel::ALL {
             if let Some(origin) = self.profile.signals.get(channel) {
                 manifest.set_origin(channel, origin);
@@ -573,15 +586,4 @@ pub(super) fn nameplate(bench: &BenchFile) -> Result<Nameplate, Failure> {
             "`drivebench run` and `commission` find it from small steps first; or complete [motor]",
         )
     })
-}
-
-/// An embedded emulator by name, else a file.
-pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
-    let path = Path::new(name);
-    let config = if EmulatorConfig::embedded_names().any(|known| known == name) || !path.exists() {
-        EmulatorConfig::embedded(name)
-    } else {
-        EmulatorConfig::parse(name, &read_text(path)?)
-    };
-    config.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
 }

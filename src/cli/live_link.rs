@@ -1,18 +1,113 @@
 //! From the bench file to a link: the protocol, the far end of the wire, and the emulator behind it where it is ours.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
+use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
+use super::output;
 use super::wire::Tap;
-use crate::bench::{BenchFile, BenchFileError, CheckError, Port, Protocol};
-use crate::drive::{
-    DriveLink, DriveProfile, LinkError, Target as LinkTarget, TargetError, open_tapped,
+use crate::bench::{
+    BenchFile, BenchFileError, CheckError, DEFAULT_BAUD, Port, Protocol, check_signals,
 };
-use crate::emulator::{EmulatorConfig, Endpoint, Latency, LinkKind, ServerHandle};
+use crate::drive::{
+    DriveLink, DriveProfile, LinkError, ProfiledLink, Target as LinkTarget, TargetError, offer,
+    open_tapped,
+};
+use crate::emulator::{
+    EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, LinkKind, MemoryLink,
+    ServerHandle, SoftDrive, VirtualClock,
+};
+
+/// A drive profile by its built-in name, else from a file; with its text.
+pub(super) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
+    let path = Path::new(name);
+    let read = if DriveProfile::names().any(|known| known == name) || !path.exists() {
+        DriveProfile::named(name).and_then(|read| Ok((read, DriveProfile::text(name)?.to_owned())))
+    } else {
+        let text = read_text(path)?;
+        DriveProfile::parse(name, &text).map(|read| (read, text))
+    };
+    read.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
+}
+
+/// The profile of a bench, which takes the profile's baud rate where it gives none of its own.
+fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
+    let (profile, text) = profile(&bench.drive.profile)?;
+    if profile.registers.is_some() {
+        if bench.link.baud == DEFAULT_BAUD {
+            bench.link.baud = profile.link.baud;
+        }
+        if bench.link.protocol == Protocol::Stream {
+            return Err(Failure::with_help(
+                USAGE,
+                format!(
+                    "{} does not speak the stream of our own drive",
+                    profile.name
+                ),
+                "set link.protocol to modbus-rtu or modbus-tcp",
+            ));
+        }
+    }
+    Ok((profile, text))
+}
+
+/// Refuses what the drive's signals cannot carry; says which profile is used and what to know about it.
+pub(super) fn suited(
+    profile: &DriveProfile,
+    purpose: offer::Purpose,
+    headless: bool,
+) -> Result<(), Failure> {
+    let signals = check_signals(profile, purpose);
+    if let Some(help) = signals.help {
+        return Err(Failure::with_help(USAGE, signals.text, help));
+    }
+    if headless {
+        announce(profile);
+    }
+    Ok(())
+}
+
+/// How far the profile may be believed, and what to know before the drive is used.
+pub(super) fn announce(profile: &DriveProfile) {
+    output::message(&profile.provenance());
+    for remark in offer::remarks(profile) {
+        output::message(&format!("  {remark}"));
+    }
+}
+
+/// An embedded emulator by name, else a file.
+pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
+    let path = Path::new(name);
+    let config = if EmulatorConfig::embedded_names().any(|known| known == name) || !path.exists() {
+        EmulatorConfig::embedded(name)
+    } else {
+        EmulatorConfig::parse(name, &read_text(path)?)
+    };
+    config.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
+}
+
+/// The software drive in memory, in the guise of another where the profile is one.
+pub(super) fn in_memory(
+    config: &EmulatorConfig,
+    bench: &BenchFile,
+    guise: Option<&Guise>,
+    time: VirtualClock,
+) -> Box<dyn DriveLink> {
+    let seed = bench.emulator.seed;
+    if let Some(guise) = guise {
+        let drive = ForeignDrive::new(guise, config, seed);
+        let bus = ForeignBus::new(drive, guise, time);
+        Box::new(ProfiledLink::new(Arc::clone(&guise.map), bus))
+    } else {
+        let drive = SoftDrive::new(config, seed);
+        Box::new(MemoryLink::new(drive, time, latency(config, bench)))
+    }
+}
 
 /// What an exchange of the bench's protocol takes over its line, for a drive in memory.
-pub(super) fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
+fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
     let mut line = config.line.clone();
     line.baud = match bench.link.protocol {
         Protocol::ModbusTcp => 0,
@@ -22,7 +117,11 @@ pub(super) fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
 }
 
 /// Serves the emulator from a thread of this process, over the protocol that the bench file names.
-pub(super) fn serve(config: &EmulatorConfig, bench: &BenchFile) -> Result<ServerHandle, Failure> {
+pub(super) fn serve(
+    config: &EmulatorConfig,
+    bench: &BenchFile,
+    guise: Option<Guise>,
+) -> Result<ServerHandle, Failure> {
     let (kind, endpoint) = match bench.link.protocol {
         Protocol::ModbusRtu => (LinkKind::ModbusRtu, Endpoint::temporary_pty()),
         Protocol::Stream => (LinkKind::Stream, Endpoint::temporary_pty()),
@@ -33,15 +132,14 @@ pub(super) fn serve(config: &EmulatorConfig, bench: &BenchFile) -> Result<Server
     };
     let mut config = config.clone();
     config.line.baud = bench.link.baud;
-    let handle = crate::emulator::spawn(config, bench.emulator.seed, kind, endpoint)
+    let handle = crate::emulator::spawn_as(guise, config, bench.emulator.seed, kind, endpoint)
         .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
     Ok(handle)
 }
 
-/// The drive's profile, wired up as the bench file says: the profile only knows what is usual.
-pub(super) fn wired_profile(bench: &BenchFile) -> Result<DriveProfile, Failure> {
-    let mut profile = DriveProfile::named(&bench.drive.profile)
-        .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?;
+/// The drive's profile, wired up as the bench file says, with its text: the profile only knows what is usual.
+pub(super) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
+    let (mut profile, text) = drive_profile(bench)?;
     profile.link.protocol = match bench.link.protocol {
         Protocol::ModbusRtu => crate::drive::Protocol::ModbusRtu,
         Protocol::ModbusTcp => crate::drive::Protocol::ModbusTcp,
@@ -50,7 +148,7 @@ pub(super) fn wired_profile(bench: &BenchFile) -> Result<DriveProfile, Failure> 
     profile.link.baud = bench.link.baud;
     profile.link.unit = bench.link.unit;
     profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
-    Ok(profile)
+    Ok((profile, text))
 }
 
 /// The capture of a run. Where no wire is involved there is nothing to tap.

@@ -24,7 +24,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let bench = match &arguments.bench {
+    let mut bench = match &arguments.bench {
         Some(path) => BenchFile::parse(&path.display().to_string(), &read_text(path)?)?,
         None => BenchFile::embedded_default(),
     };
@@ -34,7 +34,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             file: bench.name.clone(),
             error,
         })?;
-    let profile = wired_profile(&bench)?;
+    let (profile, _) = wired_profile(&mut bench)?;
     let line = match bench.port() {
         Port::Tcp(_) => None,
         Port::Emulator | Port::Sim | Port::Serial(_) => LineBudget::of(&profile.link),

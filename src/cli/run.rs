@@ -10,6 +10,7 @@ use super::live::{LiveArguments, Rig, Strings};
 use super::recorded::Recorded;
 use super::{output, pages, screen};
 use crate::bench::{Plan, RunSummary};
+use crate::drive::offer::Purpose;
 use crate::identification::nameplate::Comparison;
 use crate::plant::{FittedValue, Model, ModelFile, Motor, MotorKey};
 use crate::recording::RunFile;
@@ -78,7 +79,7 @@ pub(super) fn execute(mut arguments: Arguments) -> Result<(), Failure> {
 }
 
 fn record(arguments: &Arguments, strings: &Strings) -> Result<Done, Failure> {
-    let mut rig = Rig::open(&arguments.live, arguments.run_seed)?;
+    let mut rig = Rig::open(&arguments.live, arguments.run_seed, Purpose::Voltages)?;
     let headless = arguments.live.is_headless();
     let report = rig.check()?;
     if headless {

@@ -22,7 +22,7 @@ use crate::bench::{
 };
 use crate::control::Actuator;
 use crate::control::tuning::Rule;
-use crate::drive::DriveProfile;
+use crate::drive::offer::Purpose;
 use crate::plant::{Model, ModelFile};
 use crate::recording::RunFile;
 use crate::sample::Channel;
@@ -134,8 +134,7 @@ impl Request {
                 "`drivebench run --escalate` first, then --model with the model.toml of its run folder",
             ));
         }
-        let profile = DriveProfile::named(&bench.drive.profile)
-            .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?;
+        let (profile, _) = super::live_link::wired_profile(bench)?;
         let Some(section) = &mut bench.speed else {
             return Err(Failure::with_help(
                 USAGE,
@@ -210,7 +209,7 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Whole, Failure> {
     let request = Request::new(arguments, &mut bench)?;
     // With the least delay that an exchange can have: what is refused now is refused before anything is opened.
     request.regulator(request.period_s, LEAST_NOISE_RAD_S)?;
-    let mut rig = Rig::open(&arguments.live, None)?;
+    let mut rig = Rig::open(&arguments.live, None, Purpose::SpeedLoop)?;
     rig.bench.speed = Some(request.section.clone());
     let report = rig.check()?;
     let delay = rig.measure_delay()?;

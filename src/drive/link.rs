@@ -9,7 +9,7 @@ use super::burst::Burst;
 use super::clock_map::ClockMap;
 use super::guard::LineCounts;
 use super::tally::RoundTrips;
-use crate::sample::{Command, Sample};
+use crate::sample::{Command, Demand, Sample};
 
 /// What the drive says it is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -90,6 +90,18 @@ pub enum LinkError {
     },
     #[error("{link}: {reason}")]
     Identity { link: String, reason: String },
+    /// Nothing was sent: the profile or its limits forbid it.
+    #[error("{link}: not sent: {reason}")]
+    Refused { link: String, reason: String },
+    /// The drive did not do what a step of a command waits for.
+    #[error("{link}: {command}, step {step} of {steps}: {reason}")]
+    Sequence {
+        link: String,
+        command: &'static str,
+        step: usize,
+        steps: usize,
+        reason: String,
+    },
 }
 
 impl LinkError {
@@ -115,6 +127,10 @@ impl LinkError {
             }
             Self::Version { .. } => "use the drivebench release that matches the drive's firmware",
             Self::Identity { .. } => "check that the profile is the one of this drive",
+            Self::Refused { .. } => "see the drive's profile: what it maps, and its limits",
+            Self::Sequence { .. } => {
+                "look at the drive's display: enable input, local control, a fault; then start again"
+            }
         }
     }
 
@@ -171,6 +187,11 @@ pub trait DriveLink: Send {
     /// The drive's own recorder, where it has one; known once it is identified.
     fn burst(&mut self) -> Option<&mut dyn Burst> {
         None
+    }
+
+    /// The demand with which this drive runs at zero: the quantity that it can be told.
+    fn zero(&self) -> Demand {
+        Demand::Voltage(0.0)
     }
 
     /// Where the drive's clock stands against the host's, for information.

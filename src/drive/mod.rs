@@ -13,6 +13,7 @@
 //!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
 //! ```
 //!
+//! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`RegisterBus`].
 //! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
 mod budget;
@@ -25,10 +26,14 @@ mod fault_tests;
 mod guard;
 mod link;
 mod modbus;
+pub mod offer;
 mod open;
 mod port;
 mod profile;
+mod profiled;
 mod raw;
+mod register_bus;
+pub mod register_map;
 mod reply;
 pub mod serial_ports;
 mod stream;
@@ -44,16 +49,18 @@ pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-pub use modbus::{ModbusLink, RegisterTable};
+pub use modbus::{ModbusBus, ModbusLink, RegisterTable};
 pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
 pub use profile::{
     Capabilities, DriveLimits, DriveProfile, Framing, KickedBy, LinkSettings, ProfileError,
     Protocol, SignalOrigins, Trust, Watchdog,
 };
+pub use profiled::ProfiledLink;
 pub use raw::{
     Batch, LoopRates, MOST_READ, MOST_WRITTEN, MeasuredLine, RawClient, RawCounters, RawSettings,
     Read, ReadRequest, WriteFunction, read_batch, standard_gap_s,
 };
+pub use register_bus::RegisterBus;
 pub use stream::StreamLink;
 pub use tally::RoundTrips;
 pub use tap::TapFile;

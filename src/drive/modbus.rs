@@ -10,6 +10,9 @@
 //! every copy of the earlier reply would have come.
 //!
 //! This file owns the clock of the exchanges.
+//! bus.rs shows the link as registers, for drives with a map of their own.
+
+mod bus;
 
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
@@ -33,6 +36,8 @@ use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, identity_error, low_word};
 use super::timing::{LineTiming, wait_until};
 use crate::sample::{Command, Demand, DriveState, Sample};
+
+pub use bus::ModbusBus;
 
 /// Times that a question without effect is asked before it counts as failed.
 const READ_ATTEMPTS: usize = 3;

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::net::TcpStream;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Instant;
 
 use thiserror::Error;
@@ -10,9 +11,10 @@ use tokio::runtime::{Builder, Runtime};
 
 use super::guard::Port;
 use super::link::{DriveLink, LinkError};
-use super::modbus::ModbusLink;
+use super::modbus::{ModbusBus, ModbusLink};
 use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::{DriveProfile, Protocol};
+use super::profiled::ProfiledLink;
 use super::reply::FrameKind;
 use super::stream::StreamLink;
 use super::tap::{Tap, TapFile, TappedPort};
@@ -121,6 +123,10 @@ pub fn open_tapped(
     epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<Box<dyn DriveLink>, LinkError> {
+    if let Some(map) = &profile.registers {
+        let bus = ModbusBus::new(modbus_with(target, profile, epoch, tap)?, map);
+        return Ok(Box::new(ProfiledLink::new(Arc::clone(map), bus)));
+    }
     Ok(match profile.link.protocol {
         Protocol::ModbusRtu | Protocol::ModbusTcp => {
             Box::new(modbus_with(target, profile, epoch, tap)?)

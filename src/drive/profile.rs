@@ -1,13 +1,40 @@
 //! What is known about a drive before it is asked: how it is wired, what it can do, what its signals are.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::register_map::RegisterMap;
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::{Channel, Origin, Side};
 
+/// A file of `bench-configs/drives/` under its name.
+macro_rules! embedded {
+    ($name:literal) => {
+        (
+            $name,
+            include_str!(concat!("../../bench-configs/drives/", $name, ".toml")),
+        )
+    };
+}
+
 /// The profiles that are built in: name and text.
-const EMBEDDED: [(&str, &str); 1] = [("own", include_str!("../../bench-configs/drives/own.toml"))];
+const EMBEDDED: [(&str, &str); 13] = [
+    embedded!("own"),
+    embedded!("own-stream"),
+    embedded!("abb-dcs-gateway"),
+    embedded!("abb-efb"),
+    embedded!("delta-ms300"),
+    embedded!("epulse50-dc"),
+    embedded!("leadshine-iem"),
+    embedded!("roboteq-dc"),
+    embedded!("schneider-atv312"),
+    embedded!("siemens-v20"),
+    embedded!("toshiba-vfs11"),
+    embedded!("vacon10"),
+    embedded!("yaskawa-a1000"),
+];
 
 /// A drive as its configuration file describes it.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -25,6 +52,9 @@ pub struct DriveProfile {
     pub watchdog: Watchdog,
     #[serde(default)]
     pub limits: DriveLimits,
+    /// The registers of a drive that speaks another language than ours.
+    #[serde(skip)]
+    pub registers: Option<Arc<RegisterMap>>,
 }
 
 /// How far the numbers of a profile may be believed.
@@ -34,6 +64,16 @@ pub enum Trust {
     Manual,
     Code,
     Unverified,
+}
+
+impl Trust {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Manual => "manual",
+            Self::Code => "code",
+            Self::Unverified => "unverified",
+        }
+    }
 }
 
 /// The language on the wire.
@@ -223,14 +263,19 @@ impl ProfileError {
 impl DriveProfile {
     /// A built-in profile.
     pub fn named(name: &str) -> Result<Self, ProfileError> {
-        let (file, text) = EMBEDDED
+        Self::parse(&format!("{name}.toml"), Self::text(name)?)
+    }
+
+    /// The file of a built-in profile.
+    pub fn text(name: &str) -> Result<&'static str, ProfileError> {
+        EMBEDDED
             .into_iter()
             .find(|(known, _)| *known == name)
+            .map(|(_, text)| text)
             .ok_or_else(|| ProfileError::Unknown {
                 name: name.to_owned(),
                 known: Self::names().collect::<Vec<_>>().join(", "),
-            })?;
-        Self::parse(&format!("{file}.toml"), text)
+            })
     }
 
     /// Names of the built-in profiles.
@@ -238,14 +283,43 @@ impl DriveProfile {
         EMBEDDED.into_iter().map(|(name, _)| name)
     }
 
-    /// Reads a profile; `file` names it in errors.
+    /// Reads a profile; `file` names it in errors. A file with a register map says so with `schema`.
     pub fn parse(file: &str, text: &str) -> Result<Self, ProfileError> {
+        if has_register_map(text) {
+            let (map, profile) = RegisterMap::with_profile(file, text)?;
+            return Ok(Self {
+                registers: Some(Arc::new(map)),
+                ..profile
+            });
+        }
         let profile: Self = config_text::parse(file, text)?;
         profile.check()?;
         Ok(profile)
     }
 
-    fn check(&self) -> Result<(), ProfileError> {
+    /// One line for whoever uses it: which drive, and how far its numbers may be believed.
+    pub fn provenance(&self) -> String {
+        let (title, note) = self
+            .registers
+            .as_ref()
+            .map_or((String::new(), String::new()), |map| {
+                let doubtful = map.unverified();
+                let doubt = if doubtful.is_empty() {
+                    String::new()
+                } else {
+                    format!("; unverified: {}", doubtful.join(", "))
+                };
+                (format!(" ({})", map.device.name), doubt)
+            });
+        format!(
+            "drive profile {}{title}: trust {}{note}; source: {}",
+            self.name,
+            self.trust.name(),
+            self.source
+        )
+    }
+
+    pub(super) fn check(&self) -> Result<(), ProfileError> {
         let range = |key, value: f64, good: bool, allowed| {
             if good {
                 Ok(())
@@ -286,6 +360,16 @@ impl DriveProfile {
     }
 }
 
+/// Profiles of our own register map have no `schema`; where neither is there the error is that of our own.
+fn has_register_map(text: &str) -> bool {
+    let starts = |line: &str, key: &str| {
+        line.strip_prefix(key)
+            .is_some_and(|rest| rest.trim_start().starts_with('='))
+    };
+    let mut lines = text.lines().map(str::trim);
+    lines.any(|line| starts(line, "schema") || line == "[device]")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -307,7 +391,10 @@ mod tests {
         let error = DriveProfile::named("onw").unwrap_err();
         assert_eq!(
             error.to_string(),
-            "drive profile \"onw\" is not known (expected one of: own)"
+            format!(
+                "drive profile \"onw\" is not known (expected one of: {})",
+                DriveProfile::names().collect::<Vec<_>>().join(", ")
+            )
         );
         assert_eq!(error.help(), "did you mean `own`?");
     }

@@ -101,7 +101,11 @@ impl Tally {
             Err(LinkError::Corrupt { .. }) => s.crc += 1,
             Err(LinkError::Stale { .. }) => s.stale += 1,
             Err(
-                LinkError::Mismatch { .. } | LinkError::Version { .. } | LinkError::Identity { .. },
+                LinkError::Mismatch { .. }
+                | LinkError::Version { .. }
+                | LinkError::Identity { .. }
+                | LinkError::Refused { .. }
+                | LinkError::Sequence { .. },
             ) => s.mismatch += 1,
             Err(LinkError::Exception { .. }) => s.exception += 1,
             Err(LinkError::Gone { .. } | LinkError::Open { .. }) => s.aborted += 1,

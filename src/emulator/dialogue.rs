@@ -3,11 +3,11 @@
 use std::fmt;
 use std::str::FromStr;
 
-use firmware_protocol::modbus::{RtuReceiver, TcpReceiver, rtu, tcp};
+use firmware_protocol::modbus::{RtuFrame, RtuReceiver, TcpFrame, TcpReceiver, rtu, tcp};
 use firmware_protocol::stream;
 
-use super::SoftDrive;
 use super::drive::answer_stream;
+use super::{ForeignDrive, SoftDrive};
 
 /// The drive's address on a bus.
 pub const UNIT: u8 = 1;
@@ -55,18 +55,73 @@ impl FromStr for LinkKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
+/// What answers: the drive in its own language or in the guise of another. No bytes: it is silent.
+pub(super) trait Answering {
+    fn advance_to(&mut self, time_s: f64);
+
+    fn rtu(&mut self, request: &RtuFrame) -> Vec<u8>;
+
+    fn tcp(&mut self, request: &TcpFrame) -> Vec<u8>;
+
+    fn stream(&mut self, received: &Received) -> Option<stream::Frame>;
+}
+
+/// What a stream decoder hands out.
+type Received = Result<stream::Frame, stream::FrameError>;
+
+impl Answering for SoftDrive {
+    fn advance_to(&mut self, time_s: f64) {
+        Self::advance_to(self, time_s);
+    }
+
+    fn rtu(&mut self, request: &RtuFrame) -> Vec<u8> {
+        let mut frame = [0; rtu::MAX_FRAME];
+        let length = request.answer(self, &mut frame);
+        frame[..length].to_vec()
+    }
+
+    fn tcp(&mut self, request: &TcpFrame) -> Vec<u8> {
+        let mut frame = [0; tcp::MAX_FRAME];
+        let length = request.answer(self, &mut frame);
+        frame[..length].to_vec()
+    }
+
+    fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
+        answer_stream(self, received)
+    }
+}
+
+impl Answering for ForeignDrive {
+    fn advance_to(&mut self, time_s: f64) {
+        Self::advance_to(self, time_s);
+    }
+
+    fn rtu(&mut self, request: &RtuFrame) -> Vec<u8> {
+        self.answer_rtu(request)
+    }
+
+    fn tcp(&mut self, request: &TcpFrame) -> Vec<u8> {
+        self.answer_tcp(request)
+    }
+
+    /// No other make speaks our stream.
+    fn stream(&mut self, _: &Received) -> Option<stream::Frame> {
+        None
+    }
+}
+
 /// The receiving state of one session.
 pub(super) enum Dialogue {
     ModbusRtu(Box<RtuReceiver>),
-    ModbusTcp(Box<TcpReceiver>),
+    ModbusTcp(Box<TcpReceiver>, u8),
     Stream(Box<stream::Decoder>),
 }
 
 impl Dialogue {
-    pub(super) fn new(kind: LinkKind) -> Self {
+    pub(super) fn new(kind: LinkKind, unit: u8) -> Self {
         match kind {
-            LinkKind::ModbusRtu => Self::ModbusRtu(Box::new(RtuReceiver::new(UNIT))),
-            LinkKind::ModbusTcp => Self::ModbusTcp(Box::default()),
+            LinkKind::ModbusRtu => Self::ModbusRtu(Box::new(RtuReceiver::new(unit))),
+            LinkKind::ModbusTcp => Self::ModbusTcp(Box::default(), unit),
             LinkKind::Stream => Self::Stream(Box::default()),
         }
     }
@@ -75,7 +130,7 @@ impl Dialogue {
     pub(super) fn push(
         &mut self,
         byte: u8,
-        drive: &mut SoftDrive,
+        drive: &mut dyn Answering,
         answers: &mut Vec<Vec<u8>>,
     ) -> Result<(), Unframeable> {
         match self {
@@ -83,19 +138,17 @@ impl Dialogue {
                 receiver.push(byte);
                 answer_rtu(receiver, drive, answers);
             }
-            Self::ModbusTcp(receiver) => {
+            Self::ModbusTcp(receiver, unit) => {
                 // 0 and 255: the device itself, whatever stands behind it.
                 if let Some(request) = receiver.push(byte).map_err(|_| Unframeable)?
-                    && matches!(request.unit, 0 | UNIT | 255)
+                    && [0, *unit, 255].contains(&request.unit)
                 {
-                    let mut frame = [0; tcp::MAX_FRAME];
-                    let length = request.answer(drive, &mut frame);
-                    answers.push(frame[..length].to_vec());
+                    answers.push(drive.tcp(&request));
                 }
             }
             Self::Stream(decoder) => {
                 if let Some(received) = decoder.push(byte)
-                    && let Some(answer) = answer_stream(drive, &received)
+                    && let Some(answer) = drive.stream(&received)
                 {
                     let mut frame = [0; stream::MAX_FRAME];
                     let length = stream::encode(&answer, &mut frame);
@@ -107,7 +160,7 @@ impl Dialogue {
     }
 
     /// The line has been silent for a frame gap.
-    pub(super) fn idle(&mut self, drive: &mut SoftDrive, answers: &mut Vec<Vec<u8>>) {
+    pub(super) fn idle(&mut self, drive: &mut dyn Answering, answers: &mut Vec<Vec<u8>>) {
         if let Self::ModbusRtu(receiver) = self {
             receiver.idle();
             answer_rtu(receiver, drive, answers);
@@ -115,12 +168,11 @@ impl Dialogue {
     }
 }
 
-fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut SoftDrive, answers: &mut Vec<Vec<u8>>) {
+fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &mut Vec<Vec<u8>>) {
     while let Some(request) = receiver.take_frame() {
-        let mut frame = [0; rtu::MAX_FRAME];
-        let length = request.answer(drive, &mut frame);
-        if length > 0 {
-            answers.push(frame[..length].to_vec());
+        let frame = drive.rtu(&request);
+        if !frame.is_empty() {
+            answers.push(frame);
         }
     }
 }
@@ -136,7 +188,7 @@ mod tests {
 
     fn say(kind: LinkKind, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
-        let mut dialogue = Dialogue::new(kind);
+        let mut dialogue = Dialogue::new(kind, UNIT);
         let mut answers = Vec::new();
         for byte in bytes {
             if dialogue.push(*byte, &mut drive, &mut answers).is_err() {
@@ -239,7 +291,7 @@ mod tests {
                     [&[0], &bytes[..length]].concat()
                 }),
             ] {
-                let mut dialogue = Dialogue::new(kind);
+                let mut dialogue = Dialogue::new(kind, UNIT);
                 let mut answers = Vec::new();
                 for byte in &noise {
                     prop_assert!(dialogue.push(*byte, &mut drive, &mut answers).is_ok());
@@ -251,7 +303,7 @@ mod tests {
                 }
                 prop_assert_eq!(answers.last().map(|answer| answer.len() >= 37), Some(true));
             }
-            let mut dialogue = Dialogue::new(LinkKind::ModbusTcp);
+            let mut dialogue = Dialogue::new(LinkKind::ModbusTcp, UNIT);
             for byte in &noise {
                 // A wrong header ends the connection; anything else is served.
                 if dialogue.push(*byte, &mut drive, &mut Vec::new()).is_err() {

@@ -4,6 +4,7 @@
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
 //!   mystery/   draws a configuration that nobody knows, and seals what it hides
+//!   foreign/   the same motor behind the registers of another make
 //!   memory.rs  virtual time --------+
 //!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
@@ -11,6 +12,7 @@
 mod config;
 mod dialogue;
 mod drive;
+mod foreign;
 mod memory;
 pub mod mystery;
 mod pace;
@@ -27,5 +29,6 @@ pub use config::{
 };
 pub use dialogue::{LinkKind, UNIT};
 pub use drive::SoftDrive;
+pub use foreign::{ForeignBus, ForeignDrive, Guise};
 pub use memory::{Latency, MemoryLink, VirtualClock};
-pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn};
+pub use server::{Endpoint, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};

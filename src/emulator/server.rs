@@ -13,14 +13,15 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::dialogue::{Dialogue, LinkKind, UNIT};
+use super::config::LineConfig;
+use super::dialogue::{Answering, Dialogue, LinkKind, UNIT};
 use super::pace::Pace;
 use super::port::Port;
 #[cfg(target_os = "linux")]
 use super::pty::PtyPort;
 use super::session::{Counters, Session};
 use super::tcp::TcpPorts;
-use super::{EmulatorConfig, SoftDrive};
+use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
 
 /// How long a host gets to read the last answer before its pseudo-terminal goes: what is unread then is lost.
 const LAST_ANSWER_S: f64 = 0.05;
@@ -84,11 +85,17 @@ impl ServerError {
 }
 
 /// The line that `emulate` prints when the drive can be opened.
-pub fn ready_line(link: LinkKind, address: &str, config: &EmulatorConfig) -> String {
-    format!(
-        "ready {link} {address} unit={UNIT} baud={} profile=own",
-        config.line.baud
-    )
+pub fn ready_line(
+    link: LinkKind,
+    address: &str,
+    config: &EmulatorConfig,
+    guise: Option<&Guise>,
+) -> String {
+    let (unit, baud, profile) = guise.map_or((UNIT, config.line.baud, "own"), |guise| {
+        let id = guise.map.device.id.as_str();
+        (guise.unit, guise.line.baud, id)
+    });
+    format!("ready {link} {address} unit={unit} baud={baud} profile={profile}")
 }
 
 /// A served drive; dropping it stops it.
@@ -157,6 +164,17 @@ pub fn spawn(
     link: LinkKind,
     endpoint: Endpoint,
 ) -> Result<ServerHandle, ServerError> {
+    spawn_as(None, config, seed, link, endpoint)
+}
+
+/// The same in the guise of another drive.
+pub fn spawn_as(
+    guise: Option<Guise>,
+    config: EmulatorConfig,
+    seed: u64,
+    link: LinkKind,
+    endpoint: Endpoint,
+) -> Result<ServerHandle, ServerError> {
     let (stop, counters) = (
         Arc::new(AtomicBool::new(false)),
         Arc::new(Counters::default()),
@@ -165,10 +183,12 @@ pub fn spawn(
     let thread = {
         let (stop, counters) = (Arc::clone(&stop), Arc::clone(&counters));
         thread::spawn(move || {
-            let server = Server::new(&config, seed, link, &stop, &counters);
+            let guise = guise.as_ref();
+            let server = Server::new(guise, &config, seed, link, &stop, &counters);
             server.serve(&endpoint, |address| {
+                let line = ready_line(link, address, &config, guise);
                 // Whoever does not wait for it does not need it.
-                let _ = ready.send((address.to_owned(), ready_line(link, address, &config)));
+                let _ = ready.send((address.to_owned(), line));
             })
         })
     };
@@ -185,8 +205,10 @@ pub fn spawn(
     })
 }
 
-/// Serves the drive on this thread until `stop` is set; calls `ready` with the address once it can be opened.
+/// Serves the drive on this thread until `stop` is set, in the guise of another where one is given; calls `ready` with
+/// the address once it can be opened.
 pub fn serve(
+    guise: Option<&Guise>,
     config: &EmulatorConfig,
     seed: u64,
     link: LinkKind,
@@ -194,13 +216,14 @@ pub fn serve(
     stop: &AtomicBool,
     ready: impl FnOnce(&str),
 ) -> Result<(), ServerError> {
-    Server::new(config, seed, link, stop, &Counters::default()).serve(endpoint, ready)
+    Server::new(guise, config, seed, link, stop, &Counters::default()).serve(endpoint, ready)
 }
 
 struct Server<'a> {
-    config: &'a EmulatorConfig,
+    line: &'a LineConfig,
+    unit: u8,
     link: LinkKind,
-    drive: SoftDrive,
+    drive: Box<dyn Answering>,
     start: Instant,
     stop: &'a AtomicBool,
     counters: &'a Counters,
@@ -208,16 +231,22 @@ struct Server<'a> {
 
 impl<'a> Server<'a> {
     fn new(
+        guise: Option<&'a Guise>,
         config: &'a EmulatorConfig,
         seed: u64,
         link: LinkKind,
         stop: &'a AtomicBool,
         counters: &'a Counters,
     ) -> Self {
+        let drive: Box<dyn Answering> = match guise {
+            Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
+            None => Box::new(SoftDrive::new(config, seed)),
+        };
         Self {
-            config,
+            line: guise.map_or(&config.line, |guise| &guise.line),
+            unit: guise.map_or(UNIT, |guise| guise.unit),
             link,
-            drive: SoftDrive::new(config, seed),
+            drive,
             start: now(),
             stop,
             counters,
@@ -259,7 +288,7 @@ impl<'a> Server<'a> {
         port.publish(stable)?;
         ready(&stable.to_string_lossy());
         let with_gaps = self.link == LinkKind::ModbusRtu;
-        let pace = Pace::serial(&self.config.line, with_gaps);
+        let pace = Pace::serial(self.line, with_gaps);
         while !self.stopped() {
             let last_answer_s = self.session(&mut port, pace.clone());
             if self.stopped() {
@@ -288,7 +317,7 @@ impl<'a> Server<'a> {
     fn serve_tcp(&mut self, address: SocketAddr, ready: impl FnOnce(&str)) -> io::Result<()> {
         let ports = TcpPorts::bind(address)?;
         ready(&ports.address()?.to_string());
-        let pace = Pace::network(&self.config.line);
+        let pace = Pace::network(self.line);
         while !self.stopped() {
             if let Some(mut port) = ports.accept() {
                 self.session(&mut port, pace.clone());
@@ -303,9 +332,9 @@ impl<'a> Server<'a> {
     fn session(&mut self, port: &mut dyn Port, pace: Pace) -> Option<f64> {
         let start = self.start;
         Session {
-            dialogue: Dialogue::new(self.link),
+            dialogue: Dialogue::new(self.link, self.unit),
             pace,
-            drive: &mut self.drive,
+            drive: self.drive.as_mut(),
             clock: &|| start.elapsed().as_secs_f64(),
             stop: self.stop,
             counters: self.counters,

@@ -4,8 +4,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::SoftDrive;
-use super::dialogue::Dialogue;
+use super::dialogue::{Answering, Dialogue};
 use super::pace::Pace;
 use super::port::Port;
 
@@ -26,7 +25,7 @@ pub(super) struct Counters {
 pub(super) struct Session<'a> {
     pub(super) dialogue: Dialogue,
     pub(super) pace: Pace,
-    pub(super) drive: &'a mut SoftDrive,
+    pub(super) drive: &'a mut dyn Answering,
     /// Drive time by the wall clock, s.
     pub(super) clock: &'a dyn Fn() -> f64,
     pub(super) stop: &'a AtomicBool,

@@ -163,9 +163,8 @@ fn compare(
         }
         Ok(())
     });
-    if let Err(failure) = result {
-        panic!("{failure}");
-    }
+    let failure = result.err().map(|failure| failure.to_string());
+    assert_eq!(failure, None);
 }
 
 /// Addresses and values where something happens.

@@ -1,0 +1,235 @@
+//! The Modbus link as a bus of registers, resynchronised as a drive's profile allows.
+//!
+//! ```text
+//! suspect? -> silence for the longest turnaround -> fc08: a number of our own comes back
+//!                                                  length: a read of a length that nobody waits for
+//!                                                  none: silence is all there is
+//! ```
+
+use std::borrow::Cow;
+use std::time::Duration;
+
+use tokio_modbus::prelude::ReadCode;
+use tokio_modbus::{Request, Response};
+
+use super::{LinkError, ModbusLink, RegisterTable, now};
+use crate::drive::link::{LinkName, LinkStatistics};
+use crate::drive::register_bus::RegisterBus;
+use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
+use crate::drive::reply::FrameKind;
+use crate::drive::tally::RoundTrips;
+use crate::drive::timing::wait_until;
+
+/// Times that a question without effect is asked before it counts as failed.
+const READ_ATTEMPTS: usize = 3;
+
+/// A Modbus link that proves itself fresh in the way that the far end knows.
+pub struct ModbusBus {
+    link: ModbusLink,
+    resync: Resync,
+    /// Registers that can be read in any number up to the whole, for the length code.
+    probe: Option<ReadBlock>,
+    /// Lengths of reads that were never answered.
+    unanswered: Vec<u16>,
+}
+
+impl ModbusBus {
+    pub fn new(link: ModbusLink, map: &RegisterMap) -> Self {
+        let exact = |block: &ReadBlock| {
+            map.exact_reads
+                .iter()
+                .any(|(first, count)| (*first, *count) == (block.address, block.count))
+        };
+        let blocks = plan_reads(map, PollRate::Fast);
+        let probe = blocks
+            .into_iter()
+            .filter(|block| !exact(block))
+            .max_by_key(|block| block.count);
+        Self {
+            link,
+            resync: map.resync,
+            probe,
+            unanswered: Vec::new(),
+        }
+    }
+
+    fn fresh(&mut self) -> Result<(), LinkError> {
+        if self.link.kind == FrameKind::Tcp || self.resync == Resync::Fc08 {
+            return self.link.prove_fresh();
+        }
+        self.link.listen()?;
+        if !self.link.suspect {
+            return Ok(());
+        }
+        self.link.silence()?;
+        if self.resync == Resync::Length {
+            self.probe_by_length()?;
+        }
+        self.link.suspect = false;
+        self.unanswered.clear();
+        Ok(())
+    }
+
+    /// The reply to a read of another length than all that are unanswered can be no old one.
+    fn probe_by_length(&mut self) -> Result<(), LinkError> {
+        let Some(block) = self.probe.clone() else {
+            return Ok(());
+        };
+        let mut last = None;
+        for count in (1..=block.count).rev() {
+            if self.unanswered.contains(&count) {
+                continue;
+            }
+            self.link.listen()?;
+            match self.ask(block.table, block.address, count) {
+                Ok(_) => return Ok(()),
+                Err(error) if error.is_transient() => {
+                    self.unanswered.push(count);
+                    last = Some(error);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        // Silence was all that could be had; the lengths are used up.
+        last.map_or(Ok(()), Err)
+    }
+
+    /// A line that has once brought an old reply may do so again: from then on reads that look alike are kept apart.
+    /// On all others that would only cost their rate.
+    fn keep_apart(&mut self, count: u16) -> Result<(), LinkError> {
+        if self.link.guard.line().stale_frames == 0 {
+            self.link.recent.clear();
+            return Ok(());
+        }
+        self.link.keep_apart(reply_bytes(count))
+    }
+
+    fn ask(
+        &mut self,
+        table: RegisterTable,
+        address: u16,
+        count: u16,
+    ) -> Result<Vec<u16>, LinkError> {
+        let allowed = self.link.timing.allowed(8, reply_bytes(count));
+        let what = format!("read {count} registers at {address}");
+        let request = match table {
+            RegisterTable::Holding => Request::ReadHoldingRegisters(address, count),
+            RegisterTable::Input => Request::ReadInputRegisters(address, count),
+        };
+        let answer = self
+            .link
+            .call(request, &what, allowed, |response| match response {
+                Response::ReadHoldingRegisters(values) | Response::ReadInputRegisters(values)
+                    if values.len() == usize::from(count) =>
+                {
+                    Ok(values)
+                }
+                other => Err(format!("{other:?}")),
+            });
+        answer.map(|answer| answer.value)
+    }
+}
+
+/// RTU frame of the reply to a read.
+fn reply_bytes(count: u16) -> usize {
+    5 + 2 * usize::from(count)
+}
+
+impl RegisterBus for ModbusBus {
+    fn name(&self) -> LinkName {
+        LinkName(self.link.name.clone())
+    }
+
+    fn now_s(&self) -> f64 {
+        self.link.host_s(now())
+    }
+
+    fn pause_until_s(&mut self, time_s: f64) {
+        if let Ok(since) = Duration::try_from_secs_f64(time_s) {
+            wait_until(self.link.epoch + since);
+        }
+    }
+
+    fn read(
+        &mut self,
+        table: RegisterTable,
+        address: u16,
+        count: u16,
+    ) -> Result<Vec<u16>, LinkError> {
+        let mut attempt = 1;
+        loop {
+            let result = self
+                .fresh()
+                .and_then(|()| self.keep_apart(count))
+                .and_then(|()| self.ask(table, address, count));
+            self.link.recent.push((reply_bytes(count), now()));
+            match result {
+                Err(error) if error.is_transient() => {
+                    self.unanswered.push(count);
+                    if attempt == READ_ATTEMPTS {
+                        return Err(error);
+                    }
+                    attempt += 1;
+                }
+                result => return result,
+            }
+        }
+    }
+
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
+        let allowed = self.link.timing.allowed(9 + 2 * values.len(), 8);
+        self.fresh()?;
+        let what = format!("write {values:04x?} at {address}");
+        let request = match (function, values) {
+            (6, [value]) => Request::WriteSingleRegister(address, *value),
+            _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
+        };
+        let answer = self
+            .link
+            .call(request, &what, allowed, |response| match response {
+                Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
+                other => Err(format!("{other:?}")),
+            });
+        answer.map(|answer| answer.value)
+    }
+
+    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+        let allowed = self.link.timing.allowed(7, 256);
+        self.fresh()?;
+        let request = Request::ReadDeviceIdentification(ReadCode::Specific, object);
+        let answer =
+            self.link.call(
+                request,
+                "the device identification",
+                allowed,
+                |response| match response {
+                    Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
+                    other => Err(format!("{other:?}")),
+                },
+            );
+        match answer {
+            Ok(objects) => Ok(objects
+                .value
+                .iter()
+                .find(|found| found.id == object)
+                .and_then(|found| found.value_as_str())
+                .map(str::to_owned)),
+            Err(LinkError::Exception { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.link.tally.statistics
+    }
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        Some(&self.link.tally.round_trips)
+    }
+
+    fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
+        self.link
+            .timing
+            .shortest_cycle_s(request_bytes, reply_bytes)
+    }
+}

@@ -1,0 +1,299 @@
+//! Set-points on their way out: limits, slew, sign, refresh, read-back, and what a memory that wears out allows.
+
+use std::sync::Arc;
+
+use super::readings::Readings;
+use crate::drive::link::LinkError;
+use crate::drive::register_bus::RegisterBus;
+use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
+
+/// Share of the write cycles of a non-volatile memory that one connection may use.
+const NVM_SHARE: u32 = 1000;
+/// Writes where the profile does not say how many cycles the memory has.
+const NVM_WRITES: u32 = 10;
+
+/// What went out last to one set-point.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Sent {
+    /// In units; `None` while it is not being held.
+    value: Option<f64>,
+    registers: Vec<u16>,
+    at_s: f64,
+    writes: u32,
+    /// Times in a row that it read back otherwise, and as what.
+    mismatches: u32,
+    found: Vec<u16>,
+}
+
+/// All of them, by position in the map.
+pub(super) struct Points {
+    map: Arc<RegisterMap>,
+    sent: Vec<Sent>,
+    /// A limit or the slew held a value back in this exchange.
+    pub(super) limited: bool,
+    /// When something was written that a command watchdog counts, s.
+    pub(super) kicked_s: f64,
+    running: bool,
+}
+
+impl Points {
+    pub(super) fn new(map: Arc<RegisterMap>) -> Self {
+        Self {
+            sent: vec![Sent::default(); map.set_points.len()],
+            map,
+            limited: false,
+            kicked_s: f64::NEG_INFINITY,
+            running: false,
+        }
+    }
+
+    /// Nothing is refreshed any more, and a slew starts at zero again.
+    pub(super) fn release(&mut self) {
+        self.running = false;
+        for sent in &mut self.sent {
+            sent.value = None;
+            sent.mismatches = 0;
+        }
+    }
+
+    /// The value that is being held for a quantity that the bench commands, SI.
+    pub(super) fn held(&self, map: &RegisterMap, quantity: Quantity) -> Option<f64> {
+        let point = map.demand(quantity)?;
+        let at = map.set_points.iter().position(|p| p.name == point.name)?;
+        Some(self.sent.get(at)?.value? * point.si?)
+    }
+
+    /// Holds a reference: within its limits, no faster than its slew.
+    pub(super) fn put(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+        name: &str,
+        wanted: f64,
+    ) -> Result<(), LinkError> {
+        self.running = true;
+        let map = Arc::clone(&self.map);
+        let Some(point) = map.set_point(name) else {
+            return Ok(());
+        };
+        let at = self.position(name);
+        let now_s = bus.now_s();
+        let mut value = wanted;
+        if let Some([low, high]) = point.limits {
+            let low = if point.sign.is_some() { -high } else { low };
+            value = value.clamp(low, high);
+        }
+        if let Some(slew) = point.slew_per_s {
+            let sent = &self.sent[at];
+            let from = sent.value.unwrap_or(0.0);
+            let most = slew * (now_s - sent.at_s).max(0.0);
+            value = value.clamp(from - most, from + most);
+        }
+        self.limited |= (value - wanted).abs() > 1e-9 * wanted.abs().max(1.0);
+        if self.sent[at]
+            .value
+            .is_some_and(|last| last.to_bits() == value.to_bits())
+        {
+            return Ok(());
+        }
+        self.write(bus, readings, name, value, None)
+    }
+
+    /// Writes again what the drive wants to hear often enough.
+    pub(super) fn refresh(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        period_s: f64,
+    ) -> Result<(), LinkError> {
+        self.running = true;
+        let map = Arc::clone(&self.map);
+        for (at, point) in map.set_points.iter().enumerate() {
+            let Some(refresh_s) = point.refresh_s else {
+                continue;
+            };
+            let sent = &self.sent[at];
+            // Not written before: there is nothing to hold. The next chance is a period away.
+            if sent.value.is_some() && bus.now_s() - sent.at_s + period_s >= refresh_s {
+                let registers = sent.registers.clone();
+                self.send(bus, at, point, &registers)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// When the next refresh is due, s.
+    pub(super) fn next_due_s(&self) -> Option<f64> {
+        let points = self.sent.iter().zip(&self.map.set_points);
+        let due = points.filter_map(|(sent, point)| {
+            sent.value?;
+            Some(sent.at_s + point.refresh_s?)
+        });
+        due.reduce(f64::min)
+    }
+
+    /// Every reference to zero, at once.
+    pub(super) fn zero(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+    ) -> Result<(), LinkError> {
+        let map = Arc::clone(&self.map);
+        for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
+            self.write(bus, readings, &point.name, 0.0, None)?;
+            let at = self.position(&point.name);
+            self.sent[at].value = None;
+        }
+        Ok(())
+    }
+
+    /// Writes a value as it is, or only the bits under `mask`.
+    pub(super) fn write(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+        name: &str,
+        value: f64,
+        mask: Option<u16>,
+    ) -> Result<(), LinkError> {
+        let map = Arc::clone(&self.map);
+        let Some(point) = map.set_point(name) else {
+            return Err(refused(
+                bus,
+                format!("the profile has no setpoint {name:?}"),
+            ));
+        };
+        let at = self.position(name);
+        let magnitude = if let Some(sign) = &point.sign {
+            self.write_sign(bus, &sign.set_point, sign.mask, value < 0.0)?;
+            value.abs()
+        } else {
+            value
+        };
+        let raw = readings
+            .factor(&point.numbers.scale_by)
+            .map(|factor| point.numbers.raw(magnitude, factor));
+        let Some(mut registers) = raw.and_then(|raw| point.location.layout.encode(raw)) else {
+            let unit = point.numbers.unit.name();
+            return Err(refused(
+                bus,
+                format!("setpoint {name} = {value} {unit} does not fit its register"),
+            ));
+        };
+        if let (Some(mask), [word]) = (mask, registers.as_mut_slice()) {
+            let before = self.sent[at].registers.first().copied().unwrap_or(0);
+            *word = (before & !mask) | (*word & mask);
+        }
+        self.send(bus, at, point, &registers)?;
+        self.sent[at].value = Some(value);
+        Ok(())
+    }
+
+    /// The sign of a reference as bits of a control word, if they are not yet as they should be.
+    fn write_sign(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        name: &str,
+        mask: u16,
+        negative: bool,
+    ) -> Result<(), LinkError> {
+        let at = self.position(name);
+        let Some(before) = self.sent[at].registers.first().copied() else {
+            return Ok(());
+        };
+        let word = if negative {
+            before | mask
+        } else {
+            before & !mask
+        };
+        let map = Arc::clone(&self.map);
+        match map.set_points.get(at) {
+            Some(point) if word != before => self.send(bus, at, point, &[word]),
+            _ => Ok(()),
+        }
+    }
+
+    fn send(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+        registers: &[u16],
+    ) -> Result<(), LinkError> {
+        let sent = &self.sent[at];
+        if point.stopped_only && self.running {
+            let text = format!(
+                "setpoint {} may only be written while the drive stands",
+                point.name
+            );
+            return Err(refused(bus, text));
+        }
+        if point.nvm {
+            if sent.registers == registers {
+                return Ok(());
+            }
+            let most = self
+                .map
+                .nvm_cycles
+                .map_or(NVM_WRITES, |cycles| cycles / NVM_SHARE);
+            if sent.writes >= most {
+                let text = format!(
+                    "setpoint {} lies in a memory that wears out, and {most} writes a connection are allowed",
+                    point.name
+                );
+                return Err(refused(bus, text));
+            }
+        }
+        bus.write(point.function, point.location.address, registers)?;
+        let sent = &mut self.sent[at];
+        sent.writes += 1;
+        sent.at_s = bus.now_s();
+        sent.registers = registers.to_vec();
+        self.kicked_s = sent.at_s;
+        if point.readback {
+            let count = point.location.layout.registers();
+            let found = bus.read(point.location.table, point.location.address, count)?;
+            if found == registers {
+                sent.mismatches = 0;
+            } else {
+                sent.mismatches += 1;
+                sent.found = found;
+            }
+        }
+        Ok(())
+    }
+
+    /// The longest row of read-backs that were not what was written.
+    pub(super) fn mismatches(&self) -> u32 {
+        self.sent
+            .iter()
+            .map(|sent| sent.mismatches)
+            .max()
+            .unwrap_or(0)
+    }
+
+    pub(super) fn mismatch_text(&self) -> String {
+        let worst = self
+            .sent
+            .iter()
+            .zip(&self.map.set_points)
+            .max_by_key(|(sent, _)| sent.mismatches);
+        worst.map_or_else(String::new, |(sent, point)| {
+            format!(
+                "setpoint {} was written as {:04x?} and read back as {:04x?}, {} times in a row",
+                point.name, sent.registers, sent.found, sent.mismatches
+            )
+        })
+    }
+
+    fn position(&self, name: &str) -> usize {
+        let mut points = self.map.set_points.iter();
+        points.position(|point| point.name == name).unwrap_or(0)
+    }
+}
+
+fn refused(bus: &dyn RegisterBus, reason: String) -> LinkError {
+    LinkError::Refused {
+        link: bus.name().0,
+        reason,
+    }
+}

@@ -1,0 +1,164 @@
+//! A command of the profile as it is carried out: write, wait for a status, let time pass. Pure: time and status go in.
+
+use crate::drive::register_map::Step;
+
+/// What is to be done now.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Next {
+    /// Write this and say so with [`Sequence::written`].
+    Write {
+        set_point: String,
+        value: f64,
+        mask: Option<u16>,
+    },
+    /// Nothing yet.
+    Wait,
+    Done,
+    Failed {
+        step: usize,
+        reason: String,
+    },
+}
+
+/// One command under way.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Sequence {
+    pub(super) command: &'static str,
+    steps: Vec<Step>,
+    at: usize,
+    /// When the step began, s.
+    since_s: f64,
+}
+
+impl Sequence {
+    pub(super) fn new(command: &'static str, steps: &[Step], now_s: f64) -> Self {
+        Self {
+            command,
+            steps: steps.to_vec(),
+            at: 0,
+            since_s: now_s,
+        }
+    }
+
+    pub(super) fn steps(&self) -> usize {
+        self.steps.len()
+    }
+
+    /// `status` gives the bits of a signal and when they were read, s: what was read before a step began says nothing
+    /// about it.
+    pub(super) fn next(&mut self, now_s: f64, status: impl Fn(&str) -> Option<(u32, f64)>) -> Next {
+        while let Some(step) = self.steps.get(self.at) {
+            match step {
+                Step::Write {
+                    set_point,
+                    value,
+                    mask,
+                } => {
+                    return Next::Write {
+                        set_point: set_point.clone(),
+                        value: *value,
+                        mask: *mask,
+                    };
+                }
+                Step::Delay { seconds } if now_s - self.since_s < *seconds => return Next::Wait,
+                Step::Delay { .. } => self.go_on(now_s),
+                Step::Wait {
+                    condition,
+                    within_s,
+                    error,
+                } => {
+                    let fresh =
+                        status(&condition.signal).filter(|(_, read_s)| *read_s >= self.since_s);
+                    if fresh.is_some_and(|(bits, _)| condition.holds(bits)) {
+                        self.go_on(now_s);
+                    } else if now_s - self.since_s > *within_s {
+                        let seen = fresh.map_or_else(
+                            || "was not read".to_owned(),
+                            |(bits, _)| format!("is {bits:#06x}"),
+                        );
+                        return Next::Failed {
+                            step: self.at + 1,
+                            reason: format!(
+                                "{}: {} {seen} after {within_s} s (expected {:#06x} under mask {:#06x})",
+                                error.as_deref().unwrap_or("the status did not come"),
+                                condition.signal,
+                                condition.pattern,
+                                condition.mask
+                            ),
+                        };
+                    } else {
+                        return Next::Wait;
+                    }
+                }
+            }
+        }
+        Next::Done
+    }
+
+    /// The write of this step has been acknowledged.
+    pub(super) fn written(&mut self, now_s: f64) {
+        self.go_on(now_s);
+    }
+
+    const fn go_on(&mut self, now_s: f64) {
+        self.at += 1;
+        self.since_s = now_s;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::register_map::Condition;
+
+    fn steps() -> Vec<Step> {
+        vec![
+            Step::Write {
+                set_point: "word".to_owned(),
+                value: 6.0,
+                mask: None,
+            },
+            Step::Delay { seconds: 0.5 },
+            Step::Wait {
+                condition: Condition {
+                    signal: "status".to_owned(),
+                    mask: 0x6F,
+                    pattern: 0x21,
+                    negated: false,
+                },
+                within_s: 1.0,
+                error: Some("not ready".to_owned()),
+            },
+        ]
+    }
+
+    #[test]
+    fn steps_are_taken_in_order_and_an_old_status_does_not_count() {
+        let mut sequence = Sequence::new("enable", &steps(), 0.0);
+        let ready_at = |read_s| move |_: &str| Some((0x21, read_s));
+        assert!(matches!(
+            sequence.next(0.0, ready_at(0.0)),
+            Next::Write { .. }
+        ));
+        sequence.written(0.1);
+        assert_eq!(sequence.next(0.5, ready_at(0.5)), Next::Wait);
+        // The delay ends here; what was read before that is of another time.
+        assert_eq!(sequence.next(0.7, ready_at(0.6)), Next::Wait);
+        assert_eq!(sequence.next(0.8, ready_at(0.75)), Next::Done);
+    }
+
+    #[test]
+    fn a_status_that_does_not_come_names_step_reason_and_bits() {
+        let mut sequence = Sequence::new("enable", &steps(), 0.0);
+        sequence.written(0.0);
+        assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
+        let Next::Failed { step, reason } = sequence.next(1.7, |_| Some((0x40, 1.7))) else {
+            panic!("the time is over");
+        };
+        assert_eq!(step, 3);
+        assert_eq!(
+            reason,
+            "not ready: status is 0x0040 after 1 s (expected 0x0021 under mask 0x006f)"
+        );
+    }
+}

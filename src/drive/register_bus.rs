@@ -1,0 +1,44 @@
+//! Registers at the far end of something: all that a profiled drive needs of a link.
+
+use super::RegisterTable;
+use super::link::{LinkError, LinkName, LinkStatistics};
+use super::tally::RoundTrips;
+
+/// Reads and writes registers, each call bounded by the bus's own deadline for it, and keeps the host's time.
+pub trait RegisterBus: Send {
+    fn name(&self) -> LinkName;
+
+    /// Host time, s since an origin of the bus's own.
+    fn now_s(&self) -> f64;
+
+    /// Lets host time pass; a time that has passed changes nothing.
+    fn pause_until_s(&mut self, time_s: f64);
+
+    /// Reads `count` registers; a question without effect, so it may be asked again within its deadline.
+    fn read(
+        &mut self,
+        table: RegisterTable,
+        address: u16,
+        count: u16,
+    ) -> Result<Vec<u16>, LinkError>;
+
+    /// Writes with function code 6 (one register) or 16; never repeated by itself.
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError>;
+
+    /// An object of function code 43; `None` where the drive does not have it.
+    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError>;
+
+    /// Whether the far end is known to be software.
+    fn is_emulated(&self) -> bool {
+        false
+    }
+
+    fn statistics(&self) -> LinkStatistics;
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        None
+    }
+
+    /// Wire time of one request and its reply of so many bytes, s; `None` without a line.
+    fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64>;
+}

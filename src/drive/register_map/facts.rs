@@ -1,0 +1,521 @@
+//! What a profile says, resolved: addresses as on the wire, names looked up, everything checked.
+
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+use serde::{Deserialize, Serialize};
+
+use super::value::Layout;
+use crate::drive::RegisterTable;
+use crate::drive::profile::{DriveProfile, KickedBy, Trust};
+use crate::sample::{Channel, Origin, Side};
+use crate::units::rad_s_from_rpm;
+
+/// What turns the motor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DeviceKind {
+    /// Chopper or servo amplifier for a DC motor.
+    Dc,
+    /// Line-commutated bridge for a DC motor.
+    ThyristorDc,
+    /// Frequency converter for an induction motor.
+    Ac,
+    Bldc,
+    Servo,
+}
+
+/// `[device]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Device {
+    /// How a bench file names it.
+    pub id: String,
+    pub name: String,
+    pub kind: DeviceKind,
+    pub source: String,
+    pub trust: Trust,
+    /// Shown wherever the profile is used.
+    pub note: Option<String>,
+}
+
+/// `[converter]` of a thyristor drive.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Converter {
+    /// Longest time until the bridge fires next, ms: 3.3 with six pulses, 10 with two, both at 50 Hz.
+    pub dead_time_ms: f64,
+    /// 1: one direction and no braking; 2: one direction of current; 4: all.
+    pub quadrants: u8,
+}
+
+/// How a late reply is told from the right one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Resync {
+    /// Function code 08 returns a number of our own.
+    Fc08,
+    /// A read of a length that no unanswered request had.
+    Length,
+    /// Modbus TCP has a transaction number.
+    Tid,
+    /// Only silence; a reply that is later than that cannot be told.
+    None,
+}
+
+/// How often a signal is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PollRate {
+    Fast,
+    Slow,
+    Once,
+}
+
+/// What a register means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    Current,
+    Voltage,
+    BusVoltage,
+    LineVoltage,
+    /// From a sensor on the shaft.
+    ShaftSpeed,
+    /// What the converter puts out or computes; no shaft was looked at.
+    OutputSpeed,
+    Torque,
+    Power,
+    Duty,
+    FieldCurrent,
+    Temperature,
+    Angle,
+    Status,
+    FaultCode,
+    /// Nameplate values that other signals are scaled with.
+    RatedCurrent,
+    RatedVoltage,
+    RatedSpeed,
+    CurrentLimit,
+    VoltageLimit,
+    /// A word of bits that is written.
+    Word,
+    /// A set-point of speed.
+    Speed,
+    Other,
+}
+
+/// Unit of a value in a profile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Unit {
+    #[default]
+    #[serde(rename = "")]
+    None,
+    #[serde(rename = "rpm")]
+    Rpm,
+    #[serde(rename = "rad/s")]
+    RadS,
+    #[serde(rename = "Hz")]
+    Hertz,
+    A,
+    V,
+    #[serde(rename = "N.m")]
+    NewtonMetre,
+    #[serde(rename = "%")]
+    Percent,
+    #[serde(rename = "kW")]
+    KiloWatt,
+    #[serde(rename = "C")]
+    Celsius,
+    #[serde(rename = "rad")]
+    Rad,
+}
+
+impl Unit {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "",
+            Self::Rpm => "rpm",
+            Self::RadS => "rad/s",
+            Self::Hertz => "Hz",
+            Self::A => "A",
+            Self::V => "V",
+            Self::NewtonMetre => "N.m",
+            Self::Percent => "%",
+            Self::KiloWatt => "kW",
+            Self::Celsius => "C",
+            Self::Rad => "rad",
+        }
+    }
+}
+
+/// Where a value lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Location {
+    pub table: RegisterTable,
+    pub address: u16,
+    pub layout: Layout,
+}
+
+/// Raw number to value: `raw * scale * (product of the signals in scale_by) + offset`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Numbers {
+    pub scale: f64,
+    pub offset: f64,
+    pub scale_by: Vec<String>,
+    pub unit: Unit,
+}
+
+impl Numbers {
+    /// `factor`: product of the signals in `scale_by`.
+    pub fn value(&self, raw: f64, factor: f64) -> f64 {
+        raw * self.scale * factor + self.offset
+    }
+
+    pub fn raw(&self, value: f64, factor: f64) -> f64 {
+        (value - self.offset) / (self.scale * factor)
+    }
+}
+
+/// What is known of a signal beside its number.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Traits {
+    pub origin: Option<Origin>,
+    pub signed: bool,
+    pub filter_ms: Option<f64>,
+    pub update_ms: Option<f64>,
+    pub basis: Option<super::schema::Basis>,
+    pub side: Option<Side>,
+    pub trust: Option<Trust>,
+    pub note: Option<String>,
+}
+
+/// One value that is read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Signal {
+    pub name: String,
+    pub location: Location,
+    pub numbers: Numbers,
+    pub quantity: Quantity,
+    pub poll: PollRate,
+    /// In units; a value outside is missing.
+    pub valid: Option<[f64; 2]>,
+    /// Raw patterns that mean "not available".
+    pub invalid: Vec<u32>,
+    pub traits: Traits,
+    /// The channel that it fills, and what one unit is in SI.
+    pub channel: Option<(Channel, f64)>,
+}
+
+/// Sign of a set-point as bits of another one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sign {
+    pub set_point: String,
+    pub mask: u16,
+}
+
+/// When a register may be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StoppedOnly {
+    Stopped,
+}
+
+/// One value that is written.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SetPoint {
+    pub name: String,
+    pub location: Location,
+    /// 6 or 16.
+    pub function: u8,
+    pub numbers: Numbers,
+    pub quantity: Quantity,
+    pub limits: Option<[f64; 2]>,
+    pub slew_per_s: Option<f64>,
+    pub refresh_s: Option<f64>,
+    pub readback: bool,
+    pub nvm: bool,
+    pub stopped_only: bool,
+    pub sign: Option<Sign>,
+    pub trust: Option<Trust>,
+    pub note: Option<String>,
+    /// What one unit is in SI where the bench may command it as speed, current or voltage.
+    pub si: Option<f64>,
+}
+
+impl SetPoint {
+    pub fn is_word(&self) -> bool {
+        self.quantity == Quantity::Word
+    }
+}
+
+/// A test of bits of a signal.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Condition {
+    pub signal: String,
+    pub mask: u32,
+    pub pattern: u32,
+    /// The bits must differ from the pattern.
+    pub negated: bool,
+}
+
+impl Condition {
+    pub const fn holds(&self, pattern: u32) -> bool {
+        (pattern & self.mask == self.pattern) != self.negated
+    }
+}
+
+/// One step of a command.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Step {
+    /// `mask`: only these bits, the others stay as last written.
+    Write {
+        set_point: String,
+        value: f64,
+        mask: Option<u16>,
+    },
+    Wait {
+        condition: Condition,
+        within_s: f64,
+        error: Option<String>,
+    },
+    Delay {
+        seconds: f64,
+    },
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Commands {
+    pub enable: Vec<Step>,
+    pub stop: Vec<Step>,
+    pub coast: Vec<Step>,
+    pub reset: Vec<Step>,
+    pub quickstop: Vec<Step>,
+}
+
+impl Commands {
+    pub fn all(&self) -> [(&'static str, &[Step]); 5] {
+        [
+            ("enable", &self.enable),
+            ("stop", &self.stop),
+            ("coast", &self.coast),
+            ("reset", &self.reset),
+            ("quickstop", &self.quickstop),
+        ]
+    }
+}
+
+/// `[[identity]]`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum IdentityCheck {
+    Signal {
+        signal: String,
+        mask: u32,
+        test: IdentityTest,
+    },
+    /// An object of function code 43 has to hold this text.
+    Object { object: u8, contains: String },
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum IdentityTest {
+    OneOf(Vec<u32>),
+    Within([f64; 2]),
+}
+
+/// What watches over the host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SupervisionKind {
+    /// A register that takes the time.
+    Register,
+    /// A parameter of the drive.
+    Parameter,
+    /// Part of the command itself: it has to be repeated.
+    Implicit,
+    /// The gateway in between.
+    Gateway,
+    Unknown,
+    None,
+}
+
+/// What the drive does when the host is silent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Expiry {
+    Trip,
+    Stop,
+    /// Another parameter decides.
+    Parameter,
+    #[default]
+    Unknown,
+}
+
+/// `[watchdog]`, with the registers that it has.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Supervision {
+    pub kind: SupervisionKind,
+    pub kicked_by: KickedBy,
+    /// As delivered, s: 0 is off, `None` not known.
+    pub default_s: Option<f64>,
+    pub on_expire: Expiry,
+    pub auto_resume: bool,
+    pub nvm: bool,
+    /// The time's register, and what one raw unit is in s.
+    pub time: Option<(Location, f64)>,
+    /// Written at connect and read back, s.
+    pub set_s: Option<f64>,
+    pub boot_delay_s: f64,
+    pub proof: Option<String>,
+    pub note: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rates {
+    /// What the fast signals and one set-point reach at the profile's baud rate, Hz.
+    pub fast_hz: f64,
+    pub slow_hz: f64,
+}
+
+/// The whole map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RegisterMap {
+    pub device: Device,
+    pub converter: Option<Converter>,
+    /// Function codes that the drive knows.
+    pub functions: Vec<u8>,
+    pub max_read: u16,
+    pub max_write: u16,
+    /// Unused registers that a read may run over.
+    pub max_hole: u16,
+    /// Blocks that are only read as a whole: first address and registers.
+    pub exact_reads: Vec<(u16, u16)>,
+    pub resync: Resync,
+    pub nvm_cycles: Option<u32>,
+    pub identity: Vec<IdentityCheck>,
+    pub signals: Vec<Signal>,
+    /// Channel key to the reason why it is not mapped.
+    pub missing: BTreeMap<String, String>,
+    pub set_points: Vec<SetPoint>,
+    pub commands: Commands,
+    /// Names of [`RegisterMap::STATES`] to their condition.
+    pub state: BTreeMap<String, Condition>,
+    /// Names of states that no register tells, with the reason.
+    pub untold: BTreeMap<String, String>,
+    pub watchdog: Supervision,
+    /// Current of the field below which the motor would run away, A.
+    pub field_min_a: Option<f64>,
+    pub rates: Rates,
+}
+
+impl RegisterMap {
+    /// States that a profile may tell from status bits.
+    pub const STATES: [&'static str; 7] = [
+        "fault",
+        "ready",
+        "running",
+        "comm_loss",
+        "local",
+        "sto",
+        "remote",
+    ];
+    /// Channels that are mapped or declared missing.
+    pub const REQUIRED: [Channel; 3] = [Channel::Voltage, Channel::Current, Channel::Speed];
+
+    /// Reads a profile file of this kind; `file` names it in errors.
+    ///
+    /// # Errors
+    /// The first key or value that is not allowed, with its line.
+    pub fn parse(file: &str, text: &str) -> Result<Self, crate::config_text::ConfigError> {
+        super::resolve::read(file, text).map(|(map, _)| map)
+    }
+
+    /// The same with the profile that the bench sees.
+    pub(in crate::drive) fn with_profile(
+        file: &str,
+        text: &str,
+    ) -> Result<(Self, DriveProfile), crate::config_text::ConfigError> {
+        super::resolve::read(file, text)
+    }
+
+    pub fn signal(&self, name: &str) -> Option<&Signal> {
+        self.signals.iter().find(|signal| signal.name == name)
+    }
+
+    /// The signal that fills a channel.
+    pub fn of_channel(&self, channel: Channel) -> Option<&Signal> {
+        let is_it = |signal: &&Signal| signal.channel.is_some_and(|(has, _)| has == channel);
+        self.signals.iter().find(is_it)
+    }
+
+    pub fn of_quantity(&self, quantity: Quantity) -> Option<&Signal> {
+        self.signals
+            .iter()
+            .find(|signal| signal.quantity == quantity)
+    }
+
+    pub fn set_point(&self, name: &str) -> Option<&SetPoint> {
+        self.set_points.iter().find(|point| point.name == name)
+    }
+
+    /// The set-point that takes a demand of this quantity in SI.
+    pub fn demand(&self, quantity: Quantity) -> Option<&SetPoint> {
+        let is_it = |point: &&SetPoint| point.quantity == quantity && point.si.is_some();
+        self.set_points.iter().find(is_it)
+    }
+
+    pub fn state(&self, name: &str) -> Option<&Condition> {
+        self.state.get(name)
+    }
+
+    /// What is only from memory in a profile that otherwise has a source.
+    pub fn unverified(&self) -> Vec<&str> {
+        let doubtful = |trust: Option<Trust>| trust == Some(Trust::Unverified);
+        let signals = self.signals.iter().filter(|s| doubtful(s.traits.trust));
+        let points = self.set_points.iter().filter(|p| doubtful(p.trust));
+        signals
+            .map(|s| s.name.as_str())
+            .chain(points.map(|p| p.name.as_str()))
+            .collect()
+    }
+}
+
+/// The channel that a quantity fills, and what one unit is in SI; `None` where the unit does not lead there.
+pub(super) fn channel_of(
+    quantity: Quantity,
+    unit: Unit,
+    pole_pairs: Option<u8>,
+) -> Option<(Channel, f64)> {
+    Some(match (quantity, unit) {
+        (Quantity::Current, Unit::A) => (Channel::Current, 1.0),
+        (Quantity::Voltage, Unit::V) => (Channel::Voltage, 1.0),
+        (Quantity::BusVoltage, Unit::V) => (Channel::Bus, 1.0),
+        (Quantity::ShaftSpeed | Quantity::OutputSpeed, _) => {
+            (Channel::Speed, speed_si(unit, pole_pairs)?)
+        }
+        (Quantity::Torque, Unit::NewtonMetre) => (Channel::Torque, 1.0),
+        (Quantity::Temperature, Unit::Celsius) => (Channel::Temperature, 1.0),
+        (Quantity::Angle, Unit::Rad) => (Channel::Angle, 1.0),
+        _ => return None,
+    })
+}
+
+/// What one unit of a set-point is in SI, if the bench may command it.
+pub(super) fn demand_si(quantity: Quantity, unit: Unit, pole_pairs: Option<u8>) -> Option<f64> {
+    match (quantity, unit) {
+        (Quantity::Speed, _) => speed_si(unit, pole_pairs),
+        (Quantity::Current, Unit::A) | (Quantity::Voltage, Unit::V) => Some(1.0),
+        _ => None,
+    }
+}
+
+fn speed_si(unit: Unit, pole_pairs: Option<u8>) -> Option<f64> {
+    match unit {
+        Unit::Rpm => Some(rad_s_from_rpm(1.0)),
+        Unit::RadS => Some(1.0),
+        // Electrical to mechanical.
+        Unit::Hertz => pole_pairs.map(|pairs| TAU / f64::from(pairs)),
+        _ => None,
+    }
+}

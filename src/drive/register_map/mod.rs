@@ -1,0 +1,28 @@
+//! The register map of a drive that is not ours: what its profile file says, checked and resolved.
+//!
+//! ```text
+//! TOML --schema.rs--> keys as written --resolve.rs--> RegisterMap --> profiled.rs (host), emulator/foreign (drive)
+//!                                        address.rs   40026, "01.07", [0x2100, 1] -> address on the wire
+//!                                        value.rs     registers <-> number
+//!                                        plan.rs      which registers are read together
+//! ```
+//!
+//! Facts only, each with the source and the trust of its file. Nothing here knows a link.
+
+mod address;
+mod facts;
+mod plan;
+mod resolve;
+mod schema;
+mod value;
+
+pub use facts::{
+    Commands, Condition, Converter, Device, DeviceKind, Expiry, IdentityCheck, IdentityTest,
+    Location, Numbers, PollRate, Quantity, Rates, RegisterMap, Resync, SetPoint, Sign, Signal,
+    Step, StoppedOnly, Supervision, SupervisionKind, Traits, Unit,
+};
+pub use plan::{ReadBlock, plan_reads};
+pub use value::{Byte, Kind, Layout, Order};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,282 @@
+//! Signals, set-points and the watchdog, each on its own.
+
+use toml::Spanned;
+
+use super::super::address::resolve;
+use super::super::facts::{
+    Location, Numbers, Quantity, SetPoint, Sign, Signal, Supervision, Traits, Unit, channel_of,
+    demand_si,
+};
+use super::super::schema::{SetPointKeys, SignalKeys, WatchdogKeys};
+use super::super::value::{Kind, Layout};
+use super::Reader;
+use crate::config_text::ConfigError;
+use crate::drive::RegisterTable;
+
+impl Reader<'_> {
+    pub(super) fn signal(
+        &self,
+        name: &str,
+        spanned: &Spanned<SignalKeys>,
+    ) -> Result<Signal, ConfigError> {
+        let (keys, span) = (spanned.get_ref(), spanned.span());
+        let wrong =
+            |key: &str, message: String| self.at(&span, key, format!("signal {name}: {message}"));
+        let found =
+            resolve(keys.written(), self.base, self.formula).map_err(|r| wrong("address", r))?;
+        let usual = if self.functions.contains(&3) { 3 } else { 4 };
+        let function = match (keys.function, found.is_input) {
+            (Some(function), _) => function,
+            (None, Some(true)) => 4,
+            (None, Some(false)) => 3,
+            (None, None) => usual,
+        };
+        let table = match function {
+            3 => RegisterTable::Holding,
+            4 => RegisterTable::Input,
+            _ => {
+                return Err(wrong(
+                    "function",
+                    format!("function {function} is not allowed (expected 3 or 4)"),
+                ));
+            }
+        };
+        self.knows(function).map_err(|r| wrong("function", r))?;
+        let bits = match &keys.bits {
+            None => None,
+            Some(text) => Some(bit_range(text, 16 * keys.kind.registers()).ok_or_else(|| {
+                wrong(
+                    "bits",
+                    format!(
+                        "bits {text:?} is not allowed (expected \"FIRST..LAST\" within the type)"
+                    ),
+                )
+            })?),
+        };
+        if let Some(valid) = keys.valid
+            && valid[0].partial_cmp(&valid[1]) != Some(std::cmp::Ordering::Less)
+        {
+            return Err(wrong(
+                "valid",
+                format!("valid {valid:?} is not allowed (expected [lowest, highest])"),
+            ));
+        }
+        let channel = channel_of(keys.quantity, keys.unit, keys.pole_pairs);
+        if channel.is_some() && keys.origin.is_none() {
+            return Err(wrong(
+                "quantity",
+                "origin is missing (expected measured, estimated or commanded)".to_owned(),
+            ));
+        }
+        Ok(Signal {
+            name: name.to_owned(),
+            location: Location {
+                table,
+                address: found.address,
+                layout: Layout {
+                    kind: keys.kind,
+                    words: keys.word_order,
+                    bytes: keys.byte_order,
+                    byte: keys.byte,
+                    bits,
+                },
+            },
+            numbers: Self::numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit, |m| {
+                wrong("scale", m)
+            })?,
+            quantity: keys.quantity,
+            poll: keys.poll,
+            valid: keys.valid,
+            invalid: keys.invalid.clone(),
+            traits: Traits {
+                origin: keys.origin,
+                signed: keys.signed.unwrap_or_else(|| keys.kind.is_signed()),
+                filter_ms: keys.filter_ms,
+                update_ms: keys.update_ms,
+                basis: keys.basis,
+                side: keys.side,
+                trust: keys.trust,
+                note: keys.note.clone(),
+            },
+            channel,
+        })
+    }
+
+    pub(super) fn numbers(
+        scale: Option<f64>,
+        offset: Option<f64>,
+        scale_by: &[String],
+        unit: Unit,
+        wrong: impl Fn(String) -> ConfigError,
+    ) -> Result<Numbers, ConfigError> {
+        let (scale, offset) = (scale.unwrap_or(1.0), offset.unwrap_or(0.0));
+        if !(scale.is_finite() && scale != 0.0 && offset.is_finite()) {
+            return Err(wrong(format!(
+                "scale {scale}, offset {offset} is not allowed (expected finite numbers, scale other than 0)"
+            )));
+        }
+        Ok(Numbers {
+            scale,
+            offset,
+            scale_by: scale_by.to_vec(),
+            unit,
+        })
+    }
+
+    pub(super) fn set_point(
+        &self,
+        name: &str,
+        spanned: &Spanned<SetPointKeys>,
+    ) -> Result<SetPoint, ConfigError> {
+        let (keys, span) = (spanned.get_ref(), spanned.span());
+        let wrong =
+            |key: &str, message: String| self.at(&span, key, format!("setpoint {name}: {message}"));
+        let found =
+            resolve(keys.written(), self.base, self.formula).map_err(|r| wrong("address", r))?;
+        if found.is_input == Some(true) {
+            return Err(wrong(
+                "address",
+                "an input register cannot be written".to_owned(),
+            ));
+        }
+        let registers = keys.kind.registers();
+        let single = registers == 1 && self.functions.contains(&6);
+        let function = keys.function.unwrap_or(if single { 6 } else { 16 });
+        if !matches!(function, 6 | 16) || (function == 6 && registers > 1) {
+            return Err(wrong(
+                "function",
+                format!("function {function} is not allowed (expected 6 for one register, or 16)"),
+            ));
+        }
+        self.knows(function).map_err(|r| wrong("function", r))?;
+        let layout = Layout {
+            words: keys.word_order,
+            bytes: keys.byte_order,
+            ..Layout::plain(keys.kind)
+        };
+        let numbers = Self::numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit, |m| {
+            wrong("scale", m)
+        })?;
+        if let Some(limits) = keys.limits {
+            let ordered = limits[0].is_finite() && limits[1].is_finite() && limits[0] < limits[1];
+            // With a factor from the drive this can only be known when the factor is.
+            let fits = !numbers.scale_by.is_empty()
+                || limits
+                    .iter()
+                    .all(|limit| layout.encode(numbers.raw(*limit, 1.0)).is_some());
+            if !(ordered && fits) {
+                return Err(wrong(
+                    "limits",
+                    format!(
+                        "limits {limits:?} is not allowed (expected [lowest, highest] that the raw type holds)"
+                    ),
+                ));
+            }
+        }
+        for (key, value) in [
+            ("refresh_ms", keys.refresh_ms),
+            ("slew_per_s", keys.slew_per_s),
+        ] {
+            if value.is_some_and(|value| !(value.is_finite() && value > 0.0)) {
+                return Err(wrong(
+                    key,
+                    format!("{key} is not allowed (expected more than 0)"),
+                ));
+            }
+        }
+        if keys.nvm && keys.refresh_ms.is_some() {
+            return Err(wrong(
+                "refresh_ms",
+                "a register in non-volatile memory must not be refreshed: each write wears it out"
+                    .to_owned(),
+            ));
+        }
+        if keys.quantity != Quantity::Word && keys.limits.is_none() {
+            return Err(wrong(
+                "quantity",
+                "limits are missing (expected [lowest, highest] in the setpoint's unit)".to_owned(),
+            ));
+        }
+        Ok(SetPoint {
+            name: name.to_owned(),
+            location: Location {
+                table: RegisterTable::Holding,
+                address: found.address,
+                layout,
+            },
+            function,
+            si: demand_si(keys.quantity, keys.unit, keys.pole_pairs),
+            numbers,
+            quantity: keys.quantity,
+            limits: keys.limits,
+            slew_per_s: keys.slew_per_s,
+            refresh_s: keys.refresh_ms.map(|ms| ms * 1e-3),
+            readback: keys.readback,
+            nvm: keys.nvm,
+            stopped_only: keys.write_only_when.is_some(),
+            sign: keys.sign.as_ref().map(|sign| Sign {
+                set_point: sign.setpoint.clone(),
+                mask: sign.mask,
+            }),
+            trust: keys.trust,
+            note: keys.note.clone(),
+        })
+    }
+
+    pub(super) fn watchdog(
+        &self,
+        spanned: &Spanned<WatchdogKeys>,
+    ) -> Result<Supervision, ConfigError> {
+        let (keys, span) = (spanned.get_ref(), spanned.span());
+        let wrong =
+            |key: &str, message: String| self.at(&span, key, format!("watchdog: {message}"));
+        let time = match &keys.time {
+            None => None,
+            Some(time) => {
+                let found = resolve(time.written(), self.base, self.formula)
+                    .map_err(|r| wrong("time", r))?;
+                let location = Location {
+                    table: RegisterTable::Holding,
+                    address: found.address,
+                    layout: Layout::plain(Kind::U16),
+                };
+                Some((location, time.unit_ms * 1e-3))
+            }
+        };
+        if keys.set_ms.is_some() && (time.is_none() || keys.nvm) {
+            return Err(wrong(
+                "set_ms",
+                "set_ms needs a time register outside of non-volatile memory".to_owned(),
+            ));
+        }
+        let times = [keys.default_ms, keys.set_ms, Some(keys.boot_delay_s)];
+        if times
+            .into_iter()
+            .flatten()
+            .any(|time| !(time.is_finite() && time >= 0.0))
+        {
+            return Err(wrong("default_ms", "times must be 0 or more".to_owned()));
+        }
+        let s = |ms: f64| ms * 1e-3;
+        Ok(Supervision {
+            kind: keys.kind,
+            kicked_by: keys.kicked_by,
+            default_s: keys.default_ms.map(s),
+            on_expire: keys.on_expire,
+            auto_resume: keys.auto_resume,
+            nvm: keys.nvm,
+            time,
+            set_s: keys.set_ms.map(s),
+            boot_delay_s: keys.boot_delay_s,
+            proof: keys.proof.clone(),
+            note: keys.note.clone(),
+        })
+    }
+}
+
+/// `"3..5"` within `width` bits.
+fn bit_range(text: &str, width: u16) -> Option<(u8, u8)> {
+    let (first, last) = text.split_once("..")?;
+    let (first, last) = (first.parse::<u8>().ok()?, last.parse::<u8>().ok()?);
+    (first <= last && u16::from(last) < width).then_some((first, last))
+}

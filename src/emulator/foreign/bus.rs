@@ -1,0 +1,174 @@
+//! The drive in memory as a bus of registers, in virtual time.
+
+use super::{ForeignDrive, Guise};
+use crate::drive::{LinkError, LinkName, LinkStatistics, RegisterBus, RegisterTable};
+use crate::emulator::VirtualClock;
+use crate::emulator::pace::Pace;
+
+/// Bytes of a frame beside its PDU.
+const FRAME_BYTES: usize = 3;
+
+/// A foreign drive without a wire, but with the wire's time.
+pub struct ForeignBus {
+    drive: ForeignDrive,
+    clock: VirtualClock,
+    pace: Pace,
+    functions: Vec<u8>,
+    /// Runs ahead of the clock by what the requests of one exchange take, s.
+    now_s: f64,
+    statistics: LinkStatistics,
+    /// So many requests from now on get no reply.
+    deaf: u32,
+}
+
+impl ForeignBus {
+    pub fn new(drive: ForeignDrive, guise: &Guise, clock: VirtualClock) -> Self {
+        Self {
+            pace: Pace::serial(&guise.line, true),
+            functions: guise.map.functions.clone(),
+            drive,
+            clock,
+            now_s: 0.0,
+            statistics: LinkStatistics::default(),
+            deaf: 0,
+        }
+    }
+
+    pub const fn drive(&self) -> &ForeignDrive {
+        &self.drive
+    }
+
+    pub const fn drive_mut(&mut self) -> &mut ForeignDrive {
+        &mut self.drive
+    }
+
+    /// The next requests are lost on the way.
+    pub const fn lose(&mut self, requests: u32) {
+        self.deaf = requests;
+    }
+
+    fn ask(&mut self, request: &[u8], what: impl Fn() -> String) -> Result<Vec<u8>, LinkError> {
+        self.statistics.sent += 1;
+        self.now_s = RegisterBus::now_s(self);
+        let mut arrived_s = self.now_s;
+        for _ in 0..request.len() + FRAME_BYTES {
+            arrived_s = self.pace.arrival_s(self.now_s);
+        }
+        self.drive.advance_to(arrived_s);
+        if self.deaf > 0 {
+            self.deaf -= 1;
+            self.statistics.timeout += 1;
+            let waited_s = 0.1;
+            self.now_s = arrived_s + waited_s;
+            return Err(LinkError::Timeout {
+                link: self.name().0,
+                deadline_ms: 100,
+                request: what(),
+            });
+        }
+        let answer = self.drive.answer(request);
+        self.now_s = self.pace.delivery_s(arrived_s, answer.len() + FRAME_BYTES);
+        if let [function, code] = *answer.as_slice()
+            && function & 0x80 != 0
+        {
+            self.statistics.exception += 1;
+            return Err(LinkError::Exception {
+                link: self.name().0,
+                request: what(),
+                code,
+                name: match code {
+                    1 => "illegal function",
+                    2 => "illegal data address",
+                    3 => "illegal data value",
+                    _ => "another exception",
+                },
+            });
+        }
+        self.statistics.ok += 1;
+        Ok(answer)
+    }
+}
+
+impl RegisterBus for ForeignBus {
+    fn name(&self) -> LinkName {
+        LinkName("sim:".to_owned())
+    }
+
+    fn now_s(&self) -> f64 {
+        self.now_s.max(self.clock.time_s())
+    }
+
+    fn pause_until_s(&mut self, time_s: f64) {
+        self.now_s = self.now_s.max(time_s);
+        self.drive.advance_to(self.now_s);
+    }
+
+    fn read(
+        &mut self,
+        table: RegisterTable,
+        address: u16,
+        count: u16,
+    ) -> Result<Vec<u16>, LinkError> {
+        let function = match table {
+            RegisterTable::Holding => 3,
+            RegisterTable::Input => 4,
+        };
+        let mut request = vec![function];
+        request.extend(address.to_be_bytes());
+        request.extend(count.to_be_bytes());
+        let what = || format!("read {count} registers at {address}");
+        let answer = self.ask(&request, what)?;
+        let words = answer.get(2..).unwrap_or_default().chunks_exact(2);
+        Ok(words
+            .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+            .collect())
+    }
+
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
+        let mut request = vec![function];
+        request.extend(address.to_be_bytes());
+        if function != 6 {
+            let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
+            request.extend(count.to_be_bytes());
+            request.push(u8::try_from(2 * values.len()).unwrap_or(u8::MAX));
+        }
+        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        self.ask(&request, || format!("write {values:04x?} at {address}"))
+            .map(drop)
+    }
+
+    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+        if !self.functions.contains(&43) {
+            return Ok(None);
+        }
+        let answer = self.ask(&[43, 14, 4, object], || {
+            "the device identification".to_owned()
+        });
+        match answer {
+            Ok(answer) => Ok(answer
+                .get(9..)
+                .and_then(|text| std::str::from_utf8(text).ok())
+                .map(str::to_owned)),
+            Err(LinkError::Exception { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn is_emulated(&self) -> bool {
+        true
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.statistics
+    }
+
+    fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
+        let mut pace = self.pace.clone();
+        let start_s = self.now_s.max(self.clock.time_s());
+        let mut end_s = start_s;
+        for _ in 0..request_bytes {
+            end_s = pace.arrival_s(start_s);
+        }
+        Some(pace.delivery_s(end_s, reply_bytes) - start_s)
+    }
+}

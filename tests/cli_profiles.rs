@@ -1,0 +1,195 @@
+//! Drives of other makes through the real binary: an emulator process answers as the drive over a real pseudo-terminal,
+//! another process uses it with the profile.
+#![cfg(target_os = "linux")]
+#![expect(
+    clippy::unwrap_used,
+    reason = "helpers of an integration test are test code"
+)]
+
+mod desk;
+mod program;
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+
+use desk::Desk;
+use program::{command, drivebench, line, only_folder};
+use serde_json::Value;
+
+/// An emulator process; it ends with the test.
+struct Emulator {
+    process: Child,
+    ready: String,
+}
+
+impl Emulator {
+    fn start(arguments: &[PathBuf]) -> Self {
+        let mut command = command(arguments);
+        command.stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut process = command.spawn().unwrap();
+        let mut ready = String::new();
+        let mut out = BufReader::new(process.stdout.take().unwrap());
+        out.read_line(&mut ready).unwrap();
+        Self { process, ready }
+    }
+}
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// A bench whose motor is the emulated one, at a rate that a loaded machine keeps.
+fn bench(desk: &Desk, profile: &str, rate_hz: u32, reference: &str) -> PathBuf {
+    let text = format!(
+        "name = \"foreign\"\n\
+         [drive]\nprofile = \"{profile}\"\n\
+         [link]\nport = \"sim:\"\nrate_hz = {rate_hz}.0\ndeadline_ms = 2000.0\n\
+         [motor]\nname = \"ZK-22FC\"\nrated_voltage_v = 110.0\nrated_current_a = 5.7\nrated_speed_rad_s = 293.2\n\
+         resistance_ohm = 1.1\ninductance_h = 0.0099\nback_emf_v_s_per_rad = 0.3538\ninertia_kg_m2 = 0.0045\n\
+         load_torque_n_m = 0.455\n\
+         [limits]\nlink_silence_s = 20.0\ntime_s = 60.0\n\
+         {reference}\n\
+         [[sequence]]\nstandstill = {{ seconds = 0.5 }}\n\
+         [[sequence]]\nsteps = {{ levels_v = [12.0, 0.0], hold_s = 1.5 }}\n"
+    );
+    desk.put("bench.toml", &text)
+}
+
+const SPEED: &str = "[speed]\ncontroller = \"pi\"\ndrive_lag_s = 0.1\n\
+                     [[speed.reference]]\nconstant = { speed_rad_s = 40.0, seconds = 3.0 }";
+
+fn manifest(runs: &Path) -> Value {
+    let text = fs::read_to_string(only_folder(runs).join("manifest.json")).unwrap();
+    serde_json::from_str(&text).unwrap()
+}
+
+#[test]
+fn the_ready_line_names_the_drive_with_its_unit_and_baud_rate() {
+    let desk = Desk::new();
+    let pty = desk.0.path().join("v20.pty");
+    let emulator = Emulator::start(&line("emulate --profile siemens-v20 --pty {}", &[&pty]));
+    assert!(
+        emulator.ready.starts_with("ready modbus-rtu "),
+        "{}",
+        emulator.ready
+    );
+    assert!(
+        emulator
+            .ready
+            .ends_with("unit=1 baud=9600 profile=siemens-v20\n"),
+        "{}",
+        emulator.ready
+    );
+}
+
+#[test]
+fn a_frequency_converter_is_refused_what_it_cannot_carry_before_anything_is_sent() {
+    let desk = Desk::new();
+    let pty = desk.0.path().join("v20.pty");
+    let runs = desk.0.path().join("runs");
+    let _emulator = Emulator::start(&line("emulate --profile siemens-v20 --pty {}", &[&pty]));
+    let bench = bench(&desk, "siemens-v20", 4, "");
+    let arguments = line(
+        "run {} --port {} --headless --hardware --out {}",
+        &[&bench, &pty, &runs],
+    );
+    let error = drivebench(arguments).expect(2).error();
+    assert!(error.contains("takes no armature voltage"), "{error}");
+    assert!(error.contains("docs/adding-a-drive.md"), "{error}");
+}
+
+#[test]
+fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
+    let desk = Desk::new();
+    let pty = desk.0.path().join("epulse.pty");
+    let runs = desk.0.path().join("runs");
+    let _emulator = Emulator::start(&line(
+        "emulate zk-22fc-plain --profile epulse50-dc --pty {}",
+        &[&pty],
+    ));
+    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
+    let arguments = line(
+        "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
+        &[&bench, &pty, &runs],
+    );
+    let done = drivebench(arguments).expect(0);
+    assert!(
+        done.stderr.contains("drive profile epulse50-dc"),
+        "{}",
+        done.stderr
+    );
+    assert!(done.stderr.contains("trust manual"), "{}", done.stderr);
+    let manifest = manifest(&runs);
+    let configs = &manifest["configs"];
+    assert!(
+        configs["drive"]
+            .as_str()
+            .unwrap()
+            .contains("trust = \"manual\"")
+    );
+    assert!(
+        configs["drive_provenance"]
+            .as_str()
+            .unwrap()
+            .contains("trust manual")
+    );
+    assert_eq!(manifest["signals"]["speed_rad_s"], "measured");
+}
+
+#[test]
+fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_terminal() {
+    let desk = Desk::new();
+    let pty = desk.0.path().join("roboteq.pty");
+    let runs = desk.0.path().join("runs");
+    // With a supply of 120 V one raw unit, a thousandth of it, is 0.12 V.
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/drives/roboteq-dc.toml");
+    let text = fs::read_to_string(folder).unwrap();
+    let from = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
+    assert!(text.contains(from));
+    let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
+    let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
+    let _emulator = Emulator::start(&line(
+        "emulate zk-22fc-plain --profile {} --pty {}",
+        &[&profile, &pty],
+    ));
+    let bench = bench(&desk, profile.to_str().unwrap(), 10, "");
+    let arguments = line(
+        "run {} --port {} --headless --hardware --waive-watchdog --json --out {}",
+        &[&bench, &pty, &runs],
+    );
+    drivebench(arguments).expect(0).json();
+    let manifest = manifest(&runs);
+    assert_eq!(manifest["outcome"], "passed");
+    let samples = fs::read_to_string(only_folder(&runs).join("samples.csv")).unwrap();
+    assert!(samples.lines().count() > 10, "{samples}");
+}
+
+#[test]
+fn a_defect_in_a_profile_is_an_error_with_its_line() {
+    let desk = Desk::new();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/drives/vacon10.toml");
+    let text = fs::read_to_string(folder).unwrap();
+    let wrong = text.replacen("quantity = \"status\"", "quantty = \"status\"", 1);
+    let line_of = 1 + wrong
+        .lines()
+        .position(|line| line.starts_with("quantty"))
+        .unwrap();
+    let profile = desk.put("vacon.toml", &wrong);
+    let error = drivebench(line("emulate --profile {}", &[&profile]))
+        .expect(2)
+        .error();
+    assert!(
+        error.contains(&format!("vacon.toml:{line_of}:1: unknown field `quantty`")),
+        "{error}"
+    );
+    assert!(error.contains("did you mean `quantity`?"), "{error}");
+    let unknown = drivebench(line("emulate --profile siemens-v30", &[]))
+        .expect(2)
+        .error();
+    assert!(unknown.contains("did you mean `siemens-v20`?"), "{unknown}");
+}
