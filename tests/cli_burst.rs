@@ -117,7 +117,7 @@ fn a_part_that_is_not_there_is_refused() {
     fs::write(&path, text.replace("burst_at = 2", "burst_at = 99")).expect("a file");
     let refused = drivebench(line("plan {}", &[&path])).expect(2);
     assert!(
-        refused.error().contains("runs.burst_at 99"),
+        refused.error().contains("runs.burst_at = 99"),
         "{}",
         refused.stderr
     );

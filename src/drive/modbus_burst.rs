@@ -21,7 +21,7 @@ impl ModbusLink {
     /// One window of captured samples.
     fn window(&mut self, index: u16) -> Result<Vec<u16>, LinkError> {
         let words = [index];
-        let allowed = self.timing.allowed(15, 5 + 2 * WINDOW_WORDS);
+        let allowed = self.timing.unhurried(15, 5 + 2 * WINDOW_WORDS);
         let mut attempt = 1;
         loop {
             self.listen()?;

@@ -123,7 +123,7 @@ impl StreamLink {
         check: impl Fn(&Message) -> Option<T>,
     ) -> Result<Answer<T>, LinkError> {
         self.question = self.question.wrapping_add(1);
-        let allowed = self.timing.allowed(COMMAND_BYTES, MAX_FRAME);
+        let allowed = self.timing.unhurried(COMMAND_BYTES, MAX_FRAME);
         self.ask(&Frame::ask(self.question, *message), what, allowed, check)
     }
 

@@ -65,10 +65,14 @@ impl LineTiming {
 
     /// Time that one exchange may take.
     pub(super) fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
-        self.deadline.unwrap_or_else(|| {
-            let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
-            seconds(wire_s) + 2 * self.reply + HOST_ALLOWANCE
-        })
+        self.deadline
+            .unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
+    }
+
+    /// Time for an exchange outside the cycles of a run, whose deadline it does not have to keep.
+    pub(super) fn unhurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
+        seconds(wire_s) + 2 * self.reply + HOST_ALLOWANCE
     }
 
     /// Wire time of an exchange with its silences, s: what no drive can do better. How long this one takes to reply is

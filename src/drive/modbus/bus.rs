@@ -67,7 +67,7 @@ impl ModbusBus {
         }
         self.link.suspect = false;
         self.unanswered.clear();
-        Ok(())
+        self.link.listen()
     }
 
     /// The reply to a read of another length than all that are unanswered can be no old one.

@@ -33,7 +33,7 @@ pub(crate) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
         counts(&[
             ("mismatch", link.mismatch, true),
             ("exception", link.exception, true),
-            ("aborted", link.aborted, true),
+            ("io", link.aborted, true),
         ]),
         Line::raw(format!(
             "late p50 {} p99 {}",
