@@ -252,7 +252,11 @@ impl Runner<'_> {
             estimator.finish();
         }
         let now_s = clock.now_s();
-        let capture = self.fetch_burst(clock);
+        // A drive that did not confirm its stop is not asked for records.
+        let capture = match stop_error {
+            None => self.fetch_burst(clock),
+            Some(_) => None,
+        };
         let outcome = match (self.outcome.take(), self.not_started.take()) {
             (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),

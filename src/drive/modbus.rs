@@ -486,7 +486,9 @@ impl DriveLink for ModbusLink {
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
         self.listen()?;
-        if self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu {
+        let waits = self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu;
+        // A stop goes out at once, also where the line is never silent.
+        if waits && command.demand.energises() {
             self.silence()?;
         }
         self.command(command)
