@@ -106,6 +106,7 @@ fn session(bench: &BenchFile) -> Session {
         silence_s: limits.link_silence_s,
         speed_limit_rad_s: limits.speed_rad_s,
         is_noisy: false,
+        hold: 0.0,
     };
     let pilot = SpeedPilot::new(regulator, reference, &model, &motor, settings);
     Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)))

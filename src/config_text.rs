@@ -1,5 +1,7 @@
 //! Strict TOML: an unknown key is an error with its line, its column and the nearest key that exists.
 
+mod wrong_unit;
+
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
@@ -56,7 +58,7 @@ pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigErr
         let headline = if headline.starts_with("unknown") {
             headline
         } else {
-            message.replace('\n', " ")
+            in_words(&message.replace('\n', " "))
         };
         ConfigError::at(
             file,
@@ -72,6 +74,7 @@ pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigErr
 pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     allowed
         .into_iter()
+        .filter(|name| !name.is_empty())
         .map(|name| {
             (
                 if name.starts_with(given) {
@@ -89,24 +92,57 @@ pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> O
         .map(|(_, name)| name)
 }
 
-/// One help line for an unknown key: the nearest key, or all of them.
+/// One help line for an unknown key: the conversion to our unit, the nearest key, or all of them.
 pub fn help_for_unknown<'a>(
     given: &str,
     allowed: impl IntoIterator<Item = &'a str> + Clone,
 ) -> String {
-    match nearest(given, allowed.clone()) {
-        Some(name) => format!("did you mean `{name}`?"),
-        None => format!(
-            "allowed: {}",
-            allowed.into_iter().collect::<Vec<_>>().join(", ")
-        ),
+    if let Some(help) = wrong_unit::help(given, &allowed) {
+        return help;
     }
+    if let Some(name) = nearest(given, allowed.clone()) {
+        return format!("did you mean `{name}`?");
+    }
+    let names = allowed.into_iter();
+    let shown = names.map(|name| if name.is_empty() { "\"\"" } else { name });
+    format!("allowed: {}", shown.collect::<Vec<_>>().join(", "))
+}
+
+/// Types of the language in words of the reader.
+const TYPES: [(&str, &str); 9] = [
+    ("u8", "a whole number from 0 to 255"),
+    ("u16", "a whole number from 0 to 65535"),
+    ("u32", "a whole number from 0 to 4294967295"),
+    ("u64", "a whole number from 0"),
+    ("usize", "a whole number from 0"),
+    ("i8", "a whole number from -128 to 127"),
+    ("i32", "a whole number"),
+    ("i64", "a whole number"),
+    ("f64", "a number"),
+];
+
+/// A message of the parser without the names of types.
+fn in_words(message: &str) -> String {
+    let Some((what, expected)) = message.rsplit_once(", expected ") else {
+        return message.to_owned();
+    };
+    let words = TYPES.iter().find(|(name, _)| *name == expected);
+    let words = words.map_or(expected, |(_, words)| words);
+    let what = what
+        .replace("invalid value: ", "not allowed: ")
+        .replace("invalid type: ", "not allowed: ")
+        .replace("floating point `", "number `")
+        .replace("integer `", "number `");
+    format!("{what}, expected {words}")
 }
 
 fn help_for(message: &str) -> String {
     let mut quoted = message.split('`').skip(1).step_by(2);
     match (message.starts_with("unknown"), quoted.next()) {
         (true, Some(given)) => help_for_unknown(given, quoted),
+        (false, Some(name)) if message.starts_with("missing field") => {
+            format!("add `{name}`; bench-configs/ has commented examples")
+        }
         _ => "see the commented examples in bench-configs/".to_owned(),
     }
 }
@@ -170,6 +206,26 @@ mod tests {
             parse::<Limits>("l", "current_a = = 3\n").unwrap_err().line,
             1
         );
+    }
+
+    #[test]
+    fn a_wrong_type_is_told_in_words_and_a_missing_key_by_its_name() {
+        #[derive(Debug, serde::Deserialize)]
+        struct Unit {
+            #[expect(dead_code, reason = "only the key's type matters here")]
+            unit: u8,
+        }
+        let error = parse::<Unit>("l", "unit = 300").unwrap_err();
+        let said = "not allowed: number `300`, expected a whole number from 0 to 255";
+        assert_eq!(error.message, said);
+        let error = parse::<Unit>("l", "unit = \"x\"").unwrap_err();
+        assert!(
+            error
+                .message
+                .ends_with("expected a whole number from 0 to 255")
+        );
+        let error = parse::<Unit>("l", "").unwrap_err();
+        assert!(error.help.starts_with("add `unit`"), "{}", error.help);
     }
 
     #[test]

@@ -474,6 +474,10 @@ fn usage_errors_are_two_lines_and_status_2() {
             "zk-22fc-plane",
         ],
         &["emulate", "--link", "telepathy"],
+        &["emulate", "--link", "modbus-tcp", "--pty", "no.pty"],
+        &["emulate", "--listen", "127.0.0.1:0"],
+        &["emulate", "--pty", "README.md"],
+        &["emulate", "--pty", "no-such-folder/drive.pty"],
     ] {
         let done = drivebench(arguments).expect(2);
         done.error();

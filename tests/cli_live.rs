@@ -413,7 +413,9 @@ fn a_second_host_on_the_same_port_is_status_3_and_the_first_goes_on() {
         let paths = [&*file, Path::new(&lab.port), &*other];
         let text = "run {} --port {} --out {} --headless";
         let second = Process::start(&line(text, &paths)).end();
-        second.expect(3).error();
+        let error = second.expect(3).error();
+        let holder = format!("pid {} (", first.0.id());
+        assert!(error.contains(&holder), "{error}");
         assert!(!other.exists());
         let still = first.0.try_wait().expect("a child can be waited for");
         assert!(still.is_none(), "{protocol}: the first run ended");

@@ -142,6 +142,45 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
 }
 
 #[test]
+fn our_own_emulator_counts_as_one_in_the_guise_of_another_drive_too() {
+    let desk = Desk::new();
+    let runs = desk.0.path().join("runs");
+    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
+    let arguments = line(
+        "speed {} --port emulator --emulator zk-22fc-plain --headless --waive-watchdog --out {}",
+        &[&bench, &runs],
+    );
+    drivebench(arguments).expect(0);
+    assert_eq!(manifest(&runs)["identity"]["is_emulator"], true);
+}
+
+#[test]
+fn a_command_that_the_drive_does_not_take_leads_to_its_setpoints() {
+    let desk = Desk::new();
+    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
+    let arguments = line("speed {} --actuator voltage --headless", &[&bench]);
+    let error = drivebench(arguments).expect(2).error();
+    assert!(error.contains("takes no voltage command"), "{error}");
+    assert!(error.contains("[setpoints]"), "{error}");
+}
+
+/// The example of the manual page, as a file of a newcomer.
+fn example(desk: &Desk) -> PathBuf {
+    let page = include_str!("../docs/adding-a-drive.md");
+    let (_, rest) = page.split_once("```toml\n").unwrap();
+    desk.put("acme-40.toml", rest.split_once("```").unwrap().0)
+}
+
+#[test]
+fn the_example_with_its_identity_is_plausible_at_its_own_emulator() {
+    let desk = Desk::new();
+    let profile = example(&desk);
+    let arguments = line("probe --port emulator --drive {}", &[&profile]);
+    let done = drivebench(arguments).expect(0);
+    assert!(!done.stdout.contains("FAILED"), "{}", done.stdout);
+}
+
+#[test]
 fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_terminal() {
     let desk = Desk::new();
     let pty = desk.0.path().join("roboteq.pty");

@@ -10,7 +10,7 @@ use std::sync::mpsc::channel;
 
 use drivebench::bench::{
     self, Bench, BenchFile, CheckOptions, Guard, Outcome, RunOptions, Session, SnapshotCell,
-    Target, check,
+    Target, Waivers, check,
 };
 use drivebench::diagnosis::{DiagnosisVerdict, ErrorOf, Evidence, compare, diagnose};
 use drivebench::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
@@ -27,7 +27,9 @@ fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
     let options = CheckOptions {
         rate_hz: file.link.rate_hz,
         hardware_allowed: false,
-        waive_watchdog: false,
+        hardware_said: false,
+        waivers: Waivers::default(),
+        first_move: None,
     };
     let report = check(&mut link, &mut clock, &file.limits(), options).unwrap();
     assert!(report.passed(), "{:?}", report.refusal());

@@ -107,7 +107,8 @@ void drive_slave_tick(struct drive_slave *slave, uint32_t now_us);
 /* Stops the drive with a fault of your own (DB_FAULT_*); the first one stays. */
 void drive_slave_trip(struct drive_slave *slave, uint16_t fault);
 
-/* Offers a sample to the capture; call it every capture_period_us. */
+/* Offers a sample to the capture; call it every capture_period_us. Its voltage is the mean over the period that ends
+ * with it, as SPEC.md 2.4 says; the rest is instantaneous. */
 void drive_slave_record(struct drive_slave *slave, const struct drive_sample *sample);
 
 /* ---- Modbus RTU ------------------------------------------------------------------------------------------------ */

@@ -73,7 +73,8 @@ impl CaptureState {
     }
 }
 
-/// One captured instant; sample `k` was taken at `capture time + k * capture period`.
+/// One captured instant; sample `k` was taken at `capture time + k * capture period`. Its voltage is the mean over the
+/// period that ends there.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CaptureSample {
     /// Armature voltage, V.

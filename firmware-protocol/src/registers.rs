@@ -216,7 +216,7 @@ table! {
     CAPTURE_TIME = in_unit(count(131, "capture_time", Kind::U32, "drive time of captured sample 0"), "us");
     WINDOW_INDEX = writable(count(133, "window_index", Kind::U16, "index of the captured sample that the window begins with"), 0, 0xFFFF);
     WINDOW_COUNT = count(134, "window_count", Kind::U16, "valid samples in the window, 0..40");
-    WINDOW_VOLTAGE = repeated(quantity(135, "window_voltage", VOLTAGE_SCALE, "captured voltage"));
+    WINDOW_VOLTAGE = repeated(quantity(135, "window_voltage", VOLTAGE_SCALE, "captured voltage: mean since the sample before"));
     WINDOW_CURRENT = repeated(quantity(136, "window_current", CURRENT_SCALE, "captured current"));
     WINDOW_SPEED = repeated(quantity(137, "window_speed", SPEED_SCALE, "captured speed"));
 }

@@ -144,6 +144,23 @@ impl Fault {
         }
     }
 
+    /// What has happened, in words.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::None => "no fault",
+            Self::Watchdog => "no command came within the watchdog time",
+            Self::OverCurrent => "current above the trip level",
+            Self::OverVoltage => "intermediate circuit: voltage too high",
+            Self::UnderVoltage => "intermediate circuit: voltage too low",
+            Self::OverTemperature => "output stage or motor too hot",
+            Self::OverSpeed => "speed above the speed limit",
+            Self::BadCommand => "a command block that means nothing",
+            Self::Sensor => "current, speed or angle sensor failed",
+            Self::Internal => "internal fault",
+            Self::Other(_) => "a code that this version does not know",
+        }
+    }
+
     /// The fault of a code.
     pub fn from_code(code: u16) -> Self {
         Self::ALL

@@ -1,5 +1,9 @@
 //! The bench file: drive, link, motor, limits and the sequence of excitations.
 
+mod mechanics;
+
+pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
+
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -61,6 +65,13 @@ pub struct BenchFile {
     pub motor: MotorSection,
     #[serde(default)]
     pub limits: LimitsSection,
+    #[serde(default, skip_serializing_if = "LoadSection::is_default")]
+    pub load: LoadSection,
+    #[serde(default, skip_serializing_if = "SupplySection::is_default")]
+    pub supply: SupplySection,
+    /// Of the drive's profile, once it is known.
+    #[serde(skip)]
+    pub drive_facts: DriveFacts,
     #[serde(default)]
     pub runs: RunsSection,
     /// What `drivebench speed` does; left out: it is not for this bench.
@@ -103,8 +114,9 @@ pub struct LinkSection {
     pub port: String,
     #[serde(default)]
     pub protocol: Protocol,
-    #[serde(default = "default_baud")]
-    pub baud: u32,
+    /// Left out: that of the drive's profile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub baud: Option<u32>,
     #[serde(default = "default_unit")]
     pub unit: u8,
     #[serde(default = "default_rate_hz")]
@@ -114,12 +126,8 @@ pub struct LinkSection {
     pub deadline_ms: Option<f64>,
 }
 
-/// Baud rate where the bench file gives none: that of our own drive.
-pub const DEFAULT_BAUD: u32 = 115_200;
-
-const fn default_baud() -> u32 {
-    DEFAULT_BAUD
-}
+/// Baud rate where neither the bench file nor a profile gives one: that of our own drive.
+const DEFAULT_BAUD: u32 = 115_200;
 
 const fn default_unit() -> u8 {
     1
@@ -288,6 +296,11 @@ impl BenchFile {
         1.0 / self.link.rate_hz
     }
 
+    /// Baud rate of the line; the profile's stands in the link once the profile is known.
+    pub fn baud(&self) -> u32 {
+        self.link.baud.unwrap_or(DEFAULT_BAUD)
+    }
+
     pub fn deadline_s(&self) -> f64 {
         self.link
             .deadline_ms
@@ -312,6 +325,17 @@ impl BenchFile {
             bus_max_v: given.bus_max_v,
             time_s: given.time_s.unwrap_or(defaults.time_s),
             link_silence_s: given.link_silence_s.unwrap_or(defaults.link_silence_s),
+            braking_w: self.supply.braking_w(),
+            quadrants: self
+                .drive_facts
+                .converter
+                .map_or(defaults.quadrants, |converter| converter.quadrants),
+            dead_time_s: self
+                .drive_facts
+                .converter
+                .map_or(0.0, |converter| 1e-3 * converter.dead_time_ms),
+            field_min_a: self.drive_facts.field_min_a,
+            load: self.load,
         }
     }
 
@@ -392,6 +416,18 @@ impl BenchFile {
                     "a positive number",
                 );
             }
+        }
+        let (load, supply) = (&self.load, &self.supply);
+        let current_a = self.limits().current_a;
+        if let Some((key, value, allowed)) = load.refused(current_a).or_else(|| supply.refused()) {
+            return refuse(key.to_owned(), value, allowed);
+        }
+        if load.vertical && self.motor.is_unknown() {
+            return refuse(
+                "load.vertical".to_owned(),
+                "true".to_owned(),
+                "a known motor: the small steps that find an unknown one would let the load fall",
+            );
         }
         if let Some(part) = self.runs.burst_at
             && !(1..=self.sequence.len()).contains(&part)

@@ -1,28 +1,36 @@
-//! Before anything moves: who is there, how fast the link is, how quiet the sensors are, and whether the drive's own
-//! watchdog works. Each with the figures that were measured, each a reason to refuse.
+//! Before the first energising: who is there, how fast the link is, how quiet the sensors are, whether the drive's own
+//! watchdog works, and whether a small pulse turns the shaft the way and as far as the nameplate says. Each with the
+//! figures that were measured, each a reason to refuse.
+//!
+//! ```text
+//! identity -> limits -> link, standstill, field -> watchdog -> direction -> plausibility       the first failure ends it
+//!    quiet.rs           quiet.rs                   watchdog.rs  first_move.rs: pulse.rs -> direction.rs, plausible.rs
+//!                       what counts as standing still, with the output off and at zero: still.rs
+//! ```
+
+mod direction;
+mod first_move;
+mod plausible;
+mod pulse;
+mod quiet;
+mod still;
+mod watchdog;
+
+pub use first_move::FirstMove;
+pub(super) use watchdog::LONGEST_WATCHDOG_S;
 
 use serde::Serialize;
 use thiserror::Error;
 
+use self::still::Still;
 use super::clock::Clock;
 use super::limits::Limits;
-use super::timing::quantile;
 use crate::drive::offer::{self, Purpose};
 use crate::drive::{DriveLink, DriveProfile, Identity, LinkError};
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// Exchanges of the link probe, all with the output disabled.
-const PROBES: u64 = 50;
-/// Longest watchdog that is accepted, s (LINKS.md 5.2).
-const LONGEST_WATCHDOG_S: f64 = 1.0;
-/// Silence of the proof, in watchdog times.
-const SILENCE_IN_WATCHDOGS: f64 = 1.5;
 /// Cycles that the drive may take to run at zero, or to clear its fault.
 const PATIENCE: u32 = 100;
-/// Share of probes that may be lost.
-const LOST_SHARE: f64 = 0.1;
-/// Speed at which a shaft counts as standing still, as a share of the limit.
-const REST_SHARE: f64 = 0.02;
 
 /// Why the checks could not be carried out.
 #[derive(Debug, Error)]
@@ -34,19 +42,38 @@ pub enum CheckError {
 impl CheckError {
     pub const fn help(&self) -> &'static str {
         match self {
+            // It may have run at zero, or turned the shaft a little.
+            Self::Link(LinkError::Gone { .. }) => {
+                "check the cable, the adapter and the drive's power; if the drive was running, its watchdog must have stopped the motor"
+            }
             Self::Link(error) => error.help(),
         }
     }
 }
 
-#[derive(Clone, Copy, Debug)]
-pub struct CheckOptions {
-    pub rate_hz: f64,
-    /// The user has said that this is real hardware and may move.
-    pub hardware_allowed: bool,
-    /// Goes on without a proven watchdog; the manifest has to say so.
-    pub waive_watchdog: bool,
+/// Checks that the user goes on without; each is told and recorded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Waivers {
+    pub watchdog: bool,
+    /// No pulse at all, so the nameplate is not held against anything either.
+    pub direction: bool,
+    pub plausibility: bool,
 }
+
+#[derive(Clone, Copy)]
+pub struct CheckOptions<'a> {
+    pub rate_hz: f64,
+    /// This may be real hardware: the user has said so, or sits at the screen.
+    pub hardware_allowed: bool,
+    /// The user has said in so many words that real hardware may move.
+    pub hardware_said: bool,
+    pub waivers: Waivers,
+    /// `None`: the motor is not known, and what finds it begins with steps that are as small.
+    pub first_move: Option<FirstMove<'a>>,
+}
+
+/// The check that the line can carry the rate at all: nothing is measured, the bench file asks for too much.
+pub const RATE_CHECK: &str = "rate";
 
 /// One check with its figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -78,6 +105,8 @@ pub struct CheckReport {
     /// Silence after which the drive was found stopped, s.
     pub watchdog_proven_s: Option<f64>,
     pub noise: Vec<NoiseFloor>,
+    /// Checks that were not passed, or not made, because the user waived them.
+    pub waived: Vec<&'static str>,
     /// Signals that the drive gave.
     #[serde(skip)]
     pub signals: Vec<Channel>,
@@ -110,15 +139,23 @@ pub fn check_signals(profile: &DriveProfile, purpose: Purpose) -> CheckItem {
     }
 }
 
-/// Carries out every check in order and stops at the first that fails. The output is off on return.
+/// Carries out every check in order and stops at the first that fails. The output is off on return, unless the drive was
+/// found running: who commands it has to say.
 pub fn check(
     link: &mut dyn DriveLink,
     clock: &mut dyn Clock,
     limits: &Limits,
-    options: CheckOptions,
+    options: CheckOptions<'_>,
 ) -> Result<CheckReport, CheckError> {
     let identity = link.identify()?;
+    let kind = pulse::Kind::of(link.zero());
+    let hold = options
+        .first_move
+        .map_or((0.0, 0.0), |first| pulse::hold(kind, first.plate, limits));
     let mut checker = Checker {
+        zero: kind.demand(hold.0),
+        hold,
+        touched: false,
         link,
         clock,
         period_s: 1.0 / options.rate_hz,
@@ -130,30 +167,64 @@ pub fn check(
             reachable_rate_hz: 0.0,
             watchdog_proven_s: None,
             noise: Vec::new(),
+            waived: Vec::new(),
             signals: Vec::new(),
             last_seq: 0,
         },
     };
     let result = checker.all(limits, options);
+    if !checker.touched {
+        // Nothing was asked of the drive, and it may be somebody else who has it.
+        result?;
+        return Ok(checker.report.clone());
+    }
     let stopped = checker.link.stop();
     result?;
     stopped?;
-    Ok(checker.report)
+    Ok(checker.report.clone())
 }
 
 struct Checker<'a> {
     link: &'a mut dyn DriveLink,
     clock: &'a mut dyn Clock,
     period_s: f64,
+    /// With this the drive runs and nothing moves: zero, or what holds the load.
+    zero: Demand,
+    /// What holds a load: in the unit of the quantity that is commanded, and as current.
+    hold: (f64, f64),
+    /// Something was asked of the drive.
+    touched: bool,
     report: CheckReport,
 }
 
+impl Drop for Checker<'_> {
+    fn drop(&mut self) {
+        if self.touched && std::thread::panicking() {
+            // Nobody is left to tell, and the watchdog of this drive may be waived.
+            let _ = self.link.stop();
+        }
+    }
+}
+
+/// How the wait for a state of the drive ended.
+enum Reached {
+    Yes,
+    Never,
+    /// Something moves, in words.
+    Moved(String),
+}
+
 impl Checker<'_> {
-    fn all(&mut self, limits: &Limits, options: CheckOptions) -> Result<(), LinkError> {
-        let go_on = self.identity(options.hardware_allowed)
+    fn all(&mut self, limits: &Limits, options: CheckOptions<'_>) -> Result<(), LinkError> {
+        let go_on = self.identity(options.hardware_allowed, options.hardware_said)
             && self.limits(limits)
+            && self.rate(options.rate_hz)
+            && self.nobody_s()
             && self.probe(limits, options.rate_hz)?
-            && self.watchdog(options.waive_watchdog)?;
+            && self.set_points()?
+            && self.load(limits)
+            && self.watchdog(limits, options.waivers.watchdog)?
+            && self.first_move(limits, options)?;
         // The order is the point: nothing after a failed check is tried.
         debug_assert_eq!(go_on, self.report.passed());
         Ok(())
@@ -169,22 +240,29 @@ impl Checker<'_> {
         passed
     }
 
-    fn identity(&mut self, hardware_allowed: bool) -> bool {
+    /// As [`Self::note`], for a check that may be waived: then it passes, and it is said and kept that it was waived.
+    fn note_or_waive(
+        &mut self,
+        name: &'static str,
+        passed: bool,
+        waived: bool,
+        text: String,
+        help: &'static str,
+    ) -> bool {
+        if passed || !waived {
+            return self.note(name, passed, text, help);
+        }
+        self.report.waived.push(name);
+        self.note(name, true, format!("WAIVED: {text}"), help)
+    }
+
+    fn identity(&mut self, hardware_allowed: bool, hardware_said: bool) -> bool {
         let identity = &self.report.identity;
-        let who = format!(
-            "{} {}, serial {}, firmware {}, protocol {}, {}",
-            identity.vendor,
-            identity.product,
-            identity.serial_number,
-            identity.firmware,
-            identity.protocol_version,
-            if identity.is_emulator {
-                "emulator"
-            } else {
-                "hardware"
-            }
-        );
+        let who = identity.sentence();
         let passed = identity.is_emulator || hardware_allowed;
+        if !identity.is_emulator && hardware_said {
+            self.report.waived.push("hardware");
+        }
         self.note(
             "identity",
             passed,
@@ -193,12 +271,38 @@ impl Checker<'_> {
         )
     }
 
+    /// A load that falls is not even held without knowing how.
+    fn load(&mut self, limits: &Limits) -> bool {
+        let (text, passed) = match (limits.load.missing(), limits.load.brake()) {
+            (Some(key), _) => (
+                format!(
+                    "a vertical load is not moved without its brake described: {key} is left out"
+                ),
+                false,
+            ),
+            (None, Some(brake)) => (
+                format!(
+                    "vertical, held by {} A; brake opens in {} s and closes in {} s, worked by the drive: the bench keeps order and times",
+                    brake.hold_current_a, brake.release_s, brake.apply_s
+                ),
+                true,
+            ),
+            (None, None) => return true,
+        };
+        self.note(
+            "load",
+            passed,
+            text,
+            "give load.hold_current_a, load.brake_release_s and load.brake_apply_s",
+        )
+    }
+
     fn limits(&mut self, limits: &Limits) -> bool {
         let text = |value: Option<f64>, unit| {
             value.map_or_else(|| "not told".to_owned(), |value| format!("{value} {unit}"))
         };
         let identity = &self.report.identity;
-        let read = format!(
+        let mut read = format!(
             "drive limits: current {}, voltage {}; bench limits: {} A, {} V, {} rad/s",
             text(identity.current_limit_a, "A"),
             text(identity.voltage_limit_v, "V"),
@@ -206,6 +310,9 @@ impl Checker<'_> {
             limits.voltage_v,
             limits.speed_rad_s
         );
+        if identity.current_limit_a.is_none() && identity.voltage_limit_v.is_none() {
+            read.push_str("; only the bench's hold, the drive's own cannot be read back");
+        }
         let passed = identity
             .voltage_limit_v
             .is_none_or(|volts| volts >= limits.voltage_v);
@@ -217,169 +324,26 @@ impl Checker<'_> {
         )
     }
 
-    fn probe(&mut self, limits: &Limits, rate_hz: f64) -> Result<bool, LinkError> {
-        let mut round_trips_s = Vec::new();
-        let mut samples = Vec::new();
-        let mut last_error = None;
-        let begin_s = self.clock.now_s();
-        for probe in 0..PROBES {
-            self.clock
-                .sleep_until_s(begin_s + (probe + 1) as f64 * self.period_s);
-            let sent_s = self.clock.now_s();
-            match self.exchange(Demand::Disable) {
-                Ok(sample) => {
-                    let done_s = if self.clock.is_real() {
-                        self.clock.now_s()
-                    } else {
-                        // Virtual time stands still during an exchange; the link says what the wire would take.
-                        sample.host_time_s.unwrap_or(sent_s)
-                    };
-                    round_trips_s.push(done_s - sent_s);
-                    samples.push(sample);
-                }
-                Err(error) if error.is_transient() => last_error = Some(error),
-                Err(error) => return Err(error),
-            }
-        }
-        if samples.is_empty()
-            && let Some(error) = last_error
-        {
-            return Err(error);
-        }
-        let median_s = quantile(&mut round_trips_s, 0.5);
-        let tail_s = quantile(&mut round_trips_s, 0.99);
-        let shortest_s = self.link.shortest_cycle_s().unwrap_or(0.0);
-        // The quicker exchanges tell what the link carries; the slower ones what else the host was doing meanwhile,
-        // which costs missed cycles, and those are counted.
-        let unhindered_s = quantile(&mut round_trips_s, 0.25);
-        let reachable_hz = 1.0 / unhindered_s.max(shortest_s).max(1e-6);
-        self.report.round_trip_p50_s = median_s;
-        self.report.round_trip_p99_s = tail_s;
-        self.report.reachable_rate_hz = reachable_hz;
-        let lost = PROBES - samples.len() as u64;
-        let figures = format!(
-            "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, asked {rate_hz} Hz",
-            1e3 * median_s,
-            1e3 * tail_s
-        );
-        let fast = reachable_hz >= rate_hz && lost as f64 <= LOST_SHARE * PROBES as f64;
-        if !self.note(
-            "link",
-            fast,
-            figures,
-            "lower link.rate_hz, raise the baud rate, or check the latency of the adapter",
-        ) {
-            return Ok(false);
-        }
-        Ok(self.standstill(&samples, limits))
-    }
-
-    fn standstill(&mut self, samples: &[Sample], limits: &Limits) -> bool {
-        for channel in Channel::ALL {
-            let values: Vec<f64> = samples.iter().filter_map(|s| s.get(channel)).collect();
-            if values.is_empty() {
-                continue;
-            }
-            self.report.signals.push(channel);
-            let mean = values.iter().sum::<f64>() / values.len() as f64;
-            let square: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-            self.report.noise.push(NoiseFloor {
-                channel,
-                mean,
-                std: (square / (values.len().max(2) - 1) as f64).sqrt(),
-                samples: values.len(),
-            });
-        }
-        let wanted = [Channel::Current, Channel::Speed, Channel::Voltage];
-        let figures: Vec<String> = self
-            .report
-            .noise
-            .iter()
-            .filter(|floor| wanted.contains(&floor.channel))
-            .map(|floor| {
-                format!(
-                    "{} {:.4} +- {:.4} {}",
-                    floor.channel.name(),
-                    floor.mean,
-                    floor.std,
-                    floor.channel.unit()
-                )
-            })
-            .collect();
-        let speed = self
-            .report
-            .noise
-            .iter()
-            .find(|floor| floor.channel == Channel::Speed)
-            .map_or(0.0, |floor| floor.mean.abs());
-        let fault = samples
-            .last()
-            .is_some_and(|sample| sample.state == Some(DriveState::Fault));
-        let text = if fault {
-            "the drive is in fault".to_owned()
-        } else {
-            figures.join(", ")
-        };
-        self.note(
-            "standstill",
-            !fault && speed <= REST_SHARE * limits.speed_rad_s,
-            text,
-            "the shaft must stand still and the drive be without a fault: wait until it stands, or clear a latched fault with --reset-fault",
-        )
-    }
-
-    /// Enables at zero, stops talking on purpose, and wants to hear that the drive gave up by itself.
-    fn watchdog(&mut self, waived: bool) -> Result<bool, LinkError> {
-        const HELP: &str =
-            "set the drive's command watchdog to 1 s or less, or waive it explicitly";
-        let Some(watchdog_s) = self.report.identity.watchdog_s else {
-            let text = "the drive tells of no watchdog".to_owned();
-            return Ok(self.note("watchdog", waived, text, HELP));
-        };
-        if !(watchdog_s > 0.0 && watchdog_s <= LONGEST_WATCHDOG_S) {
-            let text = format!("{watchdog_s} s, at most {LONGEST_WATCHDOG_S} s is allowed");
-            return Ok(self.note("watchdog", waived, text, HELP));
-        }
-        let zero = self.link.zero();
-        if !self.until(zero, |state| state == DriveState::Running)? {
-            let text = format!("the drive does not run at zero within {PATIENCE} cycles");
-            return Ok(self.note("watchdog", false, text, "check the drive's enable input"));
-        }
-        let silence_s = SILENCE_IN_WATCHDOGS * watchdog_s + self.period_s;
-        let quiet_from_s = self.clock.now_s();
-        self.clock.sleep_until_s(quiet_from_s + silence_s);
-        let after = self.exchange(Demand::Disable)?;
-        let tripped = after.state == Some(DriveState::Fault) || after.fault.is_some();
-        let text = format!(
-            "set to {watchdog_s} s; after {silence_s:.3} s of silence at zero the drive was {}{}",
-            after.state.map_or("in no known state", DriveState::name),
-            after
-                .fault
-                .map_or_else(String::new, |code| format!(", fault {code:#06x}"))
-        );
-        if tripped {
-            self.report.watchdog_proven_s = Some(silence_s);
-            let reset = self.until(Demand::ResetFault, |state| state != DriveState::Fault)?;
-            if !reset {
-                let text = format!("{text}; it does not reset");
-                return Ok(self.note("watchdog", false, text, "reset the drive by hand"));
-            }
-        }
-        Ok(self.note("watchdog", tripped || waived, text, HELP))
-    }
-
     /// Sends `demand` once per period until the drive's state is as wanted.
     fn until(
         &mut self,
         demand: Demand,
         wanted: impl Fn(DriveState) -> bool,
     ) -> Result<bool, LinkError> {
+        self.until_sample(demand, |sample| sample.state.is_some_and(&wanted))
+    }
+
+    fn until_sample(
+        &mut self,
+        demand: Demand,
+        mut wanted: impl FnMut(&Sample) -> bool,
+    ) -> Result<bool, LinkError> {
         let begin_s = self.clock.now_s();
         for cycle in 0..PATIENCE {
             self.clock
                 .sleep_until_s(begin_s + f64::from(cycle + 1) * self.period_s);
             match self.exchange(demand) {
-                Ok(sample) if sample.state.is_some_and(&wanted) => return Ok(true),
+                Ok(sample) if wanted(&sample) => return Ok(true),
                 Ok(_) => {}
                 Err(error) if error.is_transient() => {}
                 Err(error) => return Err(error),
@@ -388,7 +352,33 @@ impl Checker<'_> {
         Ok(false)
     }
 
+    /// As [`Self::until`], with an eye on the shaft: it ends with the first sample in which something moves.
+    fn until_still(
+        &mut self,
+        demand: Demand,
+        still: &mut Still,
+        wanted: impl Fn(DriveState) -> bool,
+    ) -> Result<Reached, LinkError> {
+        let mut moved = None;
+        let reached = self.until_sample(demand, |sample| {
+            moved = still.moved(sample);
+            moved.is_some() || sample.state.is_some_and(&wanted)
+        })?;
+        Ok(match moved {
+            Some(text) => Reached::Moved(text),
+            None if reached => Reached::Yes,
+            None => Reached::Never,
+        })
+    }
+
+    /// What may show at zero with the sensors as they are at rest.
+    fn still(&self, limits: &Limits) -> Still {
+        let kind = pulse::Kind::of(self.zero);
+        Still::of(&self.report.noise, limits, kind, self.hold)
+    }
+
     fn exchange(&mut self, demand: Demand) -> Result<Sample, LinkError> {
+        self.touched = true;
         self.report.last_seq += 1;
         self.link.exchange(Command {
             seq: self.report.last_seq,

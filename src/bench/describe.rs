@@ -29,7 +29,6 @@ pub fn manifest(
     run_seed: u64,
     link: &LinkName,
     report: &CheckReport,
-    waived: bool,
 ) -> Manifest {
     let mut manifest = Manifest {
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -51,8 +50,6 @@ pub fn manifest(
     {
         manifest.set_origin(*channel, Origin::Measured);
     }
-    if waived && report.watchdog_proven_s.is_none() {
-        manifest.waivers.push("watchdog".to_owned());
-    }
+    manifest.waivers = report.waived.iter().map(|&name| name.to_owned()).collect();
     manifest
 }

@@ -9,6 +9,7 @@
 //! and watchdog, not a safety function: a host at 100 Hz sees a current of 9 ms time constant too late. So the voltage
 //! across the winding is bounded before it is applied: `abs(u - Ke w) <= limit R`, unless the drive limits the current.
 
+mod braking;
 mod shape;
 mod trip;
 
@@ -28,6 +29,8 @@ const ENABLE_TIME_S: f64 = 1.0;
 const LEFT_RUNNING_S: f64 = 0.05;
 /// Measured voltage may exceed the commanded limit by this share: ripple, noise and calibration of the drive.
 const VOLTAGE_MARGIN: f64 = 1.1;
+/// A shaft that has not come to rest after so long is not waited for, s.
+const LONGEST_COAST_S: f64 = 60.0;
 /// Share of the speed and current limits below which a motor counts as at rest for re-arming.
 const REST_SHARE: f64 = 0.02;
 
@@ -91,7 +94,11 @@ impl Guard {
         // A drive that lets through more than the bench may draw does not protect the bench's limit.
         let drive_limits = drive_current_limit_a.is_some_and(|amps| amps <= limits.current_a);
         let winding_v = (!drive_limits).then_some(limits.current_a * motor.resistance_ohm);
-        let shaper = shape::Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v);
+        let braking = limits
+            .braking_w
+            .map(|watts| braking::Braking::new(watts, motor));
+        let shaper = shape::Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v)
+            .with_braking(braking);
         Self::with_shaper(limits, shaper)
     }
 
@@ -125,6 +132,17 @@ impl Guard {
             not_running_since_s: None,
             angle_origin_rad: None,
         }
+    }
+
+    /// Longest time from full speed to rest under the slew limit and what the supply takes back, s; the shaft's own time
+    /// under braking comes on top.
+    pub fn ramp_down_s(&self) -> f64 {
+        let ramp_s = self.limits.voltage_v / self.limits.slew_v_per_s;
+        ramp_s
+            + self
+                .shaper
+                .coast_s(self.limits.speed_rad_s)
+                .min(LONGEST_COAST_S)
     }
 
     pub const fn limits(&self) -> &Limits {
@@ -230,7 +248,9 @@ impl Guard {
             self.shaper.see_speed(speed);
         }
         let found = if armed && self.trip.is_none() {
-            self.drive_state(now_s, sample)
+            // The field first: a drive that sees its loss too reports no more than a fault.
+            self.field(now_s, sample)
+                .or_else(|| self.drive_state(now_s, sample))
                 .or_else(|| self.beyond_limit(now_s, sample))
                 .or_else(|| self.lost_signal(now_s, sample))
                 .or_else(|| self.stuck_clock(now_s, sample))
@@ -367,9 +387,21 @@ impl Guard {
         ))
     }
 
+    fn field(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        let least_a = self.limits.field_min_a?;
+        // Without a reading the drive's word decides: its link counts a field that cannot be read as lost.
+        let unread = sample.field_a.is_none() && sample.state == Some(DriveState::Fault);
+        let weak = sample.field_a.is_some_and(|amperes| amperes < least_a);
+        (weak || unread).then(|| Trip::field_lost(now_s, sample.field_a, least_a))
+    }
+
     fn drive_state(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
         if sample.state == Some(DriveState::Fault) || sample.fault.is_some_and(|code| code != 0) {
-            return Some(Trip::drive_fault(now_s, sample.fault));
+            let text = sample.fault_text.as_deref();
+            return Some(Trip::drive_fault(now_s, sample.fault, text));
+        }
+        if let Some(hindrance) = sample.hindrance {
+            return Some(Trip::hindered(now_s, hindrance));
         }
         let state = sample.state?;
         if state == DriveState::Running {

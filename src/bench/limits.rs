@@ -2,13 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::bench_file::LoadSection;
 use crate::plant::{Motor, MotorKey};
+use crate::units::rad_s_from_rpm;
 
 /// Largest current that an excitation may draw when the bench file does not say, in rated currents: a direct-current
 /// motor commutates four times its rated current for seconds without harm (DISCOVERY.md 2.0).
 const CURRENT_LIMIT_IN_RATED: f64 = 4.0;
 /// Over-speed limit without a given one: rated speed and a quarter, below the usual mechanical test speed.
 const SPEED_LIMIT_IN_RATED: f64 = 1.25;
+
+/// Back-EMF at rated speed beyond which a plate is doubted, in rated voltages: a true one stays below one.
+const MOST_EMF_IN_RATED: f64 = 1.5;
 
 /// A whole nameplate, on the motor's own shaft; a direct-current machine, so no phase or line basis and no peak or
 /// effective value has to be told apart.
@@ -108,6 +113,32 @@ impl MotorSection {
         })
     }
 
+    /// What no motor's plate says, in sentences: values that were most likely given in another unit. The values are used
+    /// all the same.
+    pub fn doubts(&self) -> Vec<String> {
+        let rated_v = self.rated_voltage_v;
+        let mut doubts = Vec::new();
+        if let Some(back_emf) = self.back_emf_v_s_per_rad {
+            let emf_v = back_emf * self.rated_speed_rad_s;
+            if emf_v > MOST_EMF_IN_RATED * rated_v {
+                doubts.push(format!(
+                    "the nameplate contradicts itself: back_emf_v_s_per_rad x rated_speed_rad_s is {emf_v:.0} V at a rated voltage of {rated_v} V. Was the speed given in r/min? {} r/min would be {:.1} rad/s",
+                    self.rated_speed_rad_s,
+                    rad_s_from_rpm(self.rated_speed_rad_s)
+                ));
+            }
+        }
+        if let Some(resistance) = self.resistance_ohm {
+            let drop_v = resistance * self.rated_current_a;
+            if drop_v > rated_v {
+                doubts.push(format!(
+                    "the nameplate contradicts itself: resistance_ohm x rated_current_a is {drop_v:.0} V at a rated voltage of {rated_v} V. Was the current given in mA, or the resistance in mohm?"
+                ));
+            }
+        }
+        doubts
+    }
+
     /// The first key that is left out.
     pub fn missing(&self) -> Option<&'static str> {
         let missing = MODEL_KEYS.into_iter().find(|key| self.get(*key).is_none());
@@ -188,6 +219,16 @@ pub struct Limits {
     pub time_s: f64,
     /// Longest time without a valid reply before the run ends at zero output, s.
     pub link_silence_s: f64,
+    /// Most that braking may give back to the supply, W; `None`: as much as it likes.
+    pub braking_w: Option<f64>,
+    /// Of the converter. 1: one direction and no braking; 2: one direction of current; 4: all.
+    pub quadrants: u8,
+    /// Longest time until the converter fires next, s.
+    pub dead_time_s: f64,
+    /// Least field current, A; `None`: not watched.
+    pub field_min_a: Option<f64>,
+    /// What pulls at the shaft when the motor does not.
+    pub load: LoadSection,
 }
 
 impl Limits {
@@ -212,6 +253,11 @@ impl Limits {
             time_s: 60.0,
             // LINKS.md 5.2: three cycles, and not below 100 ms.
             link_silence_s: (3.0 / rate_hz).max(0.1),
+            braking_w: None,
+            quadrants: 4,
+            dead_time_s: 0.0,
+            field_min_a: None,
+            load: LoadSection::default(),
         }
     }
 }
@@ -227,6 +273,22 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_plate_in_other_units_is_doubted_and_a_true_one_is_not() {
+        let plate: MotorSection = (&Nameplate::zk_22fc()).into();
+        assert_eq!(plate.doubts(), Vec::<String>::new());
+        let mut in_rpm = plate.clone();
+        in_rpm.rated_speed_rad_s = 2800.0;
+        let doubts = in_rpm.doubts().join(" ");
+        assert!(
+            doubts.contains("2800 r/min would be 293.2 rad/s"),
+            "{doubts}"
+        );
+        let mut in_milliampere = plate;
+        in_milliampere.rated_current_a = 5700.0;
+        assert!(in_milliampere.doubts()[0].contains("given in mA"));
+    }
 
     #[test]
     fn the_default_slew_of_the_paper_motor_is_the_recommended_one() {

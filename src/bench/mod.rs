@@ -1,7 +1,7 @@
 //! Session, guard, runner: one bench run from standstill to standstill.
 //!
 //! ```text
-//! bench file --> plan (predicts and refuses) --> check (link, standstill, watchdog proof)
+//! bench file --> plan (predicts and refuses) --> check (link, standstill, watchdog, first move)
 //!                                                   |
 //!   clock --> runner --- Cycle, Sample, Intent ---> session + guard (pure)
 //!               ^  \<-- Send, Record, Event -------------/
@@ -9,18 +9,21 @@
 //! ```
 
 mod bench_file;
+mod burst;
 mod check;
 mod clock;
 mod describe;
 mod difference;
 mod escalate;
 mod guard;
+mod init_file;
 mod limits;
 mod live_online;
 mod next_bench;
 mod pilot;
 mod plan;
 mod program;
+mod reopen;
 mod runner;
 mod session;
 mod snapshot;
@@ -31,17 +34,21 @@ mod timing;
 
 pub use crate::emulator::VirtualClock;
 pub use bench_file::{
-    BenchFile, BenchFileError, DEFAULT_BAUD, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME,
-    EmulatorSection, LimitsSection, LinkSection, Port, Protocol, RunsSection,
+    BenchFile, BenchFileError, Brake, DriveFacts, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME,
+    EmulatorSection, LimitsSection, LinkSection, LoadSection, Port, Protocol, RunsSection,
+    SupplySection,
 };
+pub use burst::burst_part;
 pub use check::{
-    CheckError, CheckItem, CheckOptions, CheckReport, NoiseFloor, check, check_signals,
+    CheckError, CheckItem, CheckOptions, CheckReport, FirstMove, NoiseFloor, RATE_CHECK, Waivers,
+    check, check_signals,
 };
 pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, layout_with_reference, manifest};
 pub use difference::{Difference, first_difference};
 pub use escalate::{Scaled, bounds, scale, stage_session};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
+pub use init_file::{InitError, InitFile, InitRequest, InitUse, Reasoned, Told, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{
     LiveOnline, OnlineResult, OnlineSettings, RowEstimator, StartSettings, replay,
@@ -50,7 +57,8 @@ pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use pilot::Pilot;
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
-pub use runner::{Bench, Excitation, LiveEstimator, RunOptions, RunSummary, run};
+pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, reopen};
+pub use runner::{Bench, Excitation, LiveEstimator, RunEnd, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 pub use snapshot::{Snapshot, SnapshotCell, Target, TracePoint};
 pub use speed::{

@@ -54,30 +54,44 @@ pub trait Pilot: Send {
 }
 
 /// A program as the simplest pilot: what is measured changes nothing.
-pub(super) struct OpenLoop(pub(super) Box<dyn Program>);
+pub(super) struct OpenLoop {
+    pub(super) program: Box<dyn Program>,
+    /// What holds a load at rest, in the quantity that is commanded; the program comes on top.
+    pub(super) hold: f64,
+}
+
+impl OpenLoop {
+    fn held(&self, demand: Demand) -> Demand {
+        match demand {
+            Demand::Voltage(volts) => Demand::Voltage(volts + self.hold),
+            Demand::Current(amps) => Demand::Current(amps + self.hold),
+            other => other,
+        }
+    }
+}
 
 impl Pilot for OpenLoop {
     fn duration_s(&self) -> f64 {
-        self.0.duration_s()
+        self.program.duration_s()
     }
 
     fn segment_at(&self, time_s: f64) -> usize {
-        self.0.segment_at(time_s)
+        self.program.segment_at(time_s)
     }
 
     fn segment_name(&self, index: usize) -> &str {
-        self.0.segment_name(index)
+        self.program.segment_name(index)
     }
 
     fn zero(&self) -> Demand {
-        match self.0.demand_at(0.0) {
+        self.held(match self.program.demand_at(0.0) {
             Demand::Current(_) => Demand::Current(0.0),
             Demand::Speed(_) => Demand::Speed(0.0),
             _ => Demand::Voltage(0.0),
-        }
+        })
     }
 
     fn demand(&mut self, _now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
-        Ok(self.0.demand_at(elapsed_s))
+        Ok(self.held(self.program.demand_at(elapsed_s)))
     }
 }

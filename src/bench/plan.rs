@@ -1,5 +1,6 @@
 //! The plan: what a sequence will do to the motor, predicted from the nameplate before anything is energised.
 
+mod judge;
 mod observe;
 mod trace;
 
@@ -40,6 +41,15 @@ impl Refusal {
         match self.quantity {
             "peak current" => "lower slew_v_per_s or the amplitudes of this segment",
             "peak speed" | "peak voltage" => "lower the voltages of this segment",
+            judge::FALL => {
+                "leave coast-down parts out: nothing holds a vertical load while the output is off"
+            }
+            judge::UNHELD => {
+                "give load.hold_current_a, load.brake_release_s and load.brake_apply_s"
+            }
+            judge::REVERSE_V | judge::REVERSE_A => {
+                "the converter goes one way only ([converter] quadrants of the drive's profile): use positive levels"
+            }
             "travel" => "shorten this segment, or use smaller and symmetric voltages",
             _ => "shorten the sequence, or raise limits.time_s",
         }
@@ -57,6 +67,8 @@ pub struct SegmentPlan {
     pub peak_speed_rad_s: f64,
     /// Farthest from the angle at the start of the run, rad.
     pub travel_rad: f64,
+    /// Most that braking gives back to the supply, W.
+    pub peak_returned_w: f64,
 }
 
 /// The whole prediction.
@@ -78,6 +90,9 @@ pub struct Plan {
     pub copper_loss_j: f64,
     /// Electrical energy drawn, J; what is fed back when braking is not subtracted.
     pub energy_j: f64,
+    /// Electrical energy that braking gives back, J, and the most of it at once, W.
+    pub returned_j: f64,
+    pub peak_returned_w: f64,
     pub segments: Vec<SegmentPlan>,
     /// Empty: the plan may be run.
     pub refusals: Vec<Refusal>,
@@ -102,7 +117,7 @@ pub fn plan(
 ) -> Result<Plan, ModelError> {
     let trace = Trace::simulate(program, motor, limits, rate_hz)?;
     let mut segments: Vec<SegmentPlan> = Vec::new();
-    let (mut i2t, mut energy) = (0.0, 0.0);
+    let (mut i2t, mut energy, mut returned) = (0.0, 0.0, 0.0);
     for point in &trace.points {
         if segments.len() <= point.segment {
             segments.push(SegmentPlan {
@@ -113,16 +128,20 @@ pub fn plan(
                 peak_current_a: 0.0,
                 peak_speed_rad_s: 0.0,
                 travel_rad: 0.0,
+                peak_returned_w: 0.0,
             });
         }
+        let returned_w = (-point.voltage_v * point.current_a).max(0.0);
         if let Some(segment) = segments.last_mut() {
             segment.end_s = point.time_s;
             grow(&mut segment.peak_voltage_v, point.voltage_v);
             grow(&mut segment.peak_current_a, point.current_a);
             grow(&mut segment.peak_speed_rad_s, point.speed_rad_s);
             grow(&mut segment.travel_rad, point.angle_rad);
+            grow(&mut segment.peak_returned_w, returned_w);
         }
         i2t += point.current_a * point.current_a * trace.step_s;
+        returned += returned_w * trace.step_s;
         energy += (point.voltage_v * point.current_a).max(0.0) * trace.step_s;
     }
     let peak = |of: fn(&SegmentPlan) -> f64| segments.iter().map(of).fold(0.0, f64::max);
@@ -141,12 +160,17 @@ pub fn plan(
         i2t_a2_s: i2t,
         copper_loss_j: motor.resistance_ohm * i2t,
         energy_j: energy,
+        returned_j: returned,
+        peak_returned_w: peak(|segment| segment.peak_returned_w),
         refusals: Vec::new(),
         warnings: Vec::new(),
         parameters: observe::parameters(&trace, motor, rate_hz),
         segments,
     };
     plan.refusals = refusals(&plan, limits, drive_current_limit_a);
+    plan.refusals
+        .extend(judge::refusals(&trace, &plan.segments, motor, limits));
+    plan.warnings = judge::warnings(&trace, &plan, limits, rate_hz);
     if rms_current_a > motor.rated_current_a {
         plan.warnings.push(format!(
             "the effective current is {rms_current_a:.2} A, rated are {:.2} A: let the motor cool between runs",

@@ -17,6 +17,7 @@ use serde_json::Value;
 use super::clock::Clock;
 use super::guard::RearmError;
 use super::limits::Nameplate;
+use super::reopen::Reopened;
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
@@ -30,6 +31,8 @@ const CONNECT_TIME_S: f64 = 5.0;
 /// Times that a burst is asked for, and the pause between, s: one may still be recording.
 const FETCH_ATTEMPTS: u32 = 20;
 const FETCH_PAUSE_S: f64 = 0.1;
+/// Whole frames that answer nothing that was asked: from so many on somebody else is there.
+const FOREIGN_FRAMES: u64 = 3;
 
 /// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
 pub trait LiveEstimator {
@@ -99,6 +102,20 @@ pub struct RunSummary {
     pub stop_error: Option<String>,
     /// What the recorder could not write, if anything.
     pub recorder_error: Option<String>,
+    /// How the drive was got back, where it was lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reopened: Option<Reopened>,
+    #[serde(skip)]
+    pub end: RunEnd,
+}
+
+/// Where the end of a run stands in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RunEnd {
+    /// From host time to the samples' time axis, s.
+    pub drive_minus_host_s: f64,
+    /// Host time of the last valid reply, s.
+    pub last_reply_s: f64,
 }
 
 /// Bytes and times of a wire.
@@ -127,6 +144,12 @@ impl Wire {
 }
 
 impl RunSummary {
+    /// Whether the drive was left without the certainty that it has stopped: nobody gave up on it by hand.
+    pub const fn lost_its_drive(&self) -> bool {
+        self.stop_error.is_some()
+            && !matches!(self.outcome, Outcome::Stopped | Outcome::Interrupted)
+    }
+
     /// Fills in what a manifest says about how the run went.
     pub fn describe(&self, manifest: &mut Manifest) {
         manifest.outcome = Some(match &self.outcome {
@@ -137,6 +160,9 @@ impl RunSummary {
             Outcome::LinkLost { reason } => format!("link lost: {reason}"),
             Outcome::NotStarted { reason } => format!("not started: {reason}"),
         });
+        if let Some(reopened) = &self.reopened {
+            manifest.reopened = serde_json::to_value(reopened).unwrap_or(Value::Null);
+        }
         manifest.link_statistics = serde_json::to_value(self.link).unwrap_or(Value::Null);
         manifest.wire = serde_json::to_value(&self.wire).unwrap_or(Value::Null);
         manifest.period_asked_s = Some(1.0 / self.timing.rate_asked_hz);
@@ -158,7 +184,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
     };
     let mut runner = Runner {
         publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
-        session,
+        session: session.telling_stop(bench.link.confirms_stop()),
         link: StopOnDrop(bench.link),
         recorder: bench.recorder,
         estimator: bench.estimator,
@@ -166,11 +192,12 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         inputs: VecDeque::new(),
         punctuality: Punctuality::default(),
         demand: Demand::Disable,
-        drive_minus_host_s: 0.0,
+        end: RunEnd::default(),
         notices: Vec::new(),
         outcome: None,
         not_started: None,
         burst_armed: false,
+        knows_stranger: false,
     };
     runner.go(bench.clock, bench.intents, bench.interrupted, options)
 }
@@ -198,13 +225,14 @@ struct Runner<'a> {
     punctuality: Punctuality,
     /// The command in force.
     demand: Demand,
-    /// From host time to the samples' time axis, s.
-    drive_minus_host_s: f64,
+    end: RunEnd,
     notices: Vec<Notice>,
     outcome: Option<Outcome>,
     /// Why an automatic start was given up.
     not_started: Option<String>,
     burst_armed: bool,
+    /// It has been told that somebody else is on the line.
+    knows_stranger: bool,
 }
 
 impl Runner<'_> {
@@ -277,6 +305,8 @@ impl Runner<'_> {
             notices: std::mem::take(&mut self.notices),
             stop_error,
             recorder_error: recorder.error,
+            reopened: None,
+            end: self.end,
         }
     }
 
@@ -352,7 +382,7 @@ impl Runner<'_> {
         if self.session.phase().is_recorded() {
             let row = CommandRow {
                 command,
-                time_s: sent_s + self.drive_minus_host_s,
+                time_s: sent_s + self.end.drive_minus_host_s,
                 reference_rad_s: self.session.reference_rad_s().or(match command.demand {
                     Demand::Speed(speed) => Some(speed),
                     _ => None,
@@ -366,12 +396,29 @@ impl Runner<'_> {
         self.inputs.push_back(match self.link.0.exchange(command) {
             Ok(sample) => {
                 if sample.time_s.is_finite() {
-                    self.drive_minus_host_s = sample.time_s - sent_s;
+                    self.end.drive_minus_host_s = sample.time_s - sent_s;
                 }
+                self.end.last_reply_s = clock.now_s();
                 Input::Sample(Box::new(sample))
             }
             Err(error) => Input::Lost(Lost::from(&error)),
         });
+        self.look_for_strangers(clock.now_s());
+    }
+
+    /// A second master, or a second device with this address, shows in frames that nobody here asked for.
+    fn look_for_strangers(&mut self, now_s: f64) {
+        let frames = self.link.0.line().map_or(0, |line| line.foreign_frames);
+        if self.knows_stranger || frames < FOREIGN_FRAMES {
+            return;
+        }
+        self.knows_stranger = true;
+        let event = Event::new(now_s + self.end.drive_minus_host_s, None, "foreign_frames");
+        self.recorder
+            .event(event.with("host_time_s", now_s).with("frames", frames));
+        self.warn(format!(
+            "{frames} frames on the line answer nothing that was asked: two devices share the address, or a second master is on the bus?"
+        ));
     }
 
     /// A burst is an extra: a run goes on without it, and says so.
@@ -435,7 +482,7 @@ impl Runner<'_> {
             .get("host_time_s")
             .and_then(Value::as_f64)
             .unwrap_or(0.0);
-        let mut out = Event::new(host_s + self.drive_minus_host_s, seq, kind);
+        let mut out = Event::new(host_s + self.end.drive_minus_host_s, seq, kind);
         out.details = details;
         out
     }

@@ -11,6 +11,7 @@
 //! by itself. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
+mod brake;
 mod ending;
 mod intents;
 
@@ -18,6 +19,8 @@ pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 
 use serde_json::{Value, json};
 
+use self::brake::BrakeOrder;
+use super::bench_file::Brake;
 use super::guard::{Causes, Guard, Trip};
 use super::pilot::{OpenLoop, Pilot};
 use super::program::Program;
@@ -111,11 +114,22 @@ pub struct Session {
     goals: Vec<(Channel, f64)>,
     /// Segment with whose first command a burst capture is to start, once.
     burst_at: Option<usize>,
+    /// Order and times of a load's brake, where there is one.
+    brake: Option<BrakeOrder>,
+    /// What the user waived, to be said once.
+    waived: Vec<String>,
+    /// Whether the drive tells that its output is off.
+    tells_stop: bool,
 }
 
 impl Session {
     pub fn new(program: Box<dyn Program>, guard: Guard) -> Self {
-        Self::with_pilot(Box::new(OpenLoop(program)), guard)
+        Self::holding(program, guard, 0.0)
+    }
+
+    /// A session whose program comes on top of what holds a load at rest, in the quantity that it commands.
+    pub fn holding(program: Box<dyn Program>, guard: Guard, hold: f64) -> Self {
+        Self::with_pilot(Box::new(OpenLoop { program, hold }), guard)
     }
 
     /// A session whose demands answer to samples.
@@ -139,7 +153,31 @@ impl Session {
             shaped_cycles: 0,
             goals: Vec::new(),
             burst_at: None,
+            brake: None,
+            waived: Vec::new(),
+            tells_stop: true,
         }
+    }
+
+    /// Keeps the order of a load's brake: torque, then release; rest, then the brake, then the output off.
+    #[must_use]
+    pub fn with_brake(mut self, brake: Option<Brake>) -> Self {
+        self.brake = brake.map(BrakeOrder::new);
+        self
+    }
+
+    /// Says in log and notices which checks the user waived.
+    #[must_use]
+    pub fn with_waivers(mut self, waived: Vec<String>) -> Self {
+        self.waived = waived;
+        self
+    }
+
+    /// For a drive that does not tell whether its output is off: a stop that it took is then not said to be confirmed.
+    #[must_use]
+    pub const fn telling_stop(mut self, tells: bool) -> Self {
+        self.tells_stop = tells;
+        self
     }
 
     /// Has the drive start a burst capture with the first command of this segment.
@@ -209,6 +247,10 @@ impl Session {
     /// Takes one input and appends what is to be done. Each `Cycle` sends exactly one command.
     pub fn step(&mut self, now_s: f64, input: Input, actions: &mut Vec<Action>) {
         self.inputs += 1;
+        for check in std::mem::take(&mut self.waived) {
+            self.event(now_s, "waived", json!({ "check": check }), actions);
+            notice(actions, Level::Warning, format!("waived: {check}"));
+        }
         let trip = self.guard.tick(now_s).cloned();
         if let Some(trip) = trip {
             self.trip(now_s, &trip, actions);
@@ -225,7 +267,7 @@ impl Session {
     }
 
     fn cycle(&mut self, now_s: f64, actions: &mut Vec<Action>) {
-        if self.phase == Phase::Armed && self.may_run() {
+        if self.phase == Phase::Armed && self.may_run() && self.is_brake_open(now_s, actions) {
             self.started_s = Some(now_s);
             self.pilot.begin(now_s, self.drive.as_ref());
             self.guard.set_slew(self.pilot.slew_v_per_s());
@@ -259,7 +301,10 @@ impl Session {
                 self.event(now_s, "gains", json!({ "reason": reason }), actions);
             }
         }
-        if self.phase == Phase::RampDown && self.is_ramped_down(now_s) {
+        if self.phase == Phase::RampDown
+            && self.is_ramped_down(now_s)
+            && self.is_brake_shut(now_s, actions)
+        {
             self.stop_now(now_s, actions);
         }
     }
@@ -352,9 +397,17 @@ impl Session {
     fn lost(&mut self, now_s: f64, lost: &Lost, actions: &mut Vec<Action>) {
         let (kind, message) = match lost {
             Lost::Transient(message) => ("reply_lost", message),
+            Lost::Refused(message) => ("refused_by_drive", message),
             Lost::Gone(message) => ("link_gone", message),
         };
         self.event(now_s, kind, json!({ "message": message }), actions);
+        if matches!(lost, Lost::Refused(_)) && self.phase.is_energised() {
+            notice(actions, Level::Error, message.clone());
+            self.ending = Some(Outcome::LinkLost {
+                reason: message.clone(),
+            });
+            self.stop_now(now_s, actions);
+        }
         if matches!(lost, Lost::Gone(_)) && !self.phase.is_final() {
             let ending = match self.ending.take() {
                 Some(ending @ Outcome::Tripped(_)) => ending,
@@ -384,8 +437,7 @@ impl Session {
 
     fn is_ramped_down(&self, now_s: f64) -> bool {
         let waited_s = now_s - self.ramp_since_s;
-        let limits = self.guard.limits();
-        let longest_s = limits.voltage_v / limits.slew_v_per_s + COME_TO_REST_S;
+        let longest_s = self.guard.ramp_down_s() + COME_TO_REST_S;
         waited_s > longest_s || (self.shaping == Causes::default() && self.is_at_rest())
     }
 

@@ -81,6 +81,8 @@ pub struct Snapshot {
     /// The newest last.
     pub notices: Vec<Notice>,
     pub trip: Option<Trip>,
+    /// The search for a drive that was lost: how it goes, and what came of it.
+    pub reopening: Option<String>,
     /// Set once, when the run is over.
     pub outcome: Option<&'static str>,
 }

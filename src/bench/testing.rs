@@ -69,6 +69,7 @@ pub(super) struct ScriptedDrive {
     pub(super) watchdog_s: Option<f64>,
     pub(super) stops: u32,
     pub(super) is_emulator: bool,
+    pub(super) shortest_cycle_s: Option<f64>,
     state: DriveState,
     time_s: f64,
     voltage_v: f64,
@@ -85,6 +86,7 @@ impl ScriptedDrive {
             watchdog_s: Some(0.2),
             stops: 0,
             is_emulator: true,
+            shortest_cycle_s: None,
             state: DriveState::Disabled,
             time_s: 0.0,
             voltage_v: 0.0,
@@ -210,6 +212,6 @@ impl DriveLink for ScriptedDrive {
     }
 
     fn shortest_cycle_s(&self) -> Option<f64> {
-        None
+        self.shortest_cycle_s
     }
 }

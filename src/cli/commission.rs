@@ -1,6 +1,7 @@
 //! `commission`: the whole loop, guided; the screen and the headless run drive the same state machine.
 
 use std::fmt::Write as _;
+use std::path::Path;
 
 use super::discovery::{self, Shown};
 use super::escalate::{UnknownMotor, escalate, failure};
@@ -8,10 +9,11 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::live::{LiveArguments, Rig, Strings};
 use super::recorded::Recorded;
 use super::{data, interrupt, model_output, output, pages, progress, screen};
+use crate::bench::burst_part;
 use crate::drive::offer::Purpose;
 use crate::identification::nameplate::Comparison;
 use crate::plant::{FileHistory, Model, ModelFile, Scenario};
-use crate::recording::RunFile;
+use crate::recording::{FIRST_CAPTURE, RunFile};
 use crate::tui::Exit;
 use crate::workflow::{
     Commission, CommissionResult, Discovery, EscalationResult, Progress, ProgressCell, Role,
@@ -143,6 +145,10 @@ fn commission(
     let mut text = pages::commission(workflow.scenarios(), &result, &rig)?.text;
     for part in [
         result.escalation.as_ref().map(EscalationResult::text),
+        result
+            .burst
+            .as_ref()
+            .map(|burst| format!("burst: {}\n", burst.text())),
         result.nameplate.as_ref().map(Comparison::text),
         next_run(&result, &records),
     ]
@@ -171,7 +177,7 @@ fn step(
 ) -> Result<(), Failure> {
     let runs = rig.bench.runs;
     match workflow.task() {
-        Task::Check => workflow.checked(&rig.check()?),
+        Task::Check => workflow.checked(&rig.check(strings)?),
         Task::Escalate => {
             let result = escalate(rig, strings, |line| {
                 workflow.escalating(line);
@@ -196,7 +202,11 @@ fn step(
                 Role::Repeat => runs.repeat,
             };
             let name = format!("{}-{}", rig.bench.name, role.name());
+            if role == Role::Fit && runs.burst_at.is_none() && rig.records_bursts() {
+                rig.bench.runs.burst_at = burst_part(&rig.bench, &rig.nameplate()?);
+            }
             let recorded = rig.record(&name, seed, strings)?;
+            rig.bench.runs.burst_at = runs.burst_at;
             if let Some(failure) = recorded.failure() {
                 return Err(failure);
             }
@@ -209,6 +219,16 @@ fn step(
                 rate_hz: recorded.summary.timing.rate_achieved_hz,
                 missed_cycles: recorded.summary.timing.missed_cycles,
             };
+            if role == Role::Fit && recorded.summary.capture.is_some() {
+                let path = recorded.folder.path().join(FIRST_CAPTURE);
+                match burst(&path) {
+                    Ok(burst) => workflow.captured(burst, path.display().to_string()),
+                    // An extra: the loop goes on without it.
+                    Err(failure) => {
+                        output::message(&format!("burst not used: {}", failure.headline()));
+                    }
+                }
+            }
             workflow.recorded(
                 role,
                 Scenario::from_run(&loaded.run)?,
@@ -229,6 +249,11 @@ fn step(
         Task::Finished => {}
     }
     Ok(())
+}
+
+/// The burst as it is kept on the disk.
+fn burst(path: &Path) -> Result<Scenario, Failure> {
+    Ok(Scenario::from_run(&data::load(path, None)?.run)?)
 }
 
 /// Model, result and report into every run folder of the loop.

@@ -25,9 +25,6 @@ use findings::{Findings, Latency, RoundTripFindings, Settings};
 const PROBES: usize = 50;
 /// Probes without any answer after which the rest is not worth its wait.
 const SILENT_PROBES: usize = 3;
-/// Silence after which a server that took an unknown request for the start of another one listens again (libmodbus:
-/// one second).
-const RECOVERY: Duration = Duration::from_millis(1200);
 /// What an FTDI adapter can be set to, ms.
 const SHORTEST_LATENCY_MS: u32 = 1;
 
@@ -78,9 +75,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         None
     };
     let mut client = wire.open(&tap)?;
-    let (round_trips, last_error) = probe(&mut client, arguments.address)?;
-    let names = names(&mut client)?;
-    let diagnostics = diagnostics(&mut client, round_trips.len())?;
+    let (round_trips, exceptions, last_error) = probe(&mut client, arguments.address)?;
+    let names = client.names()?;
+    let diagnostics = client.sends_back()?;
     let counters = client.counters();
     drop(client);
     drop(tap);
@@ -103,10 +100,11 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         link: target.to_string(),
         exclusive: port.is_some(),
         port,
+        no_timer: arguments.set_latency && latency.is_none(),
         latency,
         settings,
         scan,
-        round_trip: RoundTripFindings::of(round_trips, PROBES, budget),
+        round_trip: RoundTripFindings::of(round_trips, exceptions, PROBES, budget),
         names,
         answers_function_8: diagnostics,
         counters,
@@ -137,63 +135,28 @@ fn latency(root: &Path, port: &SerialPortInfo, set: bool) -> Option<Latency> {
     Some(latency)
 }
 
-/// Round trips of the requests that were answered, an exception being an answer too; and why the last one was not.
+/// Round trips of the requests that were answered, how many of them with an exception, and why the last one was not.
 fn probe(
     client: &mut RawClient,
     address: u16,
-) -> Result<(Vec<Duration>, Option<LinkError>), Failure> {
+) -> Result<(Vec<Duration>, usize, Option<LinkError>), Failure> {
     let request = ReadRequest {
         table: RegisterTable::Holding,
         address,
         count: 1,
     };
-    let (mut round_trips, mut last_error) = (Vec::new(), None);
+    let (mut round_trips, mut exceptions, mut last_error) = (Vec::new(), 0, None);
     for asked in 0..PROBES {
         if asked >= SILENT_PROBES && !client.is_heard() {
             break;
         }
-        match client.read(request) {
+        let reply = client.read(request);
+        exceptions += usize::from(matches!(reply, Err(LinkError::Exception { .. })));
+        match reply {
             Ok(_) | Err(LinkError::Exception { .. }) => round_trips.push(client.last_round_trip()),
             Err(error @ LinkError::Gone { .. }) => return Err(error.into()),
             Err(error) => last_error = Some(error),
         }
     }
-    Ok((round_trips, last_error))
-}
-
-/// Vendor, product and revision as the unit gives them (function code 43); empty where it does not.
-fn names(client: &mut RawClient) -> Result<Vec<String>, Failure> {
-    if !client.is_heard() {
-        return Ok(Vec::new());
-    }
-    match client.ask(&[43, 14, 1, 0], "the device identification") {
-        Ok(pdu) => Ok(findings::object_texts(pdu)),
-        Err(error @ LinkError::Gone { .. }) => Err(error.into()),
-        Err(error) => {
-            recover(&error);
-            Ok(Vec::new())
-        }
-    }
-}
-
-/// Leaves a unit that did not know the function code in peace until it listens again.
-fn recover(error: &LinkError) {
-    if !matches!(error, LinkError::Exception { .. }) {
-        std::thread::sleep(RECOVERY);
-    }
-}
-
-/// Whether the unit sends a number back (function code 08). The last request of all, for some servers are deaf after it.
-fn diagnostics(client: &mut RawClient, answered: usize) -> Result<Option<bool>, Failure> {
-    if answered == 0 {
-        return Ok(None);
-    }
-    match client.ask(&[8, 0, 0, 0x5A, 0xC3], "the diagnostic echo") {
-        Ok(_) => Ok(Some(true)),
-        Err(error @ LinkError::Gone { .. }) => Err(error.into()),
-        Err(error) => {
-            recover(&error);
-            Ok(Some(false))
-        }
-    }
+    Ok((round_trips, exceptions, last_error))
 }

@@ -167,7 +167,10 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
             }
         },
     )
-    .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
+    .map_err(|error| {
+        let status = if error.is_usage() { USAGE } else { LINK };
+        Failure::with_help(status, error.to_string(), error.help())
+    })?;
     if arguments.json {
         let state = State::Stopped {
             link: link.to_string(),

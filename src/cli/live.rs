@@ -7,25 +7,27 @@
 //! This file owns the wall clock (the stamp of run folders) and the signals.
 
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
 
 use clap::Args;
 
 use super::data::read_text;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
-use super::live_link::{emulator_config, in_memory, open, serve, suited, tap, wired_profile};
+use super::live_checks::{Consent, Waive};
+use super::live_link::{
+    emulator_config, in_memory, open, serve, suited, tap, target, wired_profile,
+};
+use super::live_reopen::{Reopener, seconds};
+pub(super) use super::live_strings::Strings;
 use super::recorded::{Recorded, keep_capture};
 use super::wire::Tap;
-use super::{interrupt, output, reveal};
+use super::{output, reveal};
 use crate::bench::{
-    Bench, BenchFile, BenchFileError, CheckOptions, CheckReport, Clock, Guard, Intent, LiveOnline,
-    LoopDelay, MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions,
-    Session, SnapshotCell, SpeedPilot, Target, check, layout, layout_with_reference, manifest,
-    measure_delay, plan, run, stage_session,
+    Bench, BenchFile, BenchFileError, CheckReport, Clock, Guard, LiveOnline, LoopDelay,
+    MonotonicClock, Nameplate, OnlineSettings, Plan, Port, Protocol, RunOptions, Session,
+    SpeedPilot, Target, layout, layout_with_reference, manifest, measure_delay, plan, run,
+    stage_session,
 };
-use crate::drive::offer::Purpose;
+use crate::drive::offer::{self, Purpose};
 use crate::drive::{DriveLink, DriveProfile};
 use crate::emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use crate::identification::escalation::Stage;
@@ -33,7 +35,7 @@ use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
 use crate::plant::{Model, Motor};
 use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
-use crate::sample::{Channel, Command, Demand, Origin};
+use crate::sample::{Channel, Origin};
 
 /// What stands for the emulator's configuration in a bench file that hides it.
 const MYSTERY: &str = "mystery";
@@ -65,18 +67,21 @@ pub(super) struct LiveArguments {
     /// No screen: progress on stderr, the result on stdout
     #[arg(long)]
     headless: bool,
-    /// The drive is real and its shaft may turn (needed without a screen)
+    /// The drive is real and its shaft may turn: needed without a screen, and for the pulse of the checks
     #[arg(long)]
     hardware: bool,
     /// Set by commands that have [`super::escalate::UnknownMotor`].
     #[arg(skip)]
     pub(super) escalate: bool,
-    /// Go on although the drive's watchdog cannot be proven; the waiver is recorded
-    #[arg(long)]
-    waive_watchdog: bool,
+    #[command(flatten)]
+    waive: Waive,
     /// Clear a fault that the drive has latched, as after a killed host; the output stays off
     #[arg(long)]
     reset_fault: bool,
+    /// After a lost link: how long the drive is looked for, to bring it to rest; 0: not at all. Without a screen its
+    /// watchdog time and 10 s, beside one until somebody stops it
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    reopen_s: Option<f64>,
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
@@ -122,46 +127,6 @@ impl LiveArguments {
     }
 }
 
-/// What ties a run to the world: signals, intents of a screen, and what the screen sees.
-pub(super) struct Strings {
-    pub(super) snapshots: SnapshotCell,
-    pub(super) interrupted: Arc<AtomicBool>,
-    /// Set by every stop key: nothing more is to be started, also between two runs, where nobody reads intents.
-    pub(super) stop_requested: Arc<AtomicBool>,
-    intents: Receiver<Intent>,
-}
-
-impl Strings {
-    /// Whether nothing more is to be started.
-    pub(super) fn is_stopped(&self) -> bool {
-        self.interrupted.load(Ordering::Acquire) || self.stop_requested.load(Ordering::Acquire)
-    }
-
-    /// Registers the signals; the sender belongs to the screen.
-    pub(super) fn new() -> Result<(Self, Sender<Intent>), Failure> {
-        let interrupted = interrupt::flag()?;
-        let (sender, intents) = channel();
-        Ok((
-            Self {
-                snapshots: SnapshotCell::default(),
-                interrupted,
-                stop_requested: Arc::default(),
-                intents,
-            },
-            sender,
-        ))
-    }
-}
-
-/// What the user has allowed on the command line.
-struct Consent {
-    /// Real hardware may move.
-    hardware: bool,
-    waive_watchdog: bool,
-    /// Once: taken back when it has been done.
-    reset_fault: bool,
-}
-
 /// A session that is ready to be recorded.
 struct Planned {
     session: Session,
@@ -181,17 +146,21 @@ pub(super) struct SpeedAbout {
 /// An open drive with its clock, and the emulator's thread where it is ours.
 pub(super) struct Rig {
     pub(super) bench: BenchFile,
-    profile: DriveProfile,
+    pub(super) profile: DriveProfile,
     /// Its file, as it was read.
     profile_text: String,
-    link: Box<dyn DriveLink>,
+    pub(super) link: Box<dyn DriveLink>,
+    /// A run has lost its drive: what comes after it is started by hand.
+    lost: bool,
+    /// Opens the link again; `None` for a drive in memory.
+    pub(super) reopener: Option<Reopener>,
     /// Dropping it completes the capture, so it outlives the link.
-    _tap: Tap,
-    clock: Box<dyn Clock + Send>,
-    last_seq: u64,
-    check: Option<CheckReport>,
-    consent: Consent,
-    headless: bool,
+    pub(super) tap: Tap,
+    pub(super) clock: Box<dyn Clock + Send>,
+    pub(super) last_seq: u64,
+    pub(super) check: Option<CheckReport>,
+    pub(super) consent: Consent,
+    pub(super) headless: bool,
     /// The motor is to be found from small steps before anything is planned.
     pub(super) escalates: bool,
     /// What the bench file says about the motor, whatever is found later.
@@ -252,6 +221,7 @@ impl Rig {
         let tap = tap(arguments.tap.as_deref(), &port)?;
         let real = MonotonicClock::start();
         let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
+        let mut address = bench.link.port.clone();
         let link: Box<dyn DriveLink> = match (&port, &emulator) {
             (Port::Sim, Some(config)) => {
                 let time = VirtualClock::new();
@@ -263,7 +233,7 @@ impl Rig {
                 if arguments.is_headless() {
                     output::message(&format!("software drive {}", handle.ready_line()));
                 }
-                let address = match bench.link.protocol {
+                address = match bench.link.protocol {
                     Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
                     Protocol::ModbusRtu | Protocol::Stream => handle.address().to_owned(),
                 };
@@ -271,7 +241,7 @@ impl Rig {
                 open(&address, &bench, &profile, real.origin(), &tap)?
             }
             (Port::Tcp(_) | Port::Serial(_), _) => {
-                open(&bench.link.port, &bench, &profile, real.origin(), &tap)?
+                open(&address, &bench, &profile, real.origin(), &tap)?
             }
             (Port::Sim | Port::Emulator, None) => {
                 return Err(Failure::new(
@@ -280,18 +250,27 @@ impl Rig {
                 ));
             }
         };
+        let reopener = if port == Port::Sim {
+            None
+        } else {
+            let target = target(&address, &bench)?;
+            Some(Reopener::of(&target, real.origin(), arguments.reopen_s))
+        };
         Ok(Self {
+            lost: false,
+            reopener,
             profile,
             profile_text,
             link,
-            _tap: tap,
+            tap,
             clock,
             last_seq: 0,
             check: None,
             consent: Consent {
                 // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
                 hardware: arguments.hardware || !arguments.is_headless(),
-                waive_watchdog: arguments.waive_watchdog,
+                hardware_said: arguments.hardware,
+                waivers: arguments.waive.waivers(),
                 reset_fault: arguments.reset_fault,
             },
             headless: arguments.is_headless(),
@@ -308,39 +287,6 @@ impl Rig {
     /// Nobody looks at a screen.
     pub(super) const fn is_headless(&self) -> bool {
         self.headless
-    }
-
-    /// Identity, limits, link probe, watchdog proof; the refusal is the first check that failed.
-    pub(super) fn check(&mut self) -> Result<CheckReport, Failure> {
-        if std::mem::take(&mut self.consent.reset_fault) {
-            // Who is there is asked first: a reset is not sent to a stranger.
-            self.link.identify()?;
-            self.link.exchange(Command {
-                seq: 1,
-                demand: Demand::ResetFault,
-            })?;
-        }
-        let options = CheckOptions {
-            rate_hz: self.bench.link.rate_hz,
-            hardware_allowed: self.consent.hardware,
-            waive_watchdog: self.consent.waive_watchdog,
-        };
-        let report = check(
-            self.link.as_mut(),
-            self.clock.as_mut(),
-            &self.bench.limits(),
-            options,
-        )?;
-        if let Some(item) = report.refusal() {
-            let headline = format!("{}: {}", item.name, item.text);
-            return Err(match item.help {
-                Some(help) => Failure::with_help(LINK, headline, help),
-                None => Failure::new(LINK, headline),
-            });
-        }
-        self.last_seq = report.last_seq;
-        self.check = Some(report.clone());
-        Ok(report)
     }
 
     /// Predicts the sequence with this seed and refuses what would be too much.
@@ -375,6 +321,11 @@ impl Rig {
             .and_then(|check| check.identity.current_limit_a)
     }
 
+    /// The drive can record bursts by itself.
+    pub(super) fn records_bursts(&mut self) -> bool {
+        self.link.burst().is_some()
+    }
+
     fn program(&self, seed: u64) -> Result<crate::excitation::Program, Failure> {
         let file = self.bench.name.clone();
         self.bench
@@ -391,7 +342,9 @@ impl Rig {
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
         let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
-        let session = Session::new(Box::new(self.program(seed)?), guard)
+        let brake = self.bench.load.brake();
+        let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
+        let session = Session::holding(Box::new(self.program(seed)?), guard, hold_v)
             .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1));
         let run = Planned {
             session,
@@ -467,12 +420,20 @@ impl Rig {
             follows,
             speed,
         } = planned;
+        if self.lost && self.headless {
+            let headline =
+                "the drive was lost in the run before: nothing is started again by itself";
+            return Err(Failure::new(LINK, headline));
+        }
         let report = self
             .check
             .clone()
             .ok_or_else(|| Failure::new(INTERNAL, "a run without a check before it"))?;
         let target = Target::of(&report.identity);
-        let session = session.after_seq(self.last_seq);
+        let session = session
+            .after_seq(self.last_seq)
+            .with_brake(self.bench.load.brake())
+            .with_waivers(report.waived.iter().map(|&name| name.to_owned()).collect());
         let mut manifest = self.manifest(name, seed, &report);
         let mut layout = match &speed {
             Some(about) => {
@@ -505,7 +466,7 @@ impl Rig {
                 clock: self.clock.as_mut(),
                 recorder: &mut recorder,
                 estimator: Some(&mut online),
-                intents: &strings.intents,
+                intents: strings.intents(),
                 interrupted: &strings.interrupted,
                 snapshots: &strings.snapshots,
             },
@@ -515,10 +476,14 @@ impl Rig {
                 rate_hz: self.bench.link.rate_hz,
                 motor,
                 // Beside a screen a real motor is started by hand, after a question.
-                auto_start: target == Target::Sim || self.headless || follows,
+                auto_start: !self.lost && (target == Target::Sim || self.headless || follows),
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
+        if summary.lost_its_drive() {
+            self.lost = true;
+            self.get_back(&mut summary, &mut recorder, strings);
+        }
         summary.describe(&mut manifest);
         if let Some(report) = &summary.speed {
             manifest.speed_loop["delay_while_running"] = serde_json::json!(report.delay);
@@ -540,13 +505,7 @@ impl Rig {
 
     fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {
         let link = self.link.name();
-        let mut manifest = manifest(
-            &self.bench,
-            seed,
-            &link,
-            report,
-            self.consent.waive_watchdog,
-        );
+        let mut manifest = manifest(&self.bench, seed, &link, report);
         name.clone_into(&mut manifest.name);
         manifest.stamp = utc_stamp(now());
         if let Some(emulator) = &self.emulator {
@@ -556,6 +515,9 @@ impl Rig {
         let configs = &mut manifest.configs;
         configs.insert("drive".to_owned(), self.profile_text.clone());
         configs.insert("drive_provenance".to_owned(), self.profile.provenance());
+        for (channel, text) in offer::carried(&self.profile) {
+            manifest.carried.insert(channel.key().to_owned(), text);
+        }
         for channel in Channel::ALL {
             if let Some(origin) = self.profile.signals.get(channel) {
                 manifest.set_origin(channel, origin);

@@ -9,7 +9,7 @@ use super::failure::{Failure, LINK, USAGE};
 use super::output;
 use super::wire::Tap;
 use crate::bench::{
-    BenchFile, BenchFileError, CheckError, DEFAULT_BAUD, Port, Protocol, check_signals,
+    BenchFile, BenchFileError, CheckError, DriveFacts, Port, Protocol, check_signals,
 };
 use crate::drive::{
     DriveLink, DriveProfile, LinkError, ProfiledLink, Target as LinkTarget, TargetError, offer,
@@ -23,6 +23,7 @@ use crate::emulator::{
 /// A drive profile by its built-in name, else from a file; with its text.
 pub(super) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
     let path = Path::new(name);
+    refuse_missing(path)?;
     let read = if DriveProfile::names().any(|known| known == name) || !path.exists() {
         DriveProfile::named(name).and_then(|read| Ok((read, DriveProfile::text(name)?.to_owned())))
     } else {
@@ -32,23 +33,33 @@ pub(super) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
     read.map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))
 }
 
+/// What looks like a path is a file, and no name that might be built in.
+fn refuse_missing(path: &Path) -> Result<(), Failure> {
+    let text = path.to_string_lossy();
+    let is_toml = path.extension().is_some_and(|end| end == "toml");
+    if (is_toml || text.contains(['/', '\\'])) && !path.exists() {
+        return Err(Failure::with_help(
+            USAGE,
+            format!("{text}: no such file"),
+            "check the path; built-in ones are named without a folder and without .toml",
+        ));
+    }
+    Ok(())
+}
+
 /// The profile of a bench, which takes the profile's baud rate where it gives none of its own.
 fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
     let (profile, text) = profile(&bench.drive.profile)?;
-    if profile.registers.is_some() {
-        if bench.link.baud == DEFAULT_BAUD {
-            bench.link.baud = profile.link.baud;
-        }
-        if bench.link.protocol == Protocol::Stream {
-            return Err(Failure::with_help(
-                USAGE,
-                format!(
-                    "{} does not speak the stream of our own drive",
-                    profile.name
-                ),
-                "set link.protocol to modbus-rtu or modbus-tcp",
-            ));
-        }
+    bench.link.baud.get_or_insert(profile.link.baud);
+    if profile.registers.is_some() && bench.link.protocol == Protocol::Stream {
+        return Err(Failure::with_help(
+            USAGE,
+            format!(
+                "{} does not speak the stream of our own drive",
+                profile.name
+            ),
+            "set link.protocol to modbus-rtu or modbus-tcp",
+        ));
     }
     Ok((profile, text))
 }
@@ -61,6 +72,13 @@ pub(super) fn suited(
 ) -> Result<(), Failure> {
     let signals = check_signals(profile, purpose);
     if let Some(help) = signals.help {
+        let only_speed = purpose == offer::Purpose::Voltages
+            && offer::refusal(profile, offer::Purpose::SpeedLoop).is_none();
+        let help = if only_speed {
+            "the drive takes a speed or a current: use `drivebench speed`, with a [speed] section in the bench file"
+        } else {
+            help
+        };
         return Err(Failure::with_help(USAGE, signals.text, help));
     }
     if headless {
@@ -72,6 +90,9 @@ pub(super) fn suited(
 /// How far the profile may be believed, and what to know before the drive is used.
 pub(super) fn announce(profile: &DriveProfile) {
     output::message(&profile.provenance());
+    for (channel, text) in offer::carried(profile) {
+        output::message(&format!("  {:<14} {text}", channel.key()));
+    }
     for remark in offer::remarks(profile) {
         output::message(&format!("  {remark}"));
     }
@@ -80,6 +101,7 @@ pub(super) fn announce(profile: &DriveProfile) {
 /// An embedded emulator by name, else a file.
 pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
     let path = Path::new(name);
+    refuse_missing(path)?;
     let config = if EmulatorConfig::embedded_names().any(|known| known == name) || !path.exists() {
         EmulatorConfig::embedded(name)
     } else {
@@ -111,7 +133,7 @@ fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
     let mut line = config.line.clone();
     line.baud = match bench.link.protocol {
         Protocol::ModbusTcp => 0,
-        Protocol::ModbusRtu | Protocol::Stream => bench.link.baud,
+        Protocol::ModbusRtu | Protocol::Stream => bench.baud(),
     };
     Latency::of_line(&line, bench.link.protocol == Protocol::ModbusRtu)
 }
@@ -131,7 +153,7 @@ pub(super) fn serve(
         ),
     };
     let mut config = config.clone();
-    config.line.baud = bench.link.baud;
+    config.line.baud = bench.baud();
     let handle = crate::emulator::spawn_as(guise, config, bench.emulator.seed, kind, endpoint)
         .map_err(|error| Failure::with_help(LINK, error.to_string(), error.help()))?;
     Ok(handle)
@@ -145,9 +167,11 @@ pub(super) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
         Protocol::ModbusTcp => crate::drive::Protocol::ModbusTcp,
         Protocol::Stream => crate::drive::Protocol::Stream,
     };
-    profile.link.baud = bench.link.baud;
+    bench.drive_facts = DriveFacts::of(&profile);
+    profile.link.baud = bench.baud();
     profile.link.unit = bench.link.unit;
     profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
+    profile.link.emulated = bench.port() == Port::Emulator;
     Ok((profile, text))
 }
 
@@ -176,14 +200,14 @@ pub(super) fn open(
 }
 
 /// The far end of the wire with the bench file's baud rate and unit.
-fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
+pub(super) fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
     let target: LinkTarget = address
         .parse()
         .map_err(|error: TargetError| Failure::with_help(USAGE, error.to_string(), error.help()))?;
     Ok(match target {
         LinkTarget::Serial { path, .. } => LinkTarget::Serial {
             path,
-            baud: Some(bench.link.baud),
+            baud: Some(bench.baud()),
             unit: Some(bench.link.unit),
         },
         LinkTarget::Tcp { host, port, .. } => LinkTarget::Tcp {

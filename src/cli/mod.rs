@@ -18,10 +18,14 @@ mod escalate;
 mod failure;
 mod holdout;
 mod identify;
+mod init;
 mod interrupt;
 mod live;
+mod live_checks;
 mod live_link;
 mod live_record;
+mod live_reopen;
+mod live_strings;
 mod live_study;
 mod load_torque;
 mod model_output;
@@ -30,8 +34,10 @@ mod output;
 mod pages;
 mod plan;
 mod ports;
+mod probe;
 mod progress;
 mod provenance;
+mod reach;
 mod recorded;
 mod registers;
 mod replay;
@@ -49,7 +55,7 @@ mod wire;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 /// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
@@ -75,8 +81,10 @@ struct Arguments {
 enum Command {
     Commission(commission::Arguments),
     Emulate(emulate::Arguments),
+    Init(init::Arguments),
     Ports(ports::Arguments),
     Doctor(doctor::Arguments),
+    Probe(probe::Arguments),
     Registers(registers::Arguments),
     Plan(plan::Arguments),
     Run(run::Arguments),
@@ -117,8 +125,10 @@ pub fn main() -> ExitCode {
     let done = match arguments.command {
         Command::Commission(arguments) => commission::execute(arguments),
         Command::Emulate(arguments) => emulate::execute(arguments),
+        Command::Init(arguments) => init::execute(&arguments),
         Command::Ports(arguments) => ports::execute(&arguments),
         Command::Doctor(arguments) => doctor::execute(&arguments),
+        Command::Probe(arguments) => probe::execute(&arguments),
         Command::Registers(arguments) => registers::execute(&arguments),
         Command::Plan(arguments) => plan::execute(&arguments),
         Command::Run(arguments) => run::execute(arguments),
@@ -142,6 +152,20 @@ pub fn main() -> ExitCode {
             ExitCode::from(failure.status)
         }
     }
+}
+
+/// The help page of the command that these words begin with.
+fn help_page(words: impl Iterator<Item = String>) -> String {
+    let mut command = Arguments::command();
+    let mut path = "drivebench".to_owned();
+    for word in words {
+        let Some(below) = command.find_subcommand(&word).cloned() else {
+            break;
+        };
+        path = format!("{path} {word}");
+        command = below;
+    }
+    format!("see {path} --help")
 }
 
 /// clap's message as one headline and one help line, like every other error.
@@ -169,7 +193,26 @@ fn usage_failure(error: &clap::Error) -> failure::Failure {
         }
     }
     if help.is_empty() {
-        "see drivebench --help".clone_into(&mut help);
+        help = help_page(std::env::args().skip(1));
     }
     failure::Failure::with_help(failure::USAGE, headline, help)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_usage_error_names_the_help_page_of_its_own_command() {
+        let page = |words: &[&str]| help_page(words.iter().map(|word| (*word).to_owned()));
+        assert_eq!(
+            page(&["probe", "--baud", "x"]),
+            "see drivebench probe --help"
+        );
+        assert_eq!(
+            page(&["registers", "write", "probe"]),
+            "see drivebench registers write --help"
+        );
+        assert_eq!(page(&["--what"]), "see drivebench --help");
+    }
 }

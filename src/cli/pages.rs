@@ -89,6 +89,9 @@ pub(super) fn commission(
     };
     let mut context = context(&manifest, &folders);
     context.plan = plan_facts(&rig.plan(rig.bench.runs.fit)?);
+    if let Some(burst) = &result.burst {
+        context.plan.push(fact("burst capture", burst.text()));
+    }
     let diagnosis = &result.diagnosis;
     let (noise, added) = (diagnosis.model.noise, !diagnosis.effects.is_empty());
     let nameplate = Model::baseline(rig.plate.clone());

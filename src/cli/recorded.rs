@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use super::output;
-use crate::bench::{OnlineResult, Outcome, RunSummary};
+use crate::bench::{OnlineResult, Outcome, Reopened, RunSummary};
 use crate::drive::Capture;
 use crate::recording::{RunFile, RunFolder, write_run};
 
@@ -38,9 +38,18 @@ impl Recorded {
         Ok(())
     }
 
+    /// Whether the drive was lost, and is there again and at rest.
+    pub(super) fn is_back(&self) -> bool {
+        let reopened = self.summary.reopened.as_ref();
+        reopened.is_some_and(Reopened::is_safe)
+    }
+
     /// The failure that ended the run early, if any.
     pub(super) fn failure(&self) -> Option<Failure> {
-        let kept = format!("the record is kept in {}", self.folder.path().display());
+        let mut kept = format!("the record is kept in {}", self.folder.path().display());
+        if let Some(reopened) = &self.summary.reopened {
+            kept = format!("{}; {kept}", reopened.text);
+        }
         match &self.summary.outcome {
             Outcome::Done => self.summary.stop_error.as_ref().map(|error| {
                 Failure::with_help(

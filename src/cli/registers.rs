@@ -44,7 +44,22 @@ fn failure(error: LinkError) -> Failure {
             error.to_string(),
             "the unit has no such register, or not so many in one request; addresses count from 0 (40001 is 0)",
         ),
+        LinkError::Gone { .. } => Failure::with_help(
+            LINK,
+            error.to_string(),
+            "the cable or the peer went away: check it, and ask again",
+        ),
         other => other.into(),
+    }
+}
+
+/// What a register takes: as [`number`], or negative in two's complement.
+fn value(text: &str) -> Result<u16, String> {
+    match text.parse::<i16>() {
+        Ok(negative) if negative < 0 => Ok(u16::from_be_bytes(negative.to_be_bytes())),
+        _ => number(text).map_err(|_| {
+            format!("{text:?} is not a number from -32768 to 65535 (0x... for hexadecimal)")
+        }),
     }
 }
 
@@ -56,4 +71,20 @@ fn number(text: &str) -> Result<u16, String> {
     };
     parsed
         .ok_or_else(|| format!("{text:?} is not a number from 0 to 65535 (0x... for hexadecimal)"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_register_takes_what_sixteen_bits_hold_signed_or_not() {
+        assert_eq!(value("-1"), Ok(0xFFFF));
+        assert_eq!(value("-32768"), Ok(0x8000));
+        assert_eq!(value("65535"), Ok(0xFFFF));
+        assert_eq!(value("0x10"), Ok(16));
+        for wrong in ["-32769", "65536", "1.5", ""] {
+            assert!(value(wrong).is_err(), "{wrong}");
+        }
+    }
 }

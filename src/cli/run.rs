@@ -81,7 +81,7 @@ pub(super) fn execute(mut arguments: Arguments) -> Result<(), Failure> {
 fn record(arguments: &Arguments, strings: &Strings) -> Result<Done, Failure> {
     let mut rig = Rig::open(&arguments.live, arguments.run_seed, Purpose::Voltages)?;
     let headless = arguments.live.is_headless();
-    let report = rig.check()?;
+    let report = rig.check(strings)?;
     if headless {
         for item in &report.items {
             output::message(&format!("{:<18} {}", item.name, item.text));
@@ -104,13 +104,23 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Done, Failure> {
     let name = rig.bench.name.clone();
     let recorded = rig.record(&name, seed, strings)?;
     let nameplate = rig.nameplate()?.motor();
-    let whole = Whole {
+    let mut whole = Whole {
         plan,
         recorded,
         escalation,
         plate: rig.plate.clone(),
     };
     write_results(&whole, &nameplate)?;
+    // A drive that was lost and is back is checked anew, and whoever sits at the screen may start another run.
+    while !headless && whole.recorded.is_back() && !strings.is_stopped() {
+        rig.check(strings)?;
+        let again = rig.record(&name, seed, strings)?;
+        if again.summary.rows == 0 {
+            break;
+        }
+        whole.recorded = again;
+        write_results(&whole, &nameplate)?;
+    }
     Ok(Done::Run(Box::new(whole)))
 }
 

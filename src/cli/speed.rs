@@ -163,7 +163,11 @@ impl Request {
                     bench.drive.profile
                 )
                 .replace("  ", " "),
-                "see [capabilities] of the drive's profile, and speed.actuator of the bench file",
+                if profile.registers.is_some() {
+                    "see quantity and unit of the [setpoints] in the drive's profile, and speed.actuator of the bench file"
+                } else {
+                    "see [capabilities] of the drive's profile, and speed.actuator of the bench file"
+                },
             )
         })?;
         let motor = super::live::nameplate(bench)?;
@@ -177,11 +181,24 @@ impl Request {
                 ..ModelFile::default()
             },
         };
+        let limits = bench.limits();
+        if limits.quadrants < 4
+            && let Some(speed) = reference.reverse_rad_s()
+        {
+            return Err(Failure::with_help(
+                USAGE,
+                format!(
+                    "the reference asks for {speed} rad/s, and the drive's converter has {} of 4 quadrants: it goes one way only",
+                    limits.quadrants
+                ),
+                "use references that are not negative; see [converter] of the drive's profile",
+            ));
+        }
         Ok(Self {
             section,
             actuator,
             reference,
-            limits: bench.limits(),
+            limits,
             motor,
             model,
             period_s: bench.period_s(),
@@ -196,7 +213,12 @@ impl Request {
             limits: &self.limits,
             section: &self.section,
             actuator: self.actuator,
-            timing: loop_timing(&self.model.model, self.period_s, delay_s),
+            // A bridge that has just fired takes a command with its next firing only.
+            timing: loop_timing(
+                &self.model.model,
+                self.period_s,
+                delay_s + self.limits.dead_time_s,
+            ),
             noise_rad_s,
             peak_reference_rad_s: self.reference.peak_rad_s(),
         }
@@ -211,7 +233,7 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Whole, Failure> {
     request.regulator(request.period_s, LEAST_NOISE_RAD_S)?;
     let mut rig = Rig::open(&arguments.live, None, Purpose::SpeedLoop)?;
     rig.bench.speed = Some(request.section.clone());
-    let report = rig.check()?;
+    let report = rig.check(strings)?;
     let delay = rig.measure_delay()?;
     let noise_rad_s = noise(&report);
     let mut regulator = request.regulator(
@@ -221,6 +243,7 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Whole, Failure> {
     regulator
         .reasons
         .extend(unwatched(&report, request.actuator));
+    regulator.reasons.extend(converter(&request.limits));
     let model = match &arguments.model {
         Some(path) => path.display().to_string(),
         None => "nameplate".to_owned(),
@@ -256,6 +279,7 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Whole, Failure> {
         silence_s: request.limits.link_silence_s,
         speed_limit_rad_s: request.limits.speed_rad_s,
         is_noisy: noise_rad_s > LEAST_NOISE_RAD_S,
+        hold: hold(&request),
     };
     let rule = request.section.rule(request.actuator);
     let pilot = SpeedPilot::new(
@@ -298,6 +322,27 @@ fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
     Some(format!(
         "a broken encoder is noticed by a runaway and the speed limit only: {because}"
     ))
+}
+
+/// What the converter does to the loop.
+fn converter(limits: &Limits) -> Option<String> {
+    (limits.dead_time_s > 0.0).then(|| {
+        format!(
+            "thyristor bridge: {:.1} ms of dead time are in the delay that the loop is tuned for",
+            1e3 * limits.dead_time_s
+        )
+    })
+}
+
+/// What holds a load at rest, in the unit of the command.
+fn hold(request: &Request) -> f64 {
+    let brake = request.limits.load.brake();
+    let hold_a = brake.map_or(0.0, |brake| brake.hold_current_a);
+    match request.actuator {
+        Actuator::Voltage => request.motor.resistance_ohm * hold_a,
+        Actuator::Current => hold_a,
+        Actuator::Speed => 0.0,
+    }
 }
 
 /// Noise of the speed sensor, as the checks have found it at rest.

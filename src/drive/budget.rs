@@ -3,9 +3,10 @@
 use serde::Serialize;
 
 use super::modbus::{COMMAND_BYTES, TELEMETRY_BYTES};
-use super::profile::{LinkSettings, Protocol};
+use super::profile::{DriveProfile, Framing, LinkSettings, Protocol};
+use super::register_map::{PollRate, RegisterMap, plan_reads};
 use super::stream;
-use super::timing::LineTiming;
+use super::timing::{LineTiming, char_s};
 
 /// What adapters add to each exchange, s: none, USB with its latency timer at 1 ms, and FTDI as it is delivered (measured
 /// on real adapters: LINKS.md 2.2).
@@ -15,11 +16,65 @@ const ADAPTERS: [(&str, f64); 3] = [
     ("USB adapter, latency timer 16 ms", 0.016),
 ];
 
-/// The times of one exchange of a command for a sample on a serial line.
+/// Registers of the loops that are reckoned with: ten read, two written (what a drive's cycle needs).
+const READ: f64 = 10.0;
+const WRITTEN: f64 = 2.0;
+
+/// Frames of a read beside its registers, and of a write of one or of several registers, bytes.
+const READ_BYTES: usize = 8;
+const REPLY_BYTES: usize = 5;
+const WRITE_BYTES: usize = 8;
+
+/// A line and who is at its ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredLine {
+    pub baud: u32,
+    pub framing: Framing,
+    /// Silence before a request and before a reply, s.
+    pub gap_s: f64,
+    /// What drive, adapter and host add to one exchange, s.
+    pub added_s: f64,
+}
+
+/// Loop rates that a line can carry.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LoopRates {
+    /// One request of function code 23 a cycle: ten registers read, two written.
+    pub read_write_hz: f64,
+    /// A write of four registers and a read of ten a cycle, two requests.
+    pub write_then_read_hz: f64,
+}
+
+impl MeasuredLine {
+    /// Time on the wire of a request and its reply with both gaps, s.
+    pub fn exchange_s(&self, request_bytes: f64, reply_bytes: f64) -> f64 {
+        (request_bytes + reply_bytes) * char_s(self.baud, self.framing)
+            + 2.0 * self.gap_s
+            + self.added_s
+    }
+
+    /// Time of a read of so many registers, s: function code 3, 8 bytes asked and 5 + 2 n answered.
+    pub fn read_s(&self, registers: u16) -> f64 {
+        self.exchange_s(8.0, 5.0 + 2.0 * f64::from(registers))
+    }
+
+    pub fn rates(&self) -> LoopRates {
+        let both = self.exchange_s(13.0 + 2.0 * WRITTEN, 5.0 + 2.0 * READ);
+        let write = self.exchange_s(9.0 + 8.0, 8.0);
+        LoopRates {
+            read_write_hz: both.recip(),
+            write_then_read_hz: (write + self.exchange_s(8.0, 5.0 + 2.0 * READ)).recip(),
+        }
+    }
+}
+
+/// The times of one cycle, a command for a sample, on a serial line.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LineBudget {
     pub protocol: Protocol,
     pub baud: u32,
+    /// Requests that a cycle takes.
+    pub exchanges: usize,
     pub request_bytes: usize,
     pub reply_bytes: usize,
     /// Characters of both frames, ms.
@@ -40,39 +95,66 @@ pub struct AdapterRate {
 }
 
 impl LineBudget {
-    /// The budget of our own register map or stream at these settings; `None`: no serial line.
-    pub fn of(settings: &LinkSettings) -> Option<Self> {
-        let (request, reply) = match settings.protocol {
-            Protocol::ModbusRtu => (COMMAND_BYTES, TELEMETRY_BYTES),
-            Protocol::Stream => (stream::COMMAND_BYTES, stream::TELEMETRY_BYTES),
-            Protocol::ModbusTcp => return None,
+    /// The budget of one cycle of this drive: its fast blocks and one set-point, or the one exchange of our own register
+    /// map or stream; `None`: no serial line.
+    pub fn of(profile: &DriveProfile) -> Option<Self> {
+        let frames = match (profile.link.protocol, &profile.registers) {
+            (Protocol::ModbusTcp, _) => return None,
+            (_, Some(map)) => frames(map),
+            (Protocol::ModbusRtu, None) => vec![(COMMAND_BYTES, TELEMETRY_BYTES)],
+            (Protocol::Stream, None) => vec![(stream::COMMAND_BYTES, stream::TELEMETRY_BYTES)],
         };
-        Some(Self::of_exchange(settings, request, reply))
+        Some(Self::of_frames(&profile.link, &frames))
     }
 
     /// The budget of any exchange: bytes of whole frames.
     pub fn of_exchange(settings: &LinkSettings, request_bytes: usize, reply_bytes: usize) -> Self {
+        Self::of_frames(settings, &[(request_bytes, reply_bytes)])
+    }
+
+    /// The budget of several exchanges, one after the other.
+    fn of_frames(settings: &LinkSettings, frames: &[(usize, usize)]) -> Self {
         let with_gaps = settings.protocol != Protocol::Stream;
         let line = LineTiming::serial(settings, settings.baud, with_gaps);
-        let gaps_s = 2.0 * line.gap().as_secs_f64();
-        let bits = f64::from(settings.framing.bits_per_char());
-        let wire_s = (request_bytes + reply_bytes) as f64 * bits / f64::from(settings.baud);
-        let reply_s = settings.reply_ms * 1e-3;
-        let rates = ADAPTERS.map(|(adapter, delay_s)| AdapterRate {
-            adapter,
-            delay_ms: delay_s * 1e3,
-            rate_hz: 1.0 / (wire_s + gaps_s + reply_s + delay_s),
+        let line = MeasuredLine {
+            baud: settings.baud,
+            framing: settings.framing,
+            gap_s: line.gap().as_secs_f64(),
+            added_s: settings.reply_ms * 1e-3,
+        };
+        let rates = ADAPTERS.map(|(adapter, delay_s)| {
+            let added_s = line.added_s + delay_s;
+            let line = MeasuredLine { added_s, ..line };
+            let times = frames
+                .iter()
+                .map(|(request, reply)| line.exchange_s(*request as f64, *reply as f64));
+            AdapterRate {
+                adapter,
+                delay_ms: delay_s * 1e3,
+                rate_hz: times.sum::<f64>().recip(),
+            }
         });
+        let request_bytes = frames.iter().map(|(request, _)| request).sum();
+        let reply_bytes = frames.iter().map(|(_, reply)| reply).sum();
+        let bytes = (request_bytes + reply_bytes) as f64;
+        let count = frames.len() as f64;
         Self {
             protocol: settings.protocol,
             baud: settings.baud,
+            exchanges: frames.len(),
             request_bytes,
             reply_bytes,
-            wire_ms: wire_s * 1e3,
-            gaps_ms: gaps_s * 1e3,
-            reply_ms: settings.reply_ms,
+            wire_ms: bytes * char_s(line.baud, line.framing) * 1e3,
+            gaps_ms: 2e3 * line.gap_s * count,
+            reply_ms: settings.reply_ms * count,
             rates: rates.to_vec(),
         }
+    }
+
+    /// Behind a usual USB adapter with its latency timer at 1 ms, Hz.
+    pub fn usual_rate_hz(&self) -> f64 {
+        let usual = self.rates.get(1);
+        usual.map_or_else(|| self.rate_hz(), |rate| rate.rate_hz)
     }
 
     /// What the line itself carries, Hz.
@@ -81,10 +163,26 @@ impl LineBudget {
     }
 }
 
+/// Bytes of the requests and replies of one cycle: every fast block, and one set-point.
+fn frames(map: &RegisterMap) -> Vec<(usize, usize)> {
+    let reads = plan_reads(map, PollRate::Fast)
+        .into_iter()
+        .map(|block| (READ_BYTES, REPLY_BYTES + 2 * usize::from(block.count)));
+    let reference = map.set_points.iter().find(|point| !point.is_word());
+    let write = reference.map(|point| match point.function {
+        6 => (WRITE_BYTES, WRITE_BYTES),
+        _ => (
+            WRITE_BYTES + 1 + 2 * usize::from(point.location.layout.registers()),
+            WRITE_BYTES,
+        ),
+    });
+    reads.chain(write).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::DriveProfile;
+    use crate::drive::standard_gap_s;
 
     fn settings(baud: u32, reply_ms: f64) -> LinkSettings {
         LinkSettings {
@@ -112,12 +210,69 @@ mod tests {
 
     #[test]
     fn a_stream_has_no_gaps_and_a_network_no_line() {
-        let mut stream = settings(115_200, 0.0);
-        stream.protocol = Protocol::Stream;
+        let mut stream = DriveProfile::named("own").unwrap();
+        stream.link = settings(115_200, 0.0);
+        stream.link.protocol = Protocol::Stream;
         let budget = LineBudget::of(&stream).unwrap();
         assert!(budget.gaps_ms.abs() < 1e-12);
         assert!((budget.wire_ms - 70.0 * 10.0 / 115.2).abs() < 1e-9);
-        stream.protocol = Protocol::ModbusTcp;
+        stream.link.protocol = Protocol::ModbusTcp;
         assert_eq!(LineBudget::of(&stream), None);
+    }
+
+    #[test]
+    fn a_drive_with_a_map_is_reckoned_with_its_own_requests() {
+        let mut profile = DriveProfile::named("epulse50-dc").unwrap();
+        profile.link.protocol = Protocol::ModbusRtu;
+        let map = profile.registers.clone().unwrap();
+        let reads = plan_reads(&map, PollRate::Fast).len();
+        let budget = LineBudget::of(&profile).unwrap();
+        assert_eq!(budget.exchanges, reads + 1);
+        let one = LineBudget::of_exchange(&profile.link, budget.request_bytes, budget.reply_bytes);
+        // The same bytes in more requests take more silences and more replies.
+        assert!((budget.wire_ms - one.wire_ms).abs() < 1e-9);
+        assert!(budget.rate_hz() < one.rate_hz());
+        assert!((budget.rate_hz() - budget.rates[0].rate_hz).abs() < 1e-9);
+        assert!(budget.usual_rate_hz() < budget.rate_hz());
+    }
+
+    /// The table of LINKS.md 2.1: strict gap, 0.5 ms drive, 1.2 ms USB.
+    #[test]
+    fn the_arithmetic_is_that_of_the_table() {
+        for (baud, read_write, two_requests) in [
+            (9600, 18.0, 13.0),
+            (38_400, 62.0, 39.0),
+            (115_200, 113.0, 65.0),
+            (921_600, 177.0, 91.0),
+        ] {
+            let framing = Framing::EightNoneOne;
+            let budget = MeasuredLine {
+                baud,
+                framing,
+                gap_s: standard_gap_s(baud, framing),
+                added_s: 0.5e-3 + 1.2e-3,
+            };
+            let rates = budget.rates();
+            assert!(
+                (rates.read_write_hz - read_write).abs() < 1.0,
+                "{baud} {rates:?}"
+            );
+            assert!(
+                (rates.write_then_read_hz - two_requests).abs() < 1.0,
+                "{baud} {rates:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn parity_costs_a_tenth() {
+        let of = |framing| MeasuredLine {
+            baud: 9600,
+            framing,
+            gap_s: 0.0,
+            added_s: 0.0,
+        };
+        let ratio = of(Framing::EightEvenOne).read_s(10) / of(Framing::EightNoneOne).read_s(10);
+        assert!((ratio - 1.1).abs() < 1e-12);
     }
 }

@@ -27,20 +27,23 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// The burst as a run: `voltage_v`, `current_a` and `speed_rad_s`, those that the drive has.
+    /// The burst as a run: `voltage_v`, `current_a` and `speed_rad_s`, those that the drive has. A captured voltage is
+    /// the mean over the period that ends with its sample, and in a run a voltage holds from its row on: each row has
+    /// the voltage of the sample after it, and the last sample has no row.
     pub fn run(&self, name: impl Into<String>) -> Result<Run, RunError> {
-        type Of = fn(&CaptureSample) -> f64;
-        let time_s = (0..self.samples.len())
+        type Of = fn(&[CaptureSample]) -> f64;
+        let pairs = || self.samples.windows(2);
+        let time_s = (0..pairs().count())
             .map(|index| self.first_s + index as f64 * self.period_s)
             .collect();
         let mut run = Run::new(name, time_s)?;
         let columns: [(Channel, Of); 3] = [
-            (Channel::Voltage, |sample| sample.voltage_v),
-            (Channel::Current, |sample| sample.current_a),
-            (Channel::Speed, |sample| sample.speed_rad_s),
+            (Channel::Voltage, |pair| pair[1].voltage_v),
+            (Channel::Current, |pair| pair[0].current_a),
+            (Channel::Speed, |pair| pair[0].speed_rad_s),
         ];
         for (channel, of) in columns {
-            let values: Vec<f64> = self.samples.iter().map(of).collect();
+            let values: Vec<f64> = pairs().map(of).collect();
             if values.iter().any(|value| value.is_finite()) {
                 run.set_column(channel, values, Origin::Measured)?;
             }
@@ -73,7 +76,7 @@ mod tests {
 
     fn sample(current_a: f64) -> CaptureSample {
         CaptureSample {
-            voltage_v: 12.5,
+            voltage_v: 10.0 + current_a,
             current_a,
             speed_rad_s: f64::NAN,
         }
@@ -87,10 +90,11 @@ mod tests {
             samples: (0..5).map(|k| sample(f64::from(k))).collect(),
         };
         let run = capture.run("burst").unwrap();
-        assert_eq!(run.rows(), 5);
-        assert!((run.time_s()[4] - 2.5004).abs() < 1e-12);
+        assert_eq!(run.rows(), 4);
+        assert!((run.time_s()[3] - 2.5003).abs() < 1e-12);
         assert!((run.column(Channel::Current).unwrap()[3] - 3.0).abs() < 1e-12);
-        assert!(run.column(Channel::Voltage).is_some());
+        // The voltage between samples 3 and 4 is what sample 4 says.
+        assert!((run.column(Channel::Voltage).unwrap()[3] - 14.0).abs() < 1e-12);
         assert!(run.column(Channel::Speed).is_none());
     }
 

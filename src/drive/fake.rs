@@ -20,6 +20,19 @@ use nix::fcntl::OFlag;
 use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 
+/// The drive's end of a fresh pseudo-terminal that changes no byte and never blocks, and where its other end is.
+pub(super) fn raw_pty() -> (File, super::Target) {
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
+    let master = posix_openpt(flags).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let mut termios = tcgetattr(&master).unwrap();
+    cfmakeraw(&mut termios);
+    tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
+    let target = ptsname_r(&master).unwrap().parse().unwrap();
+    (File::from(std::os::fd::OwnedFd::from(master)), target)
+}
+
 /// What the drive does, one after the other.
 pub(super) enum Say {
     Bytes(Vec<u8>),
@@ -56,15 +69,7 @@ impl Fake {
         identity: [u16; IDENTITY_WORDS],
         script: impl FnMut(Asked) -> Vec<Say> + Send + 'static,
     ) -> Self {
-        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
-        let master = posix_openpt(flags).unwrap();
-        grantpt(&master).unwrap();
-        unlockpt(&master).unwrap();
-        let mut termios = tcgetattr(&master).unwrap();
-        cfmakeraw(&mut termios);
-        tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
-        let target = ptsname_r(&master).unwrap().parse().unwrap();
-        let port = File::from(std::os::fd::OwnedFd::from(master));
+        let (port, target) = raw_pty();
         Self::start(target, script, language, identity, move |_| Some(port))
     }
 

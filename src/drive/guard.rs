@@ -123,6 +123,11 @@ impl Guard {
         }
     }
 
+    /// Lets go of the port: a device that was unplugged keeps its number for as long as somebody holds it.
+    pub(super) fn close(&self) {
+        self.inner().port = Box::new(tokio::io::empty());
+    }
+
     /// When the line last carried something.
     pub(super) fn last_activity(&self) -> Instant {
         self.inner().last_activity

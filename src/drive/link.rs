@@ -28,6 +28,37 @@ pub struct Identity {
     pub voltage_limit_v: Option<f64>,
 }
 
+impl Identity {
+    /// Serial number, firmware, protocol and kind; what the drive does not tell is said to be so.
+    pub fn plate(&self) -> String {
+        let told = |text: &str| {
+            let text = text.trim();
+            if text.is_empty() { "not told" } else { text }.to_owned()
+        };
+        // Only our own drive has a protocol with a number.
+        let protocol = match self.protocol_version {
+            0 => String::new(),
+            version => format!(", protocol {version}"),
+        };
+        format!(
+            "serial {}, firmware {}{protocol}, {}",
+            told(&self.serial_number),
+            told(&self.firmware),
+            if self.is_emulator {
+                "emulator"
+            } else {
+                "hardware"
+            }
+        )
+    }
+
+    /// Vendor and product, and the plate.
+    pub fn sentence(&self) -> String {
+        let name = format!("{} {}", self.vendor, self.product);
+        format!("{}, {}", name.trim(), self.plate())
+    }
+}
+
 /// Every exchange ends in exactly one of these classes; the sum is `sent`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct LinkStatistics {
@@ -59,42 +90,48 @@ impl LinkStatistics {
 /// Why an exchange gave no sample. Transient classes cost one cycle; `Gone` ends the session.
 #[derive(Debug, Error)]
 pub enum LinkError {
-    #[error("{link}: cannot open: {reason}")]
+    #[error("{}: cannot open: {reason}", whom(link))]
     Open { link: String, reason: String },
-    #[error("{link}: no reply within {deadline_ms} ms to {request}")]
+    #[error("{}: no reply within {deadline_ms} ms to {request}", whom(link))]
     Timeout {
         link: String,
         deadline_ms: u64,
         request: String,
     },
-    #[error("{link}: {reason}")]
+    #[error("{}: {reason}", whom(link))]
     Corrupt { link: String, reason: String },
-    #[error("{link}: the reply belongs to an earlier request: {reason}")]
+    #[error("{}: the reply belongs to an earlier request: {reason}", whom(link))]
     Stale { link: String, reason: String },
-    #[error("{link}: the reply belongs to another request: {reason}")]
+    #[error("{}: the reply belongs to another request: {reason}", whom(link))]
     Mismatch { link: String, reason: String },
-    #[error("{link}: the drive refused {request}: exception {code:#04x} {name}")]
+    #[error(
+        "{}: the drive refused {request}: exception {code:#04x} {name}",
+        whom(link)
+    )]
     Exception {
         link: String,
         request: String,
         code: u8,
         name: &'static str,
     },
-    #[error("{link}: the link is gone: {reason}")]
+    #[error("{}: the link is gone: {reason}", whom(link))]
     Gone { link: String, reason: String },
-    #[error("{link}: drive protocol version {found} is not {expected}, which this program speaks")]
+    #[error(
+        "{}: drive protocol version {found} is not {expected}, which this program speaks",
+        whom(link)
+    )]
     Version {
         link: String,
         found: u16,
         expected: u16,
     },
-    #[error("{link}: {reason}")]
+    #[error("{}: {reason}", whom(link))]
     Identity { link: String, reason: String },
     /// Nothing was sent: the profile or its limits forbid it.
-    #[error("{link}: not sent: {reason}")]
+    #[error("{}: not sent: {reason}", whom(link))]
     Refused { link: String, reason: String },
     /// The drive did not do what a step of a command waits for.
-    #[error("{link}: {command}, step {step} of {steps}: {reason}")]
+    #[error("{}: {command}, step {step} of {steps}: {reason}", whom(link))]
     Sequence {
         link: String,
         command: &'static str,
@@ -104,15 +141,25 @@ pub enum LinkError {
     },
 }
 
+/// A link's name before a colon: that of the drive in memory, `sim:`, ends with one.
+fn whom(link: &str) -> &str {
+    link.trim_end_matches(':')
+}
+
 impl LinkError {
     /// The next step for the person at the bench.
     pub const fn help(&self) -> &'static str {
         match self {
+            Self::Open { link, .. } if matches!(link.as_bytes(), [b't', b'c', b'p', b':', ..]) => {
+                "check address and port, and that the unit is on; some units take one connection at a time"
+            }
             Self::Open { .. } => "check that the port exists and that no other program holds it",
             Self::Timeout { .. } => {
-                "check wiring, baud rate and unit address; is the drive powered?"
+                "is the drive powered, and wired? `drivebench doctor --port PORT --scan` finds baud rate, parity and unit"
             }
-            Self::Corrupt { .. } => "check baud rate, parity, termination and shielding",
+            Self::Corrupt { .. } => {
+                "check baud rate and parity (`drivebench doctor --port PORT --scan` finds them), termination and shielding"
+            }
             Self::Stale { .. } => {
                 "the drive or an adapter answers late: allow it more (link.reply_ms, link.deadline_ms), set the adapter's latency timer to 1 ms"
             }
@@ -123,13 +170,13 @@ impl LinkError {
                 "the profile asks for something this drive does not have; check the register map"
             }
             Self::Gone { .. } => {
-                "the cable or the peer went away; the drive's watchdog must have stopped the motor"
+                "check the cable, the adapter, and that the peer is switched on; then start again"
             }
             Self::Version { .. } => "use the drivebench release that matches the drive's firmware",
             Self::Identity { .. } => "check that the profile is the one of this drive",
             Self::Refused { .. } => "see the drive's profile: what it maps, and its limits",
             Self::Sequence { .. } => {
-                "look at the drive's display: enable input, local control, a fault; then start again"
+                "look at the drive's display (enable input, local control, a fault) and at the line of the profile; then start again"
             }
         }
     }
@@ -169,6 +216,36 @@ pub trait DriveLink: Send {
     /// Asks for zero output and makes sure of it: repeated until confirmed or `attempts` are used up.
     fn stop(&mut self) -> Result<(), LinkError>;
 
+    /// Who is there, by reading only: what `identify` sets up in the drive is left as it is.
+    fn recognise(&mut self) -> Result<Identity, LinkError> {
+        self.identify()
+    }
+
+    /// What the drive told when it was identified, before anything was asked of it; `None` where it tells its state only in
+    /// reply to a command.
+    fn found(&self) -> Option<Sample> {
+        None
+    }
+
+    /// With the output off: writes zero to the set-points that can be read back and compares. The words for how that went;
+    /// `None`: there are none.
+    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+        Ok(None)
+    }
+
+    /// As `stop`, for a drive that somebody else may have left with a reference: that is set to zero first.
+    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+        self.stop()
+    }
+
+    /// Whether the drive tells that its output is off. Where it does not, an acknowledged stop is not a confirmed one.
+    fn confirms_stop(&self) -> bool {
+        true
+    }
+
+    /// Lets go of the port, so that it can be opened again; every later call finds the link gone.
+    fn close(&mut self) {}
+
     fn statistics(&self) -> LinkStatistics;
 
     /// Shortest cycle that this link carries at its baud rate, s; `None` when not limited by a line.
@@ -197,5 +274,38 @@ pub trait DriveLink: Send {
     /// Where the drive's clock stands against the host's, for information.
     fn clock_map(&self) -> Option<&ClockMap> {
         None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_drive_does_not_tell_is_said_and_never_left_blank() {
+        let mut identity = Identity {
+            product: "Acme 40".to_owned(),
+            is_emulator: true,
+            ..Identity::default()
+        };
+        assert_eq!(
+            identity.sentence(),
+            "Acme 40, serial not told, firmware not told, emulator"
+        );
+        identity.serial_number = "17".to_owned();
+        identity.protocol_version = 3;
+        assert_eq!(
+            identity.plate(),
+            "serial 17, firmware not told, protocol 3, emulator"
+        );
+    }
+
+    #[test]
+    fn the_drive_in_memory_is_named_with_one_colon() {
+        let error = LinkError::Refused {
+            link: "sim:".to_owned(),
+            reason: "no".to_owned(),
+        };
+        assert_eq!(error.to_string(), "sim: not sent: no");
     }
 }

@@ -10,7 +10,9 @@
 //!              reply.rs                     which bytes answer this request
 //!                  +-- timing.rs (deadlines, gaps), tally.rs (counts, round trips)
 //!                  +-- tap/ (capture file) <- raw/ (registers of any unit), serial_ports.rs (what is plugged in)
+//!                                              '-- probe/ (read-only: who is it, and is its profile right?)
 //!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
+//!                  +-- reopen.rs (a link that was lost: when again, under which name, who must be there)
 //! ```
 //!
 //! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`RegisterBus`].
@@ -28,12 +30,15 @@ mod link;
 mod modbus;
 pub mod offer;
 mod open;
+mod patience;
 mod port;
+mod probe;
 mod profile;
 mod profiled;
 mod raw;
 mod register_bus;
 pub mod register_map;
+mod reopen;
 mod reply;
 pub mod serial_ports;
 mod stream;
@@ -44,23 +49,31 @@ mod timing;
 #[cfg(test)]
 mod virtual_line;
 
-pub use budget::{AdapterRate, LineBudget};
+pub use budget::{AdapterRate, LineBudget, LoopRates, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 pub use modbus::{ModbusBus, ModbusLink, RegisterTable};
-pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
+pub use open::{
+    Target, TargetError, open, open_modbus, open_stream, open_stream_tapped, open_tapped,
+};
+pub use probe::{
+    ProbeDepth, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, probe,
+    probe_stream, six_digits,
+};
 pub use profile::{
     Capabilities, DriveLimits, DriveProfile, Framing, KickedBy, LinkSettings, ProfileError,
     Protocol, SignalOrigins, Trust, Watchdog,
 };
 pub use profiled::ProfiledLink;
 pub use raw::{
-    Batch, LoopRates, MOST_READ, MOST_WRITTEN, MeasuredLine, RawClient, RawCounters, RawSettings,
-    Read, ReadRequest, WriteFunction, read_batch, standard_gap_s,
+    Batch, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, RawSettings, Read, ReadRequest,
+    WriteFunction, read_batch, registers,
 };
 pub use register_bus::RegisterBus;
+pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use stream::StreamLink;
 pub use tally::RoundTrips;
 pub use tap::TapFile;
+pub use timing::standard_gap_s;

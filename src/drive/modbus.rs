@@ -31,6 +31,7 @@ use super::burst::Burst;
 use super::clock_map::ClockMap;
 use super::guard::{Guard, Leftover, LineCounts, Port, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use super::raw::registers;
 use super::reply::{Echo, FrameKind};
 use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, identity_error, low_word};
@@ -137,7 +138,7 @@ impl ModbusLink {
         address: u16,
         count: u16,
     ) -> Result<Vec<u16>, LinkError> {
-        let what = format!("read {count} registers at {address}");
+        let what = format!("read {} at {address}", registers(count.into()));
         let request = || match table {
             RegisterTable::Holding => Request::ReadHoldingRegisters(address, count),
             RegisterTable::Input => Request::ReadInputRegisters(address, count),
@@ -162,7 +163,7 @@ impl ModbusLink {
 
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
-        let what = format!("write {} registers at {address}", values.len());
+        let what = format!("write {} at {address}", registers(values.len()));
         let allowed = self.timing.allowed(9 + 2 * values.len(), 8);
         self.prove_fresh()?;
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
@@ -376,7 +377,7 @@ impl ModbusLink {
     }
 
     fn lost(&mut self, error: &std::io::Error) -> LinkError {
-        self.gone = true;
+        self.close();
         LinkError::Gone {
             link: self.name.clone(),
             reason: error.to_string(),
@@ -514,6 +515,11 @@ impl DriveLink for ModbusLink {
             }
         }
         Err(last)
+    }
+
+    fn close(&mut self) {
+        self.gone = true;
+        self.guard.close();
     }
 
     fn statistics(&self) -> LinkStatistics {

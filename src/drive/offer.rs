@@ -1,7 +1,7 @@
 //! What a drive's signals can carry: a pure judgement over its profile, in sentences for the person at the bench.
 
-use super::profile::DriveProfile;
-use super::register_map::{DeviceKind, Quantity, RegisterMap, SupervisionKind};
+use super::profile::{DriveProfile, Trust};
+use super::register_map::{DeviceKind, Quantity, RegisterMap, Signal, SupervisionKind};
 use crate::sample::{Channel, Origin};
 
 /// What somebody wants to do with a drive.
@@ -30,6 +30,48 @@ pub fn refusal(profile: &DriveProfile, purpose: Purpose) -> Option<String> {
         Purpose::Mechanics => no_shaft_speed(profile).or_else(|| no_signed_torque(profile)),
     };
     reason.map(|reason| format!("{}: {reason}", profile.name))
+}
+
+/// What each quantity that the drive gives stands for: origin, sign, side, basis, delays. Empty for our own map, whose
+/// telemetry is instantaneous (firmware-protocol/SPEC.md).
+pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
+    let Some(map) = &profile.registers else {
+        return Vec::new();
+    };
+    let signals = map.signals.iter().filter_map(|signal| {
+        let (channel, _) = signal.channel?;
+        Some((channel, stands_for(signal)))
+    });
+    let mut carried: Vec<_> = signals.collect();
+    carried.sort_by_key(|(channel, _)| channel.index());
+    carried
+}
+
+fn stands_for(signal: &Signal) -> String {
+    let traits = &signal.traits;
+    let mut parts = vec![traits.origin.unwrap_or_default().name().to_owned()];
+    parts.push(if traits.signed { "signed" } else { "no sign" }.to_owned());
+    if let Some(side) = traits.side {
+        parts.push(format!("{} side", side.name()));
+    }
+    if let Some(basis) = traits.basis {
+        parts.push(basis.name().to_owned());
+    }
+    if let Some(pairs) = traits.pole_pairs {
+        parts.push(format!("by {pairs} pole pairs"));
+    }
+    parts.push(traits.filter_ms.map_or_else(
+        || "filter not told".to_owned(),
+        |ms| format!("filter {ms} ms"),
+    ));
+    parts.push(traits.update_ms.map_or_else(
+        || "update not told".to_owned(),
+        |ms| format!("update {ms} ms"),
+    ));
+    if traits.trust == Some(Trust::Unverified) {
+        parts.push("unverified".to_owned());
+    }
+    format!("{} ({})", parts.join(", "), signal.name)
 }
 
 /// What has to be known before this drive is used, beside what it cannot do.
@@ -80,13 +122,24 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
         }
         (SupervisionKind::None, _) => remarks.push("the drive has no watchdog".to_owned()),
         (_, Some(0.0)) if watchdog.set_s.is_none() => {
-            remarks.push("its watchdog is off as delivered: set it at the drive".to_owned());
+            remarks.push(match watchdog.time {
+                Some(_) => "its watchdog is off as delivered: give watchdog.set_ms in the profile, or set it at the drive".to_owned(),
+                None => "its watchdog is off as delivered: set it at the drive".to_owned(),
+            });
         }
         _ => {}
     }
     if watchdog.auto_resume {
         remarks.push(
             "after its watchdog has stopped it, the next command resumes the old one".to_owned(),
+        );
+    }
+    if map.commands.reset.is_empty() {
+        remarks.push("a fault cannot be cleared over the bus: reset it at the drive".to_owned());
+    }
+    if map.commands.coast.is_empty() {
+        remarks.push(
+            "nothing is left to try where its stop command fails: it has no coast".to_owned(),
         );
     }
     if watchdog.boot_delay_s > 0.0 {
@@ -228,6 +281,32 @@ mod tests {
         );
         let current = refused("abb-dcs-gateway", Purpose::Mechanics).unwrap();
         assert!(current.contains("gateway does not map"), "{current}");
+    }
+
+    #[test]
+    fn each_channel_says_what_its_number_stands_for() {
+        let text = DriveProfile::text("epulse50-dc").unwrap().replacen(
+            "side = \"terminal\"",
+            "side = \"terminal\"\nbasis = \"rms\"\nfilter_ms = 12.0\nupdate_ms = 2.5",
+            1,
+        );
+        let profile = DriveProfile::parse("epulse50-dc", &text).unwrap();
+        let told = carried(&profile);
+        assert_eq!(
+            told,
+            [
+                (
+                    Channel::Current,
+                    "measured, signed, terminal side, rms, filter 12 ms, update 2.5 ms (current)"
+                        .to_owned()
+                ),
+                (
+                    Channel::Speed,
+                    "measured, signed, filter not told, update not told (speed)".to_owned()
+                ),
+            ]
+        );
+        assert_eq!(carried(&DriveProfile::named("own").unwrap()), []);
     }
 
     #[test]

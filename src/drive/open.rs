@@ -124,7 +124,8 @@ pub fn open_tapped(
     tap: Option<&TapFile>,
 ) -> Result<Box<dyn DriveLink>, LinkError> {
     if let Some(map) = &profile.registers {
-        let bus = ModbusBus::new(modbus_with(target, profile, epoch, tap)?, map);
+        let bus = ModbusBus::new(modbus_with(target, profile, epoch, tap)?, map)
+            .emulated(profile.link.emulated);
         return Ok(Box::new(ProfiledLink::new(Arc::clone(map), bus)));
     }
     Ok(match profile.link.protocol {
@@ -194,6 +195,16 @@ pub fn open_stream(
     epoch: Instant,
 ) -> Result<StreamLink, LinkError> {
     stream_with(target, profile, epoch, None)
+}
+
+/// Opens a stream link with a tap, as [`open_tapped`].
+pub fn open_stream_tapped(
+    target: &Target,
+    profile: &DriveProfile,
+    epoch: Instant,
+    tap: Option<&TapFile>,
+) -> Result<StreamLink, LinkError> {
+    stream_with(target, profile, epoch, tap)
 }
 
 fn stream_with(

@@ -4,12 +4,14 @@ use std::fmt::Write as _;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::fs::MetadataExt;
+use std::path::Path;
 use std::time::Duration;
 
 use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, StopBits};
 
 use super::link::LinkError;
 use super::profile::Framing;
+use super::serial_ports::holders;
 
 /// How long a peer on the network may take to accept.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -57,7 +59,15 @@ pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
             return open_error(path, &io::Error::new(kind, error.to_string()));
         }
         serialport::ErrorKind::NoDevice => {
-            format!("another program holds it, or it is no port ({error})")
+            let holders: Vec<String> = holders(Path::new("/"), Path::new(path))
+                .iter()
+                .map(ToString::to_string)
+                .collect();
+            if holders.is_empty() {
+                format!("another program holds it, or it is no port ({error})")
+            } else {
+                format!("{} holds it ({error})", holders.join(", "))
+            }
         }
         _ => error.to_string(),
     };
@@ -139,6 +149,19 @@ impl TimedPort for TcpStream {
     fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
         self.set_write_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
         what_went(self.write(bytes))
+    }
+}
+
+/// A port that was let go.
+pub(super) struct Closed;
+
+impl TimedPort for Closed {
+    fn read_within(&mut self, _: &mut [u8], _: Duration) -> io::Result<usize> {
+        Err(ErrorKind::NotConnected.into())
+    }
+
+    fn write_within(&mut self, _: &[u8], _: Duration) -> io::Result<usize> {
+        Err(ErrorKind::NotConnected.into())
     }
 }
 

@@ -143,6 +143,9 @@ pub struct LinkSettings {
     pub gap_us: Option<f64>,
     /// Time for one exchange, ms; `None`: from wire and reply time.
     pub deadline_ms: Option<f64>,
+    /// The far end is the software drive of this process, whatever guise it has; in no file.
+    #[serde(skip)]
+    pub emulated: bool,
 }
 
 /// What the drive can be told.

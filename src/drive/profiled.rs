@@ -19,7 +19,9 @@ use std::sync::Arc;
 use self::points::Points;
 use self::readings::Readings;
 use self::sequence::{Next, Sequence};
+use super::guard::LineCounts;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use super::patience::Patience;
 use super::register_bus::RegisterBus;
 use super::register_map::{Quantity, RegisterMap, Step};
 use super::tally::RoundTrips;
@@ -60,10 +62,13 @@ pub struct ProfiledLink<B> {
     latched: bool,
     field_lost: bool,
     was_reset: bool,
+    /// When its enable command was carried out, s, until the drive has reported that it runs.
+    unseen_since_s: Option<f64>,
     watchdog_s: Option<f64>,
     last_exchange_s: Option<f64>,
     /// When something went out that the drive's watchdog counts, s.
     kicked_s: f64,
+    patience: Patience,
 }
 
 impl<B: RegisterBus> ProfiledLink<B> {
@@ -78,8 +83,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
             latched: false,
             field_lost: false,
             was_reset: false,
+            unseen_since_s: None,
             last_exchange_s: None,
             kicked_s: f64::NEG_INFINITY,
+            patience: Patience::default(),
         }
     }
 
@@ -121,8 +128,19 @@ impl<B: RegisterBus> ProfiledLink<B> {
         self.cycle(&Wanted::Run(reference), seq)
     }
 
+    /// A drive that is busy keeps what it was told last, and is asked again after a pause; a stop does not wait.
     fn cycle(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample, LinkError> {
+        if matches!(wanted, Wanted::Run(_)) {
+            self.patience.check(self.bus.now_s())?;
+        }
+        let result = self.exchanges(wanted, seq);
+        self.patience.note(self.bus.now_s(), &result);
+        result
+    }
+
+    fn exchanges(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample, LinkError> {
         let began_s = self.bus.now_s();
+        let was_off = self.mode == Mode::Off;
         let period_s = self.last_exchange_s.map_or(0.0, |last_s| began_s - last_s);
         self.last_exchange_s = Some(began_s);
         self.points.limited = false;
@@ -158,6 +176,9 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
         self.advance()?;
         self.supervise()?;
+        if let (true, Wanted::Run(_), Some(hindrance)) = (was_off, wanted, self.hindrance()) {
+            return Err(self.refused(hindrance.sentence().to_owned()));
+        }
         // Without a clock in the drive: the middle of the first request.
         let time_s = reading_s + 0.5 * request_s;
         let mut sample = self.sample(time_s, began_s);
@@ -197,8 +218,13 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let first_reset = is_reset && !std::mem::replace(&mut self.was_reset, is_reset);
         self.was_reset = is_reset;
         match (wanted, &self.mode) {
-            (Wanted::Run(_), Mode::Off) if !self.latched && self.state() != DriveState::Fault => {
-                self.mode = Mode::Enabling(Sequence::new("enable", &self.enabling(), now_s));
+            (Wanted::Run(_), Mode::Off)
+                if !self.latched
+                    && self.state() != DriveState::Fault
+                    && self.hindrance().is_none() =>
+            {
+                let enable = Sequence::new("enable", &self.map.commands.enable, now_s);
+                self.mode = Mode::Enabling(enable.preceded(self.all_to_zero()));
             }
             (Wanted::Run(_), _) | (_, Mode::Stopping(_) | Mode::Resetting(_)) => {}
             (_, Mode::On | Mode::Enabling(_)) => self.begin_stop(now_s),
@@ -216,19 +242,19 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
     }
 
-    /// The enable command, with every reference at zero before it.
-    fn enabling(&self) -> Vec<Step> {
+    /// Every reference at zero, before the enable command.
+    fn all_to_zero(&self) -> Vec<Step> {
         let references = self
             .map
             .set_points
             .iter()
             .filter(|p| !p.is_word() && !p.nvm);
-        let zero = references.map(|point| Step::Write {
-            set_point: point.name.clone(),
-            value: 0.0,
-            mask: None,
-        });
-        zero.chain(self.map.commands.enable.iter().cloned())
+        references
+            .map(|point| Step::Write {
+                set_point: point.name.clone(),
+                value: 0.0,
+                mask: None,
+            })
             .collect()
     }
 
@@ -273,18 +299,22 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 }
                 Next::Done => {
                     self.mode = match &self.mode {
-                        Mode::Enabling(_) => Mode::On,
+                        Mode::Enabling(_) => {
+                            self.unseen_since_s = Some(now_s);
+                            Mode::On
+                        }
                         _ => Mode::Off,
                     };
                     return Ok(());
                 }
                 Next::Failed { step, reason } => {
+                    let (command, steps) = (sequence.command, sequence.steps());
                     let error = LinkError::Sequence {
                         link: self.bus.name().0,
-                        command: sequence.command,
+                        command,
                         step,
-                        steps: sequence.steps(),
-                        reason,
+                        steps,
+                        reason: reason + &self.in_fault_text(now_s),
                     };
                     self.latched = true;
                     self.mode = match &self.mode {
@@ -322,6 +352,14 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 return self.advance();
             }
         }
+        // Somebody else has it: no set-point goes out any more, and what it was told last is taken back.
+        if self.hindrance().is_some() && matches!(self.mode, Mode::On | Mode::Enabling(_)) {
+            self.latched = true;
+            self.begin_stop(now_s);
+            // The sample says why; how the stop goes matters less.
+            let _ = self.advance();
+            return Ok(());
+        }
         if self.mode == Mode::On {
             if self.points.mismatches() >= MISMATCHES {
                 let reason = self.points.mismatch_text();
@@ -337,12 +375,30 @@ impl<B: RegisterBus> ProfiledLink<B> {
                     reason,
                 });
             }
+            let runs = self.runs_since_enabled();
+            if runs == Some(true) {
+                self.unseen_since_s = None;
+            }
+            // Perhaps it runs and the profile looks for it at the wrong place: it gets its stop command.
+            if self.unseen_since_s.is_some()
+                && self.state() != DriveState::Fault
+                && runs == Some(false)
+            {
+                let error = self.never_ran();
+                self.latched = true;
+                self.begin_stop(now_s);
+                // As above: the reason counts.
+                let _ = self.advance();
+                return Err(error);
+            }
             // It stopped by itself: a fault, its watchdog, somebody at its keypad.
-            if self.state() == DriveState::Fault || self.told("running") == Some(false) {
+            if self.state() == DriveState::Fault || runs == Some(false) {
                 self.latched = true;
                 self.points.release();
                 self.mode = Mode::Off;
                 self.points.zero(&mut self.bus, &self.readings)?;
+                // The code of a fault is often polled slowly, and is wanted now.
+                self.readings.read_now(&mut self.bus, Quantity::FaultCode)?;
             }
         }
         Ok(())
@@ -363,6 +419,14 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// Reads first; only a drive that is what the profile says gets its watchdog written.
     fn identify(&mut self) -> Result<Identity, LinkError> {
+        let mut identity = self.recognise()?;
+        let time_s = self.supervision()?;
+        self.watchdog_s = time_s.filter(|time_s| *time_s > 0.0);
+        identity.watchdog_s = self.watchdog_s;
+        Ok(identity)
+    }
+
+    fn recognise(&mut self) -> Result<Identity, LinkError> {
         self.readings.read_all(&mut self.bus)?;
         self.check_identity()?;
         let (mut vendor, mut product, mut firmware) =
@@ -372,8 +436,6 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
             product = self.bus.object(1)?.unwrap_or(product);
             firmware = self.bus.object(2)?.unwrap_or_default();
         }
-        let time_s = self.supervision()?;
-        self.watchdog_s = time_s.filter(|time_s| *time_s > 0.0);
         let limit = |quantity| {
             let signal = self.map.of_quantity(quantity)?;
             self.reading(&signal.name)
@@ -389,6 +451,15 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
             current_limit_a: limit(Quantity::CurrentLimit),
             voltage_limit_v: limit(Quantity::VoltageLimit),
         })
+    }
+
+    fn found(&self) -> Option<Sample> {
+        let now_s = self.bus.now_s();
+        Some(self.sample(now_s, now_s))
+    }
+
+    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+        self.points.compare(&mut self.bus, &self.readings)
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
@@ -444,8 +515,29 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         }))
     }
 
+    /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
+    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+        match self.points.zero(&mut self.bus, &self.readings) {
+            // A drive that takes no reference now may well take a stop.
+            Err(error @ LinkError::Gone { .. }) => Err(error),
+            _ => self.stop(),
+        }
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.map.state("running").is_some()
+    }
+
+    fn close(&mut self) {
+        self.bus.close();
+    }
+
     fn statistics(&self) -> LinkStatistics {
         self.bus.statistics()
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        self.bus.line()
     }
 
     /// Fast signals and one set-point.

@@ -1,6 +1,7 @@
 //! Registers at the far end of something: all that a profiled drive needs of a link.
 
 use super::RegisterTable;
+use super::guard::LineCounts;
 use super::link::{LinkError, LinkName, LinkStatistics};
 use super::tally::RoundTrips;
 
@@ -33,9 +34,17 @@ pub trait RegisterBus: Send {
         false
     }
 
+    /// Lets go of what carries the registers.
+    fn close(&mut self) {}
+
     fn statistics(&self) -> LinkStatistics;
 
     fn round_trips(&self) -> Option<&RoundTrips> {
+        None
+    }
+
+    /// What the line carried; `None` without one.
+    fn line(&self) -> Option<LineCounts> {
         None
     }
 

@@ -84,6 +84,23 @@ pub fn describe(root: &Path, path: &Path) -> SerialPortInfo {
     }
 }
 
+/// The name of a port that survives a new plug: a symbolic link that was given, else the port's link by identity, else
+/// the name as it is.
+pub fn stable_name(root: &Path, path: &Path) -> PathBuf {
+    if fs::read_link(below(root, path)).is_ok() {
+        return path.to_owned();
+    }
+    let name = path.file_name().unwrap_or_default();
+    let by_id = by_id(root, name).into_iter().next();
+    by_id.unwrap_or_else(|| path.to_owned())
+}
+
+/// What the USB adapter behind a port says about itself; `None`: it is none, or it is not there.
+pub fn adapter(root: &Path, path: &Path) -> Option<UsbInfo> {
+    let device = device_file(root, path);
+    usb(&root.join("sys/class/tty").join(device.file_name()?))
+}
+
 /// Where the latency timer of an FTDI adapter is set; `None`: this driver has none.
 pub fn latency_file(root: &Path, path: &Path) -> Option<PathBuf> {
     let device = device_file(root, path);
@@ -119,18 +136,22 @@ pub fn holders(root: &Path, path: &Path) -> Vec<Holder> {
 
 /// The device behind symbolic links, as the system names it (without the root folder).
 fn device_file(root: &Path, path: &Path) -> PathBuf {
-    let inside = path.strip_prefix("/").unwrap_or(path);
-    let whole = if path.is_absolute() {
-        root.join(inside)
-    } else {
-        path.to_owned()
-    };
-    let Ok(real) = fs::canonicalize(whole) else {
+    let Ok(real) = fs::canonicalize(below(root, path)) else {
         return path.to_owned();
     };
     let root = fs::canonicalize(root).unwrap_or_else(|_| root.to_owned());
     real.strip_prefix(root)
         .map_or(real.clone(), |inside| Path::new("/").join(inside))
+}
+
+/// An absolute path below the root folder.
+fn below(root: &Path, path: &Path) -> PathBuf {
+    let inside = path.strip_prefix("/").unwrap_or(path);
+    if path.is_absolute() {
+        root.join(inside)
+    } else {
+        path.to_owned()
+    }
 }
 
 fn by_id(root: &Path, name: &std::ffi::OsStr) -> Vec<PathBuf> {
@@ -177,6 +198,9 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[cfg(test)]
+pub(super) use tests::machine;
+
+#[cfg(test)]
 mod tests {
     use std::os::unix::fs::symlink;
 
@@ -195,7 +219,7 @@ mod tests {
     }
 
     /// A machine with an FTDI adapter and a chip that is not there.
-    fn machine() -> tempfile::TempDir {
+    pub(in crate::drive) fn machine() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path();
         let usb = "sys/devices/usb1/1-2";
@@ -272,6 +296,12 @@ mod tests {
         let by_id = Path::new("/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00");
         let port = describe(machine.path(), by_id);
         assert_eq!(port, list(machine.path())[0]);
+        assert_eq!(
+            stable_name(machine.path(), Path::new("/dev/ttyUSB3")),
+            by_id
+        );
+        assert_eq!(stable_name(machine.path(), by_id), by_id);
+        assert_eq!(adapter(machine.path(), by_id), port.usb);
         let none = describe(machine.path(), Path::new("/dev/ttyUSB9"));
         assert_eq!((none.driver, none.usb, none.latency_ms), (None, None, None));
         assert!(none.holders.is_empty() && none.by_id.is_empty());

@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 use firmware_protocol::stream::{
     CaptureStatus, Decoder, ErrorCode, Frame, FrameError, MAX_FRAME, Message, encode,
 };
-use firmware_protocol::{CaptureControl, CaptureState, DriveCommand};
+use firmware_protocol::{CaptureControl, CaptureState, DriveCommand, Telemetry};
 
 use super::burst::{Burst, Capture};
 use super::clock_map::{ClockMap, signed_difference};
 use super::guard::{LineCounts, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::port::TimedPort;
+use super::port::{Closed, TimedPort};
 use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, low_word};
 use super::timing::LineTiming;
@@ -87,6 +87,18 @@ impl StreamLink {
             suspect: true,
             gone: false,
         }
+    }
+
+    /// How the drive is, without a command: nothing changes by it, and its watchdog is not kicked.
+    pub(super) fn telemetry(&mut self) -> Result<Telemetry, LinkError> {
+        let answer =
+            self.read_with_retries(&Message::TelemetryRequest, "the telemetry", |message| {
+                match message {
+                    Message::Telemetry(telemetry) => Some(*telemetry),
+                    _ => None,
+                }
+            })?;
+        Ok(answer.value)
     }
 
     fn capture_status(&mut self) -> Result<Answer<CaptureStatus>, LinkError> {
@@ -322,7 +334,7 @@ impl StreamLink {
     }
 
     fn lost(&mut self, error: &io::Error) -> LinkError {
-        self.gone = true;
+        self.close();
         LinkError::Gone {
             link: self.name.clone(),
             reason: error.to_string(),
@@ -389,6 +401,11 @@ impl DriveLink for StreamLink {
             }
         }
         Err(last)
+    }
+
+    fn close(&mut self) {
+        self.gone = true;
+        self.port = Box::new(Closed);
     }
 
     fn statistics(&self) -> LinkStatistics {

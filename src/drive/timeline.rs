@@ -45,6 +45,7 @@ impl Timeline {
         sample.status = Some(telemetry.status.0);
         sample.limited = telemetry.status.is_limited();
         sample.fault = (telemetry.fault != Fault::None).then(|| telemetry.fault.code());
+        sample.fault_text = (telemetry.fault != Fault::None).then(|| telemetry.fault.text().into());
         sample.applied = (telemetry.seq == low_word(seq)).then(|| {
             let age_us = signed_difference(telemetry.time_us, telemetry.applied_us);
             Applied {

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::guard::now;
-use super::profile::LinkSettings;
+use super::profile::{Framing, LinkSettings};
 
 /// What adapter, kernel and host may add to an exchange.
 const HOST_ALLOWANCE: Duration = Duration::from_millis(40);
@@ -15,6 +15,20 @@ const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
 const ADAPTER_DELAY: Duration = Duration::from_millis(16);
 /// A sleeping thread may wake up this much late without anyone to blame.
 const SLEEP_SLACK: Duration = Duration::from_micros(120);
+
+/// Silence between frames that the standard asks for, s.
+pub fn standard_gap_s(baud: u32, framing: Framing) -> f64 {
+    if baud > FIXED_GAP_ABOVE_BAUD {
+        FIXED_GAP_S
+    } else {
+        GAP_CHARS * char_s(baud, framing)
+    }
+}
+
+/// Time of one character on the line, s.
+pub(super) fn char_s(baud: u32, framing: Framing) -> f64 {
+    f64::from(framing.bits_per_char()) / f64::from(baud.max(1))
+}
 
 /// The times of one line.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,15 +43,11 @@ pub(super) struct LineTiming {
 impl LineTiming {
     /// A serial line; `with_gaps`: frames are told apart by silence.
     pub(super) fn serial(settings: &LinkSettings, baud: u32, with_gaps: bool) -> Self {
-        let char_s = f64::from(settings.framing.bits_per_char()) / f64::from(baud.max(1));
-        let standard_gap_s = if baud > FIXED_GAP_ABOVE_BAUD {
-            FIXED_GAP_S
-        } else {
-            GAP_CHARS * char_s
-        };
-        let gap_s = settings.gap_us.map_or(standard_gap_s, |us| us * 1e-6);
+        let gap_s = settings
+            .gap_us
+            .map_or_else(|| standard_gap_s(baud, settings.framing), |us| us * 1e-6);
         Self {
-            char_s,
+            char_s: char_s(baud, settings.framing),
             gap_s: if with_gaps { gap_s } else { 0.0 },
             ..Self::network(settings)
         }

@@ -25,7 +25,8 @@ mod tcp;
 pub mod truth;
 
 pub use config::{
-    EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig, OutputOff,
+    BrakeConfig, EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig,
+    OutputOff,
 };
 pub use dialogue::{LinkKind, UNIT};
 pub use drive::SoftDrive;

@@ -4,6 +4,9 @@
 //! stable path --symlink--> /dev/pts/N (slave: the host opens it) <==> master (raw, non-blocking: the drive)
 //! ```
 //!
+//! A path has one drive: whoever serves it holds a socket without a file that is named after it, which goes with its
+//! process however that ends. A link that is left then is replaced.
+//!
 //! Why fresh: after the last close of a slave its master reports the hang-up for ever, hands bytes written meanwhile to
 //! the next client, and keeps the exclusive mark of a killed client. Why no slave is kept open: the hang-up would never
 //! show. Linux only: there, raw mode can be set on the master.
@@ -11,7 +14,10 @@
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::fd::AsFd;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::symlink;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -22,6 +28,67 @@ use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use nix::sys::time::TimeSpec;
 
 use super::port::{Gone, Port};
+
+/// Where the kernel keeps the slaves.
+const SLAVES: &str = "/dev/pts";
+
+/// That this process, and no other, serves a path.
+pub(super) struct Claim {
+    _socket: UnixDatagram,
+}
+
+impl Claim {
+    /// Refused while another drive serves `stable`, and where something else than a link to a pseudo-terminal is there.
+    pub(super) fn of(stable: &Path) -> io::Result<Self> {
+        check_free(stable)?;
+        let folder = match stable.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let mut name = b"drivebench-pty-".to_vec();
+        // The name has room for 107 bytes; two paths of one hash (FNV-1a) would be refused, not mixed up.
+        let path = folder
+            .canonicalize()?
+            .join(stable.file_name().unwrap_or_default());
+        let hash = path
+            .as_os_str()
+            .as_bytes()
+            .iter()
+            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+                (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
+            });
+        name.extend_from_slice(format!("{hash:016x}").as_bytes());
+        let address = SocketAddr::from_abstract_name(name)?;
+        match UnixDatagram::bind_addr(&address) {
+            Ok(socket) => Ok(Self { _socket: socket }),
+            Err(error) if error.kind() == ErrorKind::AddrInUse => Err(io::Error::new(
+                ErrorKind::AddrInUse,
+                "another emulator serves a drive there, and still runs",
+            )),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// Whether `stable` may be made a link: nothing is there, or a link to a pseudo-terminal.
+fn check_free(stable: &Path) -> io::Result<()> {
+    let Ok(existing) = fs::symlink_metadata(stable) else {
+        return Ok(());
+    };
+    let taken = |what: String| Err(io::Error::new(ErrorKind::AlreadyExists, what));
+    if !existing.file_type().is_symlink() {
+        return taken("something that is not a symlink is there".to_owned());
+    }
+    let target = fs::read_link(stable)?;
+    if target.starts_with(SLAVES) {
+        Ok(())
+    } else {
+        taken(format!(
+            "a symlink to {} is there, which is no emulator's",
+            target.display()
+        ))
+    }
+}
 
 /// The drive's end of a pseudo-terminal.
 pub(super) struct PtyPort {
@@ -43,14 +110,9 @@ impl PtyPort {
         Ok(Self { master, slave })
     }
 
-    /// Makes `stable` lead to this pair; the change is atomic. What is there and is no symlink is left alone.
+    /// Makes `stable` lead to this pair; the change is atomic. What is there and no link of an emulator is left alone.
     pub(super) fn publish(&self, stable: &Path) -> io::Result<()> {
-        if fs::symlink_metadata(stable).is_ok_and(|existing| !existing.file_type().is_symlink()) {
-            return Err(io::Error::new(
-                ErrorKind::AlreadyExists,
-                "something that is not a symlink is there",
-            ));
-        }
+        check_free(stable)?;
         let mut fresh = stable.as_os_str().to_owned();
         fresh.push(".new");
         match fs::remove_file(&fresh) {
@@ -164,5 +226,28 @@ mod tests {
         fs::write(&stable, "mine").unwrap();
         assert!(first.publish(&stable).is_err());
         assert_eq!(fs::read_to_string(&stable).unwrap(), "mine");
+    }
+
+    #[test]
+    fn a_path_has_one_drive_and_a_link_that_was_left_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let stable = folder.path().join("drive");
+        let claim = Claim::of(&stable).unwrap();
+        let again = folder.path().join(".").join("drive");
+        let error = Claim::of(&again).err().unwrap();
+        assert_eq!(error.kind(), ErrorKind::AddrInUse);
+        assert!(Claim::of(&folder.path().join("other")).is_ok());
+        drop(claim);
+        // As a killed emulator leaves it.
+        symlink("/dev/pts/4000000", &stable).unwrap();
+        let port = PtyPort::open().unwrap();
+        let _claim = Claim::of(&stable).unwrap();
+        port.publish(&stable).unwrap();
+        assert_eq!(fs::read_link(&stable).unwrap(), port.slave);
+        let foreign = folder.path().join("foreign");
+        symlink("/dev/null", &foreign).unwrap();
+        let error = Claim::of(&foreign).err().unwrap();
+        assert!(error.to_string().contains("/dev/null"), "{error}");
+        assert_eq!(fs::read_link(&foreign).unwrap(), Path::new("/dev/null"));
     }
 }

@@ -18,7 +18,7 @@ use super::dialogue::{Answering, Dialogue, LinkKind, UNIT};
 use super::pace::Pace;
 use super::port::Port;
 #[cfg(target_os = "linux")]
-use super::pty::PtyPort;
+use super::pty::{Claim, PtyPort};
 use super::session::{Counters, Session};
 use super::tcp::TcpPorts;
 use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
@@ -71,10 +71,27 @@ pub enum ServerError {
 }
 
 impl ServerError {
+    /// Whether the command was wrong: nothing could be served so, whatever the machine does.
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::Transport { .. } => true,
+            Self::Pty { source, .. } => matches!(
+                source.kind(),
+                io::ErrorKind::AlreadyExists
+                    | io::ErrorKind::AddrInUse
+                    | io::ErrorKind::NotFound
+                    | io::ErrorKind::NotADirectory
+            ),
+            Self::Tcp { .. } | Self::Thread => false,
+        }
+    }
+
     /// The next step.
     pub const fn help(&self) -> &'static str {
         match self {
-            Self::Pty { .. } => "give another --pty path, in a folder that you may write",
+            Self::Pty { .. } => {
+                "give another --pty path, in a folder that you may write; a drive that is served ends with Ctrl-C"
+            }
             Self::Tcp { .. } => "give another --listen address; port 0 takes any free port",
             Self::Transport { .. } => {
                 "modbus-rtu and stream run over --pty, modbus-tcp and stream over --listen"
@@ -254,6 +271,9 @@ impl<'a> Server<'a> {
     }
 
     fn serve(mut self, endpoint: &Endpoint, ready: impl FnOnce(&str)) -> Result<(), ServerError> {
+        // A line keeps its times; the kernel may put off the end of a sleep by 50 us to save wake-ups.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
         match (endpoint, self.link) {
             (Endpoint::Pty(_), LinkKind::ModbusTcp) => Err(ServerError::Transport {
                 link: self.link,
@@ -284,6 +304,7 @@ impl<'a> Server<'a> {
 
     #[cfg(target_os = "linux")]
     fn serve_pty(&mut self, stable: &Path, ready: impl FnOnce(&str)) -> io::Result<()> {
+        let _claim = Claim::of(stable)?;
         let mut port = PtyPort::open()?;
         port.publish(stable)?;
         ready(&stable.to_string_lossy());

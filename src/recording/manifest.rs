@@ -41,8 +41,14 @@ pub struct Manifest {
     pub signals: BTreeMap<String, Origin>,
     /// Column key to the side of the power stage on which it is taken: `"current_a": "terminal"`.
     pub sides: BTreeMap<String, Side>,
+    /// Column key to what its number stands for: sign, side, basis, filter and update time, as the drive's profile says.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub carried: BTreeMap<String, String>,
     /// `passed`, `interrupted`, `safety trip: ...`.
     pub outcome: Option<String>,
+    /// How a drive that was lost was found again; null where none was.
+    #[serde(skip_serializing_if = "Value::is_null")]
+    pub reopened: Value,
     /// Rows of `samples.csv`; set by the recorder.
     pub rows: Option<usize>,
     /// Only true once every row is on the disk; set by the recorder.

@@ -37,4 +37,4 @@ pub use memory::MemoryRecorder;
 pub use open_run::{LoadedRun, RunRows, open_run};
 pub use recorder::Recorder;
 pub use row_order::{CommandRow, RowOrder};
-pub use run_folder::{RunFile, RunFolder, utc_stamp};
+pub use run_folder::{FIRST_CAPTURE, RunFile, RunFolder, utc_stamp};

@@ -31,6 +31,8 @@ impl RunFile {
 
 pub(super) const SAMPLES: &str = "samples.csv";
 const EVENTS: &str = "events.jsonl";
+/// A burst that the drive recorded within the run, the first of them.
+pub const FIRST_CAPTURE: &str = "capture-01.csv";
 
 /// `runs/<UTC stamp>-<name>/`.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,5 +1,7 @@
 //! One measured instant.
 
+use std::sync::Arc;
+
 use super::Channel;
 
 /// How far a measured value may be believed.
@@ -32,6 +34,29 @@ impl DriveState {
     }
 }
 
+/// What keeps a drive from doing what the bus says, beside a fault of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hindrance {
+    /// Its keypad, its terminals or another master has the command.
+    LocalControl,
+    /// Safe torque off, or another enable input, holds the output off.
+    TorqueOff,
+}
+
+impl Hindrance {
+    /// What is the case, and what to do about it.
+    pub const fn sentence(self) -> &'static str {
+        match self {
+            Self::LocalControl => {
+                "the drive is under local control and takes no set-point from here: give the command back to the bus at its keypad"
+            }
+            Self::TorqueOff => {
+                "safe torque off (STO) is active at the drive: close its enable circuit first"
+            }
+        }
+    }
+}
+
 /// When a command reached the motor: without it every run seems to have a command delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Applied {
@@ -54,8 +79,14 @@ pub struct Sample {
     pub status: Option<u16>,
     /// The drive's fault code, if it is in fault.
     pub fault: Option<u16>,
+    /// The same in words, where they are known.
+    pub fault_text: Option<Arc<str>>,
+    /// What keeps the drive from following, where it tells.
+    pub hindrance: Option<Hindrance>,
     /// A limit of the drive held its output: the motor had another voltage than was commanded.
     pub limited: bool,
+    /// Field current of a motor with a separate field, where the drive's profile maps it, A.
+    pub field_a: Option<f64>,
     /// The last command that the drive applied, and when.
     pub applied: Option<Applied>,
     values: [Option<f64>; Channel::COUNT],

@@ -19,5 +19,5 @@ mod run;
 pub use channel::Channel;
 pub use command::{Command, Demand};
 pub use estimate::{ParameterEstimate, Verdict};
-pub use instant::{Applied, DriveState, Quality, Sample};
+pub use instant::{Applied, DriveState, Hindrance, Quality, Sample};
 pub use run::{Origin, Run, RunError, Side};

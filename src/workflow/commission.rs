@@ -1,5 +1,6 @@
 //! The commissioning loop: which task comes next, and the analysis between the tasks.
 
+use super::burst::BurstResult;
 use super::discovery::Discovery;
 use super::escalate::{EscalationResult, compared};
 use super::named_estimate::NamedEstimate;
@@ -81,6 +82,8 @@ pub struct Commission {
     /// What the plate says, whatever the fits start from.
     plate: Motor,
     escalation: Option<EscalationResult>,
+    /// A burst of the first run, and where it is kept.
+    burst: Option<(Scenario, String)>,
     /// Steps before the plan that only an unknown motor needs.
     extra: usize,
 }
@@ -116,6 +119,7 @@ impl Commission {
         let mut commission = Self {
             plate: nameplate.motor.clone(),
             escalation: None,
+            burst: None,
             extra: usize::from(unknown),
             nameplate,
             steps,
@@ -174,8 +178,13 @@ impl Commission {
             || "watchdog not proven".to_owned(),
             |s| format!("watchdog proven within {:.0} ms", 1e3 * s),
         );
+        let waived = if report.waived.is_empty() {
+            String::new()
+        } else {
+            format!(", WAIVED: {}", report.waived.join(", "))
+        };
         let line = format!(
-            "{} {}, round trip {:.1} ms, {:.0} Hz reachable, {watchdog}",
+            "{} {}, round trip {:.1} ms, {:.0} Hz reachable, {watchdog}{waived}",
             report.identity.vendor,
             report.identity.product,
             1e3 * report.round_trip_p50_s,
@@ -241,8 +250,14 @@ impl Commission {
         self.step_done(FIRST_RUN + index, line, next);
     }
 
+    /// The drive recorded a burst within a run; `capture` is where it is kept.
+    pub fn captured(&mut self, burst: Scenario, capture: String) {
+        self.burst = Some((burst, capture));
+    }
+
     /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step, and
     /// `diagnosing` hears of what the diagnosis does.
+    #[expect(clippy::too_many_lines, reason = "one step after the other")]
     pub fn analyse(
         &mut self,
         mut publish: impl FnMut(Progress),
@@ -255,6 +270,14 @@ impl Commission {
             });
         };
         let nameplate = start::complete(&self.nameplate, fit)?;
+        let burst = self
+            .burst
+            .as_ref()
+            .map(|(burst, capture)| BurstResult::of(&nameplate, burst, capture.clone()));
+        let nameplate = match &burst {
+            Some(burst) => burst.improve(nameplate),
+            None => nameplate,
+        };
         let evidence = Evidence::new(fit.clone(), Some(select.clone()), Some(confirm.clone()));
         let (evidence, baseline) = evidence.with_baseline(&nameplate)?;
         let evidence = evidence.with_repeat_floor(&baseline.model, fit, repeat)?;
@@ -339,6 +362,7 @@ impl Commission {
             online: NamedEstimate::list(&self.online),
             nameplate: compared(&self.plate, &diagnosis.model.parameters),
             escalation: self.escalation.clone(),
+            burst,
             ladder: diagnosis.ladder.clone(),
             truth: self.truth.clone().map(|effects| score(effects, &diagnosis)),
             runs: self.runs.clone(),

@@ -11,6 +11,7 @@
 //!
 //! The driver (`cli`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
+mod burst;
 mod commission;
 pub mod curve;
 mod discovery;
@@ -21,6 +22,7 @@ pub mod reproduce;
 mod result;
 mod reveal;
 
+pub use burst::BurstResult;
 pub use commission::{Commission, Role, Task};
 pub use discovery::{Discovery, News, Order, Tell};
 pub use escalate::{Escalate, EscalationResult, StageRecord, compared, scaled_sentence};

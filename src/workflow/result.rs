@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::burst::BurstResult;
 use super::escalate::EscalationResult;
 use super::named_estimate::NamedEstimate;
 use crate::diagnosis::{Comparison, Diagnosis, Rung};
@@ -43,6 +44,9 @@ pub struct CommissionResult {
     /// How an unknown motor was found.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub escalation: Option<EscalationResult>,
+    /// What a burst told, where the loop is slower than the current.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub burst: Option<BurstResult>,
     /// Errors on the selecting run, one rung for each model.
     pub ladder: Vec<Rung>,
     /// Errors on the confirming run: the headline.

@@ -57,6 +57,7 @@ struct machine {
     struct drive_demand demand;
     double current_a, speed_rad_s, angle_rad;
     double output_v;
+    double capture_v; /* sum since the last captured sample */
     double current_integral_v, speed_integral_a;
     uint16_t limits;
 };
@@ -179,9 +180,12 @@ static void control_period(struct machine *m)
     limit_output(m, wanted_v(m));
     turn(m);
     m->tick++;
+    m->capture_v += m->output_v;
     if (m->tick % CAPTURE_TICKS == 0) {
         struct drive_sample sample;
         measure(m, &sample);
+        sample.voltage = drive_steps(m->capture_v / CAPTURE_TICKS, DB_STREAM_VOLTAGE_PER_UNIT);
+        m->capture_v = 0.0;
         drive_slave_record(m->slave, &sample);
     }
 }

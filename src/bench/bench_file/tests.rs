@@ -30,6 +30,16 @@ fn the_embedded_bench_documents_every_key() {
     let mut full = BenchFile::embedded_default();
     full.link.deadline_ms = Some(1.0);
     full.motor.unknown = true;
+    full.load = LoadSection {
+        vertical: true,
+        hold_current_a: Some(1.0),
+        brake_release_s: Some(1.0),
+        brake_apply_s: Some(1.0),
+    };
+    full.supply = SupplySection {
+        regenerates: false,
+        brake_power_w: Some(1.0),
+    };
     full.limits = LimitsSection {
         travel_rad: Some(1.0),
         ..full.limits
@@ -204,4 +214,51 @@ fn a_speed_section_is_strict() {
     }
     let without = changed("[speed]", "[[sequence]]\nstandstill = { seconds = 0.5 }\n#").map(drop);
     assert!(without.is_err(), "keys of [speed] are none of a sequence");
+}
+
+#[test]
+fn load_and_supply_are_read_into_the_limits_and_what_makes_no_sense_is_refused() {
+    let with = |sections: &str| {
+        let text = EMBEDDED_DEFAULT.replacen("[runs]", &format!("{sections}\n[runs]"), 1);
+        BenchFile::parse("b.toml", &text)
+    };
+    let brake = "hold_current_a = 2.0\nbrake_release_s = 0.3\nbrake_apply_s = 0.2";
+    let bench = with(&format!(
+        "[load]\nvertical = true\n{brake}\n[supply]\nregenerates = false\nbrake_power_w = 40.0"
+    ))
+    .unwrap();
+    let limits = bench.limits();
+    assert_eq!(limits.braking_w, Some(40.0));
+    assert_eq!(limits.load.brake().map(|brake| brake.release_s), Some(0.3));
+    assert_eq!(BenchFile::parse("again", &bench.to_toml()), Ok(bench));
+    for (sections, words) in [
+        (format!("[load]\n{brake}"), "nothing without load.vertical"),
+        (
+            "[load]\nvertical = true\nhold_current_a = 40.0".to_owned(),
+            "less than limits.current_a",
+        ),
+        (
+            "[load]\nvertical = true\nbrake_apply_s = -1.0".to_owned(),
+            "0 to 10 s",
+        ),
+        ("[load]\nvertikal = true".to_owned(), "vertikal"),
+        (
+            "[supply]\nbrake_power_w = 4.0".to_owned(),
+            "nothing without supply.regenerates",
+        ),
+        (
+            "[supply]\nregenerates = false\nbrake_power_w = nan".to_owned(),
+            "0 or more",
+        ),
+    ] {
+        let error = with(&sections).unwrap_err().to_string();
+        assert!(error.contains(words), "{words}: {error}");
+    }
+    let unknown = EMBEDDED_DEFAULT
+        .replacen("# unknown = false", "unknown = true", 1)
+        .replacen("[runs]", "[load]\nvertical = true\n[runs]", 1);
+    let error = BenchFile::parse("b.toml", &unknown)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("a known motor"), "{error}");
 }

@@ -1,17 +1,24 @@
+//! The checks over the emulated drive and over a scripted one; `foreign.rs`: before a drive of another make.
+
+mod foreign;
+
 use super::*;
 use crate::bench::bench_file::BenchFile;
 use crate::bench::testing::{Fault, ScriptedDrive};
 use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 
-fn options() -> CheckOptions {
+/// Without a first move, as for a motor that is not known.
+fn options() -> CheckOptions<'static> {
     CheckOptions {
         rate_hz: 100.0,
         hardware_allowed: false,
-        waive_watchdog: false,
+        hardware_said: false,
+        waivers: Waivers::default(),
+        first_move: None,
     }
 }
 
-fn emulated(latency: Latency, options: CheckOptions) -> CheckReport {
+fn emulated(latency: Latency, options: CheckOptions<'_>) -> CheckReport {
     let mut clock = VirtualClock::new();
     let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 3);
     let mut link = MemoryLink::new(drive, clock.clone(), latency);
@@ -21,10 +28,254 @@ fn emulated(latency: Latency, options: CheckOptions) -> CheckReport {
     report
 }
 
-fn scripted(mut drive: ScriptedDrive, options: CheckOptions) -> Result<CheckReport, CheckError> {
+/// The embedded bench over an emulator, with the first move.
+fn moved(
+    emulator: &str,
+    change: impl FnOnce(&mut EmulatorConfig),
+    bench: &BenchFile,
+    waivers: Waivers,
+) -> (CheckReport, MemoryLink) {
+    let mut config = EmulatorConfig::embedded(emulator).unwrap();
+    change(&mut config);
+    let mut clock = VirtualClock::new();
+    let drive = SoftDrive::new(&config, 3);
+    let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+    let profile = DriveProfile::named("own").unwrap();
+    let plate = bench.nameplate().unwrap();
+    let first = FirstMove {
+        plate: &plate,
+        profile: &profile,
+        stopped: &|| false,
+    };
+    let options = CheckOptions {
+        waivers,
+        first_move: Some(first),
+        ..options()
+    };
+    let report = check(&mut link, &mut clock, &bench.limits(), options).unwrap();
+    (report, link)
+}
+
+fn text<'a>(report: &'a CheckReport, name: &str) -> &'a str {
+    let item = report.items.iter().find(|item| item.name == name);
+    item.map_or("", |item| &item.text)
+}
+
+#[test]
+fn every_embedded_motor_passes_the_pulse_and_is_at_rest_after_it() {
+    let bench = BenchFile::embedded_default();
+    for emulator in [
+        "zk-22fc-plain",
+        "zk-22fc-hidden",
+        "zk-22fc-viscous",
+        "zk-22fc-fan",
+        "zk-22fc-brushes",
+        "zk-22fc-warming",
+    ] {
+        let (report, link) = moved(emulator, |_| {}, &bench, Waivers::default());
+        assert!(report.passed(), "{emulator}: {:?}", report.refusal());
+        let plant = link.drive().plant();
+        assert!(plant.speed_rad_s().abs() < 1.0 && plant.current_a().abs() < 0.2);
+        assert!(plant.angle_rad().abs() < 3.0, "{}", plant.angle_rad());
+        assert!(text(&report, "direction").contains("one way and back"));
+        let ratios = text(&report, "plausibility");
+        assert!(
+            ratios.contains("forward back-EMF constant 0.3") && ratios.contains("back resistance"),
+            "{ratios}"
+        );
+        assert!(report.waived.is_empty());
+    }
+}
+
+#[test]
+fn every_hidden_effect_of_every_mystery_passes_the_pulse() {
+    let bench = BenchFile::embedded_default();
+    for seed in 0..60 {
+        let config = crate::emulator::mystery::draw(seed).config;
+        let (report, _) = moved(
+            "zk-22fc-plain",
+            |plain| *plain = config.clone(),
+            &bench,
+            Waivers::default(),
+        );
+        assert!(
+            report.passed(),
+            "seed {seed}, {:?}: {:?}",
+            config.hidden,
+            report.refusal()
+        );
+    }
+}
+
+#[test]
+fn a_broken_machine_is_refused_with_its_name() {
+    type Case = (&'static str, fn(&mut EmulatorConfig), &'static str);
+    let bench = BenchFile::embedded_default();
+    let cases: [Case; 4] = [
+        (
+            "reversed",
+            |config| config.faults.encoder_reversed = true,
+            "encoder reversed",
+        ),
+        (
+            "frozen",
+            |config| config.faults.encoder_frozen_from_s = Some(0.0),
+            "encoder frozen or not connected",
+        ),
+        (
+            "locked",
+            |config| config.faults.locked_rotor = true,
+            "the shaft is held",
+        ),
+        (
+            "open",
+            |config| config.faults.open_phase = true,
+            "open armature circuit",
+        ),
+    ];
+    for (name, fault, words) in cases {
+        let (report, link) = moved("zk-22fc-plain", fault, &bench, Waivers::default());
+        let refusal = report.refusal().unwrap();
+        assert_eq!(refusal.name, "direction", "{name}");
+        assert!(refusal.text.contains(words), "{name}: {}", refusal.text);
+        assert!(refusal.help.is_some());
+        // Found within some per cent of the rated speed (LINKS.md 5.3: 36).
+        assert!(link.drive().plant().angle_rad().abs() < 6.0, "{name}");
+        let waived = Waivers {
+            direction: true,
+            ..Waivers::default()
+        };
+        let (report, link) = moved("zk-22fc-plain", fault, &bench, waived);
+        assert!(report.passed(), "{:?}", report.refusal());
+        assert_eq!(report.waived, ["plausibility", "direction"]);
+        assert!(
+            link.drive().plant().angle_rad().abs() < 1e-12,
+            "nothing moved"
+        );
+    }
+}
+
+#[test]
+fn a_nameplate_in_other_units_or_of_another_motor_is_refused_unless_waived() {
+    let mut bench = BenchFile::embedded_default();
+    bench.motor.back_emf_v_s_per_rad = Some(0.3538 / crate::units::rpm_from_rad_s(1.0));
+    let (report, _) = moved("zk-22fc-plain", |_| {}, &bench, Waivers::default());
+    let refusal = report.refusal().unwrap();
+    assert_eq!(refusal.name, "plausibility");
+    assert!(
+        refusal.text.contains("factor 9.549") && refusal.text.contains("V per r/min"),
+        "{}",
+        refusal.text
+    );
+    let waived = Waivers {
+        plausibility: true,
+        ..Waivers::default()
+    };
+    let (report, _) = moved("zk-22fc-plain", |_| {}, &bench, waived);
+    assert!(report.passed());
+    assert_eq!(report.waived, ["plausibility"]);
+    assert!(text(&report, "plausibility").starts_with("WAIVED"));
+    let mut bench = BenchFile::embedded_default();
+    bench.motor.resistance_ohm = Some(12.0);
+    let (report, _) = moved("zk-22fc-plain", |_| {}, &bench, Waivers::default());
+    let refusal = report.refusal().unwrap();
+    assert_eq!(refusal.name, "plausibility", "{}", refusal.text);
+    assert!(refusal.text.contains("another motor"), "{}", refusal.text);
+}
+
+#[test]
+fn a_vertical_load_is_not_moved_without_its_brake_and_held_with_it() {
+    let mut bench = BenchFile::embedded_default();
+    bench.load.vertical = true;
+    let vertical = |config: &mut EmulatorConfig| {
+        *config = EmulatorConfig::parse(
+            "vertical",
+            &format!(
+                "{}\n[brake]\nrelease_s = 0.1\napply_s = 0.1\n[[hidden]]\nid = \"constant_load\"\nconstant_n_m = 0.8\n",
+                include_str!("../../../bench-configs/emulators/zk-22fc-plain.toml")
+            ),
+        )
+        .unwrap();
+    };
+    let (report, link) = moved("zk-22fc-plain", vertical, &bench, Waivers::default());
+    let refusal = report.refusal().unwrap();
+    assert_eq!(refusal.name, "load");
+    assert!(
+        refusal.text.contains("load.hold_current_a"),
+        "{}",
+        refusal.text
+    );
+    assert!(link.drive().plant().angle_rad().abs() < 1e-12);
+    bench.load.hold_current_a = Some(0.8 / 0.3538);
+    bench.load.brake_release_s = Some(0.2);
+    bench.load.brake_apply_s = Some(0.2);
+    let (report, link) = moved("zk-22fc-plain", vertical, &bench, Waivers::default());
+    assert!(report.passed(), "{:?}", report.refusal());
+    let angle = link.drive().plant().angle_rad();
+    assert!(angle.abs() < 3.0, "{angle} rad: the load fell");
+}
+
+#[test]
+fn real_hardware_is_moved_only_after_the_word() {
+    let bench = BenchFile::embedded_default();
+    let mut drive = ScriptedDrive::new(0.01);
+    drive.is_emulator = false;
+    let profile = DriveProfile::named("own").unwrap();
+    let plate = bench.nameplate().unwrap();
+    let beside_a_screen = CheckOptions {
+        hardware_allowed: true,
+        waivers: Waivers {
+            watchdog: true,
+            ..Waivers::default()
+        },
+        first_move: Some(FirstMove {
+            plate: &plate,
+            profile: &profile,
+            stopped: &|| false,
+        }),
+        ..options()
+    };
+    let report = scripted(drive, beside_a_screen).unwrap();
+    let refusal = report.refusal().unwrap();
+    assert_eq!(refusal.name, "direction");
+    assert!(refusal.help.unwrap().contains("--hardware"));
+}
+
+#[test]
+fn the_user_s_stop_ends_the_pulse_and_a_field_below_its_least_is_refused_before_it() {
+    let bench = BenchFile::embedded_default();
+    let profile = DriveProfile::named("own").unwrap();
+    let plate = bench.nameplate().unwrap();
+    let mut clock = VirtualClock::new();
+    let drive = SoftDrive::new(&EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 3);
+    let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+    let asked = CheckOptions {
+        first_move: Some(FirstMove {
+            plate: &plate,
+            profile: &profile,
+            stopped: &|| true,
+        }),
+        ..options()
+    };
+    let report = check(&mut link, &mut clock, &bench.limits(), asked).unwrap();
+    assert_eq!(report.refusal().unwrap().text, "stopped by the user");
+    assert!(link.drive().plant().angle_rad().abs() < 1e-12);
+    let limits = Limits {
+        field_min_a: Some(0.3),
+        ..bench.limits()
+    };
+    let report = check(&mut link, &mut clock, &limits, asked).unwrap();
+    assert_eq!(report.refusal().unwrap().name, "field");
+}
+
+fn scripted(
+    mut drive: ScriptedDrive,
+    options: CheckOptions<'_>,
+) -> Result<CheckReport, CheckError> {
     let limits = BenchFile::embedded_default().limits();
     let result = check(&mut drive, &mut VirtualClock::new(), &limits, options);
-    assert_eq!(drive.stops, 1, "the output is off whatever was found");
+    let asked = u32::from(!drive.demands.is_empty());
+    assert_eq!(drive.stops, asked, "the output is off whatever was found");
     result
 }
 
@@ -35,8 +286,16 @@ fn the_emulated_drive_passes_every_check_with_figures() {
     let names: Vec<&str> = report.items.iter().map(|item| item.name).collect();
     assert_eq!(
         names,
-        ["identity", "limits", "link", "standstill", "watchdog"]
+        [
+            "identity",
+            "limits",
+            "link",
+            "standstill",
+            "watchdog",
+            "direction"
+        ]
     );
+    assert!(text(&report, "direction").contains("the motor is not known"));
     assert!((report.round_trip_p50_s - 0.0073).abs() < 1e-6);
     assert!((report.reachable_rate_hz - 137.0).abs() < 1.0);
     assert!((report.watchdog_proven_s.unwrap() - 0.76).abs() < 1e-9);
@@ -74,11 +333,15 @@ fn a_drive_whose_watchdog_does_nothing_is_refused_unless_waived() {
     assert_eq!(refusal.name, "watchdog");
     assert!(refusal.text.contains("silence"), "{}", refusal.text);
     let waived = CheckOptions {
-        waive_watchdog: true,
+        waivers: Waivers {
+            watchdog: true,
+            ..Waivers::default()
+        },
         ..options()
     };
     let report = scripted(ScriptedDrive::new(0.01), waived).unwrap();
     assert!(report.passed() && report.watchdog_proven_s.is_none());
+    assert_eq!(report.waived, ["watchdog"]);
 }
 
 #[test]
@@ -100,6 +363,93 @@ fn a_shaft_that_turns_and_a_drive_in_fault_are_refused() {
         let report = scripted(drive, options()).unwrap();
         assert_eq!(report.refusal().unwrap().name, "standstill");
     }
+}
+
+#[test]
+fn a_shaft_that_coasts_is_waited_for_and_not_counted_as_noise() {
+    let waived = CheckOptions {
+        waivers: Waivers {
+            watchdog: true,
+            ..Waivers::default()
+        },
+        ..options()
+    };
+    let drive = ScriptedDrive::new(0.01).with(0, 30, Fault::Set(Channel::Speed, 50.0));
+    let report = scripted(drive, waived).unwrap();
+    assert!(report.passed(), "{:?}", report.refusal());
+    assert!(text(&report, "link").contains("0 lost"));
+    let speed = report.noise.iter().find(|f| f.channel == Channel::Speed);
+    assert!(speed.unwrap().std < 1e-9, "{speed:?}");
+    // One that begins to move later is no noise either.
+    let drive = ScriptedDrive::new(0.01).with(20, 30, Fault::Set(Channel::Speed, 50.0));
+    let report = scripted(drive, waived).unwrap();
+    let refusal = report.refusal().unwrap();
+    assert!(
+        refusal.text.contains("moves with the output off: speed 50"),
+        "{}",
+        refusal.text
+    );
+}
+
+#[test]
+fn what_moves_at_zero_is_stopped_with_the_first_sample_that_shows_it_and_never_waived() {
+    let waived = || CheckOptions {
+        waivers: Waivers {
+            watchdog: true,
+            ..Waivers::default()
+        },
+        ..options()
+    };
+    let limits = BenchFile::embedded_default().limits();
+    let mut calm = ScriptedDrive::new(0.01);
+    check(&mut calm, &mut VirtualClock::new(), &limits, waived()).unwrap();
+    let asked = calm.demands.len();
+    let first = calm.demands.iter().position(|d| d.energises()).unwrap();
+    for (at, fault) in [
+        (first, Fault::Set(Channel::Speed, 10.2)),
+        (first + 3, Fault::Set(Channel::Speed, -10.2)),
+        (first + 3, Fault::Set(Channel::Current, 11.2)),
+        // The last look is the one after the silence.
+        (asked - 1, Fault::Set(Channel::Speed, 10.2)),
+    ] {
+        let words = format!("{at} {fault:?}");
+        let from = u64::try_from(at).unwrap();
+        let mut drive = ScriptedDrive::new(0.01).with(from, u64::MAX, fault);
+        let report = check(&mut drive, &mut VirtualClock::new(), &limits, waived()).unwrap();
+        let refusal = report.refusal().expect(&words);
+        assert_eq!(refusal.name, "watchdog");
+        assert!(
+            refusal
+                .text
+                .starts_with("the shaft moved at zero reference"),
+            "{words}: {}",
+            refusal.text
+        );
+        assert_eq!(
+            drive.demands.len(),
+            at + 1,
+            "{words}: nothing was sent after it"
+        );
+        assert_eq!(drive.stops, 1);
+    }
+}
+
+#[test]
+fn a_rate_that_the_line_cannot_carry_is_refused_without_asking_anything() {
+    let mut drive = ScriptedDrive::new(0.01);
+    drive.shortest_cycle_s = Some(0.02);
+    let limits = BenchFile::embedded_default().limits();
+    let report = check(&mut drive, &mut VirtualClock::new(), &limits, options()).unwrap();
+    let refusal = report.refusal().unwrap();
+    assert_eq!(refusal.name, RATE_CHECK);
+    assert!(
+        refusal
+            .text
+            .contains("at most 50 Hz at its baud rate, asked 100 Hz"),
+        "{}",
+        refusal.text
+    );
+    assert!(drive.demands.is_empty());
 }
 
 #[test]

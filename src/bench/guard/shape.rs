@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::Limits;
+use super::braking::Braking;
 use crate::sample::Demand;
 
 /// Longest time over which a slew limit is counted, s: after a longer pause the output does not jump further.
@@ -20,13 +21,17 @@ pub struct Causes {
     /// The voltage across the winding would drive a current beyond the limit.
     pub winding: bool,
     pub slew: bool,
+    /// Braking would return more than the supply takes.
+    pub supply: bool,
+    /// The converter cannot: it drives or conducts one way only.
+    pub quadrant: bool,
     /// Not a finite number: zero was sent.
     pub not_finite: bool,
 }
 
 impl Causes {
     pub const fn any(self) -> bool {
-        self.limit || self.winding || self.slew || self.not_finite
+        self.limit || self.winding || self.slew || self.supply || self.quadrant || self.not_finite
     }
 }
 
@@ -55,7 +60,11 @@ pub(super) struct Shaper {
     winding_v: Option<f64>,
     /// Last speed that was measured: a missing one must not make the back-EMF vanish at full speed.
     speed_rad_s: f64,
+    /// `None`: the supply takes back what braking returns.
+    braking: Option<Braking>,
     output_v: f64,
+    /// Last speed that was asked for, rad/s.
+    asked_rad_s: f64,
     last_s: f64,
     was_off: bool,
 }
@@ -67,14 +76,28 @@ impl Shaper {
             back_emf_v_s_per_rad,
             winding_v,
             speed_rad_s: 0.0,
+            braking: None,
             output_v: 0.0,
+            asked_rad_s: 0.0,
             last_s: 0.0,
             was_off: true,
         }
     }
 
+    pub(super) const fn with_braking(mut self, braking: Option<Braking>) -> Self {
+        self.braking = braking;
+        self
+    }
+
+    /// Longest time from a speed to rest where the supply takes nothing back, s.
+    pub(super) fn coast_s(&self, speed_rad_s: f64) -> f64 {
+        self.braking
+            .map_or(0.0, |braking| braking.coast_s(speed_rad_s))
+    }
+
     pub(super) fn rest(&mut self, now_s: f64) {
         self.output_v = 0.0;
+        self.asked_rad_s = 0.0;
         self.last_s = now_s;
         self.was_off = true;
     }
@@ -88,16 +111,19 @@ impl Shaper {
     }
 
     pub(super) fn shape(&mut self, now_s: f64, wanted: Demand, limits: &Limits) -> Shaped {
-        let bounded = |value: f64, limit: f64| {
+        // With one quadrant nothing is negative, with two no current is.
+        let bounded = |value: f64, limit: f64, quadrants: u8| {
             let mut causes = Causes::default();
             let finite = if value.is_finite() { value } else { 0.0 };
             causes.not_finite = !value.is_finite();
             causes.limit = finite.abs() > limit;
-            (finite.clamp(-limit, limit), causes)
+            causes.quadrant = finite < 0.0 && limits.quadrants < quadrants;
+            let least = if causes.quadrant { 0.0 } else { -limit };
+            (finite.clamp(least, limit), causes)
         };
         match wanted {
             Demand::Voltage(volts) => {
-                let (volts, mut causes) = bounded(volts, limits.voltage_v);
+                let (volts, mut causes) = bounded(volts, limits.voltage_v, 2);
                 let volts = self.voltage(now_s, volts, limits.voltage_v, &mut causes);
                 Shaped {
                     demand: Demand::Voltage(volts),
@@ -105,14 +131,19 @@ impl Shaper {
                 }
             }
             Demand::Current(amps) => {
-                let (amps, causes) = bounded(amps, limits.current_a);
+                let (wanted_a, mut causes) = bounded(amps, limits.current_a, 4);
+                let amps = self.braking.map_or(wanted_a, |braking| {
+                    braking.current(self.speed_rad_s, wanted_a)
+                });
+                causes.supply = (amps - wanted_a).abs() > 1e-9 * limits.current_a;
                 Shaped {
                     demand: Demand::Current(amps),
                     causes,
                 }
             }
             Demand::Speed(speed) => {
-                let (speed, causes) = bounded(speed, limits.speed_rad_s);
+                let (speed, mut causes) = bounded(speed, limits.speed_rad_s, 2);
+                let speed = self.speed(now_s, speed, limits.speed_rad_s, &mut causes);
                 Shaped {
                     demand: Demand::Speed(speed),
                     causes,
@@ -139,6 +170,13 @@ impl Shaper {
             causes.winding = (inside - target_v).abs() > 0.0;
             target_v = inside;
         }
+        if let Some(braking) = self.braking {
+            let inside = braking
+                .voltage(self.speed_rad_s, target_v)
+                .clamp(-limit_v, limit_v);
+            causes.supply = (inside - target_v).abs() > 1e-9 * limit_v;
+            target_v = inside;
+        }
         let step_v = self.slew_v_per_s * (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
         let next_v = target_v.clamp(self.output_v - step_v, self.output_v + step_v);
         // Rounding of a designed ramp at exactly the limit is not a limitation.
@@ -146,5 +184,26 @@ impl Shaper {
         self.output_v = next_v;
         self.last_s = now_s;
         next_v
+    }
+
+    /// A reference of speed falls no faster than friction and the allowed current brake.
+    fn speed(&mut self, now_s: f64, wanted: f64, limit: f64, causes: &mut Causes) -> f64 {
+        let step_s = (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
+        let mut next = wanted;
+        let fall = self
+            .braking
+            .and_then(|braking| braking.deceleration(self.asked_rad_s));
+        if let Some(fall) = fall {
+            // Towards the speed that is asked, and not through zero in one step.
+            let least = (self.asked_rad_s.abs() - fall * step_s).max(0.0);
+            if next * self.asked_rad_s.signum() < least {
+                next = least.copysign(self.asked_rad_s);
+            }
+        }
+        causes.supply = (next - wanted).abs() > 1e-9 * limit;
+        self.asked_rad_s = next;
+        self.last_s = now_s;
+        self.was_off = false;
+        next
     }
 }

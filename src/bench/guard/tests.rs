@@ -308,3 +308,83 @@ proptest! {
         }
     }
 }
+
+/// A guard that runs at this speed, with limits of its own.
+fn at_speed(limits: Limits, speed_rad_s: f64) -> Guard {
+    let mut guard = Guard::new(limits, &Nameplate::zk_22fc(), Some(0.0));
+    guard.begin(0.0, &sample(0.0));
+    guard.watch(0.0, &sample(0.0).with(Channel::Speed, speed_rad_s), true);
+    guard
+}
+
+#[test]
+fn a_supply_that_takes_nothing_back_holds_the_voltage_at_the_back_emf() {
+    let one_way = Limits {
+        braking_w: Some(0.0),
+        ..limits()
+    };
+    let mut guard = at_speed(one_way.clone(), 200.0);
+    let emf = 0.3538 * 200.0;
+    let shaped = guard.shape(0.01, Demand::Voltage(0.0));
+    let volts = shaped.demand.voltage_v().unwrap();
+    assert!(
+        (volts - emf).abs() < 0.1 && shaped.causes.supply,
+        "{shaped:?}"
+    );
+    let shaped = guard.shape(0.02, Demand::Voltage(emf + 1.0));
+    assert!(!shaped.causes.supply, "driving is free: {shaped:?}");
+    assert!(guard.ramp_down_s() > at_speed(limits(), 0.0).ramp_down_s() + 2.0);
+    // A reference of speed falls as friction brakes: 0.455 N.m on 0.0045 kg.m2.
+    let mut guard = at_speed(one_way, 200.0);
+    guard.shape(0.01, Demand::Speed(200.0));
+    let Demand::Speed(next) = guard.shape(0.02, Demand::Speed(0.0)).demand else {
+        panic!("a speed stays a speed");
+    };
+    assert!((200.0 - next - 1.01).abs() < 0.05, "{next}");
+}
+
+#[test]
+fn a_bridge_of_few_quadrants_is_asked_for_nothing_that_it_cannot() {
+    let of = |quadrants, demand| {
+        let few = Limits {
+            quadrants,
+            ..limits()
+        };
+        let shaped = at_speed(few, 0.0).shape(0.04, demand);
+        (shaped.demand, shaped.causes.quadrant)
+    };
+    assert_eq!(of(1, Demand::Voltage(-5.0)), (Demand::Voltage(0.0), true));
+    assert_eq!(of(1, Demand::Speed(-5.0)), (Demand::Speed(0.0), true));
+    assert_eq!(of(2, Demand::Current(-5.0)), (Demand::Current(0.0), true));
+    assert_eq!(of(2, Demand::Speed(-5.0)), (Demand::Speed(-5.0), false));
+    assert_eq!(of(4, Demand::Current(-5.0)), (Demand::Current(-5.0), false));
+}
+
+#[test]
+fn a_lost_field_is_a_trip_of_its_own_even_where_the_drive_only_reports_a_fault() {
+    let watched = Limits {
+        field_min_a: Some(0.3),
+        ..limits()
+    };
+    let with = |field_a, state| {
+        let mut sample = sample(0.01);
+        (sample.field_a, sample.state) = (field_a, Some(state));
+        let mut guard = at_speed(watched.clone(), 10.0);
+        guard.watch(0.01, &sample, true).map(|trip| trip.kind)
+    };
+    assert_eq!(with(Some(1.0), DriveState::Running), None);
+    assert_eq!(
+        with(Some(0.1), DriveState::Running),
+        Some(TripKind::FieldLost)
+    );
+    assert_eq!(
+        with(Some(0.1), DriveState::Fault),
+        Some(TripKind::FieldLost)
+    );
+    assert_eq!(with(None, DriveState::Fault), Some(TripKind::FieldLost));
+    assert_eq!(
+        with(None, DriveState::Running),
+        None,
+        "a slow reading that is to come"
+    );
+}

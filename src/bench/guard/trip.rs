@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::sample::{Channel, DriveState};
+use crate::sample::{Channel, DriveState, Hindrance};
 
 /// What was found; the name in events and reports is the snake-case form.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -28,12 +28,18 @@ pub enum TripKind {
     DriveFault,
     /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
     NotRunning,
+    /// Somebody else has taken the command of the drive: its keypad, its terminals, another master.
+    LocalControl,
+    /// Safe torque off, or another enable input, has switched the output off.
+    TorqueOff,
     /// The measured speed stays where it is while voltage and current say that it changes.
     EncoderFrozen,
     /// The measured speed has the opposite sign of what voltage and current say.
     EncoderReversed,
     /// The measured speed is far from what voltage and current say.
     SpeedImplausible,
+    /// The field current is below the least: a motor without a field runs away.
+    FieldLost,
     /// The speed grows beyond its reference although the torque is against it.
     Runaway,
 }
@@ -54,9 +60,12 @@ impl TripKind {
             Self::ClockStuck => "clock stuck",
             Self::DriveFault => "drive fault",
             Self::NotRunning => "drive does not run",
+            Self::LocalControl => "local control",
+            Self::TorqueOff => "torque off",
             Self::EncoderFrozen => "encoder frozen",
             Self::EncoderReversed => "encoder reversed",
             Self::SpeedImplausible => "speed implausible",
+            Self::FieldLost => "field lost",
             Self::Runaway => "runaway",
         }
     }
@@ -129,9 +138,28 @@ impl Trip {
         }
     }
 
-    pub(super) fn drive_fault(at_s: f64, code: Option<u16>) -> Self {
-        let code_text =
+    pub(super) fn field_lost(at_s: f64, field_a: Option<f64>, least_a: f64) -> Self {
+        let found = field_a.map_or_else(
+            || "cannot be read".to_owned(),
+            |amperes| format!("{amperes:.3} A"),
+        );
+        Self {
+            kind: TripKind::FieldLost,
+            at_s,
+            value: field_a.unwrap_or(0.0),
+            limit: least_a,
+            reason: format!(
+                "field lost: field current {found}, at least {least_a:.3} A (limits.field_min_a of the drive's profile)"
+            ),
+        }
+    }
+
+    pub(super) fn drive_fault(at_s: f64, code: Option<u16>, text: Option<&str>) -> Self {
+        let mut code_text =
             code.map_or_else(|| "no code".to_owned(), |code| format!("code {code:#06x}"));
+        if let Some(text) = text {
+            code_text = format!("{code_text}: {text}");
+        }
         Self {
             kind: TripKind::DriveFault,
             at_s,
@@ -141,7 +169,26 @@ impl Trip {
         }
     }
 
-    pub(super) fn not_running(at_s: f64, state: DriveState, value_s: f64, limit_s: f64) -> Self {
+    pub(super) fn hindered(at_s: f64, hindrance: Hindrance) -> Self {
+        let kind = match hindrance {
+            Hindrance::LocalControl => TripKind::LocalControl,
+            Hindrance::TorqueOff => TripKind::TorqueOff,
+        };
+        Self {
+            kind,
+            at_s,
+            value: 0.0,
+            limit: 0.0,
+            reason: format!("{}: {}", kind.name(), hindrance.sentence()),
+        }
+    }
+
+    pub(in crate::bench) fn not_running(
+        at_s: f64,
+        state: DriveState,
+        value_s: f64,
+        limit_s: f64,
+    ) -> Self {
         Self {
             kind: TripKind::NotRunning,
             at_s,
@@ -172,6 +219,30 @@ impl Trip {
                 kind.name()
             ),
         }
+    }
+
+    /// A shaft that does not come to rest after the pulse of the checks.
+    pub(in crate::bench) fn unrested(at_s: f64, speed_rad_s: f64, waited_s: f64) -> Self {
+        Self {
+            kind: TripKind::OverSpeed,
+            at_s,
+            value: speed_rad_s,
+            limit: 0.0,
+            reason: format!(
+                "the shaft does not come to rest: {speed_rad_s:.2} rad/s after {waited_s:.1} s of zero"
+            ),
+        }
+    }
+
+    /// A drive that goes on running although its output is to be off.
+    pub(in crate::bench) fn unstopped(at_s: f64, waited_s: f64) -> Self {
+        Self::after(
+            TripKind::NotRunning,
+            at_s,
+            waited_s,
+            waited_s,
+            "it still runs although its output is to be off",
+        )
     }
 
     pub(in crate::bench) fn runaway(at_s: f64, speed_rad_s: f64, reference_rad_s: f64) -> Self {

@@ -5,7 +5,7 @@ use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::program::Program;
 use crate::bench::timing::whole;
 use crate::plant::{Input, Model, ModelError, Plant, Scenario, State, Trajectory};
-use crate::sample::{Channel, DriveState, Sample};
+use crate::sample::{Channel, Demand, DriveState, Sample};
 
 /// Points per control period at which the prediction is looked at: peaks lie between the host's samples.
 const POINTS_PER_PERIOD: usize = 10;
@@ -21,6 +21,10 @@ pub(super) struct Point {
     pub(super) speed_rad_s: f64,
     pub(super) angle_rad: f64,
     pub(super) coasts: bool,
+    /// What the sequence asks for, what holds a load included.
+    pub(super) wanted_v: f64,
+    /// The voltage is another one because the supply takes nothing back.
+    pub(super) supply: bool,
 }
 
 /// The predicted run.
@@ -39,7 +43,23 @@ impl Trace {
     ) -> Result<Self, ModelError> {
         let period_s = 1.0 / rate_hz;
         let step_s = period_s / POINTS_PER_PERIOD as f64;
-        let mut driven = Plant::new(&Model::baseline(motor.motor()), Input::Voltage)?;
+        let hold_a = limits
+            .load
+            .brake()
+            .map_or(0.0, |brake| brake.hold_current_a);
+        let hold_v = motor.resistance_ohm * hold_a;
+        let mut model = Model::baseline(motor.motor());
+        if limits.load.vertical {
+            model = model.with_effect("constant_load")?;
+            let slots = model.slots();
+            if let Some(weight) = slots
+                .iter()
+                .find(|slot| slot.key().contains("constant_n_m"))
+            {
+                model.set(weight, motor.back_emf_v_s_per_rad * hold_a);
+            }
+        }
+        let mut driven = Plant::new(&model, Input::Voltage)?;
         let mut coasting = Plant::new(&Model::baseline(motor.motor()), Input::Current)?;
         // A drive current limit of zero stands for "limits itself": it switches the winding limit off.
         let mut guard = Guard::new(limits.clone(), motor, Some(0.0));
@@ -58,11 +78,14 @@ impl Trace {
         };
         let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
         let mut points = Vec::with_capacity(periods * POINTS_PER_PERIOD);
-        let (mut current_a, mut speed_rad_s, mut angle_rad) = (0.0, 0.0, 0.0);
+        let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
         let mut out = Trajectory::default();
         for period in 0..periods {
             let begin_s = period as f64 * period_s;
-            let wanted = program.demand_at(begin_s);
+            let wanted = match program.demand_at(begin_s) {
+                Demand::Voltage(volts) => Demand::Voltage(volts + hold_v),
+                other => other,
+            };
             let shaped = guard.shape(begin_s, wanted);
             let coasts = !wanted.energises();
             let volts = if coasts {
@@ -93,6 +116,8 @@ impl Trace {
                     speed_rad_s,
                     angle_rad,
                     coasts,
+                    wanted_v: wanted.voltage_v().unwrap_or(0.0),
+                    supply: shaped.causes.supply,
                 });
             }
             let mut sample = Sample::at(begin_s + period_s).with(Channel::Speed, speed_rad_s);

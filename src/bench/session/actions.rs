@@ -7,6 +7,10 @@ use crate::bench::guard::Trip;
 use crate::drive::LinkError;
 use crate::sample::{Command, Sample};
 
+/// Exceptions that say that the request itself is wrong: function, address, value (Modbus Application Protocol 1.1b3, 7).
+const ILLEGAL_FIRST: u8 = 1;
+const ILLEGAL_LAST: u8 = 3;
+
 /// One input of `Session::step`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Input {
@@ -24,17 +28,23 @@ pub enum Input {
 pub enum Lost {
     /// The next cycle may try again.
     Transient(String),
+    /// The drive does not have what it was asked: asking again is of no use.
+    Refused(String),
     /// The link does not come back within this session.
     Gone(String),
 }
 
 impl From<&LinkError> for Lost {
     fn from(error: &LinkError) -> Self {
-        // A refused request may be a busy drive (06) or a gateway: the limit of link silence decides.
-        if error.is_transient() || matches!(error, LinkError::Exception { .. }) {
-            Self::Transient(error.to_string())
-        } else {
-            Self::Gone(error.to_string())
+        match error {
+            LinkError::Exception {
+                code: ILLEGAL_FIRST..=ILLEGAL_LAST,
+                ..
+            } => Self::Refused(error.to_string()),
+            // A busy drive (04 to 06) or a gateway: the limit of link silence decides.
+            LinkError::Exception { .. } => Self::Transient(error.to_string()),
+            error if error.is_transient() => Self::Transient(error.to_string()),
+            error => Self::Gone(error.to_string()),
         }
     }
 }

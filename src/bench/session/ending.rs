@@ -20,13 +20,17 @@ impl Session {
             return;
         }
         notice(actions, Level::Error, trip.reason.clone());
-        self.ending = Some(if trip.kind.is_link() {
-            Outcome::LinkLost {
-                reason: trip.reason.clone(),
-            }
-        } else {
-            Outcome::Tripped(trip.clone())
-        });
+        // What made it stop is the reason, not what else is found while it stops.
+        let has_reason = matches!(self.ending, Some(Outcome::LinkLost { .. }));
+        if self.phase != Phase::Stopping || !has_reason {
+            self.ending = Some(if trip.kind.is_link() {
+                Outcome::LinkLost {
+                    reason: trip.reason.clone(),
+                }
+            } else {
+                Outcome::Tripped(trip.clone())
+            });
+        }
         self.stop_now(now_s, actions);
     }
 
@@ -65,11 +69,19 @@ impl Session {
                     .to_owned(),
             );
         }
+        if confirmed && !self.tells_stop {
+            notice(
+                actions,
+                Level::Warning,
+                "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still"
+                    .to_owned(),
+            );
+        }
         self.enter(phase, now_s, actions);
         self.event(
             now_s,
             "finished",
-            json!({ "outcome": outcome.name(), "stop_confirmed": confirmed }),
+            json!({ "outcome": outcome.name(), "stop_confirmed": confirmed && self.tells_stop }),
             actions,
         );
         actions.push(Action::Finished(outcome));

@@ -68,6 +68,9 @@ impl Session {
             .drive
             .as_ref()
             .ok_or("cannot arm: no valid sample yet")?;
+        if let Some(hindrance) = sample.hindrance {
+            return Err(format!("cannot arm: {}", hindrance.sentence()));
+        }
         self.guard
             .check_rest(sample)
             .map_err(|error| format!("cannot arm: {error}"))?;

@@ -37,6 +37,8 @@ pub struct PilotSettings {
     pub speed_limit_rad_s: f64,
     /// The speed sensor was noisy at rest: the same reading again and again is then a sensor that is stuck.
     pub is_noisy: bool,
+    /// What holds a load at rest, in the unit of the command.
+    pub hold: f64,
 }
 
 /// A speed loop over a voltage, current or speed command.
@@ -184,7 +186,7 @@ impl Pilot for SpeedPilot {
     }
 
     fn zero(&self) -> Demand {
-        self.regulator.actuator.demand(0.0)
+        self.regulator.actuator.demand(self.settings.hold)
     }
 
     fn slew_v_per_s(&self) -> Option<f64> {
@@ -199,7 +201,7 @@ impl Pilot for SpeedPilot {
             current_a: sample.and_then(|sample| sample.get(Channel::Current)),
             ..Measured::at(speed_rad_s)
         };
-        let output = self.regulator.holding.output(speed_rad_s);
+        let output = self.regulator.holding.output(speed_rad_s) + self.settings.hold;
         self.pass = 0;
         self.controller().reset(&now, output);
         self.hindsight.reset();

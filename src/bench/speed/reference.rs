@@ -323,6 +323,12 @@ impl Reference {
         ends.fold(0.0, |peak, speed| speed.abs().max(peak))
     }
 
+    /// The largest speed backwards, rad/s; `None`: it goes one way only.
+    pub fn reverse_rad_s(&self) -> Option<f64> {
+        let ends = self.lines.iter().flat_map(|line| [line.from, line.to]);
+        Some(ends.fold(0.0, f64::min)).filter(|least| *least < 0.0)
+    }
+
     pub fn part_at(&self, time_s: f64) -> usize {
         self.parts
             .partition_point(|(_, end_s)| *end_s <= time_s)

@@ -67,6 +67,7 @@ fn session_on(bench: &BenchFile, model: &Model) -> Session {
         silence_s: limits.link_silence_s,
         speed_limit_rad_s: limits.speed_rad_s,
         is_noisy: true,
+        hold: 0.0,
     };
     let reference = bench.reference(section).unwrap();
     let pilot = SpeedPilot::new(regulator, reference, model, &motor, settings);

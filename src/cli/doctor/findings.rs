@@ -25,6 +25,9 @@ pub(super) struct Findings {
     /// The port was opened for this program alone (exclusive mark and lock).
     pub(super) exclusive: bool,
     pub(super) latency: Option<Latency>,
+    /// A timer was to be set, and there is none.
+    #[serde(skip)]
+    pub(super) no_timer: bool,
     pub(super) settings: Settings,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) scan: Option<Scan>,
@@ -56,7 +59,9 @@ pub(super) struct Latency {
 #[derive(Serialize)]
 pub(super) struct RoundTripFindings {
     pub(super) asked: usize,
+    /// Exceptions included.
     pub(super) answered: usize,
+    pub(super) exceptions: usize,
     pub(super) p50_us: f64,
     pub(super) p99_us: f64,
     pub(super) worst_us: f64,
@@ -70,6 +75,7 @@ impl RoundTripFindings {
     /// `budget`: the serial line with its gaps, nothing added yet.
     pub(super) fn of(
         mut round_trips: Vec<Duration>,
+        exceptions: usize,
         asked: usize,
         budget: Option<MeasuredLine>,
     ) -> Option<Self> {
@@ -86,6 +92,7 @@ impl RoundTripFindings {
         Some(Self {
             asked,
             answered: round_trips.len(),
+            exceptions,
             p50_us: p50_s * 1e6,
             p99_us: at(990) * 1e6,
             worst_us: at(1000) * 1e6,
@@ -93,19 +100,6 @@ impl RoundTripFindings {
             reachable: added.map(|(_, rates)| rates),
         })
     }
-}
-
-/// The texts of the objects of a device identification; what does not fit its own lengths ends the list.
-pub(super) fn object_texts(pdu: &[u8]) -> Vec<String> {
-    let mut rest = pdu.get(7..).unwrap_or_default();
-    let mut texts = Vec::new();
-    while let [_, length, tail @ ..] = rest
-        && let Some((text, after)) = tail.split_at_checked(usize::from(*length))
-    {
-        texts.push(String::from_utf8_lossy(text).into_owned());
-        rest = after;
-    }
-    texts
 }
 
 impl Findings {
@@ -123,8 +117,15 @@ impl Findings {
         if let Some(latency) = &self.latency {
             line("latency", latency.text());
         }
+        if self.no_timer {
+            line(
+                "latency",
+                "nothing to set: this port has no latency timer (FTDI adapters have one)"
+                    .to_owned(),
+            );
+        }
         if let Some(scan) = &self.scan {
-            line("scan", scan_text(scan));
+            line("scan", scan_text(scan, self.port.is_some()));
         }
         line("asked at", self.settings_text());
         match &self.round_trip {
@@ -235,8 +236,15 @@ impl Latency {
 
 impl RoundTripFindings {
     fn text(&self) -> String {
+        let refused = match self.exceptions {
+            0 => "",
+            all if all == self.answered => {
+                ", all with an exception (--address names a register that the unit does not have)"
+            }
+            _ => ", some with an exception",
+        };
         format!(
-            "{} of {} requests answered; {:.0} us (median), {:.0} us (99 %), {:.0} us (worst)",
+            "{} of {} requests answered{refused}; {:.0} us (median), {:.0} us (99 %), {:.0} us (worst)",
             self.answered, self.asked, self.p50_us, self.p99_us, self.worst_us
         )
     }
@@ -254,16 +262,18 @@ impl RoundTripFindings {
     }
 }
 
-fn scan_text(scan: &Scan) -> String {
+fn scan_text(scan: &Scan, is_serial: bool) -> String {
     match scan.found {
+        None if !is_serial => "nothing answered".to_owned(),
         None => format!("nothing answered at {} settings", scan.tried),
         Some((baud, framing)) => {
             let units: Vec<String> = scan.units.iter().map(u8::to_string).collect();
-            format!(
-                "answers at {baud} {}: unit {}",
-                framing.name(),
-                units.join(", ")
-            )
+            let at = if is_serial {
+                format!(" at {baud} {}", framing.name())
+            } else {
+                String::new()
+            };
+            format!("answers{at}: unit {}", units.join(", "))
         }
     }
 }
@@ -299,13 +309,14 @@ mod tests {
                 now_ms: 16,
                 refused: Some("permission denied".to_owned()),
             }),
+            no_timer: false,
             settings: Settings {
                 baud: 115_200,
                 framing,
                 unit: 1,
             },
             scan: None,
-            round_trip: RoundTripFindings::of(trips, 50, Some(budget)),
+            round_trip: RoundTripFindings::of(trips, 0, 50, Some(budget)),
             names: vec!["Acme".to_owned(), "VX-1".to_owned()],
             answers_function_8: Some(false),
             counters: RawCounters {
@@ -332,6 +343,26 @@ mod tests {
     }
 
     #[test]
+    fn exceptions_a_missing_timer_and_a_network_are_told() {
+        let mut findings = findings();
+        findings.latency = None;
+        findings.no_timer = true;
+        if let Some(trips) = &mut findings.round_trip {
+            trips.exceptions = 50;
+        }
+        let text = findings.text();
+        assert!(text.contains("50 of 50 requests answered, all with an exception"));
+        assert!(text.contains("no latency timer"), "{text}");
+        let scan = Scan {
+            tried: 1,
+            found: Some((115_200, Framing::EightNoneOne)),
+            units: vec![1, 3],
+        };
+        assert_eq!(scan_text(&scan, false), "answers: unit 1, 3");
+        assert_eq!(scan_text(&scan, true), "answers at 115200 8N1: unit 1, 3");
+    }
+
+    #[test]
     fn the_line_for_a_report_is_one_line_with_everything() {
         let line = findings().line();
         assert!(!line.contains('\n'));
@@ -347,13 +378,5 @@ mod tests {
         ] {
             assert!(line.contains(part), "{part} in {line}");
         }
-    }
-
-    #[test]
-    fn names_are_taken_as_far_as_they_fit() {
-        let pdu = [&[43, 14, 1, 1, 0, 0, 2, 0, 2][..], b"Ab", &[1, 1], b"C"].concat();
-        assert_eq!(object_texts(&pdu), ["Ab", "C"]);
-        assert_eq!(object_texts(&pdu[..10]), [""; 0]);
-        assert_eq!(object_texts(&[]), [""; 0]);
     }
 }

@@ -58,7 +58,11 @@ pub(super) fn scan(
     }
     for (baud, framing) in lines {
         scan.tried += 1;
-        output::message(&format!("asking at {baud} {}", framing.name()));
+        if is_serial {
+            output::message(&format!("asking at {baud} {}", framing.name()));
+        } else {
+            output::message(&format!("asking units {first} to {last}"));
+        }
         let mut client = open(wire, baud, framing, tap)?;
         for unit in first..=last {
             client.set_unit(unit);

@@ -177,11 +177,27 @@ fn text(result: &ReadResult) -> String {
             result.answered, result.asked
         );
     }
-    if c.sent != c.ok {
+    // What a probe that the line is in step was refused is no refusal of anything that was asked for.
+    let is_clean = result.answered == result.asked
+        && result.reads.iter().all(|read| read.error.is_none())
+        && c.timeout + c.crc + c.stale + c.mismatch + c.aborted == 0;
+    if !is_clean {
+        let probes = match c.probes {
+            0 => String::new(),
+            1 => " and 1 probe that the line is in step".to_owned(),
+            count => format!(" and {count} probes that the line is in step"),
+        };
         let _ = writeln!(
             text,
-            "{} requests: {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception, {} aborted",
-            c.sent, c.ok, c.timeout, c.crc, c.stale, c.mismatch, c.exception, c.aborted
+            "{} requests{probes}: {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception, {} aborted",
+            c.sent - c.probes,
+            c.ok,
+            c.timeout,
+            c.crc,
+            c.stale,
+            c.mismatch,
+            c.exception,
+            c.aborted
         );
     }
     text

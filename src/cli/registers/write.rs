@@ -9,10 +9,10 @@ use serde::Serialize;
 use super::super::failure::{Failure, LINK, USAGE};
 use super::super::output;
 use super::super::wire::{Tap, WireArguments};
-use super::{failure, number};
+use super::{failure, number, value};
 use crate::drive::{
     LinkError, MOST_WRITTEN, RawClient, RawCounters, ReadRequest, RegisterTable, WriteFunction,
-    read_batch,
+    read_batch, registers,
 };
 
 /// Write holding registers once, read them back and compare; asks before, or needs --yes
@@ -32,7 +32,7 @@ pub(in super::super) struct Arguments {
     #[arg(value_parser = number)]
     address: u16,
     /// Values, one for each register from there on
-    #[arg(required = true, value_name = "VALUE", value_parser = number)]
+    #[arg(required = true, value_name = "VALUE", value_parser = value, allow_negative_numbers = true)]
     values: Vec<u16>,
     #[command(flatten)]
     wire: WireArguments,
@@ -71,7 +71,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let (address, values) = (arguments.address, arguments.values.as_slice());
     let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
     if values.len() > MOST_WRITTEN || address.checked_add(count - 1).is_none() {
-        let headline = format!("{count} registers at {address} do not fit one request");
+        let headline = format!(
+            "{} at {address} do not fit one request",
+            registers(count.into())
+        );
         let help = format!("at most {MOST_WRITTEN} registers, up to address 65535");
         return Err(Failure::with_help(USAGE, headline, help));
     }
@@ -197,8 +200,8 @@ fn text(result: &WriteResult<'_>) -> String {
     };
     let _ = writeln!(
         text,
-        "{} registers at {}: {confirmed}",
-        result.written.len(),
+        "{} at {}: {confirmed}",
+        registers(result.written.len()),
         result.address
     );
     if let Some(after) = result.after.as_ref().filter(|_| !result.confirmed) {

@@ -4,6 +4,7 @@
 //! pseudo-terminal two thousand, or a hundred thousand.
 
 mod fault;
+mod profiled;
 mod stranger;
 
 use std::fs::File;
@@ -13,11 +14,9 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use fault::{Fault, Times};
-use nix::fcntl::OFlag;
-use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
-use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use stranger::{Language, Stranger, current_a, register};
 
+use super::fake::raw_pty;
 use super::guard::now;
 use super::link::{DriveLink, LinkError, LinkStatistics};
 use super::modbus::{ModbusLink, RegisterTable};
@@ -73,7 +72,9 @@ fn exchanges(line: &mut Line, device: &Mutex<Stranger>, count: u64, reads: bool)
                 match link.read_registers(RegisterTable::Holding, 900, words) {
                     Ok(values) => {
                         let heard = device.lock().unwrap().heard;
-                        let meant: Vec<_> = (0..values.len()).map(|k| register(heard, k)).collect();
+                        let meant: Vec<_> = (0..values.len())
+                            .map(|k| register(heard, 900 + k))
+                            .collect();
                         outcome.wrong += u64::from(values != meant);
                         None
                     }
@@ -231,15 +232,7 @@ struct Served {
 
 impl Served {
     fn start(device: Stranger) -> Self {
-        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
-        let master = posix_openpt(flags).unwrap();
-        grantpt(&master).unwrap();
-        unlockpt(&master).unwrap();
-        let mut termios = tcgetattr(&master).unwrap();
-        cfmakeraw(&mut termios);
-        tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
-        let target = ptsname_r(&master).unwrap().parse().unwrap();
-        let mut port = File::from(std::os::fd::OwnedFd::from(master));
+        let (mut port, target) = raw_pty();
         let device = Arc::new(Mutex::new(device));
         let over = Arc::new(AtomicBool::new(false));
         let thread = std::thread::spawn({

@@ -37,7 +37,7 @@ pub(super) struct Stranger {
     pub(super) last_fault: Option<Fault>,
 }
 
-/// What register `index` holds for the request with this number.
+/// What the register at address `index` holds for the request with this number.
 #[expect(clippy::cast_possible_truncation, reason = "any sixteen bits will do")]
 pub(super) fn register(heard: u32, index: usize) -> u16 {
     (heard
@@ -103,7 +103,7 @@ impl Stranger {
         self.line.push(byte);
         let needed = match self.line.get(1) {
             None => return Vec::new(),
-            Some(3 | 4 | 8) => 8,
+            Some(3 | 4 | 6 | 8) => 8,
             Some(23) => self
                 .line
                 .get(10)
@@ -117,7 +117,7 @@ impl Stranger {
         assert_eq!(crc(&request), 0, "the host sends whole frames");
         let word = |at: usize| u16::from_be_bytes([request[at], request[at + 1]]);
         let content = match request[1] {
-            8 => request[2..6].to_vec(),
+            6 | 8 => request[2..6].to_vec(),
             23 => {
                 self.heard += 1;
                 let control = match word(13) {
@@ -131,7 +131,10 @@ impl Stranger {
             _ => {
                 self.heard += 1;
                 let count = usize::from(word(4));
-                let words: Vec<_> = (0..count).map(|k| register(self.heard, k)).collect();
+                let first = usize::from(word(2));
+                let words: Vec<_> = (first..first + count)
+                    .map(|index| register(self.heard, index))
+                    .collect();
                 counted(&words)
             }
         };

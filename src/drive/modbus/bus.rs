@@ -4,16 +4,23 @@
 //! suspect? -> silence for the longest turnaround -> fc08: a number of our own comes back
 //!                                                  length: a read of a length that nobody waits for
 //!                                                  none: silence is all there is
+//! read     -> reply -> the time that replies usually take, and the gap -> nothing else came? -> value
 //! ```
+//!
+//! A copy of an earlier reply that comes in the place of the true one is followed by it: so a value is handed on only
+//! when the time of the true one is over. The gap is waited for behind the reply instead of before the next request.
 
 use std::borrow::Cow;
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
-use super::{LinkError, ModbusLink, RegisterTable, now};
-use crate::drive::link::{LinkName, LinkStatistics};
+use super::{LinkError, ModbusLink, PROBES, RegisterTable, now};
+use crate::drive::guard::LineCounts;
+use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
+use crate::drive::raw::registers;
 use crate::drive::register_bus::RegisterBus;
 use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::drive::reply::FrameKind;
@@ -22,15 +29,21 @@ use crate::drive::timing::wait_until;
 
 /// Times that a question without effect is asked before it counts as failed.
 const READ_ATTEMPTS: usize = 3;
+/// Round trips that tell how long replies usually take, and how many of them a busy host may have made too long.
+const REMEMBERED: usize = 32;
+const OUTLIERS: usize = 2;
 
 /// A Modbus link that proves itself fresh in the way that the far end knows.
 pub struct ModbusBus {
     link: ModbusLink,
     resync: Resync,
+    emulated: bool,
     /// Registers that can be read in any number up to the whole, for the length code.
     probe: Option<ReadBlock>,
     /// Lengths of reads that were never answered.
     unanswered: Vec<u16>,
+    /// Of the latest reads.
+    round_trips: VecDeque<Duration>,
 }
 
 impl ModbusBus {
@@ -48,9 +61,18 @@ impl ModbusBus {
         Self {
             link,
             resync: map.resync,
+            emulated: false,
             probe,
             unanswered: Vec::new(),
+            round_trips: VecDeque::with_capacity(REMEMBERED),
         }
+    }
+
+    /// Whether the far end is the software drive of this process.
+    #[must_use]
+    pub const fn emulated(mut self, emulated: bool) -> Self {
+        self.emulated = emulated;
+        self
     }
 
     fn fresh(&mut self) -> Result<(), LinkError> {
@@ -58,16 +80,23 @@ impl ModbusBus {
             return self.link.prove_fresh();
         }
         self.link.listen()?;
-        if !self.link.suspect {
-            return Ok(());
+        for _ in 0..PROBES {
+            if !self.link.suspect {
+                return Ok(());
+            }
+            self.link.silence()?;
+            if self.resync == Resync::Length {
+                self.probe_by_length()?;
+            }
+            self.link.suspect = false;
+            self.unanswered.clear();
+            // What came during the probe, or comes in the gap behind it, was not asked for either.
+            self.link.listen()?;
         }
-        self.link.silence()?;
-        if self.resync == Resync::Length {
-            self.probe_by_length()?;
-        }
-        self.link.suspect = false;
-        self.unanswered.clear();
-        self.link.listen()
+        Err(LinkError::Corrupt {
+            link: self.link.name.clone(),
+            reason: format!("something nobody asked for came behind each of {PROBES} probes"),
+        })
     }
 
     /// The reply to a read of another length than all that are unanswered can be no old one.
@@ -94,14 +123,57 @@ impl ModbusBus {
         last.map_or(Ok(()), Err)
     }
 
-    /// A line that has once brought an old reply may do so again: from then on reads that look alike are kept apart.
-    /// On all others that would only cost their rate.
+    /// A line that has once brought an old reply may do so again: from then on reads that look alike are kept apart, as
+    /// they are while nothing is known of the line. On all others that would only cost their rate.
     fn keep_apart(&mut self, count: u16) -> Result<(), LinkError> {
-        if self.link.guard.line().stale_frames == 0 {
+        let known = self.round_trips.len() == REMEMBERED;
+        if known && self.link.guard.line().stale_frames == 0 {
             self.link.recent.clear();
             return Ok(());
         }
         self.link.keep_apart(reply_bytes(count))
+    }
+
+    /// A read whose reply is taken only where no other came within the time that one usually takes.
+    fn ask_alone(
+        &mut self,
+        table: RegisterTable,
+        address: u16,
+        count: u16,
+    ) -> Result<Vec<u16>, LinkError> {
+        let sent = now();
+        let values = self.ask(table, address, count)?;
+        if self.link.kind == FrameKind::Tcp {
+            return Ok(values);
+        }
+        let took = now().saturating_duration_since(sent);
+        let usual = self.usual();
+        if self.round_trips.len() == REMEMBERED {
+            self.round_trips.pop_front();
+        }
+        self.round_trips.push_back(took);
+        if took < usual {
+            wait_until(sent + usual);
+        }
+        if !self.link.suspect {
+            self.link.listen()?;
+        }
+        if self.link.suspect {
+            return Err(LinkError::Stale {
+                link: self.link.name.clone(),
+                reason: format!(
+                    "something else came with the reply to {count} registers at {address}"
+                ),
+            });
+        }
+        Ok(values)
+    }
+
+    /// How long a reply takes at the most, a busy host left out.
+    fn usual(&self) -> Duration {
+        let mut longest: Vec<Duration> = self.round_trips.iter().copied().collect();
+        longest.sort_unstable_by(|a, b| b.cmp(a));
+        longest.get(OUTLIERS).copied().unwrap_or_default()
     }
 
     fn ask(
@@ -111,7 +183,7 @@ impl ModbusBus {
         count: u16,
     ) -> Result<Vec<u16>, LinkError> {
         let allowed = self.link.timing.allowed(8, reply_bytes(count));
-        let what = format!("read {count} registers at {address}");
+        let what = format!("read {} at {address}", registers(count.into()));
         let request = match table {
             RegisterTable::Holding => Request::ReadHoldingRegisters(address, count),
             RegisterTable::Input => Request::ReadInputRegisters(address, count),
@@ -161,7 +233,7 @@ impl RegisterBus for ModbusBus {
             let result = self
                 .fresh()
                 .and_then(|()| self.keep_apart(count))
-                .and_then(|()| self.ask(table, address, count));
+                .and_then(|()| self.ask_alone(table, address, count));
             self.link.recent.push((reply_bytes(count), now()));
             match result {
                 Err(error) if error.is_transient() => {
@@ -219,12 +291,24 @@ impl RegisterBus for ModbusBus {
         }
     }
 
+    fn is_emulated(&self) -> bool {
+        self.emulated
+    }
+
+    fn close(&mut self) {
+        self.link.close();
+    }
+
     fn statistics(&self) -> LinkStatistics {
         self.link.tally.statistics
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {
         Some(&self.link.tally.round_trips)
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        Some(self.link.guard.line())
     }
 
     fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::readings::Readings;
+use super::readings::{Readings, in_profile};
 use crate::drive::link::LinkError;
 use crate::drive::register_bus::RegisterBus;
 use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
@@ -243,7 +243,8 @@ impl Points {
                 return Err(refused(bus, text));
             }
         }
-        bus.write(point.function, point.location.address, registers)?;
+        bus.write(point.function, point.location.address, registers)
+            .map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         let sent = &mut self.sent[at];
         sent.writes += 1;
         sent.at_s = bus.now_s();
@@ -283,6 +284,29 @@ impl Points {
                 point.name, sent.registers, sent.found, sent.mismatches
             )
         })
+    }
+
+    /// Zero to every reference that can be read back: what it reads back as.
+    pub(super) fn compare(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+    ) -> Result<Option<Result<String, String>>, LinkError> {
+        let map = Arc::clone(&self.map);
+        let mut names = Vec::new();
+        for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
+            if !point.readback {
+                continue;
+            }
+            self.write(bus, readings, &point.name, 0.0, None)?;
+            let at = self.position(&point.name);
+            self.sent[at].value = None;
+            if self.sent[at].mismatches > 0 {
+                return Ok(Some(Err(self.mismatch_text())));
+            }
+            names.push(point.name.as_str());
+        }
+        Ok((!names.is_empty()).then(|| Ok(format!("{} read back as written", names.join(", ")))))
     }
 
     fn position(&self, name: &str) -> usize {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::drive::link::LinkError;
 use crate::drive::register_bus::RegisterBus;
-use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, plan_reads};
+use crate::drive::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
 
 /// One signal as it was last read.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -93,9 +93,32 @@ impl Readings {
         self.read(bus, &block)
     }
 
+    /// What is otherwise read now and then, now.
+    pub(super) fn read_now(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        quantity: Quantity,
+    ) -> Result<(), LinkError> {
+        let signals = &self.map.signals;
+        let holds = |block: &&ReadBlock| {
+            let mut indices = block.signals.iter();
+            indices.any(|index| signals[*index].quantity == quantity)
+        };
+        match self.slow.iter().find(holds).cloned() {
+            Some(block) => self.read(bus, &block),
+            None => Ok(()),
+        }
+    }
+
     fn read(&mut self, bus: &mut dyn RegisterBus, block: &ReadBlock) -> Result<(), LinkError> {
         let read_s = bus.now_s();
-        let registers = bus.read(block.table, block.address, block.count)?;
+        let registers = bus
+            .read(block.table, block.address, block.count)
+            .map_err(|error| {
+                let signals = block.signals.iter().map(|index| &self.map.signals[*index]);
+                let places: Vec<_> = signals.map(|s| (s.name.as_str(), s.line)).collect();
+                in_profile(error, &self.map, &places)
+            })?;
         for index in &block.signals {
             let location = self.map.signals[*index].location;
             let offset = usize::from(location.address - block.address);
@@ -136,5 +159,36 @@ impl Readings {
             .iter()
             .map(|name| self.get(name).and_then(|reading| reading.value))
             .product()
+    }
+}
+
+/// An exception says what of the profile it is about.
+pub(super) fn in_profile(
+    error: LinkError,
+    map: &RegisterMap,
+    places: &[(&str, usize)],
+) -> LinkError {
+    let LinkError::Exception {
+        link,
+        request,
+        code,
+        name,
+    } = error
+    else {
+        return error;
+    };
+    let places: Vec<String> = places
+        .iter()
+        .map(|(name, line)| format!("{name} in line {line}"))
+        .collect();
+    LinkError::Exception {
+        link,
+        request: format!(
+            "{request} (profile {}: {})",
+            map.device.id,
+            places.join(", ")
+        ),
+        code,
+        name,
     }
 }

@@ -25,6 +25,8 @@ pub(super) enum Next {
 pub(super) struct Sequence {
     pub(super) command: &'static str,
     steps: Vec<Step>,
+    /// Steps in front of those of the profile; they have no number.
+    before: usize,
     at: usize,
     /// When the step began, s.
     since_s: f64,
@@ -35,13 +37,22 @@ impl Sequence {
         Self {
             command,
             steps: steps.to_vec(),
+            before: 0,
             at: 0,
             since_s: now_s,
         }
     }
 
+    /// The same with steps of the program's own in front.
+    pub(super) fn preceded(mut self, first: Vec<Step>) -> Self {
+        self.before = first.len();
+        self.steps.splice(0..0, first);
+        self
+    }
+
+    /// Steps as the profile counts them.
     pub(super) fn steps(&self) -> usize {
-        self.steps.len()
+        self.steps.len() - self.before
     }
 
     /// `status` gives the bits of a signal and when they were read, s: what was read before a step began says nothing
@@ -77,13 +88,12 @@ impl Sequence {
                             |(bits, _)| format!("is {bits:#06x}"),
                         );
                         return Next::Failed {
-                            step: self.at + 1,
+                            step: (self.at + 1).saturating_sub(self.before),
                             reason: format!(
-                                "{}: {} {seen} after {within_s} s (expected {:#06x} under mask {:#06x})",
+                                "{}: {} {seen} after {within_s} s ({})",
                                 error.as_deref().unwrap_or("the status did not come"),
                                 condition.signal,
-                                condition.pattern,
-                                condition.mask
+                                condition.expected()
                             ),
                         };
                     } else {
@@ -125,6 +135,7 @@ mod tests {
                     mask: 0x6F,
                     pattern: 0x21,
                     negated: false,
+                    line: 7,
                 },
                 within_s: 1.0,
                 error: Some("not ready".to_owned()),
@@ -148,6 +159,23 @@ mod tests {
     }
 
     #[test]
+    fn steps_in_front_are_not_counted() {
+        let zero = Step::Write {
+            set_point: "speed".to_owned(),
+            value: 0.0,
+            mask: None,
+        };
+        let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(vec![zero]);
+        sequence.written(0.0);
+        sequence.written(0.0);
+        assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
+        let Next::Failed { step, .. } = sequence.next(1.7, |_| None) else {
+            panic!("the time is over");
+        };
+        assert_eq!((step, sequence.steps()), (3, 3));
+    }
+
+    #[test]
     fn a_status_that_does_not_come_names_step_reason_and_bits() {
         let mut sequence = Sequence::new("enable", &steps(), 0.0);
         sequence.written(0.0);
@@ -155,10 +183,10 @@ mod tests {
         let Next::Failed { step, reason } = sequence.next(1.7, |_| Some((0x40, 1.7))) else {
             panic!("the time is over");
         };
-        assert_eq!(step, 3);
+        assert_eq!((step, sequence.steps()), (3, 3));
         assert_eq!(
             reason,
-            "not ready: status is 0x0040 after 1 s (expected 0x0021 under mask 0x006f)"
+            "not ready: status is 0x0040 after 1 s (expected 0x0021 under mask 0x006f, line 7 of the profile)"
         );
     }
 }

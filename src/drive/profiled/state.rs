@@ -1,9 +1,12 @@
 //! From readings to the state and the sample that every drive has.
 
+use std::fmt::Write as _;
+
 use super::{Mode, ProfiledLink};
+use crate::drive::link::LinkError;
 use crate::drive::register_bus::RegisterBus;
-use crate::drive::register_map::Quantity;
-use crate::sample::{Channel, DriveState, Sample};
+use crate::drive::register_map::{Condition, Quantity};
+use crate::sample::{Channel, DriveState, Hindrance, Sample};
 
 impl<B: RegisterBus> ProfiledLink<B> {
     /// Whether a state of the profile holds; `None` where no register tells it.
@@ -11,6 +14,80 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let condition = self.map.state(state)?;
         let pattern = self.readings.get(&condition.signal)?.pattern?;
         Some(condition.holds(pattern))
+    }
+
+    /// Whether it reports that it runs; `None` where that is not told, or was not read since it was enabled.
+    pub(super) fn runs_since_enabled(&self) -> Option<bool> {
+        let reading = self.readings.get(&self.map.state("running")?.signal)?;
+        self.told("running")
+            .filter(|_| self.unseen_since_s.is_none_or(|s| reading.read_s >= s))
+    }
+
+    /// Words for a drive whose fault condition holds, and whether its watchdog may be why; else nothing.
+    pub(super) fn in_fault_text(&self, now_s: f64) -> String {
+        let fault = self.map.state("fault");
+        let Some(fault) = fault.filter(|_| self.told("fault") == Some(true)) else {
+            return String::new();
+        };
+        let mut text = format!(
+            "; it is in fault: {} ({})",
+            self.word_text(fault),
+            fault.expected()
+        );
+        let silence_s = now_s - self.kicked_s;
+        if let Some(watchdog_s) = self.watchdog_s.filter(|limit_s| silence_s > *limit_s) {
+            let since = if silence_s.is_finite() {
+                format!("for {silence_s:.3} s")
+            } else {
+                "yet".to_owned()
+            };
+            let _ = write!(
+                text,
+                "; nothing that its watchdog of {watchdog_s} s counts went out {since}, which may be the cause"
+            );
+        }
+        text
+    }
+
+    /// Every step of the enable command was carried out, and the drive does not report that it runs.
+    pub(super) fn never_ran(&self) -> LinkError {
+        let steps = self.map.commands.enable.len();
+        let reason = self.map.state("running").map_or_else(String::new, |running| {
+            format!(
+                "the drive does not run after it: {} where [state] running is looked for ({}); if it only takes a while, end enable with a wait for it",
+                self.word_text(running),
+                running.expected()
+            )
+        });
+        LinkError::Sequence {
+            link: self.bus.name().0,
+            command: "enable",
+            step: steps,
+            steps,
+            reason,
+        }
+    }
+
+    /// `status is 0x0040`.
+    fn word_text(&self, condition: &Condition) -> String {
+        let reading = self.readings.get(&condition.signal);
+        let found = reading.and_then(|reading| reading.pattern);
+        let found = found.map_or_else(
+            || "was not read".to_owned(),
+            |bits| format!("is {bits:#06x}"),
+        );
+        format!("{} {found}", condition.signal)
+    }
+
+    /// Who or what else has the drive, as far as its profile tells.
+    pub(super) fn hindrance(&self) -> Option<Hindrance> {
+        if self.told("sto") == Some(true) {
+            Some(Hindrance::TorqueOff)
+        } else if self.told("local") == Some(true) || self.told("remote") == Some(false) {
+            Some(Hindrance::LocalControl)
+        } else {
+            None
+        }
     }
 
     pub(super) fn state(&self) -> DriveState {
@@ -38,6 +115,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
         sample.host_time_s = Some(self.bus.now_s());
         sample.state = Some(self.state());
         sample.limited = self.points.limited;
+        sample.field_a = self
+            .map
+            .of_quantity(Quantity::FieldCurrent)
+            .and_then(|signal| self.reading(&signal.name));
         let word = |pattern: u32| {
             let [.., high, low] = pattern.to_be_bytes();
             u16::from_be_bytes([high, low])
@@ -52,7 +133,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 .of_quantity(Quantity::FaultCode)
                 .and_then(|signal| self.readings.get(&signal.name)?.pattern)
                 .map(word);
+            let text = sample
+                .fault
+                .and_then(|code| self.map.fault_codes.get(&code));
+            sample.fault_text = text.map(|text| text.as_str().into());
         }
+        sample.hindrance = self.hindrance();
         for (index, signal) in self.map.signals.iter().enumerate() {
             let reading = self.readings.at(index);
             if let (Some((channel, si)), Some(value)) = (signal.channel, reading.value) {

@@ -12,7 +12,7 @@ use super::super::reply::{Expected, FrameKind, search};
 use super::super::tap::Tap;
 use super::counters::{Class, RawCounters};
 use super::proof::Method;
-use super::request::{ReadRequest, WriteFunction, exception_name, values, write_pdu};
+use super::request::{ReadRequest, WriteFunction, exception_name, registers, values, write_pdu};
 use super::wire::Wire;
 
 /// Bytes kept while a reply is awaited; a line that babbles beyond loses its oldest.
@@ -36,6 +36,8 @@ pub(super) struct Sent {
 /// A blocking Modbus client for raw registers.
 pub struct RawClient {
     pub(super) name: String,
+    /// Settings of a serial line, for messages; empty over a network.
+    pub(super) line: String,
     wire: Wire,
     pub(super) kind: FrameKind,
     unit: u8,
@@ -78,6 +80,7 @@ impl RawClient {
         let [.., high, low] = std::process::id().to_be_bytes();
         Self {
             name,
+            line: String::new(),
             wire,
             kind,
             unit,
@@ -138,7 +141,13 @@ impl RawClient {
     /// [`RawClient::vouch`] can say.
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
         self.in_step()?;
-        let what = || format!("read {} registers at {}", request.count, request.address);
+        let what = || {
+            format!(
+                "read {} at {}",
+                registers(request.count.into()),
+                request.address
+            )
+        };
         let pdu = request.pdu();
         self.transact(&pdu, request.count, self.timeout, what)?;
         self.known = Some(request);
@@ -153,7 +162,7 @@ impl RawClient {
         values: &[u16],
     ) -> Result<(), LinkError> {
         self.in_step()?;
-        let what = || format!("write {} registers at {address}", values.len());
+        let what = || format!("write {} at {address}", registers(values.len()));
         let pdu = write_pdu(function, address, values);
         self.transact(&pdu, 0, self.timeout, what)
     }
@@ -399,7 +408,7 @@ impl RawClient {
         let only_echo = self.received == self.expected.request;
         let answer = if bytes == 0 || only_echo {
             let deadline_ms = u64::try_from(timeout.as_millis()).unwrap_or(u64::MAX);
-            let request = what.to_owned();
+            let request = format!("{what} of unit {}{}", self.unit, self.line);
             (
                 Class::Timeout,
                 LinkError::Timeout {

@@ -6,27 +6,26 @@
 //! client.rs  drain -> [suspect? proof.rs] -> gap -> write -> ppoll, read until reply.rs finds the one reply
 //!    |                                                 |
 //! wire.rs   serial port or TCP, non-blocking        counters.rs   every request in exactly one class
-//! budget.rs what a line can carry (arithmetic)      request.rs    bytes of the PDU
+//!                                                   request.rs    bytes of the PDU
+//! who.rs    what a unit says about itself
 //! ```
 
 mod batch;
-mod budget;
 mod client;
 mod counters;
 mod proof;
 mod request;
 #[cfg(test)]
 mod tests;
+mod who;
 mod wire;
 
-use std::num::NonZeroU64;
 use std::time::Duration;
 
 pub use batch::{Batch, Read, read_batch};
-pub use budget::{LoopRates, MeasuredLine, standard_gap_s};
 pub use client::RawClient;
 pub use counters::RawCounters;
-pub use request::{MOST_READ, MOST_WRITTEN, ReadRequest, WriteFunction};
+pub use request::{MOST_READ, MOST_WRITTEN, ReadRequest, WriteFunction, registers};
 
 use super::link::{Identity, LinkError};
 use super::modbus::RegisterTable;
@@ -35,6 +34,7 @@ use super::profile::Framing;
 use super::reply::FrameKind;
 use super::tap::TapFile;
 use super::timeline::identity;
+use super::timing::standard_gap_s;
 use firmware_protocol::registers::{IDENTITY_ADDRESS, IDENTITY_WORDS};
 use wire::Wire;
 
@@ -64,11 +64,14 @@ impl RawClient {
     ) -> Result<Self, LinkError> {
         let name = target.to_string();
         // The kernel may put off the end of a sleep by 50 us to save wake-ups; where it refuses, gaps are a little longer.
-        let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
+        #[cfg(target_os = "linux")]
+        let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+        let mut line = String::new();
         let (wire, kind, unit, gap) = match target {
             Target::Serial { path, baud, unit } => {
                 let baud = baud.unwrap_or(settings.baud);
                 let wire = Wire::serial(path, baud, settings.framing)?;
+                line = format!(" at {baud} {}", settings.framing.name());
                 let standard = standard_gap_s(baud, settings.framing);
                 let gap = settings
                     .gap
@@ -86,15 +89,9 @@ impl RawClient {
             None => file.rtu(),
         });
         let unit = unit.unwrap_or(settings.unit);
-        Ok(Self::new(
-            name,
-            wire,
-            kind,
-            unit,
-            settings.timeout,
-            gap,
-            tap,
-        ))
+        let mut client = Self::new(name, wire, kind, unit, settings.timeout, gap, tap);
+        client.line = line;
+        Ok(client)
     }
 
     /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.

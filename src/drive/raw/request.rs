@@ -62,6 +62,11 @@ pub(super) fn write_pdu(function: WriteFunction, address: u16, values: &[u16]) -
     pdu
 }
 
+/// `1 register`, `2 registers`.
+pub fn registers(count: usize) -> String {
+    format!("{count} register{}", if count == 1 { "" } else { "s" })
+}
+
 pub(super) fn exception_name(code: u8) -> &'static str {
     match code {
         1 => "illegal function",
@@ -99,5 +104,6 @@ mod tests {
         );
         assert_eq!(values(&[3, 4, 0, 6, 0xFF, 5]), [6, 0xFF05]);
         assert_eq!(values(&[]), [0_u16; 0]);
+        assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
     }
 }

@@ -186,6 +186,8 @@ pub struct Traits {
     pub update_ms: Option<f64>,
     pub basis: Option<super::schema::Basis>,
     pub side: Option<Side>,
+    /// By which an electrical frequency was divided.
+    pub pole_pairs: Option<u8>,
     pub trust: Option<Trust>,
     pub note: Option<String>,
 }
@@ -194,6 +196,8 @@ pub struct Traits {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     pub name: String,
+    /// Line of the profile in which it begins.
+    pub line: usize,
     pub location: Location,
     pub numbers: Numbers,
     pub quantity: Quantity,
@@ -225,6 +229,8 @@ pub enum StoppedOnly {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetPoint {
     pub name: String,
+    /// Line of the profile in which it begins.
+    pub line: usize,
     pub location: Location,
     /// 6 or 16.
     pub function: u8,
@@ -257,11 +263,22 @@ pub struct Condition {
     pub pattern: u32,
     /// The bits must differ from the pattern.
     pub negated: bool,
+    /// Line of the profile in which it stands.
+    pub line: usize,
 }
 
 impl Condition {
     pub const fn holds(&self, pattern: u32) -> bool {
         (pattern & self.mask == self.pattern) != self.negated
+    }
+
+    /// What is expected of the signal, and where the profile says so.
+    pub fn expected(&self) -> String {
+        let not = if self.negated { "other than " } else { "" };
+        format!(
+            "expected {not}{:#06x} under mask {:#06x}, line {} of the profile",
+            self.pattern, self.mask, self.line
+        )
     }
 }
 
@@ -403,6 +420,8 @@ pub struct RegisterMap {
     pub state: BTreeMap<String, Condition>,
     /// Names of states that no register tells, with the reason.
     pub untold: BTreeMap<String, String>,
+    /// What the numbers of the fault code mean.
+    pub fault_codes: BTreeMap<u16, String>,
     pub watchdog: Supervision,
     /// Current of the field below which the motor would run away, A.
     pub field_min_a: Option<f64>,

@@ -13,7 +13,7 @@ use std::ops::Range;
 
 use self::profile::profile_of;
 use super::address::{Base, Formula, Written, resolve};
-use super::facts::{Commands, DeviceKind, PollRate, Quantity, RegisterMap};
+use super::facts::{Commands, DeviceKind, PollRate, Quantity, RegisterMap, Signal, Unit};
 use super::schema::ProfileFile;
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::drive::profile::DriveProfile;
@@ -73,6 +73,7 @@ impl Reader<'_> {
             commands: Commands::default(),
             state: BTreeMap::new(),
             untold: BTreeMap::new(),
+            fault_codes: self.fault_codes(&file.fault_codes)?,
             watchdog: self.watchdog(&file.watchdog)?,
             field_min_a: file.limits.field_min_a,
             rates: *file.rates.get_ref(),
@@ -110,8 +111,8 @@ impl Reader<'_> {
         map.commands = Commands {
             enable: self.steps(&file.commands.enable, &map)?,
             stop: self.steps(&file.commands.stop, &map)?,
-            coast: self.steps(&file.commands.coast, &map)?,
-            reset: self.steps(&file.commands.reset, &map)?,
+            coast: self.declared("coast", file.commands.coast.as_deref(), &map)?,
+            reset: self.declared("reset", file.commands.reset.as_deref(), &map)?,
             quickstop: self.steps(&file.commands.quickstop, &map)?,
         };
         let profile = profile_of(file, &map);
@@ -237,6 +238,9 @@ impl Reader<'_> {
                     return Err(self.at(&reason.span(), "", message));
                 }
                 (None, None) if RegisterMap::REQUIRED.contains(&channel) => {
+                    if let Some(error) = self.no_channel(file, key, map) {
+                        return Err(error);
+                    }
                     return Err(self.whole(
                         "[signals",
                         format!("{key} is neither mapped nor declared missing (expected a signal, or {key} = \"why\" in [missing])"),
@@ -246,6 +250,29 @@ impl Reader<'_> {
             }
         }
         Ok(())
+    }
+
+    /// A signal of the right quantity whose unit does not lead to the channel.
+    fn no_channel(&self, file: &ProfileFile, key: &str, map: &RegisterMap) -> Option<ConfigError> {
+        let would_be = |signal: &&Signal| match signal.quantity {
+            Quantity::Current => key == Channel::Current.key(),
+            Quantity::Voltage => key == Channel::Voltage.key(),
+            Quantity::ShaftSpeed | Quantity::OutputSpeed => key == Channel::Speed.key(),
+            _ => false,
+        };
+        let signal = map.signals.iter().find(would_be)?;
+        let (unit, expected) = match signal.numbers.unit {
+            Unit::Hertz => (
+                "Hz without pole_pairs",
+                "pole_pairs of the motor, for an electrical frequency",
+            ),
+            unit => (unit.name(), "a scale to an SI unit or rpm"),
+        };
+        let message = format!(
+            "signal {}: in {unit} it is no {key}, which is neither mapped nor declared missing (expected {expected}; or {key} = \"why\" in [missing])",
+            signal.name
+        );
+        Some(self.at(&file.signals[&signal.name].span(), "unit", message))
     }
 
     /// Names that lead from one part to another, and lengths against the drive's limits.
@@ -383,6 +410,11 @@ impl Reader<'_> {
             })
             .map_or(span.start, |(at, _)| span.start + at);
         ConfigError::at(self.file, self.text, offset, message, HELP)
+    }
+
+    /// The line in which a part begins, from 1.
+    fn line(&self, span: &Range<usize>) -> usize {
+        1 + self.text[..span.start].matches('\n').count()
     }
 
     /// The text from a header on.

@@ -24,6 +24,17 @@ pub enum Basis {
     Instantaneous,
 }
 
+impl Basis {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rms => "rms",
+            Self::Peak => "peak",
+            Self::Mean => "mean",
+            Self::Instantaneous => "instantaneous",
+        }
+    }
+}
+
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ProfileFile {
@@ -39,6 +50,9 @@ pub(super) struct ProfileFile {
     pub(super) setpoints: BTreeMap<String, Spanned<SetPointKeys>>,
     pub(super) commands: CommandKeys,
     pub(super) state: BTreeMap<String, Spanned<ConditionKeys>>,
+    /// What the numbers of the fault code mean, where the manual tells.
+    #[serde(default)]
+    pub(super) fault_codes: BTreeMap<String, String>,
     pub(super) watchdog: Spanned<WatchdogKeys>,
     #[serde(default)]
     pub(super) limits: LimitKeys,
@@ -167,10 +181,9 @@ pub(super) struct SetPointKeys {
 pub(super) struct CommandKeys {
     pub(super) enable: Vec<Spanned<StepKeys>>,
     pub(super) stop: Vec<Spanned<StepKeys>>,
-    #[serde(default)]
-    pub(super) coast: Vec<Spanned<StepKeys>>,
-    #[serde(default)]
-    pub(super) reset: Vec<Spanned<StepKeys>>,
+    /// Empty where the drive has none; left out it is an error, so that it is not forgotten.
+    pub(super) coast: Option<Vec<Spanned<StepKeys>>>,
+    pub(super) reset: Option<Vec<Spanned<StepKeys>>>,
     #[serde(default)]
     pub(super) quickstop: Vec<Spanned<StepKeys>>,
 }
@@ -227,6 +240,8 @@ pub(super) struct WatchdogTime {
     pub(super) parameter: Option<String>,
     /// What one raw unit is, ms.
     pub(super) unit_ms: f64,
+    /// What the drive takes, ms; default: all that the register holds.
+    pub(super) range_ms: Option<[f64; 2]>,
 }
 
 #[derive(Debug, Default, Deserialize)]

@@ -186,7 +186,7 @@ fn wrong(name: &str, from: &str, to: &str) -> (String, String) {
 }
 
 /// Profile, what is exchanged, the message or its help, and what stands at the place of the error.
-const DEFECTS: [(&str, &str, &str, &str, &str); 19] = [
+const DEFECTS: [(&str, &str, &str, &str, &str); 31] = [
     (
         "siemens-v20",
         "poll = \"fast\"",
@@ -314,6 +314,90 @@ const DEFECTS: [(&str, &str, &str, &str, &str); 19] = [
         "quadrants",
     ),
     ("epulse50-dc", "unit = 1\n", "unit = 300\n", "", "300"),
+    (
+        "epulse50-dc",
+        "{ write = \"speed_ref\", value = 0 }",
+        "{ write = \"speed_ref\", value = 900 }",
+        "value 900 rpm would move the motor: speed_ref is a speed (expected 0;",
+        "value = 900",
+    ),
+    (
+        "roboteq-dc",
+        "reset = [{ write = \"power_ref\", value = 0 }",
+        "reset = [{ write = \"power_ref\", value = -1 }",
+        "value -1 % would move the motor",
+        "value = -1",
+    ),
+    (
+        "epulse50-dc",
+        "unit = \"rpm\"",
+        "unit = \"V\"",
+        "unit \"V\" does not fit quantity \"shaft_speed\" (expected rpm, rad/s, Hz or %)",
+        "unit = \"V\"",
+    ),
+    (
+        "epulse50-dc",
+        "unit = \"rpm\"\nquantity = \"speed\"",
+        "unit = \"A\"\nquantity = \"speed\"",
+        "setpoint speed_ref: unit \"A\" does not fit quantity \"speed\"",
+        "unit = \"A\"",
+    ),
+    (
+        "epulse50-dc",
+        "unit = \"A\"\n",
+        "",
+        "quantity \"current\" needs a unit (expected A or %)",
+        "quantity = \"current\"",
+    ),
+    (
+        "epulse50-dc",
+        "quantity = \"shaft_speed\"",
+        "quantity = \"speed\"",
+        "expected \"shaft_speed\" with a sensor on the shaft",
+        "quantity = \"speed\"",
+    ),
+    (
+        "epulse50-dc",
+        "quantity = \"speed\"",
+        "quantity = \"shaft_speed\"",
+        "is one of signals (expected \"speed\")",
+        "quantity = \"shaft_speed\"",
+    ),
+    (
+        "epulse50-dc",
+        "unit = \"rpm\"\nquantity = \"shaft_speed\"",
+        "unit = \"Hz\"\nquantity = \"shaft_speed\"",
+        "in Hz without pole_pairs it is no speed_rad_s",
+        "unit = \"Hz\"",
+    ),
+    (
+        "siemens-v20",
+        "set_ms = 1000.0",
+        "set_ms = 100000.0",
+        "set_ms 100000 is not allowed (expected 1 to 65535, which the register takes in steps of 1 ms)",
+        "set_ms",
+    ),
+    (
+        "siemens-v20",
+        "unit_ms = 1.0",
+        "unit_ms = 1.0, range_ms = [50, 900]",
+        "set_ms 1000 is not allowed (expected 50 to 900",
+        "set_ms",
+    ),
+    (
+        "siemens-v20",
+        "\nreset = [",
+        "\nquickstop = [",
+        "the command reset is missing: without it no fault can be cleared over the bus",
+        "[commands]",
+    ),
+    (
+        "siemens-v20",
+        "\ncoast = [",
+        "\nquickstop = [",
+        "the command coast is missing: it is tried where stop fails",
+        "[commands]",
+    ),
 ];
 
 #[test]
@@ -341,6 +425,15 @@ fn what_is_neither_mapped_nor_missing_is_an_error() {
     );
     let (told, _) = wrong("siemens-v20", "running = {", "sto = {");
     assert!(told.contains("state running is neither"), "{told}");
+}
+
+#[test]
+fn a_command_that_a_drive_does_not_have_may_be_declared_empty() {
+    let text = DriveProfile::text("siemens-v20").unwrap();
+    let (before, rest) = text.split_once("\ncoast = [").unwrap();
+    let (_, after) = rest.split_once('\n').unwrap();
+    let map = RegisterMap::parse("x", &format!("{before}\ncoast = []\n{after}")).unwrap();
+    assert!(map.commands.coast.is_empty() && !map.commands.reset.is_empty());
 }
 
 #[test]

@@ -17,7 +17,7 @@ use std::io::{self, BufWriter, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -47,6 +47,8 @@ pub struct TapFile {
     sender: SyncSender<Message>,
     writer: Option<JoinHandle<io::Result<()>>>,
     lost: Arc<AtomicU64>,
+    /// The file has its header: it gets one, however many links are tapped.
+    is_begun: AtomicBool,
     /// Wall clock at a moment of the monotonic one.
     wall: Duration,
     origin: Instant,
@@ -68,6 +70,7 @@ impl TapFile {
             sender,
             writer: Some(writer),
             lost: Arc::default(),
+            is_begun: AtomicBool::new(false),
             wall: wall.duration_since(UNIX_EPOCH).unwrap_or_default(),
             origin: now(),
         })
@@ -95,7 +98,10 @@ impl TapFile {
             received: Received::new(splitting),
             conversation,
         };
-        tap.queue(file_header(link_type));
+        // A port that is opened again, as in a scan, goes on with the same file.
+        if !self.is_begun.swap(true, Ordering::Relaxed) {
+            tap.queue(file_header(link_type));
+        }
         tap
     }
 
@@ -273,6 +279,7 @@ mod tests {
             sender,
             writer: Some(writer),
             lost: Arc::default(),
+            is_begun: AtomicBool::new(false),
             wall: Duration::ZERO,
             origin: now(),
         };

@@ -14,11 +14,15 @@ pub(super) struct Capture {
     samples: Vec<CaptureSample>,
     first_tick: u64,
     next_tick: u64,
+    /// Voltage since the sample before: its sum over the ticks, and how many.
+    volts: f64,
+    ticks: u32,
 }
 
 impl Capture {
     pub(super) fn control(&mut self, control: CaptureControl, tick: u64) {
         self.samples.clear();
+        (self.volts, self.ticks) = (0.0, 0);
         self.state = match control {
             CaptureControl::Abort => CaptureState::Empty,
             CaptureControl::Arm => CaptureState::Armed,
@@ -32,7 +36,23 @@ impl Capture {
         if matches!(self.state, CaptureState::Armed) {
             self.state = CaptureState::Recording;
             self.next_tick = 0;
+            (self.volts, self.ticks) = (0.0, 0);
         }
+    }
+
+    /// The armature stood at this voltage for one tick more.
+    pub(super) fn held(&mut self, voltage_v: f64) {
+        self.volts += voltage_v;
+        self.ticks += 1;
+    }
+
+    /// Mean voltage since the last call; `None` where no time has passed.
+    pub(super) fn mean_voltage_v(&mut self) -> Option<f64> {
+        let (volts, ticks) = (
+            std::mem::take(&mut self.volts),
+            std::mem::take(&mut self.ticks),
+        );
+        (ticks > 0).then(|| volts / f64::from(ticks))
     }
 
     /// Whether a sample is to be recorded at `tick`; if so, the next one is due `period` ticks later.

@@ -4,6 +4,7 @@
 //! command block --> [ state machine ] --> [ output stage: loops, limits ] --> terminals --> [ truth ]
 //! watchdog, trips --^                                                                         |
 //! telemetry, capture <------------------------- sensors <-------------------------------------+
+//! surroundings.rs: a supply that takes nothing back, a brake on the shaft
 //! encoder.rs breaks speed and angle where a fault says so
 //! latecomer.rs holds set-points back where a hidden delay is at work
 //! registers.rs and stream.rs show all of it on the two protocols
@@ -15,6 +16,7 @@ mod latecomer;
 mod output;
 mod registers;
 mod stream;
+mod surroundings;
 
 use firmware_protocol::{
     CommandBlock, Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State,
@@ -24,6 +26,7 @@ use firmware_protocol::{
 use self::capture::Capture;
 use self::encoder::Encoder;
 use self::output::{Output, OutputStage};
+use self::surroundings::Surroundings;
 use super::config::EmulatorConfig;
 use super::truth::effect::{Site, TrueParameter};
 use super::truth::{MotorTruth, Plant, Reading, Sensors};
@@ -49,6 +52,7 @@ pub struct SoftDrive {
     plant: Plant,
     sensors: Sensors,
     encoder: Encoder,
+    surroundings: Surroundings,
     output_stage: OutputStage,
     output: Output,
     /// The output of this tick is decided already.
@@ -106,6 +110,7 @@ impl SoftDrive {
             sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), chance)
                 .behind(path, TICK_S),
             encoder: Encoder::new(config.faults),
+            surroundings: Surroundings::new(config),
             output_stage: OutputStage::new(&config.limits, &config.motor, &path),
             output: Output::off(config.limits.output_off, config.limits.bus_v),
             output_fresh: false,
@@ -223,8 +228,13 @@ impl SoftDrive {
         if !std::mem::take(&mut self.output_fresh) {
             self.refresh_output();
         }
+        self.plant.brake(self.surroundings.holds());
         self.plant.advance(self.output.terminals, TICK_S);
+        let power_w = self.plant.terminal_v() * self.plant.current_a();
+        let is_running = self.state == State::Running;
+        self.surroundings.step(TICK_S, is_running, power_w);
         self.tick += 1;
+        self.capture.held(self.plant.terminal_v());
         self.sensors
             .follow(self.plant.current_a(), self.plant.speed_rad_s());
         self.record();
@@ -307,18 +317,25 @@ impl SoftDrive {
 
     fn record(&mut self) {
         if self.capture.is_due(self.tick, CAPTURE_TICKS.into()) {
-            let reading = self.reading();
+            // The mean, so that its volt-seconds are right whenever a command came.
+            let mean_v = self.capture.mean_voltage_v();
+            let reading = self.reading_at(mean_v.unwrap_or(self.plant.terminal_v()));
             self.capture.record(self.tick, &reading);
         }
     }
 
     fn reading(&mut self) -> Reading {
+        self.reading_at(self.plant.terminal_v())
+    }
+
+    /// What the sensors show with this voltage.
+    fn reading_at(&mut self, voltage_v: f64) -> Reading {
         let truth = Reading {
-            voltage_v: self.plant.terminal_v(),
+            voltage_v,
             current_a: self.plant.current_a(),
             speed_rad_s: self.plant.speed_rad_s(),
             angle_rad: self.plant.angle_rad(),
-            bus_v: self.plant.bus_v(),
+            bus_v: self.plant.bus_v() + self.surroundings.rise_v(),
         };
         let reading = self.sensors.read(self.tick, truth);
         self.encoder.read(self.plant.time_s(), reading)

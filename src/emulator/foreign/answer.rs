@@ -5,6 +5,7 @@ use firmware_protocol::modbus::{
 };
 
 use super::ForeignDrive;
+use super::identity::plate;
 use crate::drive::{KickedBy, RegisterTable};
 
 type Answer = Result<Vec<u8>, Exception>;
@@ -15,6 +16,9 @@ impl ForeignDrive {
         let Some((&function, data)) = request.split_first() else {
             return Vec::new();
         };
+        if let Some(code) = self.refusing {
+            return vec![function | 0x80, code];
+        }
         let answer = if self.map.functions.contains(&function) {
             self.execute(function, data, request)
         } else {
@@ -61,7 +65,7 @@ impl ForeignDrive {
             _ => {
                 // Diagnosis and identification are the same for everyone.
                 let mut response = [0; MAX_PDU];
-                let length = respond(&mut Plate(&self.map.device.name), request, &mut response);
+                let length = respond(&mut Plate(plate(&self.map)), request, &mut response);
                 Ok(response[..length].to_vec())
             }
         }
@@ -152,10 +156,10 @@ const fn word(high: u8, low: u8) -> u16 {
     u16::from_be_bytes([high, low])
 }
 
-/// The type plate for function code 43: it says that this is software.
-struct Plate<'a>(&'a str);
+/// The type plate for function code 43.
+struct Plate(Vec<(u8, String)>);
 
-impl RegisterBank for Plate<'_> {
+impl RegisterBank for Plate {
     fn read(&mut self, _: u16, _: &mut [u16]) -> Result<(), Exception> {
         Err(Exception::IllegalAddress)
     }
@@ -165,11 +169,7 @@ impl RegisterBank for Plate<'_> {
     }
 
     fn identification(&self, object: u8) -> Option<&str> {
-        match object {
-            0 => Some("drivebench emulator"),
-            1 => Some(self.0),
-            2 => Some(env!("CARGO_PKG_VERSION")),
-            _ => None,
-        }
+        let known = self.0.iter().find(|(known, _)| *known == object)?;
+        Some(&known.1)
     }
 }

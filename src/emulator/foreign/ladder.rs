@@ -26,6 +26,8 @@ struct Word {
 }
 
 pub(super) struct Ladder {
+    /// What the status shows before the first word.
+    at_rest: Vec<Condition>,
     rungs: Vec<Rung>,
     stops: Vec<Word>,
     coasts: Vec<Word>,
@@ -37,6 +39,7 @@ pub(super) struct Ladder {
 impl Ladder {
     pub(super) fn new(map: &RegisterMap) -> Self {
         let mut rungs: Vec<Rung> = Vec::new();
+        let mut at_rest = Vec::new();
         for step in &map.commands.enable {
             match (step, words(map, std::slice::from_ref(step)).pop()) {
                 (_, Some(word)) => rungs.push(Rung {
@@ -46,6 +49,8 @@ impl Ladder {
                 (Step::Wait { condition, .. }, None) => {
                     if let Some(rung) = rungs.last_mut() {
                         rung.shows.push(condition.clone());
+                    } else if is_shown_at_rest(map, condition) {
+                        at_rest.push(condition.clone());
                     }
                 }
                 _ => {}
@@ -69,6 +74,7 @@ impl Ladder {
             resets = all.last().cloned().into_iter().collect();
         }
         Self {
+            at_rest,
             rungs,
             stops,
             coasts,
@@ -80,6 +86,16 @@ impl Ladder {
 
     pub(super) const fn is_running(&self) -> bool {
         self.reached == self.rungs.len()
+    }
+
+    /// Neither enabled in part nor coming to rest.
+    pub(super) const fn is_at_rest(&self) -> bool {
+        self.reached == 0 && !self.ramping
+    }
+
+    /// While it comes to rest a drive still reports that it runs.
+    pub(super) const fn shows_running(&self) -> bool {
+        (self.is_running() && !self.rungs.is_empty()) || self.ramping
     }
 
     /// Ramps down, as after a stop command.
@@ -159,19 +175,29 @@ impl Ladder {
 
     /// Bits of a signal that the rungs show.
     pub(super) fn shown(&self, signal: &str) -> u32 {
-        // While it comes to rest a drive still reports that it runs.
-        let reached = if self.ramping {
+        let reached = if self.shows_running() {
             self.rungs.len()
         } else {
             self.reached
         };
-        let shows = self.rungs[..reached].iter().flat_map(|rung| &rung.shows);
-        shows
+        let climbed = self.rungs[..reached].iter().flat_map(|rung| &rung.shows);
+        self.at_rest
+            .iter()
+            .chain(climbed)
             .filter(|condition| condition.signal == signal)
             .fold(0, |bits, condition| {
                 (bits & !condition.mask) | condition.pattern
             })
     }
+}
+
+/// Whether a drive that does not run and is not in fault can show this, as one that is ready does.
+fn is_shown_at_rest(map: &RegisterMap, condition: &Condition) -> bool {
+    ["running", "fault", "comm_loss", "local", "sto"]
+        .into_iter()
+        .filter_map(|name| map.state(name))
+        .filter(|state| state.signal == condition.signal && state.mask & condition.mask != 0)
+        .all(|state| !state.holds(condition.pattern))
 }
 
 /// The words that steps write; references are none.

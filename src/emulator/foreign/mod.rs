@@ -11,6 +11,7 @@
 
 mod answer;
 mod bus;
+mod identity;
 mod ladder;
 mod words;
 
@@ -26,6 +27,7 @@ use super::truth::MotorTruth;
 use super::{EmulatorConfig, SoftDrive};
 use crate::drive::register_map::{Expiry, Quantity, RegisterMap, SetPoint, SupervisionKind, Unit};
 use crate::drive::{DriveProfile, KickedBy, RegisterTable};
+use crate::sample::Hindrance;
 
 /// The drive is looked after once in this time, s.
 const STEP_S: f64 = 0.005;
@@ -79,8 +81,15 @@ pub struct ForeignDrive {
     kicked_s: f64,
     fault: Option<Cause>,
     field_lost: bool,
+    field_lost_from_s: Option<f64>,
     /// Stopped by the watchdog, until the next command.
     lapsed: bool,
+    /// Why it does not follow the bus.
+    hindrance: Option<Hindrance>,
+    /// Every request is refused with this exception.
+    refusing: Option<u8>,
+    switched_on_s: f64,
+    as_set_s: f64,
     seq: u16,
 }
 
@@ -111,10 +120,15 @@ impl ForeignDrive {
             forced: BTreeMap::new(),
             ignored: None,
             watchdog_s,
+            as_set_s: watchdog_s,
             kicked_s: 0.0,
             fault: None,
             field_lost: false,
+            field_lost_from_s: config.faults.field_lost_from_s,
             lapsed: false,
+            hindrance: None,
+            refusing: None,
+            switched_on_s: 0.0,
             seq: 0,
         }
     }
@@ -140,6 +154,52 @@ impl ForeignDrive {
 
     pub const fn lose_field(&mut self) {
         self.field_lost = true;
+    }
+
+    fn has_no_field(&self) -> bool {
+        let gone = |from_s: f64| self.is_running() && self.soft.plant().time_s() >= from_s;
+        self.field_lost || self.field_lost_from_s.is_some_and(gone)
+    }
+
+    /// Somebody stops it at its keypad and keeps the command, or gives it back.
+    pub const fn take_local(&mut self, local: bool) {
+        self.hindrance = if local {
+            self.ladder.stop();
+            Some(Hindrance::LocalControl)
+        } else {
+            None
+        };
+    }
+
+    /// Opens or closes its enable circuit (safe torque off).
+    pub const fn switch_torque_off(&mut self, off: bool) {
+        self.hindrance = if off {
+            self.ladder.fall();
+            Some(Hindrance::TorqueOff)
+        } else {
+            None
+        };
+    }
+
+    /// Refuses every request with this exception; `None`: answers again.
+    pub const fn refuse(&mut self, code: Option<u8>) {
+        self.refusing = code;
+    }
+
+    /// Supply off and on again: what was written is forgotten, a fault as well.
+    pub fn switch_on_again(&mut self) {
+        self.written.clear();
+        self.ladder.fall();
+        self.fault = None;
+        self.lapsed = false;
+        self.watchdog_s = self.as_set_s;
+        self.switched_on_s = self.soft.time_s();
+    }
+
+    /// What was written to a set-point last, raw; `None`: nothing since it was switched on.
+    pub fn told_last(&self, set_point: &str) -> Option<u16> {
+        let point = self.map.set_point(set_point)?;
+        self.written.get(&point.location.address).copied()
     }
 
     /// Lets a signal show these bits whatever is true; `None`: as it is again.
@@ -172,7 +232,7 @@ impl ForeignDrive {
         }
         let now_s = self.soft.time_s();
         let watchdog = &self.map.watchdog;
-        let blind = now_s < watchdog.boot_delay_s || self.watchdog_s <= 0.0;
+        let blind = now_s - self.switched_on_s < watchdog.boot_delay_s || self.watchdog_s <= 0.0;
         if blind || !self.ladder.is_running() || self.lapsed {
             return;
         }
@@ -292,6 +352,10 @@ impl ForeignDrive {
             self.kick(KickedBy::Command);
             self.lapsed = false;
             if !point.is_word() {
+                continue;
+            }
+            // Words of the bus mean nothing meanwhile.
+            if self.hindrance.is_some() {
                 continue;
             }
             let Some(number) = self.value(point) else {

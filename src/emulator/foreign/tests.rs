@@ -1,5 +1,8 @@
 //! Every profile commissioned against its emulated drive, in virtual time, as far as its signals allow.
 
+mod states;
+mod trial;
+
 use super::*;
 use crate::drive::{DriveLink, LinkError, ProfiledLink, RegisterBus};
 use crate::emulator::VirtualClock;
@@ -258,7 +261,7 @@ fn a_status_that_never_comes_names_the_step_and_the_drive_is_stopped() {
     else {
         panic!("{error}");
     };
-    assert_eq!((*command, *step), ("enable", 5));
+    assert_eq!((*command, *step), ("enable", 4));
     assert!(
         reason.starts_with("not switched on: status is 0x0021 after 1 s"),
         "{reason}"
@@ -407,8 +410,8 @@ fn a_lost_field_is_a_trip() {
 fn a_profile_for_another_drive_is_refused_before_anything_is_written() {
     let identity = "\n[[identity]]\nsignal = \"speed_scaling\"\nwithin = [500, 2000]\n\n[rates]";
     let host = profile_with("abb-efb", &[("\n[rates]", identity)]);
-    // The emulated motor is rated 2800 rpm.
-    let mut table = Table::of(&host, None);
+    // The emulated motor is rated 2800 rpm, and its profile does not ask who it is.
+    let mut table = Table::mixed(&host, &profile_with("abb-efb", &[]), None);
     let error = table.link.identify().unwrap_err();
     assert!(error.to_string().contains("this is not ABB"), "{error}");
     // The registers of one make do not exist at another.

@@ -4,7 +4,8 @@ use std::f64::consts::{SQRT_2, TAU};
 
 use super::{Cause, FIELD_A, ForeignDrive};
 use crate::drive::RegisterTable;
-use crate::drive::register_map::{Byte, Kind, Layout, Order, Quantity, Signal, Unit};
+use crate::drive::register_map::{Byte, Condition, Kind, Layout, Order, Quantity, Signal, Unit};
+use crate::sample::Hindrance;
 use crate::units::{rad_s_from_rpm, rpm_from_rad_s};
 
 /// Fault code of every trip.
@@ -56,7 +57,7 @@ pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
     clippy::cast_sign_loss,
     reason = "casts of a float saturate, as the registers of a drive do"
 )]
-fn bits(kind: Kind, raw: f64) -> u32 {
+pub(super) fn bits(kind: Kind, raw: f64) -> u32 {
     let raw_whole = raw.round();
     match kind {
         Kind::U16 => (raw_whole.abs() as u16).into(),
@@ -64,6 +65,29 @@ fn bits(kind: Kind, raw: f64) -> u32 {
         Kind::U32 => raw_whole.abs() as u32,
         Kind::I32 => u32::from_be_bytes((raw_whole as i32).to_be_bytes()),
         Kind::F32 => (raw as f32).to_bits(),
+    }
+}
+
+/// The raw number in the bits of a type.
+pub(super) fn number_of(kind: Kind, bits: u32) -> f64 {
+    let [b3, b2, b1, b0] = bits.to_be_bytes();
+    match kind {
+        Kind::U16 => u16::from_be_bytes([b1, b0]).into(),
+        Kind::I16 => i16::from_be_bytes([b1, b0]).into(),
+        Kind::U32 => bits.into(),
+        Kind::I32 => i32::from_be_bytes([b3, b2, b1, b0]).into(),
+        Kind::F32 => f32::from_bits(bits).into(),
+    }
+}
+
+/// The word in which a condition holds, or does not.
+const fn shown_so(word: u32, condition: &Condition, holds: bool) -> u32 {
+    let told = (word & !condition.mask) | condition.pattern;
+    if holds == condition.negated {
+        // The lowest bit of the mask is enough to be another pattern.
+        told ^ (condition.mask & condition.mask.wrapping_neg())
+    } else {
+        told
     }
 }
 
@@ -142,7 +166,7 @@ impl ForeignDrive {
             return *forced;
         }
         let told = self.told(&signal.name);
-        match signal.quantity {
+        let natural = match signal.quantity {
             Quantity::Status => told,
             Quantity::FaultCode if self.fault.is_some() => {
                 bits(signal.location.layout.kind, FAULT_CODE)
@@ -154,7 +178,8 @@ impl ForeignDrive {
                 let raw = (value - signal.numbers.offset) / (signal.numbers.scale * factor);
                 bits(signal.location.layout.kind, raw)
             }
-        }
+        };
+        self.as_asked(signal, natural)
     }
 
     /// Status bits: the rungs of the enable command, and the states that the profile knows.
@@ -171,10 +196,26 @@ impl ForeignDrive {
                 word |= fault.pattern;
             }
         }
+        if self.ladder.shows_running()
+            && self.fault.is_none()
+            && let Some(running) = state("running").filter(|condition| !condition.holds(word))
+        {
+            word = shown_so(word, running, true);
+        }
         if self.fault == Some(Cause::CommunicationLoss)
             && let Some(lost) = state("comm_loss")
         {
             word = (word & !lost.mask) | lost.pattern;
+        }
+        let local = self.hindrance == Some(Hindrance::LocalControl);
+        for (name, holds) in [
+            ("local", local),
+            ("remote", !local),
+            ("sto", self.hindrance == Some(Hindrance::TorqueOff)),
+        ] {
+            if let Some(condition) = state(name) {
+                word = shown_so(word, condition, holds);
+            }
         }
         word
     }
@@ -182,13 +223,18 @@ impl ForeignDrive {
     /// Product of nameplate values that others are scaled with.
     pub(super) fn factor(&self, scale_by: &[String]) -> f64 {
         let plate = &self.plate;
-        let value =
-            |name: &String| match self.map.signal(name).map(|s| (s.quantity, s.numbers.unit)) {
-                Some((Quantity::RatedCurrent, _)) => plate.rated_current_a,
-                Some((Quantity::RatedVoltage, _)) => plate.rated_voltage_v,
-                Some((Quantity::RatedSpeed, unit)) => in_unit(plate.rated_speed_rad_s, unit, None),
+        let value = |name: &String| {
+            let Some(signal) = self.map.signal(name) else {
+                return 1.0;
+            };
+            let natural = match signal.quantity {
+                Quantity::RatedCurrent => plate.rated_current_a,
+                Quantity::RatedVoltage => plate.rated_voltage_v,
+                Quantity::RatedSpeed => in_unit(plate.rated_speed_rad_s, signal.numbers.unit, None),
                 _ => 1.0,
             };
+            self.factor_as_asked(signal, natural)
+        };
         scale_by.iter().map(value).product()
     }
 
@@ -210,7 +256,7 @@ impl ForeignDrive {
             Quantity::Torque => plate.torque_constant() * sensed.current_a,
             Quantity::Power => 1e-3 * sensed.voltage_v * sensed.current_a,
             Quantity::Duty => 100.0 * sensed.voltage_cmd_v / limit_v,
-            Quantity::FieldCurrent if self.field_lost => 0.0,
+            Quantity::FieldCurrent if self.has_no_field() => 0.0,
             Quantity::FieldCurrent => FIELD_A,
             Quantity::Angle => sensed.angle_rad,
             Quantity::Temperature => 25.0,

@@ -80,6 +80,7 @@ impl State {
 }
 
 /// The true machine. Its state changes only through [`Plant::advance`].
+#[expect(clippy::struct_excessive_bools, reason = "each is a fault of its own")]
 pub struct Plant {
     motor: MotorTruth,
     effects: Vec<Box<dyn Mechanism>>,
@@ -95,6 +96,7 @@ pub struct Plant {
     load_motion: Motion,
     terminal_v: f64,
     is_locked: bool,
+    is_braked: bool,
     is_open: bool,
     changes: Changes,
 }
@@ -130,6 +132,7 @@ impl Plant {
             load_motion: Motion::Stuck,
             terminal_v: 0.0,
             is_locked: false,
+            is_braked: false,
             is_open: false,
             changes: Changes::new(Vec::new()),
         }
@@ -147,6 +150,14 @@ impl Plant {
     pub const fn broken(mut self, is_locked: bool, is_open: bool) -> Self {
         (self.is_locked, self.is_open) = (is_locked, is_open);
         self
+    }
+
+    /// A brake holds the shaft from now on, or lets it go: it is stronger than whatever turns.
+    pub const fn brake(&mut self, holds: bool) {
+        self.is_braked = holds;
+        if holds {
+            (self.state.w, self.motion) = (0.0, Motion::Stuck);
+        }
     }
 
     /// The drive has been started: events and drifts count from here.
@@ -298,7 +309,11 @@ impl Plant {
         };
         let start = self.state;
         let end = self.rk4(start, circuit, 0.0, step_s);
-        if give_up || self.is_locked || (excess(start) <= 0.0 && excess(end) <= 0.0) {
+        if give_up
+            || self.is_locked
+            || self.is_braked
+            || (excess(start) <= 0.0 && excess(end) <= 0.0)
+        {
             self.state = end;
             self.has_rested = true;
             return step_s;

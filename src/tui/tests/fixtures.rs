@@ -128,6 +128,7 @@ pub(super) fn running() -> Snapshot {
             },
         ],
         trip: None,
+        reopening: None,
         outcome: None,
     }
 }

@@ -4,6 +4,7 @@ use insta::assert_snapshot;
 use ratatui::style::{Color, Modifier};
 
 use super::fixtures::{done, hardware, missing, model, running, terminal, text, tripped, workflow};
+use crate::bench::Phase;
 use crate::tui::model::{Model, Screen};
 use crate::tui::update::Event;
 use crate::tui::worker::WorkerState;
@@ -26,6 +27,24 @@ fn trips_and_ends() {
     assert_snapshot!("tripped_80x24", text(&model(tripped()), 80, 24));
     assert_snapshot!("tripped_40x10", text(&finished(model(tripped())), 40, 10));
     assert_snapshot!("done_80x24", text(&finished(model(done())), 80, 24));
+}
+
+#[test]
+fn a_lost_link_tells_how_the_search_goes_and_what_came_of_it() {
+    let mut lost = running();
+    lost.phase = Some(Phase::LinkLost);
+    lost.outcome = Some("link_lost");
+    lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
+    for (width, height) in [(80, 24), (120, 40), (40, 10)] {
+        let shown = text(&model(lost.clone()), width, height);
+        assert!(shown.contains("LINK LOST"), "{shown}");
+        assert!(shown.contains("reopening (attempt 3)…"), "{shown}");
+    }
+    lost.phase = Some(Phase::Safe);
+    lost.reopening = Some("x: the same drive is back, stop confirmed".to_owned());
+    let shown = text(&finished(model(lost)), 80, 24);
+    assert!(shown.contains(" SAFE "), "{shown}");
+    assert!(shown.contains("stop confirmed. q = quit."), "{shown}");
 }
 
 #[test]

@@ -27,6 +27,20 @@ impl Banner {
                 theme::ALARM,
             ));
         }
+        if let Some(text) = &snapshot.reopening {
+            let safe = snapshot.phase == Some(Phase::Safe);
+            let (title, style) = if safe {
+                ("SAFE", theme::CAREFUL)
+            } else {
+                ("LINK LOST", theme::ALARM)
+            };
+            let end = if model.is_finished() {
+                " q = quit."
+            } else {
+                ""
+            };
+            return Some(Self::new(title, format!("{text}.{end}"), style));
+        }
         if let Some(trip) = &snapshot.trip {
             return Some(Self::new(
                 "SAFETY TRIP",

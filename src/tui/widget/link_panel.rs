@@ -45,7 +45,10 @@ pub(crate) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
         Some(error) => Line::styled(format!("NOT RECORDED: {error}"), theme::BAD),
         None => Line::raw(format!("rows {} recorded", snapshot.rows)),
     });
-    if inner.height < lines.len() as u16 {
+    if let Some(text) = &snapshot.reopening {
+        lines.insert(0, Line::styled(text.clone(), theme::CAREFUL));
+    }
+    if snapshot.reopening.is_none() && inner.height < lines.len() as u16 {
         // What was not recorded matters more than what was late.
         lines.rotate_right(1);
     }

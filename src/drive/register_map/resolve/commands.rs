@@ -1,10 +1,13 @@
 //! Identity checks, states and the steps of commands: what refers to signals and set-points by name.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use toml::Spanned;
 
-use super::super::facts::{Condition, IdentityCheck, IdentityTest, PollRate, RegisterMap, Step};
+use super::super::facts::{
+    Condition, IdentityCheck, IdentityTest, PollRate, RegisterMap, SetPoint, Step,
+};
 use super::super::schema::{ConditionKeys, IdentityKeys, StepKeys};
 use super::Reader;
 use crate::config_text::ConfigError;
@@ -101,7 +104,27 @@ impl Reader<'_> {
             mask,
             pattern,
             negated,
+            line: self.line(span),
         })
+    }
+
+    pub(super) fn fault_codes(
+        &self,
+        texts: &BTreeMap<String, String>,
+    ) -> Result<BTreeMap<u16, String>, ConfigError> {
+        let number = |text: &str| match text.strip_prefix("0x") {
+            Some(digits) => u16::from_str_radix(digits, 16),
+            None => text.parse(),
+        };
+        let codes = texts.iter().map(|(code, text)| {
+            let code = number(code).map_err(|_| {
+                let message =
+                    format!("{code:?} is no fault code (expected 0 to 65535, or 0x0000 to 0xffff)");
+                self.at(&self.part("[fault_codes"), code, message)
+            })?;
+            Ok((code, text.clone()))
+        });
+        codes.collect()
     }
 
     pub(super) fn steps(
@@ -110,6 +133,26 @@ impl Reader<'_> {
         map: &RegisterMap,
     ) -> Result<Vec<Step>, ConfigError> {
         steps.iter().map(|step| self.step(step, map)).collect()
+    }
+
+    /// The steps of a command that may be empty, but not be forgotten.
+    pub(super) fn declared(
+        &self,
+        name: &str,
+        steps: Option<&[Spanned<StepKeys>]>,
+        map: &RegisterMap,
+    ) -> Result<Vec<Step>, ConfigError> {
+        let Some(steps) = steps else {
+            let why = match name {
+                "coast" => "it is tried where stop fails",
+                _ => "without it no fault can be cleared over the bus",
+            };
+            return Err(self.whole(
+                "[commands]",
+                format!("the command {name} is missing: {why} (expected its steps; or {name} = [] if the drive has none)"),
+            ));
+        };
+        self.steps(steps, map)
     }
 
     pub(super) fn step(
@@ -129,6 +172,9 @@ impl Reader<'_> {
                 });
                 if !fits {
                     return Err(self.at(&span, "value", format!("value {value} does not fit the type of {name}")));
+                }
+                if let Some(reason) = point.and_then(|point| not_by_command(point, value)) {
+                    return Err(self.at(&span, "value", reason));
                 }
                 let mask = keys.mask.map(u16::try_from).transpose();
                 let mask = mask.map_err(|_| self.at(&span, "mask", "a mask for writing has 16 bits".to_owned()))?;
@@ -155,4 +201,25 @@ impl Reader<'_> {
             _ => Err(self.at(&span, "", "a step is one of { write, value }, { wait, mask, equals, within_ms } and { delay_ms }".to_owned())),
         }
     }
+}
+
+/// Why a command must not write this value: the bench gives references, a command only takes them back.
+fn not_by_command(point: &SetPoint, value: f64) -> Option<String> {
+    if point.is_word() || value == 0.0 {
+        return None;
+    }
+    let (name, unit) = (&point.name, point.numbers.unit.name());
+    let value_text = format!("{value} {unit}");
+    let value_text = value_text.trim_end();
+    if point.quantity.moves() {
+        return Some(format!(
+            "value {value_text} would move the motor: {name} is a {} (expected 0; a value is in the setpoint's unit, not raw)",
+            point.quantity.name()
+        ));
+    }
+    let [low, high] = point.limits?;
+    let low = if point.sign.is_some() { -high } else { low };
+    (!(low..=high).contains(&value)).then(|| {
+        format!("value {value_text} is outside of the limits of {name} (expected {low} to {high} {unit}, not raw)")
+    })
 }

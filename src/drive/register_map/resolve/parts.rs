@@ -7,7 +7,7 @@ use super::super::facts::{
     Location, Numbers, Quantity, SetPoint, Sign, Signal, Supervision, Traits, Unit, channel_of,
     demand_si,
 };
-use super::super::schema::{SetPointKeys, SignalKeys, WatchdogKeys};
+use super::super::schema::{SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
 use super::super::value::{Kind, Layout};
 use super::Reader;
 use crate::config_text::ConfigError;
@@ -22,6 +22,12 @@ impl Reader<'_> {
         let (keys, span) = (spanned.get_ref(), spanned.span());
         let wrong =
             |key: &str, message: String| self.at(&span, key, format!("signal {name}: {message}"));
+        if let Some(reason) = keys.quantity.not_read() {
+            return Err(wrong("quantity", reason));
+        }
+        if let Some((key, reason)) = keys.quantity.misfit(keys.unit) {
+            return Err(wrong(key, reason));
+        }
         let found =
             resolve(keys.written(), self.base, self.formula).map_err(|r| wrong("address", r))?;
         let usual = if self.functions.contains(&3) { 3 } else { 4 };
@@ -70,6 +76,7 @@ impl Reader<'_> {
         }
         Ok(Signal {
             name: name.to_owned(),
+            line: self.line(&span),
             location: Location {
                 table,
                 address: found.address,
@@ -95,6 +102,7 @@ impl Reader<'_> {
                 update_ms: keys.update_ms,
                 basis: keys.basis,
                 side: keys.side,
+                pole_pairs: keys.pole_pairs,
                 trust: keys.trust,
                 note: keys.note.clone(),
             },
@@ -131,6 +139,12 @@ impl Reader<'_> {
         let (keys, span) = (spanned.get_ref(), spanned.span());
         let wrong =
             |key: &str, message: String| self.at(&span, key, format!("setpoint {name}: {message}"));
+        if let Some(reason) = keys.quantity.not_written() {
+            return Err(wrong("quantity", reason));
+        }
+        if let Some((key, reason)) = keys.quantity.misfit(keys.unit) {
+            return Err(wrong(key, reason));
+        }
         let found =
             resolve(keys.written(), self.base, self.formula).map_err(|r| wrong("address", r))?;
         if found.is_input == Some(true) {
@@ -199,6 +213,7 @@ impl Reader<'_> {
         }
         Ok(SetPoint {
             name: name.to_owned(),
+            line: self.line(&span),
             location: Location {
                 table: RegisterTable::Holding,
                 address: found.address,
@@ -235,11 +250,21 @@ impl Reader<'_> {
             Some(time) => {
                 let found = resolve(time.written(), self.base, self.formula)
                     .map_err(|r| wrong("time", r))?;
+                if !(time.unit_ms.is_finite() && time.unit_ms > 0.0) {
+                    let message = format!(
+                        "unit_ms {} is not allowed (expected more than 0)",
+                        time.unit_ms
+                    );
+                    return Err(wrong("time", message));
+                }
                 let location = Location {
                     table: RegisterTable::Holding,
                     address: found.address,
                     layout: Layout::plain(Kind::U16),
                 };
+                if let Some(set_ms) = keys.set_ms {
+                    time_fits(set_ms, time, location.layout).map_err(|r| wrong("set_ms", r))?;
+                }
                 Some((location, time.unit_ms * 1e-3))
             }
         };
@@ -272,6 +297,21 @@ impl Reader<'_> {
             note: keys.note.clone(),
         })
     }
+}
+
+/// Whether the register of the watchdog's time takes this one, ms.
+fn time_fits(set_ms: f64, time: &WatchdogTime, layout: Layout) -> Result<(), String> {
+    let [low, high] = time
+        .range_ms
+        .unwrap_or([time.unit_ms, f64::from(u16::MAX) * time.unit_ms]);
+    let fits = layout.encode(set_ms / time.unit_ms).is_some() && set_ms > 0.0;
+    if fits && (low..=high).contains(&set_ms) {
+        return Ok(());
+    }
+    Err(format!(
+        "set_ms {set_ms} is not allowed (expected {low} to {high}, which the register takes in steps of {} ms)",
+        time.unit_ms
+    ))
 }
 
 /// `"3..5"` within `width` bits.

@@ -32,6 +32,7 @@ pub(super) fn profile_of(file: &ProfileFile, map: &RegisterMap) -> DriveProfile 
             reply_ms: link.reply_ms,
             gap_us: link.gap_us,
             deadline_ms: link.deadline_ms,
+            emulated: false,
         },
         capabilities: Capabilities {
             voltage_command: able(Quantity::Voltage),

@@ -1,0 +1,43 @@
+//! When a burst pays, and where in the sequence.
+
+use super::bench_file::BenchFile;
+use super::limits::Nameplate;
+use crate::excitation::Segment;
+
+/// The part of the sequence, from 1, whose first command should start a burst capture: the first in which the voltage
+/// jumps. `None` where the loop itself sees the transient, its period being no longer than L/R, or where nothing jumps.
+pub fn burst_part(bench: &BenchFile, motor: &Nameplate) -> Option<usize> {
+    let period_s = 1.0 / bench.link.rate_hz;
+    if period_s <= motor.inductance_h / motor.resistance_ohm {
+        return None;
+    }
+    let jumps = |segment: &Segment| {
+        matches!(
+            segment,
+            Segment::Steps(_) | Segment::Staircase(_) | Segment::Prbs(_)
+        )
+    };
+    bench
+        .sequence
+        .iter()
+        .position(jumps)
+        .map(|segment| segment + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_burst_pays_where_the_loop_is_slower_than_the_current() {
+        let mut bench = BenchFile::embedded_default();
+        let motor = bench.nameplate().unwrap();
+        // L/R is 9 ms, the period 10 ms; the first part stands still.
+        assert_eq!(burst_part(&bench, &motor), Some(2));
+        bench.link.rate_hz = 200.0;
+        assert_eq!(burst_part(&bench, &motor), None);
+        bench.link.rate_hz = 10.0;
+        bench.sequence.truncate(1);
+        assert_eq!(burst_part(&bench, &motor), None);
+    }
+}

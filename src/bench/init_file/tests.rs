@@ -1,0 +1,336 @@
+use super::*;
+use crate::bench::limits::Nameplate;
+
+fn plate() -> MotorSection {
+    (&Nameplate::zk_22fc()).into()
+}
+
+fn told() -> Told {
+    Told {
+        is_offline: false,
+        who: "a test".to_owned(),
+        current_limit_a: Some(9.0),
+        voltage_limit_v: Some(120.0),
+        bus_v: Some(120.0),
+        watchdog_s: Some(0.5),
+    }
+}
+
+fn request<'a>(profile: &'a DriveProfile, motor: &'a MotorSection, told: Told) -> InitRequest<'a> {
+    InitRequest {
+        profile,
+        drive: &profile.name,
+        port: "/dev/ttyUSB0",
+        port_reason: "",
+        motor,
+        motor_file: "motor.toml",
+        told,
+    }
+}
+
+fn made(profile: &str, motor: &MotorSection, told: Told) -> Result<InitFile, InitError> {
+    let profile = DriveProfile::named(profile).unwrap();
+    init_file(&request(&profile, motor, told))
+}
+
+fn reason<'a>(file: &'a InitFile, key: &str) -> &'a Reasoned {
+    file.reasons
+        .iter()
+        .find(|reason| reason.key == key)
+        .unwrap()
+}
+
+#[test]
+fn every_limit_stands_with_its_value_and_its_reason() {
+    let file = made("own", &plate(), told()).unwrap();
+    let current = reason(&file, "limits.current_a");
+    assert_eq!(current.value, Some(9.0));
+    assert_eq!(
+        current.reason,
+        "smaller of 2.0 x rated current 5.7 A (nameplate) and the drive's own limit 9 A (read back)"
+    );
+    let limits = file.bench.limits();
+    assert!((limits.speed_rad_s - 366.5).abs() < 1e-9);
+    assert!((limits.voltage_v - 110.0).abs() < 1e-9);
+    assert_eq!(
+        (limits.bus_min_v, limits.bus_max_v),
+        (Some(96.0), Some(150.0))
+    );
+    assert!((limits.link_silence_s - 0.45).abs() < 1e-9);
+    for key in [
+        "current_a",
+        "speed_rad_s",
+        "voltage_v",
+        "slew_v_per_s",
+        "time_s",
+        "link_silence_s",
+    ] {
+        let reason = reason(&file, &format!("limits.{key}"));
+        assert!(
+            reason.value.is_some() && reason.reason.len() > 20,
+            "{reason:?}"
+        );
+        assert!(
+            file.text
+                .lines()
+                .any(|line| line.starts_with(&format!("{key} = "))),
+            "{}",
+            file.text
+        );
+    }
+    assert!(
+        file.text
+            .lines()
+            .all(|line| !line.starts_with('#') || line.len() <= 118),
+        "{}",
+        file.text
+    );
+}
+
+#[test]
+fn the_sequence_is_planned_and_stays_below_the_drive_s_own_limit() {
+    let file = made("own", &plate(), told()).unwrap();
+    let plan = file.plan.as_ref().unwrap();
+    assert!(!plan.is_refused());
+    assert!(
+        (3.0..9.0).contains(&plan.peak_current_a),
+        "{} A",
+        plan.peak_current_a
+    );
+    assert!(
+        plan.peak_speed_rad_s > 150.0,
+        "{} rad/s",
+        plan.peak_speed_rad_s
+    );
+    assert!(file.bench.sequence.len() >= 5);
+    assert_eq!(
+        file.next("b.toml"),
+        [
+            "drivebench plan b.toml",
+            "drivebench run b.toml --hardware --headless",
+            "drivebench speed b.toml --hardware --headless"
+        ]
+    );
+}
+
+#[test]
+fn what_was_not_read_back_is_said() {
+    let offline = Told {
+        is_offline: true,
+        ..Told::default()
+    };
+    let file = made("own", &plate(), offline).unwrap();
+    let current = reason(&file, "limits.current_a");
+    assert_eq!(current.value, Some(11.4));
+    assert!(
+        current
+            .reason
+            .ends_with("its own current limit was not read back (--offline)")
+    );
+    assert!(file.bench.limits().bus_max_v.is_none());
+    assert!(file.text.contains("none of its own limits is known here"));
+    assert!(file.text.contains("# bus_min_v: none. "), "{}", file.text);
+    let mute = Told {
+        current_limit_a: None,
+        ..told()
+    };
+    let file = made("own", &plate(), mute).unwrap();
+    assert!(
+        reason(&file, "limits.current_a")
+            .reason
+            .contains("does not tell its own current limit")
+    );
+}
+
+#[test]
+fn an_unknown_motor_is_left_to_be_found() {
+    let mut motor = plate();
+    motor.resistance_ohm = None;
+    let file = made("own", &motor, told()).unwrap();
+    assert!(file.bench.motor.is_unknown() && file.plan.is_none());
+    assert!(file.bench.speed.is_none() && file.bench.limits.slew_v_per_s.is_none());
+    assert!(
+        file.text.contains("# resistance_ohm: none. "),
+        "{}",
+        file.text
+    );
+    assert_eq!(
+        file.next("b.toml"),
+        ["drivebench run b.toml --hardware --headless"]
+    );
+    // A drive that takes no voltage has no small steps.
+    let error = made("epulse50-dc", &motor, told()).unwrap_err();
+    assert!(
+        error.reason.contains("resistance_ohm is left out"),
+        "{}",
+        error.reason
+    );
+}
+
+#[test]
+fn a_drive_without_a_voltage_gets_a_speed_loop_or_the_reason_why_not() {
+    let file = made("epulse50-dc", &plate(), told()).unwrap();
+    assert_eq!(file.purpose, InitUse::SpeedLoop);
+    assert!(
+        file.remarks[0].contains("takes no voltage command"),
+        "{:?}",
+        file.remarks
+    );
+    let speed = file.bench.speed.as_ref().unwrap();
+    assert_eq!(speed.controller.id(), "pi");
+    assert!(speed.drive_lag_s.is_some());
+    assert_eq!(
+        file.next("b.toml"),
+        ["drivebench speed b.toml --hardware --headless"]
+    );
+    let unknown = Told {
+        watchdog_s: None,
+        ..told()
+    };
+    let remarks = made("epulse50-dc", &plate(), unknown).unwrap().remarks;
+    assert!(
+        remarks.iter().any(|r| r.contains("--waive-watchdog")),
+        "{remarks:?}"
+    );
+    // Its reference takes 3000 rpm.
+    assert!(
+        reason(&file, "limits.speed_rad_s")
+            .reason
+            .contains("314.2 rad/s (profile)")
+    );
+    let error = made("siemens-v20", &plate(), told()).unwrap_err();
+    assert!(
+        error.reason.contains("takes no armature voltage")
+            && error.reason.contains("no speed loop"),
+        "{}",
+        error.reason
+    );
+}
+
+#[test]
+fn every_line_gets_a_rate_that_it_carries() {
+    for (profile, least, most) in [
+        ("own", 60.0, 100.0),
+        ("own-stream", 200.0, 500.0),
+        ("epulse50-dc", 10.0, 29.0),
+    ] {
+        let file = made(profile, &plate(), told()).unwrap();
+        let rate_hz = file.bench.link.rate_hz;
+        assert!((least..=most).contains(&rate_hz), "{profile}: {rate_hz} Hz");
+    }
+    let mut slow = DriveProfile::named("own").unwrap();
+    slow.link.baud = 9600;
+    let motor = plate();
+    let file = init_file(&request(&slow, &motor, told())).unwrap();
+    assert!(
+        file.bench.link.rate_hz < 20.0,
+        "{}",
+        file.bench.link.rate_hz
+    );
+}
+
+#[test]
+fn motors_of_other_sizes_get_a_sequence_of_their_own() {
+    let servo = Nameplate {
+        name: "small servo".to_owned(),
+        rated_voltage_v: 24.0,
+        rated_current_a: 3.0,
+        rated_speed_rad_s: 400.0,
+        resistance_ohm: 0.6,
+        inductance_h: 0.0004,
+        back_emf_v_s_per_rad: 0.05,
+        inertia_kg_m2: 3e-5,
+        load_torque_n_m: 0.01,
+    };
+    let big = Nameplate {
+        name: "30 kW".to_owned(),
+        rated_voltage_v: 440.0,
+        rated_current_a: 78.0,
+        rated_speed_rad_s: 157.0,
+        resistance_ohm: 0.4,
+        inductance_h: 0.006,
+        back_emf_v_s_per_rad: 2.6,
+        inertia_kg_m2: 0.9,
+        load_torque_n_m: 12.0,
+    };
+    for plate in [servo, big] {
+        let motor = MotorSection::from(&plate);
+        let free = Told {
+            current_limit_a: None,
+            voltage_limit_v: None,
+            bus_v: None,
+            ..told()
+        };
+        let file = made("own", &motor, free).unwrap();
+        let plan = file.plan.as_ref().unwrap();
+        assert!(!plan.is_refused(), "{}: {:?}", plate.name, plan.refusals);
+        assert!(
+            plan.peak_current_ratio > 0.5,
+            "{}: {}",
+            plate.name,
+            plan.peak_current_ratio
+        );
+    }
+}
+
+#[test]
+fn a_plate_that_no_motor_has_is_refused_with_its_file() {
+    let mut motor = plate();
+    motor.rated_current_a = -1.0;
+    let error = made("own", &motor, told()).unwrap_err();
+    assert!(
+        error
+            .reason
+            .starts_with("motor.toml: rated_current_a = -1 is not allowed")
+    );
+}
+
+#[test]
+fn names_and_numbers_are_plain() {
+    assert_eq!(name("ZK-22FC", "own"), "zk-22fc-own");
+    assert_eq!(name("Motor Nr. 7/b", "abb"), "motor-nr-7-b-abb");
+    for (from, to) in [
+        (11.4, 11.4),
+        (366.5, 366.5),
+        (2.0 * 5.7, 11.4),
+        (0.45, 0.45),
+        (123_456.0, 123_400.0),
+    ] {
+        assert!(
+            (short(from) - to).abs() < 1e-9 * to,
+            "{from}: {}",
+            short(from)
+        );
+        assert_eq!(format!("{:?}", short(from)), format!("{to:?}"));
+    }
+}
+
+#[test]
+fn the_host_s_silence_is_compared_with_the_time_that_the_profile_sets() {
+    let mut profile = DriveProfile::named("epulse50-dc").unwrap();
+    let mut map = (*profile.registers.clone().unwrap()).clone();
+    map.watchdog.set_s = Some(0.8);
+    profile.registers = Some(map.into());
+    let silent = Told {
+        watchdog_s: Some(0.0),
+        ..told()
+    };
+    let motor = plate();
+    let file = init_file(&request(&profile, &motor, silent)).unwrap();
+    let silence = reason(&file, "limits.link_silence_s");
+    assert_eq!(silence.value, Some(0.72));
+    assert!(
+        silence.reason.contains("0.8 s (set by the profile"),
+        "{silence:?}"
+    );
+}
+
+#[test]
+fn a_plate_in_revolutions_per_minute_is_remarked_before_anything_else() {
+    let mut motor = plate();
+    motor.rated_speed_rad_s = 2800.0;
+    let file = made("own", &motor, told()).unwrap();
+    let remark = &file.remarks[0];
+    assert!(remark.contains("given in r/min"), "{remark}");
+    assert!(file.text.contains("contradicts itself"), "{}", file.text);
+}

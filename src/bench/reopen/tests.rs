@@ -1,0 +1,259 @@
+use std::sync::mpsc::channel;
+
+use super::*;
+use crate::bench::VirtualClock;
+use crate::bench::testing::{Fault, ScriptedDrive};
+use crate::recording::{Layout, MemoryRecorder};
+
+/// A drive as it comes back, which tells the test what it was asked when it is dropped.
+struct Told {
+    drive: ScriptedDrive,
+    serial_number: &'static str,
+    confirms: bool,
+    asked: std::sync::Arc<std::sync::Mutex<Vec<String>>>,
+}
+
+impl Told {
+    fn note(&self, what: &str) {
+        self.asked.lock().unwrap().push(what.to_owned());
+    }
+}
+
+impl DriveLink for Told {
+    fn name(&self) -> crate::drive::LinkName {
+        self.drive.name()
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.note("identify");
+        let identity = self.drive.identify()?;
+        Ok(Identity {
+            serial_number: self.serial_number.to_owned(),
+            ..identity
+        })
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<crate::sample::Sample, LinkError> {
+        self.note(&format!("{:?}", command.demand));
+        self.drive.exchange(command)
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.note("stop");
+        self.drive.stop()
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.confirms
+    }
+
+    fn statistics(&self) -> crate::drive::LinkStatistics {
+        self.drive.statistics()
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        None
+    }
+}
+
+struct Case {
+    /// The attempt from which on the port can be opened.
+    there_at: u32,
+    serial_number: &'static str,
+    confirms: bool,
+    faults: Vec<(u64, u64, Fault)>,
+    limit_s: Option<f64>,
+    intent: Option<Intent>,
+}
+
+impl Default for Case {
+    fn default() -> Self {
+        Self {
+            there_at: 4,
+            serial_number: "7",
+            confirms: true,
+            faults: Vec::new(),
+            limit_s: Some(10.0),
+            intent: None,
+        }
+    }
+}
+
+struct Outcome {
+    reopened: Reopened,
+    has_link: bool,
+    asked: Vec<String>,
+    events: Vec<serde_json::Value>,
+    shown: std::sync::Arc<crate::bench::Snapshot>,
+}
+
+impl Case {
+    fn go(self) -> Outcome {
+        let mut clock = VirtualClock::new();
+        clock.set_time_s(20.0);
+        let mut recorder = MemoryRecorder::new(Layout::plain(&[]));
+        let interrupted = AtomicBool::new(false);
+        let (sender, intents) = channel();
+        if let Some(intent) = self.intent.clone() {
+            sender.send(intent).unwrap();
+        }
+        let snapshots = SnapshotCell::default();
+        let before = Identity {
+            vendor: "drivebench".to_owned(),
+            product: "script".to_owned(),
+            serial_number: "7".to_owned(),
+            is_emulator: true,
+            watchdog_s: Some(0.3),
+            ..Identity::default()
+        };
+        let options = ReopenOptions {
+            link: "/dev/serial/by-id/x",
+            before: &before,
+            end: RunEnd {
+                drive_minus_host_s: -5.0,
+                last_reply_s: 19.9,
+            },
+            seq: 900,
+            limit_s: self.limit_s,
+            seed: 1,
+        };
+        let asked = std::sync::Arc::<std::sync::Mutex<Vec<String>>>::default();
+        let mut tries = 0;
+        let (reopened, link) = reopen(
+            ReopenBench {
+                clock: &mut clock,
+                recorder: &mut recorder,
+                interrupted: &interrupted,
+                intents: &intents,
+                snapshots: &snapshots,
+            },
+            &options,
+            &mut || {
+                tries += 1;
+                if tries < self.there_at {
+                    return Err(LinkError::Open {
+                        link: "x".to_owned(),
+                        reason: "it does not exist".to_owned(),
+                    });
+                }
+                let mut drive = ScriptedDrive::new(0.01);
+                drive.faults.extend(self.faults.iter().cloned());
+                Ok(Box::new(Told {
+                    drive,
+                    serial_number: self.serial_number,
+                    confirms: self.confirms,
+                    asked: std::sync::Arc::clone(&asked),
+                }))
+            },
+        );
+        recorder.finish();
+        let events = recorder.events_jsonl();
+        let events = events.lines().map(|l| serde_json::from_str(l).unwrap());
+        let asked = asked.lock().unwrap().clone();
+        Outcome {
+            reopened,
+            has_link: link.is_some(),
+            asked,
+            events: events.collect(),
+            shown: snapshots.latest(),
+        }
+    }
+}
+
+#[test]
+fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
+    let done = Case::default().go();
+    assert_eq!(done.reopened.ending, ReopenEnding::Stopped);
+    assert!(done.has_link && done.reopened.is_safe());
+    assert_eq!(done.reopened.attempts, 4);
+    assert_eq!(done.asked, ["identify", "stop", "Disable"]);
+    // 50, 100, 200 and 400 ms, each up to a quarter off, after the reply 0.1 s before.
+    let downtime_s = done.reopened.downtime_s;
+    assert!((0.6..1.2).contains(&downtime_s), "{downtime_s}");
+    assert_eq!(done.reopened.state, Some("disabled"));
+    let kinds: Vec<_> = done.events.iter().map(|e| &e["event"]).collect();
+    // The same reason three times is one event.
+    assert_eq!(kinds, ["link_lost", "reopen_failed", "reopened"]);
+    assert_eq!(done.events[0]["watchdog_s"], 0.3);
+    assert_eq!(done.events[0]["time_s"], 15.0);
+    let last = &done.events[2];
+    assert_eq!(
+        (&last["ending"], &last["identity"]["serial_number"]),
+        (&"stopped".into(), &"7".into())
+    );
+    assert_eq!(done.shown.phase, Some(Phase::Safe));
+    let shown = done.shown.reopening.as_deref().unwrap();
+    assert!(
+        shown.contains("stop confirmed; nothing is armed"),
+        "{shown}"
+    );
+}
+
+#[test]
+fn another_drive_is_only_read() {
+    let done = Case {
+        serial_number: "8",
+        ..Case::default()
+    }
+    .go();
+    assert_eq!(done.reopened.ending, ReopenEnding::AnotherDrive);
+    assert!(!done.has_link);
+    assert_eq!(done.asked, ["identify"]);
+    let text = done.reopened.text;
+    assert!(text.contains("identity mismatch"), "{text}");
+    assert!(text.contains("\"8\", before it was \"7\""), "{text}");
+    assert_ne!(done.shown.phase, Some(Phase::Safe));
+}
+
+#[test]
+fn a_drive_that_does_not_tell_its_state_is_not_said_to_have_stopped() {
+    let done = Case {
+        confirms: false,
+        ..Case::default()
+    }
+    .go();
+    assert_eq!(done.reopened.ending, ReopenEnding::StopUnconfirmed);
+    assert!(!done.reopened.is_safe() && done.reopened.state.is_none());
+    assert!(done.reopened.text.contains("not confirmed"));
+}
+
+#[test]
+fn a_drive_that_never_comes_is_given_up_after_the_time_and_one_that_is_mute_as_well() {
+    let absent = Case {
+        there_at: u32::MAX,
+        limit_s: Some(3.0),
+        ..Case::default()
+    }
+    .go();
+    assert_eq!(absent.reopened.ending, ReopenEnding::GivenUp);
+    assert!((1.5..=3.2).contains(&absent.reopened.downtime_s));
+    assert!(absent.reopened.text.contains("it does not exist"));
+    let mute = Case {
+        faults: vec![(0, u64::MAX, Fault::Timeout)],
+        ..Case::default()
+    }
+    .go();
+    assert_eq!(mute.reopened.ending, ReopenEnding::GivenUp);
+    assert!(!mute.has_link);
+    let off = Case {
+        limit_s: Some(0.0),
+        ..Case::default()
+    }
+    .go();
+    assert_eq!((off.reopened.attempts, off.asked.len()), (0, 0));
+}
+
+#[test]
+fn whoever_wants_to_leave_does_not_wait() {
+    for intent in [Intent::Stop, Intent::Quit] {
+        let done = Case {
+            there_at: u32::MAX,
+            limit_s: None,
+            intent: Some(intent),
+            ..Case::default()
+        }
+        .go();
+        assert_eq!(done.reopened.ending, ReopenEnding::Interrupted);
+        assert!(done.reopened.downtime_s < 0.2);
+    }
+}

@@ -1,0 +1,94 @@
+//! A drive that says that it is busy is asked less often until it answers again. Pure: host time goes in.
+
+use super::link::LinkError;
+use super::reopen::Backoff;
+
+/// Shortest and longest pause, s: all of them are shorter than the silence that ends a run.
+const FIRST_PAUSE_S: f64 = 0.005;
+const LONGEST_PAUSE_S: f64 = 0.08;
+
+/// Exceptions with which a device says that it cannot answer now: failure, acknowledge, busy, and those of a gateway
+/// (Modbus Application Protocol 1.1b3, 7).
+const fn is_busy(code: u8) -> bool {
+    matches!(code, 0x04..=0x06 | 0x0A | 0x0B)
+}
+
+/// What the drive said last, and until when it is left alone.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Patience {
+    pause: Option<(Backoff, f64)>,
+    said: Option<(String, String, u8, &'static str)>,
+}
+
+impl Patience {
+    /// Whether it may be asked at `now_s`; else what it said.
+    pub(super) fn check(&self, now_s: f64) -> Result<(), LinkError> {
+        match (&self.pause, &self.said) {
+            (Some((_, until_s)), Some((link, request, code, name))) if now_s < *until_s => {
+                Err(LinkError::Exception {
+                    link: link.clone(),
+                    request: request.clone(),
+                    code: *code,
+                    name,
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// What came of a question that ended at `now_s`.
+    pub(super) fn note<T>(&mut self, now_s: f64, result: &Result<T, LinkError>) {
+        match result {
+            Err(LinkError::Exception {
+                link,
+                request,
+                code,
+                name,
+            }) if is_busy(*code) => {
+                let seed = u64::from(*code);
+                let fresh = || Backoff::between(FIRST_PAUSE_S, LONGEST_PAUSE_S, seed);
+                let (mut backoff, _) = self.pause.take().unwrap_or_else(|| (fresh(), now_s));
+                let until_s = now_s + backoff.pause_s();
+                self.pause = Some((backoff, until_s));
+                self.said = Some((link.clone(), request.clone(), *code, name));
+            }
+            Ok(_) => *self = Self::default(),
+            Err(_) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(code: u8) -> Result<(), LinkError> {
+        Err(LinkError::Exception {
+            link: "x".to_owned(),
+            request: "read".to_owned(),
+            code,
+            name: "busy",
+        })
+    }
+
+    #[test]
+    fn a_busy_drive_is_asked_less_and_less_often_until_it_answers() {
+        let mut patience = Patience::default();
+        let mut now_s = 0.0;
+        let mut asked = Vec::new();
+        while now_s < 1.0 {
+            if patience.check(now_s).is_ok() {
+                asked.push(now_s);
+                patience.note(now_s, &refused(6));
+            }
+            now_s += 0.001;
+        }
+        let gaps: Vec<f64> = asked.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(gaps[0] < 0.008, "{gaps:?}");
+        assert!((0.06..0.102).contains(gaps.last().unwrap()), "{gaps:?}");
+        assert!(asked.len() < 25, "{}", asked.len());
+        patience.note(now_s, &Ok(()));
+        patience.note(now_s, &refused(2));
+        assert!(patience.check(now_s).is_ok(), "02 is no busy drive");
+    }
+}

@@ -1,0 +1,60 @@
+//! Read-only talk with a drive: who it is, what every mapped signal reads, whether that is a drive at rest, and how else
+//! the registers could be read. Nothing is written: function codes 03, 04, 08 and 43, and the questions of the stream.
+//!
+//! ```text
+//! RawClient -> mapped.rs (a profile's registers) --> register_map::Picture -> what fits, other decodings --.
+//!           '> own.rs (our own map) -------------> telemetry, identity -------------------------------------> ProbeReport
+//! StreamLink -^                                                                                   report.rs
+//! ```
+
+mod mapped;
+mod own;
+mod report;
+
+pub use report::{ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, six_digits};
+
+use super::link::LinkError;
+use super::profile::DriveProfile;
+use super::raw::RawClient;
+use super::stream::StreamLink;
+
+/// How much is asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProbeDepth {
+    /// What the profile maps, and no more: enough to tell whether the profile may be this drive's.
+    Readings,
+    /// Also what lies beside it where something does not fit, and what the unit says of itself.
+    Whole,
+}
+
+/// Looks at a drive over Modbus with a profile.
+///
+/// # Errors
+/// Nothing answers, or the port is gone. A drive that refuses registers, or is another one, is no error but the verdict.
+pub fn probe(
+    client: &mut RawClient,
+    profile: &DriveProfile,
+    depth: ProbeDepth,
+) -> Result<ProbeReport, LinkError> {
+    let mut report = match &profile.registers {
+        Some(map) => mapped::probe(client, profile, map, depth)?,
+        None => own::probe(client, profile)?,
+    };
+    if depth == ProbeDepth::Whole {
+        report.names = client.names()?;
+        report.answers_function_8 = client.sends_back()?;
+    }
+    report.counters = Some(client.counters());
+    Ok(report)
+}
+
+/// Looks at our own drive over its stream.
+///
+/// # Errors
+/// As [`probe`].
+pub fn probe_stream(
+    link: &mut StreamLink,
+    profile: &DriveProfile,
+) -> Result<ProbeReport, LinkError> {
+    own::probe_stream(link, profile)
+}

@@ -1,0 +1,169 @@
+//! What a drive does beside following: its keypad, its safe torque off, a lost supply, refusals, no word on its state.
+
+use super::*;
+
+const RUNNING: &str = "[state]\n";
+/// The servo amplifier with the two states on further bits of its status word, and a fault on a fourth.
+const WITH_STATES: &str = "[state]\n\
+    remote = { signal = \"enabled\", mask = 0x02, equals = 0x02 }\n\
+    sto = { signal = \"enabled\", mask = 0x04, not_equals = 0x00 }\n";
+
+fn table() -> Table {
+    Table::of(
+        &profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]),
+        None,
+    )
+}
+
+const REFERENCE: Option<(&str, f64)> = Some(("speed_ref", 400.0));
+
+#[test]
+fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_point() {
+    let mut table = table();
+    table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    let sample = table.hold(REFERENCE, 0.5);
+    assert_eq!(sample.hindrance, None);
+    table.far().take_local(true);
+    let sample = table.run(REFERENCE).unwrap();
+    assert_eq!(sample.hindrance, Some(Hindrance::LocalControl));
+    // From here on whoever asks for a run gets nothing written, and is told why.
+    for _ in 0..50 {
+        let _ = table.run(REFERENCE);
+        assert_eq!(table.far().told_last("speed_ref"), Some(0));
+        assert_eq!(table.far().told_last("enable_word"), Some(0));
+    }
+    let error = table.run(REFERENCE).unwrap_err().to_string();
+    assert!(error.contains("under local control"), "{error}");
+    // Given back it runs only after somebody asked for zero first.
+    table.far().take_local(false);
+    for _ in 0..20 {
+        let sample = table.run(REFERENCE).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+    }
+    table.demand(Demand::Disable).unwrap();
+    table.enable(REFERENCE);
+}
+
+#[test]
+fn safe_torque_off_refuses_the_start_and_ends_a_run() {
+    let mut table = table();
+    table.far().switch_torque_off(true);
+    table.link.identify().unwrap();
+    let rest = table.demand(Demand::Disable).unwrap();
+    assert_eq!(rest.hindrance, Some(Hindrance::TorqueOff));
+    let error = table.run(REFERENCE).unwrap_err().to_string();
+    assert!(error.contains("safe torque off (STO) is active"), "{error}");
+    assert_eq!(table.far().told_last("enable_word"), None);
+    table.far().switch_torque_off(false);
+    table.demand(Demand::Disable).unwrap();
+    table.enable(REFERENCE);
+    table.far().switch_torque_off(true);
+    let sample = table.run(REFERENCE).unwrap();
+    assert_eq!(sample.hindrance, Some(Hindrance::TorqueOff));
+    assert_ne!(sample.state, Some(DriveState::Running));
+    assert_eq!(table.far().told_last("enable_word"), Some(0));
+}
+
+#[test]
+fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
+    let mut table = table();
+    table.link.identify().unwrap();
+    table.far().refuse(Some(2));
+    let error = table.demand(Demand::Disable).unwrap_err();
+    let text = error.to_string();
+    assert!(matches!(error, LinkError::Exception { code: 2, .. }));
+    let profile = DriveProfile::text("epulse50-dc").unwrap();
+    let line = 1 + profile
+        .lines()
+        .position(|line| line.starts_with("[signals.enabled]"))
+        .unwrap();
+    assert!(
+        text.contains(&format!("profile epulse50-dc: enabled in line {line}")),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_busy_drive_is_asked_less_often_keeps_its_set_point_and_is_stopped_at_once_when_asked() {
+    let mut table = table();
+    table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 0.5);
+    table.period_s = 0.01;
+    table.far().refuse(Some(6));
+    let before = table.link.statistics().exception;
+    for _ in 0..100 {
+        let error = table.run(REFERENCE).unwrap_err();
+        assert!(matches!(error, LinkError::Exception { code: 6, .. }));
+    }
+    let asked = table.link.statistics().exception - before;
+    assert!((5..40).contains(&asked), "{asked} in 100 cycles");
+    assert!(table.far().is_running());
+    // A stop does not wait for the pause, and goes on where the drive answers again.
+    table.far().refuse(None);
+    table.demand(Demand::Stop).unwrap();
+    assert_eq!(table.far().told_last("enable_word"), Some(0));
+}
+
+#[test]
+fn a_drive_whose_supply_was_lost_does_not_resume_and_is_brought_to_rest() {
+    let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
+    let mut table = Table::of(&profile, None);
+    let before = table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 0.5);
+    table.link.bus_mut().lose(u32::MAX);
+    for _ in 0..5 {
+        assert!(table.run(REFERENCE).is_err());
+    }
+    table.far().switch_on_again();
+    table.pass(5.0);
+    table.link.bus_mut().lose(0);
+    // The old link finds it at rest, and does not start it again.
+    for _ in 0..20 {
+        let sample = table.run(REFERENCE).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+        assert!(!table.far().is_running());
+    }
+    assert_eq!(table.link.recognise().unwrap(), before);
+    table.link.bring_to_rest().unwrap();
+    assert_eq!(table.far().told_last("speed_ref"), Some(0));
+    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    assert!(table.link.confirms_stop());
+}
+
+#[test]
+fn recognising_a_drive_writes_nothing_also_where_the_profile_sets_its_watchdog() {
+    for name in DriveProfile::names().filter(|name| *name != "own") {
+        let profile = profile_with(name, &[]);
+        if profile.registers.is_none() {
+            continue;
+        }
+        let mut table = Table::of(&profile, None);
+        table.link.recognise().unwrap();
+        assert!(table.far().written.is_empty(), "{name}");
+        let tells = table.link.map().state("running").is_some();
+        assert_eq!(table.link.confirms_stop(), tells, "{name}");
+    }
+}
+
+#[test]
+fn a_fault_code_is_read_at_once_and_told_in_words() {
+    let profile = profile_with(
+        "schneider-atv312",
+        &[(
+            "[watchdog]",
+            "[fault_codes]\n5 = \"overbraking\"\n\n[watchdog]",
+        )],
+    );
+    let mut table = Table::of(&profile, None);
+    table.link.identify().unwrap();
+    table.enable(Some(("speed_ref", 900.0)));
+    table.far().trip();
+    let sample = table.run(Some(("speed_ref", 900.0))).unwrap();
+    assert_eq!(sample.state, Some(DriveState::Fault));
+    assert_eq!(sample.fault, Some(5));
+    assert_eq!(sample.fault_text.as_deref(), Some("overbraking"));
+    assert_eq!(table.far().told_last("speed_ref"), Some(0));
+}
