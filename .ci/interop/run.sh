@@ -168,8 +168,11 @@ done
 
 # --- our host and our drive, as the bench uses them: function code 23 ------------------------------------------------
 
+# A machine that stands still for half a second ends a run with status 3 or 4, as it must; the frames are there all the same.
+status=0
 "$program" run --headless --port "$work/drive.pty" --out "$work/runs" --tap "$work/run.pcap" --json >"$work/run.json" ||
-    [ "$?" = 4 ] || [ "$?" = 3 ] || fail "a run over the tapped link"
+    status=$?
+case $status in 0 | 3 | 4) ;; *) fail "a run over the tapped link: status $status" ;; esac
 
 # --- what the taps say, read by tshark -------------------------------------------------------------------------------
 
