@@ -6,42 +6,18 @@
 )]
 
 mod desk;
+mod process;
 mod program;
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
 
 use desk::Desk;
-use program::{command, drivebench, line, only_folder};
+use process::Emulator;
+use program::{drivebench, line, only_folder};
 use serde_json::Value;
 
 const PLATE: &str = "bench-configs/motors/zk-22fc.toml";
-
-/// An emulator process; it ends with the test.
-struct Emulator(Child);
-
-impl Emulator {
-    fn start(arguments: &[PathBuf]) -> Self {
-        let mut command = command(arguments);
-        command.stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut process = command.spawn().unwrap();
-        let mut ready = String::new();
-        let mut out = BufReader::new(process.stdout.take().unwrap());
-        out.read_line(&mut ready).unwrap();
-        assert!(ready.starts_with("ready "), "{ready}");
-        Self(process)
-    }
-}
-
-impl Drop for Emulator {
-    fn drop(&mut self) {
-        // Gone already is just as well.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 fn plate() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(PLATE)
@@ -134,10 +110,7 @@ fn a_profile_from_a_file_that_takes_voltages_is_set_up_and_run() {
 fn limits_are_read_from_the_drive_and_only_offline_does_without() {
     let desk = Desk::new();
     let pty = desk.0.path().join("own.pty");
-    let emulator = Emulator::start(&line(
-        "emulate zk-22fc-plain --link modbus-rtu --pty {}",
-        &[&pty],
-    ));
+    let emulator = Emulator::start("emulate zk-22fc-plain --link modbus-rtu --pty {}", &[&pty]);
     let options = "init --drive own --port {} --motor {} --json";
     let made = drivebench(line(options, &[&pty, &plate()]))
         .expect(0)
@@ -181,7 +154,7 @@ fn limits_are_read_from_the_drive_and_only_offline_does_without() {
 fn a_wrong_drive_is_not_believed_and_a_frequency_converter_refused_with_its_reason() {
     let desk = Desk::new();
     let pty = desk.0.path().join("v20.pty");
-    let _emulator = Emulator::start(&line("emulate --profile siemens-v20 --pty {}", &[&pty]));
+    let _emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
     let options = "init --drive own --port {} --motor {}";
     let done = drivebench(line(options, &[&pty, &plate()])).expect(3);
     assert!(done.error().contains("drivebench probe"), "{}", done.stderr);
@@ -243,7 +216,7 @@ fn a_plate_or_an_argument_that_is_wrong_is_named_and_nothing_is_written() {
 fn without_a_screen_hardware_wants_the_word_even_where_init_made_the_file() {
     let desk = Desk::new();
     let (pty, runs) = (desk.0.path().join("epulse.pty"), desk.0.path().join("runs"));
-    let _emulator = Emulator::start(&line("emulate --profile epulse50-dc --pty {}", &[&pty]));
+    let _emulator = Emulator::start("emulate --profile epulse50-dc --pty {}", &[&pty]);
     let file = desk.0.path().join("bench.toml");
     let options = "init --drive epulse50-dc --port {} --motor {} --out {}";
     drivebench(line(options, &[&pty, &plate(), &file])).expect(0);

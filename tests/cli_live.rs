@@ -1,88 +1,21 @@
 //! The real binary against the software drive in a process of its own, over real pseudo-terminals and TCP, in real time.
 #![cfg(target_os = "linux")]
 
+mod process;
 mod program;
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::process::Stdio;
+use std::time::Duration;
 
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
+use process::{Emulator, Process, now, wait_for};
 use program::{Done, command, drivebench, line, only_folder};
 use serde_json::Value;
 use tempfile::TempDir;
 use tokio_modbus::prelude::{Reader, Slave, Writer};
-
-/// Whatever is waited for must have come by then; only a hung program takes so long.
-const PATIENCE: Duration = Duration::from_secs(60);
-const POLL: Duration = Duration::from_millis(20);
-
-#[expect(
-    clippy::disallowed_methods,
-    reason = "these tests run in real time and must end"
-)]
-fn now() -> Instant {
-    Instant::now()
-}
-
-/// Polls until there is something; a loaded machine only takes longer.
-#[track_caller]
-fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let start = now();
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(start.elapsed() < PATIENCE, "waited too long for {what}");
-        sleep(POLL);
-    }
-}
-
-/// A child process that never outlives its test.
-struct Process(Child);
-
-impl Process {
-    fn start(arguments: &[PathBuf]) -> Self {
-        let mut command = command(arguments);
-        command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        Self(command.spawn().expect("the program can be started"))
-    }
-
-    fn signal(&self, signal: Signal) {
-        let id = i32::try_from(self.0.id()).expect("a process id fits");
-        kill(Pid::from_raw(id), signal).expect("the process is ours and still there");
-    }
-
-    /// Waits for the end. What it prints is little, so that the pipes never fill.
-    #[track_caller]
-    fn end(mut self) -> Done {
-        let status = wait_for("the end of a process", || {
-            self.0.try_wait().expect("a child can be waited for")
-        });
-        let mut done = Done {
-            status: status.code().unwrap_or(-1),
-            stdout: String::new(),
-            stderr: String::new(),
-        };
-        if let (Some(mut stdout), Some(mut stderr)) = (self.0.stdout.take(), self.0.stderr.take()) {
-            stdout.read_to_string(&mut done.stdout).expect("text");
-            stderr.read_to_string(&mut done.stderr).expect("text");
-        }
-        done
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Gone already is just as well.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 /// A plain motor behind a drive whose watchdog leaves a loaded machine some time.
 const EMULATOR: &str = r#"
@@ -180,10 +113,9 @@ link_silence_s = 0.7
 /// A drive in its own process, and a folder for bench file and runs.
 struct Lab {
     folder: TempDir,
-    drive: Process,
+    drive: Emulator,
     /// As `--port` takes it.
     port: String,
-    ready: String,
 }
 
 impl Lab {
@@ -191,34 +123,12 @@ impl Lab {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let config = folder.path().join("emulator.toml");
         fs::write(&config, EMULATOR).expect("written");
-        let mut arguments = line(&format!("emulate {{}} --link {link}"), &[&config]);
-        if link == "modbus-tcp" {
-            arguments.extend(line("--listen 127.0.0.1:0", &[]));
-        } else {
-            arguments.extend(line("--pty {}", &[&folder.path().join("drive")]));
-        }
-        let mut drive = Process::start(&arguments);
-        let stdout = drive.0.stdout.as_mut().expect("it is a pipe");
-        let mut ready = String::new();
-        BufReader::new(stdout)
-            .read_line(&mut ready)
-            .expect("a line of text");
-        let words: Vec<&str> = ready.split_whitespace().collect();
-        assert!(
-            words.len() > 2,
-            "{ready:?} is no ready line: {}",
-            drive.0.id()
-        );
-        let port = if link == "modbus-tcp" {
-            format!("tcp:{}", words[2])
-        } else {
-            words[2].to_owned()
-        };
+        let drive = Emulator::on(link, &folder.path().join("drive"), "{}", &[&config]);
+        let port = drive.port();
         Self {
             folder,
             drive,
             port,
-            ready,
         }
     }
 
@@ -323,9 +233,9 @@ const WATCHDOG: u16 = 1;
 fn complete_run(link: &'static str) {
     let lab = Lab::new(link);
     let start = format!("ready {link} ");
-    assert!(lab.ready.starts_with(&start), "{}", lab.ready);
+    assert!(lab.drive.ready.starts_with(&start), "{}", lab.drive.ready);
     for word in ["unit=1", "baud=115200", "profile=own"] {
-        assert!(lab.ready.contains(word), "{}", lab.ready);
+        assert!(lab.drive.ready.contains(word), "{}", lab.drive.ready);
     }
     let bench = BenchFile {
         protocol: link,
@@ -519,9 +429,9 @@ fn an_emulator_ends_quietly_and_takes_its_path_with_it() {
     let mut lab = Lab::new("modbus-rtu");
     let path = PathBuf::from(&lab.port);
     assert!(path.exists());
-    lab.drive.signal(Signal::SIGTERM);
+    lab.drive.process.signal(Signal::SIGTERM);
     let status = wait_for("the end of the emulator", || {
-        lab.drive.0.try_wait().expect("a child")
+        lab.drive.process.0.try_wait().expect("a child")
     });
     assert_eq!(status.code(), Some(0));
     assert!(fs::symlink_metadata(&path).is_err());

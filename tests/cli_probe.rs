@@ -7,59 +7,30 @@
 )]
 
 mod desk;
+mod process;
 mod program;
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
 
 use desk::Desk;
 use drivebench::drive::DriveProfile;
-use program::{Done, command, drivebench, line};
+use process::Emulator;
+use program::{Done, drivebench, line};
 use serde_json::Value;
 
-/// An emulator process; it ends with the test.
-struct Emulator {
-    process: Child,
-    address: String,
+/// On a pseudo-terminal of the desk, as the profile.
+fn emulator_of(desk: &Desk, profile: &str) -> Emulator {
+    let name = format!("{}.pty", profile.replace('/', "-"));
+    let pty = desk.0.path().join(name);
+    let text = "emulate zk-22fc-plain --link modbus-rtu --profile {} --pty {}";
+    Emulator::start(text, &[Path::new(profile), &pty])
 }
 
-impl Emulator {
-    fn start(arguments: &[PathBuf]) -> Self {
-        let mut command = command(arguments);
-        command.stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut process = command.spawn().unwrap();
-        let mut ready = String::new();
-        let mut out = BufReader::new(process.stdout.take().unwrap());
-        out.read_line(&mut ready).unwrap();
-        let address = ready.split_whitespace().nth(2).unwrap().to_owned();
-        Self { process, address }
-    }
-
-    /// On a pseudo-terminal of the desk, as the profile.
-    fn of(desk: &Desk, profile: &str) -> Self {
-        let pty = desk
-            .0
-            .path()
-            .join(format!("{}.pty", profile.replace('/', "-")));
-        let text = "emulate zk-22fc-plain --link modbus-rtu --profile {} --pty {}";
-        Self::start(&line(text, &[Path::new(profile), &pty]))
-    }
-
-    fn probe(&self, options: &str, paths: &[&Path]) -> Done {
-        let mut arguments = line(&format!("probe {options}"), paths);
-        arguments.extend(["--port", &self.address, "--timeout-ms", "5000"].map(PathBuf::from));
-        drivebench(arguments)
-    }
-}
-
-impl Drop for Emulator {
-    fn drop(&mut self) {
-        // Gone already is just as well.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
+fn probe(emulator: &Emulator, options: &str, paths: &[&Path]) -> Done {
+    let mut arguments = line(&format!("probe {options}"), paths);
+    arguments.extend(["--port", &emulator.port(), "--timeout-ms", "5000"].map(PathBuf::from));
+    drivebench(arguments)
 }
 
 /// Whether bytes end with the checksum of those before it (MODBUS over Serial Line V1.02, 6.2.2).
@@ -114,10 +85,10 @@ fn every_built_in_profile_is_plausible_at_its_own_drive_and_nothing_is_written()
         let Some(map) = profile.registers else {
             continue;
         };
-        let emulator = Emulator::of(&desk, name);
+        let emulator = emulator_of(&desk, name);
         let capture = desk.0.path().join(format!("{name}.pcap"));
         let options = format!("--drive {name} --json --tap {{}}");
-        let report = emulator.probe(&options, &[&capture]).expect(0).json();
+        let report = probe(&emulator, &options, &[&capture]).expect(0).json();
         assert_eq!(report["verdict"], "plausible", "{name}");
         let signals = report["signals"].as_array().unwrap();
         assert_eq!(signals.len(), map.signals.len(), "{name}");
@@ -154,15 +125,18 @@ fn every_built_in_profile_is_plausible_at_its_own_drive_and_nothing_is_written()
 #[test]
 fn an_address_base_that_is_off_by_one_is_named() {
     let desk = Desk::new();
-    let emulator = Emulator::of(&desk, "delta-ms300");
+    let emulator = emulator_of(&desk, "delta-ms300");
     let text = DriveProfile::text("delta-ms300").unwrap();
     let wrong = text.replace("address_base = 0", "address_base = 1");
     assert_ne!(wrong, text);
     let profile = desk.put("off-by-one.toml", &wrong);
     let capture = desk.0.path().join("wrong.pcap");
-    let done = emulator
-        .probe("--drive {} --json --tap {}", &[&profile, &capture])
-        .expect(1);
+    let done = probe(
+        &emulator,
+        "--drive {} --json --tap {}",
+        &[&profile, &capture],
+    )
+    .expect(1);
     let report = done.json();
     assert_eq!(report["verdict"], "implausible");
     let best = report["hypotheses"][0]["change"].as_str().unwrap();
@@ -188,7 +162,7 @@ fn an_address_base_that_is_off_by_one_is_named() {
             .all(|function| [3, 4, 8, 43].contains(function)),
         "{asked:?}"
     );
-    let told = emulator.probe("--drive {}", &[&profile]).expect(1).stdout;
+    let told = probe(&emulator, "--drive {}", &[&profile]).expect(1).stdout;
     assert!(
         told.contains("with the address one higher (base 0 instead of 1) bus would be 1")
             && told.contains("is the profile right?"),
@@ -212,14 +186,12 @@ fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
     };
     let right = desk.put("right.toml", &bus("high_first"));
     let wrong = desk.put("wrong.toml", &bus("low_first"));
-    let emulator = Emulator::of(&desk, right.to_str().unwrap());
-    let report = emulator
-        .probe("--drive {} --json", &[&right])
+    let emulator = emulator_of(&desk, right.to_str().unwrap());
+    let report = probe(&emulator, "--drive {} --json", &[&right])
         .expect(0)
         .json();
     assert_eq!(signal(&report, "bus")["confirms"], true);
-    let report = emulator
-        .probe("--drive {} --json", &[&wrong])
+    let report = probe(&emulator, "--drive {} --json", &[&wrong])
         .expect(1)
         .json();
     let candidate = &signal(&report, "bus")["candidates"][0];
@@ -228,7 +200,7 @@ fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
         (candidate["value"].as_f64().unwrap() - 120.0).abs() < 2.0,
         "{candidate}"
     );
-    let told = emulator.probe("--drive {}", &[&wrong]).expect(1).stdout;
+    let told = probe(&emulator, "--drive {}", &[&wrong]).expect(1).stdout;
     assert!(
         told.contains("with word_order = \"high_first\" bus would be 1")
             && told.contains(" V, plausible: is the profile right?"),
@@ -244,17 +216,8 @@ fn our_own_drive_is_looked_at_over_every_link() {
         ("modbus-tcp", "own"),
         ("stream", "own-stream"),
     ] {
-        let mut arguments = line(&format!("emulate zk-22fc-plain --link {link}"), &[]);
-        arguments.extend(match link {
-            "modbus-tcp" => line("--listen 127.0.0.1:0", &[]),
-            _ => line("--pty {}", &[&desk.0.path().join(link)]),
-        });
-        let mut emulator = Emulator::start(&arguments);
-        if link == "modbus-tcp" {
-            emulator.address = format!("tcp:{}", emulator.address);
-        }
-        let report = emulator
-            .probe(&format!("--drive {drive} --json"), &[])
+        let emulator = Emulator::on(link, &desk.0.path().join(link), "zk-22fc-plain", &[]);
+        let report = probe(&emulator, &format!("--drive {drive} --json"), &[])
             .expect(0)
             .json();
         assert_eq!(report["identity"]["is_emulator"], true, "{link}");
@@ -266,8 +229,7 @@ fn our_own_drive_is_looked_at_over_every_link() {
             "{link}: {bus}"
         );
         assert_eq!(bus["raw"].is_null(), link == "stream", "{link}: {bus}");
-        let text = emulator
-            .probe(&format!("--drive {drive}"), &[])
+        let text = probe(&emulator, &format!("--drive {drive}"), &[])
             .expect(0)
             .stdout;
         assert!(
@@ -284,10 +246,10 @@ fn our_own_drive_is_looked_at_over_every_link() {
 #[test]
 fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
     let desk = Desk::new();
-    let own = Emulator::start(&line(
+    let own = Emulator::start(
         "emulate --link modbus-rtu --pty {}",
         &[&desk.0.path().join("own")],
-    ));
+    );
     let survey = own.probe("--json", &[]).expect(0).json();
     let tried = survey["profiles"].as_array().unwrap();
     assert_eq!(tried.len(), DriveProfile::names().count());
@@ -298,7 +260,7 @@ fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
     let stream = tried.iter().find(|t| t["profile"] == "own-stream").unwrap();
     assert_eq!(stream["fit"], "not_tried");
 
-    let v20 = Emulator::of(&desk, "siemens-v20");
+    let v20 = emulator_of(&desk, "siemens-v20");
     let capture = desk.0.path().join("survey.pcap");
     let survey = v20.probe("--json --tap {}", &[&capture]).expect(0).json();
     let tried = survey["profiles"].as_array().unwrap();
@@ -319,8 +281,8 @@ fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
 #[test]
 fn nobody_and_another_drive_are_exit_status_3_and_wrong_arguments_2() {
     let desk = Desk::new();
-    let emulator = Emulator::of(&desk, "siemens-v20");
-    let another = emulator.probe("--drive own --json", &[]).expect(3);
+    let emulator = emulator_of(&desk, "siemens-v20");
+    let another = probe(&emulator, "--drive own --json", &[]).expect(3);
     assert_eq!(another.json()["verdict"], "wrong_drive");
     assert!(
         another.error().contains("register 64"),

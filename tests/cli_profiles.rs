@@ -7,41 +7,16 @@
 )]
 
 mod desk;
+mod process;
 mod program;
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
 
 use desk::Desk;
-use program::{command, drivebench, line, only_folder};
+use process::Emulator;
+use program::{drivebench, line, only_folder};
 use serde_json::Value;
-
-/// An emulator process; it ends with the test.
-struct Emulator {
-    process: Child,
-    ready: String,
-}
-
-impl Emulator {
-    fn start(arguments: &[PathBuf]) -> Self {
-        let mut command = command(arguments);
-        command.stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut process = command.spawn().unwrap();
-        let mut ready = String::new();
-        let mut out = BufReader::new(process.stdout.take().unwrap());
-        out.read_line(&mut ready).unwrap();
-        Self { process, ready }
-    }
-}
-
-impl Drop for Emulator {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
 
 /// A bench whose motor is the emulated one, at a rate that a loaded machine keeps.
 fn bench(desk: &Desk, profile: &str, rate_hz: u32, reference: &str) -> PathBuf {
@@ -72,7 +47,7 @@ fn manifest(runs: &Path) -> Value {
 fn the_ready_line_names_the_drive_with_its_unit_and_baud_rate() {
     let desk = Desk::new();
     let pty = desk.0.path().join("v20.pty");
-    let emulator = Emulator::start(&line("emulate --profile siemens-v20 --pty {}", &[&pty]));
+    let emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
     assert!(
         emulator.ready.starts_with("ready modbus-rtu "),
         "{}",
@@ -92,7 +67,7 @@ fn a_frequency_converter_is_refused_what_it_cannot_carry_before_anything_is_sent
     let desk = Desk::new();
     let pty = desk.0.path().join("v20.pty");
     let runs = desk.0.path().join("runs");
-    let _emulator = Emulator::start(&line("emulate --profile siemens-v20 --pty {}", &[&pty]));
+    let _emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
     let bench = bench(&desk, "siemens-v20", 4, "");
     let arguments = line(
         "run {} --port {} --headless --hardware --out {}",
@@ -108,10 +83,10 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
     let desk = Desk::new();
     let pty = desk.0.path().join("epulse.pty");
     let runs = desk.0.path().join("runs");
-    let _emulator = Emulator::start(&line(
+    let _emulator = Emulator::start(
         "emulate zk-22fc-plain --profile epulse50-dc --pty {}",
         &[&pty],
-    ));
+    );
     let bench = bench(&desk, "epulse50-dc", 10, SPEED);
     let arguments = line(
         "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
@@ -192,10 +167,10 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
     assert!(text.contains(from));
     let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
     let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
-    let _emulator = Emulator::start(&line(
+    let _emulator = Emulator::start(
         "emulate zk-22fc-plain --profile {} --pty {}",
         &[&profile, &pty],
-    ));
+    );
     let bench = bench(&desk, profile.to_str().unwrap(), 10, "");
     let arguments = line(
         "run {} --port {} --headless --hardware --waive-watchdog --json --out {}",

@@ -2,108 +2,25 @@
 //! brings it to rest and arms nothing.
 #![cfg(target_os = "linux")]
 
+mod process;
 mod program;
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::thread::{sleep, spawn};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use nix::fcntl::OFlag;
 use nix::pty::posix_openpt;
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
-use program::{Done, command, drivebench, line, only_folder};
+use nix::sys::signal::Signal;
+use process::{Emulator, Process, wait_for};
+use program::{drivebench, line, only_folder};
 use serde_json::Value;
 use tempfile::TempDir;
-
-/// Whatever is waited for must have come by then; only a hung program takes so long.
-const PATIENCE: Duration = Duration::from_secs(90);
-const POLL: Duration = Duration::from_millis(20);
-
-#[expect(
-    clippy::disallowed_methods,
-    reason = "these tests run in real time and must end"
-)]
-fn now() -> Instant {
-    Instant::now()
-}
-
-#[track_caller]
-fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    let start = now();
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(start.elapsed() < PATIENCE, "waited too long for {what}");
-        sleep(POLL);
-    }
-}
-
-/// A child process that never outlives its test.
-struct Process(Child);
-
-impl Process {
-    fn start(arguments: &[PathBuf]) -> Self {
-        let mut command = command(arguments);
-        command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        Self(command.spawn().expect("the program can be started"))
-    }
-
-    fn signal(&self, signal: Signal) {
-        let id = i32::try_from(self.0.id()).expect("a process id fits");
-        kill(Pid::from_raw(id), signal).expect("the process is ours and still there");
-    }
-
-    #[track_caller]
-    fn end(mut self) -> Done {
-        let status = wait_for("the end of a process", || {
-            self.0.try_wait().expect("a child can be waited for")
-        });
-        let mut done = Done {
-            status: status.code().unwrap_or(-1),
-            stdout: String::new(),
-            stderr: String::new(),
-        };
-        if let (Some(mut stdout), Some(mut stderr)) = (self.0.stdout.take(), self.0.stderr.take()) {
-            stdout.read_to_string(&mut done.stdout).expect("text");
-            stderr.read_to_string(&mut done.stderr).expect("text");
-        }
-        done
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// A drive in its own process.
-struct Drive {
-    process: Process,
-    address: String,
-}
-
-impl Drive {
-    fn start(arguments: &str, paths: &[&Path]) -> Self {
-        let mut process = Process::start(&line(arguments, paths));
-        let stdout = process.0.stdout.as_mut().expect("it is a pipe");
-        let mut ready = String::new();
-        let mut stdout = BufReader::new(stdout);
-        stdout.read_line(&mut ready).expect("a line of text");
-        let address = ready.split_whitespace().nth(2);
-        let address = address.expect("a ready line").to_owned();
-        Self { process, address }
-    }
-}
 
 /// A folder with a bench file whose motor turns for a long time; the drive's watchdog leaves a loaded machine some time.
 struct Desk(TempDir);
@@ -137,14 +54,10 @@ impl Desk {
         self.0.path().join(name)
     }
 
-    fn drive(&self, link: &str, seed: u32) -> Drive {
+    fn drive(&self, link: &str, seed: u32) -> Emulator {
+        let arguments = format!("{{}} --seed {seed}");
         let config = self.path("emulator.toml");
-        if link == "modbus-tcp" {
-            let text = "emulate {} --link modbus-tcp --listen 127.0.0.1:0";
-            return Drive::start(text, &[&config]);
-        }
-        let text = format!("emulate {{}} --link {link} --seed {seed} --pty {{}}");
-        Drive::start(&text, &[&config, &self.path("drive")])
+        Emulator::on(link, &self.path("drive"), &arguments, &[&config])
     }
 
     /// Starts a run and returns once the motor turns fast.
@@ -180,6 +93,13 @@ impl Desk {
         let mut events = self.events().into_iter();
         let found = events.find(|event| event["event"] == kind);
         found.expect(kind)
+    }
+
+    fn wait_for_event(&self, kind: &str) -> Value {
+        wait_for(kind, || {
+            let mut events = self.events().into_iter();
+            events.find(|event| event["event"] == kind)
+        })
     }
 
     /// The run is kept as lost, in one folder with what came after it.
@@ -292,13 +212,7 @@ fn a_drive_that_falls_silent_and_comes_back_is_stopped() {
     let drive = desk.drive("modbus-rtu", 1);
     let run = desk.run_until_turning(&drive.address, "--reopen-s 60");
     drive.process.signal(Signal::SIGSTOP);
-    wait_for("the search", || {
-        let events = desk.events();
-        events
-            .iter()
-            .any(|e| e["event"] == "link_lost")
-            .then_some(())
-    });
+    desk.wait_for_event("link_lost");
     sleep(Duration::from_secs(1));
     drive.process.signal(Signal::SIGCONT);
     let done = run.end().expect(3);
@@ -313,13 +227,7 @@ fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
     let drive = desk.drive("modbus-rtu", 1);
     let run = desk.run_until_turning(&drive.address, "");
     drop(drive);
-    wait_for("the search", || {
-        let events = desk.events();
-        events
-            .iter()
-            .any(|e| e["event"] == "link_lost")
-            .then_some(())
-    });
+    desk.wait_for_event("link_lost");
     // 0.8 s of watchdog and 10 s would be its time.
     assert_eq!(desk.event("link_lost")["reopens_for_s"], 10.8);
     run.signal(Signal::SIGINT);
@@ -423,12 +331,7 @@ fn a_connection_that_is_cut_is_noticed_at_once_and_made_again() {
     let proxy = Proxy::new(&drive.address);
     let run = desk.run_until_turning(&format!("tcp:{}", proxy.address), "--reopen-s 60");
     proxy.set(CUT);
-    let gone = wait_for("the loss", || {
-        let events = desk.events();
-        events
-            .into_iter()
-            .find(|event| event["event"] == "link_gone")
-    });
+    let gone = desk.wait_for_event("link_gone");
     proxy.set(THROUGH);
     let done = run.end().expect(3);
     assert_eq!(
@@ -450,20 +353,11 @@ fn a_connection_that_carries_nothing_is_lost_after_the_silence_that_is_allowed()
     let proxy = Proxy::new(&drive.address);
     let run = desk.run_until_turning(&format!("tcp:{}", proxy.address), "--reopen-s 60");
     proxy.set(NOWHERE);
-    let trip = wait_for("the loss", || {
-        let events = desk.events();
-        events.into_iter().find(|event| event["event"] == "trip")
-    });
+    let trip = desk.wait_for_event("trip");
     assert_eq!(trip["trip"]["kind"], "link_silence", "{trip:#}");
     // 0.7 s are allowed; a loaded machine looks a little later. TCP itself would take minutes.
     assert!(trip["trip"]["value"].as_f64() < Some(3.0), "{trip:#}");
-    wait_for("the search", || {
-        let events = desk.events();
-        events
-            .iter()
-            .any(|e| e["event"] == "link_lost")
-            .then_some(())
-    });
+    desk.wait_for_event("link_lost");
     proxy.set(THROUGH);
     let done = run.end().expect(3);
     assert_eq!(

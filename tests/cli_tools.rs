@@ -2,48 +2,28 @@
 //! pseudo-terminal and TCP.
 #![cfg(target_os = "linux")]
 
+mod process;
 mod program;
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
 
-use program::{Done, command, drivebench, line};
+use process::Emulator;
+use program::{Done, drivebench, line};
 use serde_json::Value;
 use tempfile::TempDir;
 
 /// A software drive that never outlives its test.
 struct Drive {
-    process: Child,
+    emulator: Emulator,
     folder: TempDir,
-    /// Path, or HOST:PORT.
-    address: String,
 }
 
 impl Drive {
     fn start(link: &str) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let mut arguments = line(&format!("emulate --link {link} --json"), &[]);
-        arguments.extend(match link {
-            "modbus-tcp" => line("--listen 127.0.0.1:0", &[]),
-            _ => line("--pty {}", &[&folder.path().join("drive")]),
-        });
-        let mut process = command(arguments)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("the program can be started");
-        let stdout = process.stdout.take().expect("it was asked for");
-        let mut ready = String::new();
-        BufReader::new(stdout).read_line(&mut ready).expect("text");
-        let ready: Value = serde_json::from_str(&ready).expect("one object a line");
-        let address = ready["address"].as_str().expect("an address").to_owned();
-        Self {
-            process,
-            folder,
-            address,
-        }
+        let emulator = Emulator::on(link, &folder.path().join("drive"), "", &[]);
+        Self { emulator, folder }
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -53,21 +33,14 @@ impl Drive {
     /// Runs a command against this drive; `{}` in the text are the paths.
     fn ask(&self, text: &str, paths: &[&Path]) -> Done {
         let mut arguments = line(text, paths);
-        let option = if self.address.contains(':') {
+        let option = if self.emulator.address.contains(':') {
             "--host"
         } else {
             "--port"
         };
-        arguments.extend([option, &self.address, "--timeout-ms", "20000"].map(PathBuf::from));
+        arguments
+            .extend([option, &self.emulator.address, "--timeout-ms", "20000"].map(PathBuf::from));
         drivebench(arguments)
-    }
-}
-
-impl Drop for Drive {
-    fn drop(&mut self) {
-        // Gone already is just as well.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
     }
 }
 
@@ -149,7 +122,7 @@ fn nobody_at_the_other_end_is_exit_status_3_with_the_json() {
         "registers read 1 2 --unit 9 --timeout-ms 50 --json --port",
         &[],
     );
-    arguments.push(PathBuf::from(&drive.address));
+    arguments.push(PathBuf::from(&drive.emulator.address));
     let done = drivebench(arguments).expect(3);
     let result = done.json();
     assert!(result["rate_hz"].is_null() && result["p50_us"].is_null());
@@ -300,7 +273,7 @@ fn taps_of_tcp_are_ip_packets_and_of_the_stream_its_frames() {
     )
     .expect("written");
     let arguments = "run {} --headless --out {} --tap {} --port {}";
-    let address = PathBuf::from(&drive.address);
+    let address = PathBuf::from(&drive.emulator.address);
     let out = drive.path("runs");
     drivebench(line(arguments, &[&bench, &out, &file, &address]));
     let (link_type, frames) = records(&file);
@@ -336,7 +309,7 @@ fn the_doctor_measures_and_leaves_a_line_to_paste() {
         assert!(text.contains(part), "{part} in {text}");
     }
     let mut arguments = line("doctor --unit 9 --timeout-ms 50 --port", &[]);
-    arguments.push(PathBuf::from(&drive.address));
+    arguments.push(PathBuf::from(&drive.emulator.address));
     let done = drivebench(arguments).expect(3);
     assert!(done.stdout.contains("nothing answered"), "{}", done.stdout);
     assert!(done.error().contains("no reply"), "{}", done.stderr);
