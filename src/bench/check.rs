@@ -29,6 +29,9 @@ use crate::drive::offer::{self, Purpose};
 use crate::drive::{DriveLink, DriveProfile, Identity, LinkError};
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
+/// A request that moves nothing is sent again for so long, and so many cycles, where its reply is lost, s.
+const ASKS_S: f64 = 1.0;
+const ASKS_CYCLES: f64 = 3.0;
 /// Cycles that the drive may take to run at zero, or to clear its fault.
 const PATIENCE: u32 = 100;
 
@@ -375,6 +378,21 @@ impl Checker<'_> {
     fn still(&self, limits: &Limits) -> Still {
         let kind = pulse::Kind::of(self.zero);
         Still::of(&self.report.noise, limits, kind, self.hold)
+    }
+
+    /// The reply to `demand`, which moves nothing and may therefore be sent again where a reply is lost.
+    fn answer(&mut self, demand: Demand) -> Result<Sample, LinkError> {
+        let until_s = self.clock.now_s() + ASKS_S.max(ASKS_CYCLES * self.period_s);
+        loop {
+            let reply = self.exchange(demand);
+            let now_s = self.clock.now_s();
+            match reply {
+                Err(error) if error.is_transient() && now_s < until_s => {
+                    self.clock.sleep_until_s(now_s + self.period_s);
+                }
+                reply => return reply,
+            }
+        }
     }
 
     fn exchange(&mut self, demand: Demand) -> Result<Sample, LinkError> {

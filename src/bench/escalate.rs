@@ -49,7 +49,8 @@ pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, Excita
         ..bench.limits()
     };
     let program = excitation::Program::new(&stage.segments, slew_v_per_s)?;
-    let guard = Guard::for_unknown_motor(limits, stage.winding_v, stage.back_emf_v_s_per_rad);
+    let guard = Guard::for_unknown_motor(limits, stage.winding_v, stage.back_emf_v_s_per_rad)
+        .with_period(bench.period_s());
     Ok(Session::new(Box::new(program), guard).until(vec![
         (Channel::Current, stage.stop_current_a),
         (Channel::Speed, stage.stop_speed_rad_s),

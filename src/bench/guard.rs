@@ -98,7 +98,10 @@ impl Guard {
             .braking_w
             .map(|watts| braking::Braking::new(watts, motor));
         let shaper = shape::Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v)
-            .with_braking(braking);
+            .with_braking(braking)
+            .with_load_v(
+                motor.resistance_ohm * motor.load_torque_n_m.abs() / motor.back_emf_v_s_per_rad,
+            );
         Self::with_shaper(limits, shaper)
     }
 
@@ -112,6 +115,13 @@ impl Guard {
     ) -> Self {
         let shaper = shape::Shaper::new(&limits, back_emf_v_s_per_rad, winding_v);
         Self::with_shaper(limits, shaper)
+    }
+
+    /// Asked for an output once in `period_s`: of a shaft that was not seen for longer it is only known that it followed
+    /// the voltage, and the winding's bound holds wherever it has come to.
+    pub fn with_period(mut self, period_s: f64) -> Self {
+        self.shaper = self.shaper.with_period(period_s);
+        self
     }
 
     fn with_shaper(limits: Limits, shaper: shape::Shaper) -> Self {
@@ -245,7 +255,7 @@ impl Guard {
             *seen |= sample.get(channel).is_some();
         }
         if let Some(speed) = sample.get(Channel::Speed) {
-            self.shaper.see_speed(speed);
+            self.shaper.see_speed(now_s, speed);
         }
         let found = if armed && self.trip.is_none() {
             // The field first: a drive that sees its loss too reports no more than a fault.

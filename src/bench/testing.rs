@@ -1,5 +1,7 @@
 //! Test helpers: the paper's motor, and a scripted drive that does exactly what a test tells it.
 
+pub(super) mod stalls;
+
 use std::collections::VecDeque;
 
 use super::limits::Nameplate;

@@ -333,6 +333,11 @@ impl Rig {
             .map_err(|error| BenchFileError::Sequence { file, error }.into())
     }
 
+    fn guard(&self, motor: &Nameplate) -> Guard {
+        Guard::new(self.bench.limits(), motor, self.drive_current_limit_a())
+            .with_period(self.bench.period_s())
+    }
+
     /// Records one run into a new folder. The drive is at zero output on return, whatever happened.
     pub(super) fn record(
         &mut self,
@@ -341,7 +346,7 @@ impl Rig {
         strings: &Strings,
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
-        let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
+        let guard = self.guard(&motor);
         let brake = self.bench.load.brake();
         let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
         let session = Session::holding(Box::new(self.program(seed)?), guard, hold_v)
@@ -377,7 +382,7 @@ impl Rig {
         strings: &Strings,
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
-        let guard = Guard::new(self.bench.limits(), &motor, self.drive_current_limit_a());
+        let guard = self.guard(&motor);
         let run = Planned {
             session: Session::with_pilot(Box::new(pilot), guard),
             motor: Some(motor),

@@ -219,7 +219,7 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         };
         let limit_a = checker.report.identity.current_limit_a;
         Self {
-            guard: Guard::new(own, plate, limit_a),
+            guard: Guard::new(own, plate, limit_a).with_period(checker.period_s),
             size,
             still,
             brake: limits.load.brake(),
@@ -251,7 +251,7 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             Reached::Moved(text) => return Err(Cut::Moved(text)),
         }
         self.next_s = self.checker.clock.now_s();
-        let sample = self.checker.exchange(zero)?;
+        let sample = self.checker.answer(zero)?;
         self.guard.begin(self.next_s, &sample);
         self.guard.shape(self.next_s, zero);
         if let Some(brake) = self.brake {
@@ -305,12 +305,14 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         let mut rests = 0;
         while rests < REST_SAMPLES {
             let sample = self.hold()?;
-            let speed = sample.and_then(|sample| sample.get(Channel::Speed));
-            // Without a speed there is nothing to wait for but the time.
-            rests = if speed.is_none_or(|speed| speed.abs() <= self.rest_rad_s) {
-                rests + 1
-            } else {
-                0
+            let speed = sample
+                .as_ref()
+                .and_then(|sample| sample.get(Channel::Speed));
+            // A lost reply shows no rest. Of a drive without a speed there is nothing to wait for but the time.
+            rests = match (&sample, speed) {
+                (None, _) => 0,
+                (Some(_), Some(speed)) if speed.abs() > self.rest_rad_s => 0,
+                _ => rests + 1,
             };
             let waited_s = self.next_s - begin_s;
             if waited_s > REST_S {

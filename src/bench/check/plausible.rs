@@ -105,6 +105,8 @@ struct Mean {
     voltage_v: f64,
     current_a: f64,
     speed_rad_s: f64,
+    /// Largest step of the voltage into one of the samples: the winding's current may not have followed it yet.
+    step_v: f64,
 }
 
 impl Mean {
@@ -112,10 +114,30 @@ impl Mean {
         voltage_v: 0.0,
         current_a: 0.0,
         speed_rad_s: 0.0,
+        step_v: 0.0,
     };
 }
 
+/// Voltage before a pulse, V.
+fn rest_v(known: &Known<'_>) -> f64 {
+    if known.size.kind == Kind::Voltage {
+        known.size.hold
+    } else {
+        0.0
+    }
+}
+
+/// Of the last of the points.
 fn mean(known: &Known<'_>, direction: f64, points: &[Point]) -> Option<Mean> {
+    let from = points.len().saturating_sub(AVERAGED);
+    let before = |k: usize| {
+        k.checked_sub(1)
+            .map_or(Some(rest_v(known)), |k| points[k].voltage_v)
+    };
+    let step_v = (from..points.len())
+        .filter_map(|k| Some((points[k].voltage_v? - before(k)?).abs()))
+        .fold(0.0, f64::max);
+    let points = &points[from..];
     let rows: Vec<(f64, f64, f64)> = points
         .iter()
         .filter_map(|p| Some((p.voltage_v?, p.current_a? - known.current.0, p.speed_rad_s?)))
@@ -133,6 +155,7 @@ fn mean(known: &Known<'_>, direction: f64, points: &[Point]) -> Option<Mean> {
         voltage_v: of(|row| row.0),
         current_a,
         speed_rad_s: of(|row| row.2) - direction * known.speed.0,
+        step_v,
     })
 }
 
@@ -145,13 +168,8 @@ fn ends(known: &Known<'_>, leg: &Leg) -> (Option<Mean>, Option<Mean>) {
     };
     let first = leg.points.iter().position(moves);
     let rest = &leg.points[..first.unwrap_or(leg.points.len())];
-    let rest = mean(
-        known,
-        leg.direction,
-        &rest[rest.len().saturating_sub(AVERAGED)..],
-    );
-    let last = &leg.points[leg.points.len().saturating_sub(AVERAGED)..];
-    let motion = first.and_then(|_| mean(known, leg.direction, last));
+    let rest = mean(known, leg.direction, rest);
+    let motion = first.and_then(|_| mean(known, leg.direction, &leg.points));
     (
         rest.filter(|mean| mean.voltage_v > 0.0 && mean.current_a.abs() > known.flowed_a()),
         motion,
@@ -185,7 +203,7 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
             plate: r,
             interval: interval(
                 rest.voltage_v,
-                drop_v,
+                drop_v + rest.step_v,
                 r * rest.current_a.abs(),
                 r * noise_a,
             ),
@@ -195,8 +213,10 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
         let (from, share) = rest.map_or((Mean::ZERO, DROP_SHARE), |rest| (rest, DIFFERENCE_SHARE));
         let change_a = motion.current_a - from.current_a;
         let emf_v = motion.voltage_v - from.voltage_v - r * change_a;
-        let doubt_v =
-            share * plate.rated_voltage_v + r * (RESISTANCE_DOUBT * change_a.abs() + noise_a);
+        let doubt_v = from.step_v
+            + motion.step_v
+            + share * plate.rated_voltage_v
+            + r * (RESISTANCE_DOUBT * change_a.abs() + noise_a);
         ratios.push(Ratio {
             name: BACK_EMF,
             unit: "V.s/rad",

@@ -1,6 +1,10 @@
 //! The checks over the emulated drive and over a scripted one; `foreign.rs`: before a drive of another make.
 
 mod foreign;
+mod stalls;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::*;
 use crate::bench::bench_file::BenchFile;
@@ -239,6 +243,39 @@ fn real_hardware_is_moved_only_after_the_word() {
     let refusal = report.refusal().unwrap();
     assert_eq!(refusal.name, "direction");
     assert!(refusal.help.unwrap().contains("--hardware"));
+}
+
+#[test]
+fn a_panic_within_the_pulse_leaves_the_output_off() {
+    let bench = BenchFile::embedded_default();
+    let profile = DriveProfile::named("own").unwrap();
+    let plate = bench.nameplate().unwrap();
+    let mut clock = VirtualClock::new();
+    let drive = SoftDrive::new(&EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 3);
+    let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+    let cycles = AtomicU32::new(0);
+    let bomb = || {
+        assert!(cycles.fetch_add(1, Ordering::Relaxed) < 30, "boom");
+        false
+    };
+    let asked = CheckOptions {
+        first_move: Some(FirstMove {
+            plate: &plate,
+            profile: &profile,
+            stopped: &bomb,
+        }),
+        ..options()
+    };
+    let limits = bench.limits();
+    let result = catch_unwind(AssertUnwindSafe(|| {
+        check(&mut link, &mut clock, &limits, asked).map(|_| ())
+    }));
+    assert!(result.is_err(), "the pulse has more than 30 cycles");
+    // Long before the drive's watchdog of 0.5 s, and five time constants of the winding.
+    link.advance_to(clock.now_s() + 0.05);
+    let plant = link.drive().plant();
+    assert!(plant.current_a() < 0.1, "{} A", plant.current_a());
+    assert_ne!(link.drive().state(), firmware_protocol::State::Running);
 }
 
 #[test]

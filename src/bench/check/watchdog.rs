@@ -42,7 +42,7 @@ impl Checker<'_> {
         let silence_s = SILENCE_IN_WATCHDOGS * watchdog_s + self.period_s;
         let quiet_from_s = self.clock.now_s();
         self.clock.sleep_until_s(quiet_from_s + silence_s);
-        let after = self.exchange(Demand::Disable)?;
+        let after = self.answer(Demand::Disable)?;
         if let Some(text) = still.moved(&after) {
             let when = format!(", seen after {silence_s:.3} s of silence");
             return Ok(self.moved_at_zero(&when, &text));

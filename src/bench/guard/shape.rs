@@ -8,6 +8,8 @@ use crate::sample::Demand;
 
 /// Longest time over which a slew limit is counted, s: after a longer pause the output does not jump further.
 const LONGEST_SLEW_TIME_S: f64 = 0.05;
+/// Periods for which a measured speed stands for the shaft. On a link that answers it is one period old at most.
+const FRESH_PERIODS: f64 = 1.5;
 
 /// Why a demand was changed; more than one may hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -60,6 +62,14 @@ pub(super) struct Shaper {
     winding_v: Option<f64>,
     /// Last speed that was measured: a missing one must not make the back-EMF vanish at full speed.
     speed_rad_s: f64,
+    /// When it came; `None`: the drive gives none.
+    speed_at_s: Option<f64>,
+    /// Time for which it stands for the shaft, s.
+    fresh_s: f64,
+    /// What the load's torque takes of the voltage in rest and motion alike, V.
+    load_v: f64,
+    /// Lowest and highest back-EMF that the voltages sent while the speed was older lead to, V.
+    unseen_v: Option<(f64, f64)>,
     /// `None`: the supply takes back what braking returns.
     braking: Option<Braking>,
     output_v: f64,
@@ -76,6 +86,10 @@ impl Shaper {
             back_emf_v_s_per_rad,
             winding_v,
             speed_rad_s: 0.0,
+            speed_at_s: None,
+            fresh_s: f64::INFINITY,
+            load_v: 0.0,
+            unseen_v: None,
             braking: None,
             output_v: 0.0,
             asked_rad_s: 0.0,
@@ -86,6 +100,16 @@ impl Shaper {
 
     pub(super) const fn with_braking(mut self, braking: Option<Braking>) -> Self {
         self.braking = braking;
+        self
+    }
+
+    pub(super) const fn with_load_v(mut self, load_v: f64) -> Self {
+        self.load_v = load_v;
+        self
+    }
+
+    pub(super) fn with_period(mut self, period_s: f64) -> Self {
+        self.fresh_s = FRESH_PERIODS * period_s;
         self
     }
 
@@ -106,8 +130,24 @@ impl Shaper {
         self.slew_v_per_s = v_per_s;
     }
 
-    pub(super) fn see_speed(&mut self, speed_rad_s: f64) {
+    pub(super) fn see_speed(&mut self, now_s: f64, speed_rad_s: f64) {
         self.speed_rad_s = speed_rad_s;
+        self.speed_at_s = Some(now_s);
+        self.unseen_v = None;
+    }
+
+    /// Where the back-EMF may be, lowest and highest. Unseen for some periods it has moved from where it was towards
+    /// what the drive was sent since, up to what the load takes of it.
+    fn back_emf_range_v(&mut self, now_s: f64, back_emf_v: f64) -> (f64, f64) {
+        let age_s = self.speed_at_s.map_or(0.0, |at_s| now_s - at_s);
+        if age_s > self.fresh_s {
+            let (low, high) = self.unseen_v.unwrap_or((back_emf_v, back_emf_v));
+            self.unseen_v = Some((
+                low.min(self.output_v - self.load_v),
+                high.max(self.output_v + self.load_v),
+            ));
+        }
+        self.unseen_v.unwrap_or((back_emf_v, back_emf_v))
     }
 
     pub(super) fn shape(&mut self, now_s: f64, wanted: Demand, limits: &Limits) -> Shaped {
@@ -165,8 +205,14 @@ impl Shaper {
         }
         let mut target_v = wanted_v;
         if let Some(winding_v) = self.winding_v {
+            let (low_v, high_v) = self.back_emf_range_v(now_s, back_emf_v);
+            let (least_v, most_v) = (high_v - winding_v, low_v + winding_v);
             // Still within the voltage limit: the back-EMF is, and so was the target.
-            let inside = target_v.clamp(back_emf_v - winding_v, back_emf_v + winding_v);
+            let inside = if least_v <= most_v {
+                target_v.clamp(least_v, most_v)
+            } else {
+                0.5 * (low_v + high_v)
+            };
             causes.winding = (inside - target_v).abs() > 0.0;
             target_v = inside;
         }

@@ -177,6 +177,44 @@ fn a_voltage_step_is_capped_at_current_limit_times_resistance_unless_the_drive_l
     }
 }
 
+/// Voltages in V that leave when 60 V are taken back to -60 V with a slew limit that allows it at once, while the last
+/// reply told a shaft at 10 rad/s and none comes any more.
+fn unseen(guard: Guard) -> Vec<f64> {
+    let mut guard = guard;
+    guard.begin(0.0, &sample(0.0));
+    guard.set_slew(Some(1e6));
+    guard.shape(0.0, Demand::Voltage(60.0));
+    guard.watch(0.001, &sample(0.0), true);
+    (1..12)
+        .map(|cycle| {
+            let wanted = Demand::Voltage(if cycle < 4 { 60.0 } else { -60.0 });
+            let shaped = guard.shape(f64::from(cycle) * PERIOD_S, wanted);
+            shaped.demand.voltage_v().unwrap()
+        })
+        .collect()
+}
+
+#[test]
+fn a_shaft_that_was_not_seen_may_have_followed_the_voltage_and_is_braked_no_harder_than_that_allows()
+ {
+    let winding_v = limits().current_a * 1.1;
+    let seen_v = 0.3538 * 10.0;
+    let known = unseen(guard().with_period(PERIOD_S));
+    assert!((known[2] - (seen_v + winding_v)).abs() < 1e-9, "{known:?}");
+    // By now it may turn at what those 28 V make of it, or at as much more as a load pulls: from there down to no more
+    // than the limit allows.
+    let load_v = 1.1 * 0.455 / 0.3538;
+    for volts in &known[3..] {
+        assert!((volts - seen_v - load_v).abs() < 1e-9, "{known:?}");
+    }
+    // Without the period the old speed counts for ever, and twice the limit would flow.
+    let trusting = unseen(guard());
+    assert!(
+        (trusting[3] - (seen_v - winding_v)).abs() < 1e-9,
+        "{trusting:?}"
+    );
+}
+
 #[test]
 fn after_coasting_the_voltage_begins_at_the_back_emf() {
     let (mut guard, now_s) = running();
@@ -256,7 +294,7 @@ proptest! {
     fn no_command_is_beyond_a_limit_and_none_energises_after_a_trip(
         cycles in prop::collection::vec(any_cycle(), 1..200),
     ) {
-        let mut guard = guard();
+        let mut guard = guard().with_period(PERIOD_S);
         let limits = limits();
         let mut now_s = 0.0;
         let mut output_v: f64 = 0.0;

@@ -1,6 +1,7 @@
 //! How the loop goes on a scripted drive, on the software drive, and in real time.
 
 mod foreign;
+mod stalls;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Sender, channel};
