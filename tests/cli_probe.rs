@@ -250,7 +250,7 @@ fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
         "emulate --link modbus-rtu --pty {}",
         &[&desk.0.path().join("own")],
     );
-    let survey = own.probe("--json", &[]).expect(0).json();
+    let survey = probe(&own, "--json", &[]).expect(0).json();
     let tried = survey["profiles"].as_array().unwrap();
     assert_eq!(tried.len(), DriveProfile::names().count());
     assert_eq!(
@@ -262,7 +262,7 @@ fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
 
     let v20 = emulator_of(&desk, "siemens-v20");
     let capture = desk.0.path().join("survey.pcap");
-    let survey = v20.probe("--json --tap {}", &[&capture]).expect(0).json();
+    let survey = probe(&v20, "--json --tap {}", &[&capture]).expect(0).json();
     let tried = survey["profiles"].as_array().unwrap();
     let of = |name: &str| tried.iter().find(|t| t["profile"] == name).unwrap();
     assert_eq!(of("siemens-v20")["fit"], "cannot_be_told");

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use program::{Done, drivebench, line, only_folder};
+use program::{Done, drivebench, in_real_time, line, only_folder};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -171,11 +171,13 @@ fn patient_emulator() -> String {
 
 #[test]
 fn the_loop_runs_over_a_pseudo_terminal_and_states_the_delay_of_its_link() {
-    let lab = Lab::new();
-    let emulator = lab.file("emulator.toml", &patient_emulator());
-    let options = "--port emulator --emulator {}";
-    let done = lab.speed(&patient_bench(), options, &[&emulator]).expect(0);
-    let found = done.json();
+    let (done, _) = in_real_time(|| {
+        let lab = Lab::new();
+        let emulator = lab.file("emulator.toml", &patient_emulator());
+        let options = "--port emulator --emulator {}";
+        (lab.speed(&patient_bench(), options, &[&emulator]), lab)
+    });
+    let found = done.expect(0).json();
     assert_eq!(found["outcome"], "done");
     let delay = &found["delay_at_rest"];
     assert!(number(delay, "measured") >= 10.0, "{delay}");

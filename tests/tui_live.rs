@@ -18,10 +18,30 @@ use terminal::Session;
 
 const SIZE: (u16, u16) = (120, 40);
 
+/// The default bench and its drive, both of which let a loaded machine stand still for a while.
+fn start(command: &str, folder: &Path) -> Session {
+    let bench = include_str!("../bench-configs/benches/zk-22fc-emulated.toml")
+        .replace("link_silence_s = 0.45", "link_silence_s = 0.95");
+    let emulator = include_str!("../bench-configs/emulators/zk-22fc-hidden.toml")
+        .replace("watchdog_ms = 500", "watchdog_ms = 1000");
+    for (name, text) in [("bench.toml", bench), ("drive.toml", emulator)] {
+        fs::write(folder.join(name), text).unwrap();
+    }
+    let line = [
+        command,
+        "bench.toml",
+        "--port",
+        "emulator",
+        "--emulator",
+        "drive.toml",
+    ];
+    Session::start(&line, folder, SIZE)
+}
+
 #[test]
 fn space_stops_the_run_and_q_gives_the_terminal_back() {
     let folder = tempfile::tempdir().unwrap();
-    let mut session = Session::start(&["run", "--port", "emulator"], folder.path(), SIZE);
+    let mut session = start("run", folder.path());
     session.wait_for(" SIM  RUNNING");
     assert!(session.screen.screen().alternate_screen());
     assert!(session.screen.screen().hide_cursor());
@@ -83,8 +103,7 @@ fn expect_stopped(folder: &Path) {
 fn ctrl_c_stops_and_leaves_by_itself() {
     for command in ["run", "commission"] {
         let folder = tempfile::tempdir().unwrap();
-        let arguments = [command, "--port", "emulator", "--out", "runs"];
-        let mut session = Session::start(&arguments, folder.path(), SIZE);
+        let mut session = start(command, folder.path());
         session.wait_for(" SIM  RUNNING");
         session.wait("a voltage", |_| is_driven(folder.path()));
         // With a mark on its way into the record.

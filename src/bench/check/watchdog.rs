@@ -53,6 +53,7 @@ impl Checker<'_> {
             after.state.map_or("in no known state", DriveState::name),
             after
                 .fault
+                .filter(|code| *code != 0)
                 .map_or_else(String::new, |code| format!(", fault {code:#06x}"))
         );
         if tripped {
