@@ -275,7 +275,7 @@ fn a_panic_within_the_pulse_leaves_the_output_off() {
     link.advance_to(clock.now_s() + 0.05);
     let plant = link.drive().plant();
     assert!(plant.current_a() < 0.1, "{} A", plant.current_a());
-    assert_ne!(link.drive().state(), firmware_protocol::State::Running);
+    assert_ne!(format!("{:?}", link.drive().state()), "Running");
 }
 
 #[test]
