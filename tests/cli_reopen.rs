@@ -81,6 +81,23 @@ impl Desk {
         run
     }
 
+    /// A drive and a run over `protocol` in which the motor turns fast.
+    fn turning(protocol: &str, options: &str) -> (Self, Emulator, Process) {
+        let desk = Self::new(protocol);
+        let drive = desk.drive(protocol, 1);
+        let run = desk.run_until_turning(&drive.address, options);
+        (desk, drive, run)
+    }
+
+    /// The same over TCP through a proxy.
+    fn turning_behind_a_proxy() -> (Self, Emulator, Proxy, Process) {
+        let desk = Self::new("modbus-tcp");
+        let drive = desk.drive("modbus-tcp", 1);
+        let proxy = Proxy::new(&drive.address);
+        let run = desk.run_until_turning(&format!("tcp:{}", proxy.address), "--reopen-s 60");
+        (desk, drive, proxy, run)
+    }
+
     fn events(&self) -> Vec<Value> {
         let path = only_folder(&self.path("runs")).join("events.jsonl");
         let text = fs::read_to_string(path).expect("events");
@@ -132,6 +149,14 @@ fn commands(capture: &Path) -> Vec<(u16, u16)> {
         .filter(|(_, window)| window.starts_with(&head))
         .map(|(at, _)| (word(at + 11), word(at + 13)))
         .collect()
+}
+
+/// The program finds the drive again and brings it to rest.
+#[track_caller]
+fn is_stopped(run: Process) {
+    let done = run.end().expect(3);
+    let ending = &done.json()["reopened"]["ending"];
+    assert_eq!(ending, "stopped", "{}", done.stderr);
 }
 
 /// A control word with which the output is on (firmware-protocol/SPEC.md 2.2).
@@ -208,9 +233,7 @@ fn another_drive_under_the_same_name_is_only_read() {
 
 #[test]
 fn a_drive_that_falls_silent_and_comes_back_is_stopped() {
-    let desk = Desk::new("modbus-rtu");
-    let drive = desk.drive("modbus-rtu", 1);
-    let run = desk.run_until_turning(&drive.address, "--reopen-s 60");
+    let (desk, drive, run) = Desk::turning("modbus-rtu", "--reopen-s 60");
     drive.process.signal(Signal::SIGSTOP);
     desk.wait_for_event("link_lost");
     sleep(Duration::from_secs(1));
@@ -223,9 +246,7 @@ fn a_drive_that_falls_silent_and_comes_back_is_stopped() {
 
 #[test]
 fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
-    let desk = Desk::new("modbus-rtu");
-    let drive = desk.drive("modbus-rtu", 1);
-    let run = desk.run_until_turning(&drive.address, "");
+    let (desk, drive, run) = Desk::turning("modbus-rtu", "");
     drop(drive);
     desk.wait_for_event("link_lost");
     // 1 s of watchdog and 10 s would be its time.
@@ -236,9 +257,7 @@ fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
     assert!(desk.event("reopened")["downtime_s"].as_f64() < Some(8.0));
 
     for (option, ending) in [("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")] {
-        let desk = Desk::new("modbus-rtu");
-        let drive = desk.drive("modbus-rtu", 1);
-        let run = desk.run_until_turning(&drive.address, option);
+        let (_desk, drive, run) = Desk::turning("modbus-rtu", option);
         drop(drive);
         let done = run.end().expect(3);
         let told = done.json();
@@ -326,20 +345,11 @@ fn carry(host: &TcpStream, drive: &TcpStream, mode: &AtomicU8) {
 
 #[test]
 fn a_connection_that_is_cut_is_noticed_at_once_and_made_again() {
-    let desk = Desk::new("modbus-tcp");
-    let drive = desk.drive("modbus-tcp", 1);
-    let proxy = Proxy::new(&drive.address);
-    let run = desk.run_until_turning(&format!("tcp:{}", proxy.address), "--reopen-s 60");
+    let (desk, _drive, proxy, run) = Desk::turning_behind_a_proxy();
     proxy.set(CUT);
     let gone = desk.wait_for_event("link_gone");
     proxy.set(THROUGH);
-    let done = run.end().expect(3);
-    assert_eq!(
-        done.json()["reopened"]["ending"],
-        "stopped",
-        "{}",
-        done.stderr
-    );
+    is_stopped(run);
     let lost = desk.event("link_lost")["time_s"].as_f64();
     let after_s = lost.zip(gone["time_s"].as_f64()).map(|(a, b)| a - b);
     assert!(after_s < Some(2.0), "{after_s:?}");
@@ -348,10 +358,7 @@ fn a_connection_that_is_cut_is_noticed_at_once_and_made_again() {
 
 #[test]
 fn a_connection_that_carries_nothing_is_lost_after_the_silence_that_is_allowed() {
-    let desk = Desk::new("modbus-tcp");
-    let drive = desk.drive("modbus-tcp", 1);
-    let proxy = Proxy::new(&drive.address);
-    let run = desk.run_until_turning(&format!("tcp:{}", proxy.address), "--reopen-s 60");
+    let (desk, _drive, proxy, run) = Desk::turning_behind_a_proxy();
     proxy.set(NOWHERE);
     let trip = desk.wait_for_event("trip");
     assert_eq!(trip["trip"]["kind"], "link_silence", "{trip:#}");
@@ -359,12 +366,6 @@ fn a_connection_that_carries_nothing_is_lost_after_the_silence_that_is_allowed()
     assert!(trip["trip"]["value"].as_f64() < Some(3.0), "{trip:#}");
     desk.wait_for_event("link_lost");
     proxy.set(THROUGH);
-    let done = run.end().expect(3);
-    assert_eq!(
-        done.json()["reopened"]["ending"],
-        "stopped",
-        "{}",
-        done.stderr
-    );
+    is_stopped(run);
     desk.is_kept_as_lost();
 }

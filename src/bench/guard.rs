@@ -119,6 +119,7 @@ impl Guard {
 
     /// Asked for an output once in `period_s`: of a shaft that was not seen for longer it is only known that it followed
     /// the voltage, and the winding's bound holds wherever it has come to.
+    #[must_use]
     pub fn with_period(mut self, period_s: f64) -> Self {
         self.shaper = self.shaper.with_period(period_s);
         self

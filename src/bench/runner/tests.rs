@@ -37,6 +37,35 @@ fn options() -> RunOptions {
     }
 }
 
+/// Carries a session out without an estimate, a screen or a user.
+fn carry_out(
+    session: Session,
+    link: &mut dyn DriveLink,
+    clock: &mut dyn Clock,
+    rate_hz: f64,
+) -> (RunSummary, MemoryRecorder) {
+    let mut recorder = MemoryRecorder::new(layout());
+    let (_keep, intents) = channel();
+    let summary = run(
+        session,
+        Bench {
+            link,
+            clock,
+            recorder: &mut recorder,
+            estimator: None,
+            intents: &intents,
+            interrupted: &AtomicBool::new(false),
+            snapshots: &SnapshotCell::default(),
+        },
+        &RunOptions {
+            rate_hz,
+            ..options()
+        },
+    );
+    recorder.finish();
+    (summary, recorder)
+}
+
 fn emulated(emulator_seed: u64, run_seed: u64) -> (RunSummary, MemoryRecorder, SnapshotCell) {
     emulated_with(&EmulatorConfig::embedded_default(), emulator_seed, run_seed)
 }

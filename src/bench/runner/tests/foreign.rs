@@ -86,25 +86,8 @@ fn summary(
         duration_s: 4.0,
         demand: move |_| demand,
     };
-    let mut recorder = MemoryRecorder::new(layout());
-    let (_keep, intents) = channel();
-    let summary = run(
-        Session::new(Box::new(program), Guard::new(limits, &motor, None)),
-        Bench {
-            link: &mut link,
-            clock: &mut clock,
-            recorder: &mut recorder,
-            estimator: None,
-            intents: &intents,
-            interrupted: &AtomicBool::new(false),
-            snapshots: &SnapshotCell::default(),
-        },
-        &RunOptions {
-            rate_hz: 20.0,
-            ..options()
-        },
-    );
-    recorder.finish();
+    let session = Session::new(Box::new(program), Guard::new(limits, &motor, None));
+    let (summary, recorder) = carry_out(session, &mut link, &mut clock, 20.0);
     (summary, recorder.events_jsonl(), link)
 }
 

@@ -43,24 +43,8 @@ fn outcome(seed: u64, knows_its_period: bool) -> RunSummary {
             Demand::Voltage(if up { 40.0 } else { -40.0 })
         },
     };
-    let mut recorder = MemoryRecorder::new(layout());
-    let (_keep, intents) = channel();
-    run(
-        Session::new(Box::new(program), guard),
-        Bench {
-            link: &mut link,
-            clock: &mut clock,
-            recorder: &mut recorder,
-            estimator: None,
-            intents: &intents,
-            interrupted: &AtomicBool::new(false),
-            snapshots: &SnapshotCell::default(),
-        },
-        &RunOptions {
-            rate_hz: RATE_HZ,
-            ..options()
-        },
-    )
+    let session = Session::new(Box::new(program), guard);
+    carry_out(session, &mut link, &mut clock, RATE_HZ).0
 }
 
 /// Currents beyond the limit that ended the runs, A.
