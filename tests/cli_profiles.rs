@@ -184,6 +184,31 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
 }
 
 #[test]
+fn a_bench_that_asks_for_more_than_its_drive_s_profile_allows_is_refused() {
+    let desk = Desk::new();
+    let text = include_str!("../bench-configs/drives/own.toml");
+    let profile = desk.put(
+        "small.toml",
+        &text.replace("# current_a = 11.4", "current_a = 6.0"),
+    );
+    let bench = include_str!("../bench-configs/benches/zk-22fc-emulated.toml");
+    let bench = bench.replace("\"own\"", &format!("{:?}", profile.to_str().unwrap()));
+    let beyond = desk.put("beyond.toml", &bench);
+    for command in ["plan {}", "run {} --port sim: --headless"] {
+        let error = drivebench(line(command, &[&beyond])).expect(2).error();
+        assert!(error.contains("limits.current_a = 13"), "{error}");
+        assert!(error.contains("allows at most 6"), "{error}");
+    }
+    // Where the bench gives none, the profile's is the limit: the sequence would draw 6.7 A.
+    let silent = desk.put("silent.toml", &bench.replace("current_a = 13.0", ""));
+    let error = drivebench(line("plan {}", &[&silent])).expect(2).error();
+    assert!(
+        error.contains("plan refused") && error.contains("limit 6"),
+        "{error}"
+    );
+}
+
+#[test]
 fn a_defect_in_a_profile_is_an_error_with_its_line() {
     let desk = Desk::new();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/drives/vacon10.toml");

@@ -314,11 +314,15 @@ impl BenchFile {
             || Limits::for_rated(&self.motor, rate_hz),
             |plate| Limits::for_motor(&plate, rate_hz),
         );
-        let given = &self.limits;
+        let (given, bounds) = (&self.limits, &self.drive_facts.bounds);
+        // A default gives way to what the drive's profile allows; a value that is given is held against it.
+        let bounded = |given: Option<f64>, default: f64, bound: Option<f64>| {
+            given.unwrap_or_else(|| bound.map_or(default, |bound| default.min(bound)))
+        };
         Limits {
-            current_a: given.current_a.unwrap_or(defaults.current_a),
-            speed_rad_s: given.speed_rad_s.unwrap_or(defaults.speed_rad_s),
-            voltage_v: given.voltage_v.unwrap_or(defaults.voltage_v),
+            current_a: bounded(given.current_a, defaults.current_a, bounds.current_a),
+            speed_rad_s: bounded(given.speed_rad_s, defaults.speed_rad_s, bounds.speed_rad_s),
+            voltage_v: bounded(given.voltage_v, defaults.voltage_v, bounds.voltage_v),
             slew_v_per_s: given.slew_v_per_s.unwrap_or(defaults.slew_v_per_s),
             travel_rad: given.travel_rad,
             bus_min_v: given.bus_min_v,
@@ -462,6 +466,20 @@ impl BenchFile {
                 file: file.to_owned(),
                 error,
             })
+    }
+
+    /// A limit of this bench beyond what the profile of its drive allows: key, value and the most that is allowed.
+    pub fn beyond_drive(&self) -> Option<(&'static str, f64, f64)> {
+        let (given, bounds) = (&self.limits, &self.drive_facts.bounds);
+        let pairs = [
+            ("limits.current_a", given.current_a, bounds.current_a),
+            ("limits.speed_rad_s", given.speed_rad_s, bounds.speed_rad_s),
+            ("limits.voltage_v", given.voltage_v, bounds.voltage_v),
+        ];
+        let mut found = pairs
+            .into_iter()
+            .filter_map(|(key, given, bound)| Some((key, given?, bound?)));
+        found.find(|(_, given, bound)| given > bound)
     }
 
     /// `[speed]` against the limits: a reference beyond them is refused with its line in `text`, before anything moves.

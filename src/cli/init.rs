@@ -36,8 +36,8 @@ const NAMELESS: &str = "bench.toml";
   drivebench init --drive own --port sim: --motor bench-configs/motors/zk-22fc.toml       to try it without a drive
   drivebench init --drive ./acme-40.toml --port /dev/ttyUSB0 --offline --motor my-motor.toml
 
-A nameplate is the [motor] table of a bench file, with or without the header: name and the rated values are needed; what makes the model of the motor may
-be left out, and `drivebench run` then finds it from small steps first.
+A nameplate is the [motor] table of a bench file, with or without the header. Name and rated values are needed; what makes
+the model of the motor may be left out where the drive takes a voltage: `drivebench run` then finds it from small steps first.
 The drive is asked for its own limits, and nothing is written to it; --offline goes without. No file is ever overwritten.")]
 pub(super) struct Arguments {
     /// Drive profile: a built-in name, or a file

@@ -52,10 +52,11 @@ pub(super) struct LiveArguments {
     /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time) or emulator; overrides the bench file
     #[arg(long, value_name = "PORT")]
     port: Option<String>,
-    /// Emulator to use: an embedded name (zk-22fc-hidden, zk-22fc-plain, ...) or a file; overrides the bench file
+    /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; counts with the ports emulator and sim:
+    /// only, which it does not choose
     #[arg(long, value_name = "EMULATOR")]
     emulator: Option<String>,
-    /// Seed of the emulator: draws the specimen and the sensor noise
+    /// Seed of the software drive: draws the specimen and the sensor noise
     #[arg(long)]
     seed: Option<u64>,
     /// Hide an effect that this number draws in the emulated motor; the truth is sealed into the folder of runs
@@ -64,7 +65,8 @@ pub(super) struct LiveArguments {
     /// Where run folders are made
     #[arg(long, value_name = "DIR", default_value = "runs")]
     out: PathBuf,
-    /// No screen: progress on stderr, the result on stdout
+    /// No screen and no question: progress on stderr, the result on stdout, and the motor starts once the checks have passed.
+    /// So too with --json, and where stdout is no terminal
     #[arg(long)]
     headless: bool,
     /// The drive is real and its shaft may turn: needed without a screen, and for the pulse of the checks
@@ -75,17 +77,17 @@ pub(super) struct LiveArguments {
     pub(super) escalate: bool,
     #[command(flatten)]
     waive: Waive,
-    /// Clear a fault that the drive has latched, as after a killed host; the output stays off
+    /// First clear a fault that the drive has latched, as after a killed host; then go on as without it: the motor turns
     #[arg(long)]
     reset_fault: bool,
-    /// After a lost link: how long the drive is looked for, to bring it to rest; 0: not at all. Without a screen its
-    /// watchdog time and 10 s, beside one until somebody stops it
+    /// After a lost link: how long to look for the drive and bring it to rest, 0 (not at all) to 86400. Without it: the
+    /// drive's watchdog time and 10 s; beside a screen until Space, q or Ctrl-C ends the search
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     reopen_s: Option<f64>,
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
-    /// Print JSON
+    /// Print JSON; as with --headless there is no question before the motor starts
     #[arg(long)]
     pub(super) json: bool,
 }

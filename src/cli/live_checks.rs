@@ -15,7 +15,8 @@ use crate::sample::{Command, Demand};
 #[derive(Args, Clone, Copy, Debug)]
 #[expect(clippy::struct_field_names, reason = "the words of the command line")]
 pub(super) struct Waive {
-    /// Go on although the drive's watchdog cannot be proven; the waiver is recorded
+    /// Go on although the drive's watchdog is not proven: if this computer or the cable fails, perhaps nothing stops the
+    /// motor; the waiver is recorded
     #[arg(long)]
     waive_watchdog: bool,
     /// Make no pulse before the first run: directions and nameplate stay unproven; the waiver is recorded

@@ -168,6 +168,16 @@ pub(super) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
         Protocol::Stream => crate::drive::Protocol::Stream,
     };
     bench.drive_facts = DriveFacts::of(&profile);
+    if let Some((key, value, most)) = bench.beyond_drive() {
+        return Err(Failure::with_help(
+            USAGE,
+            format!(
+                "{key} = {value}: the drive profile {} allows at most {most}",
+                profile.name
+            ),
+            "lower it in the bench file, or correct [limits] of the drive's profile",
+        ));
+    }
     profile.link.baud = bench.baud();
     profile.link.unit = bench.link.unit;
     profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);

@@ -61,11 +61,11 @@ use clap::{CommandFactory, Parser, Subcommand};
 const EXIT_STATUSES: &str = "\
 Exit status:
   0    done and passed (any verdict of diagnose)
-  1    done, acceptance failed (--min-fit, an effect that was refused)
-  2    usage or configuration
-  3    link or device
+  1    done and not accepted: --min-fit, a refused effect, a drive that is not plausible, a replay that differs
+  2    usage or configuration, or more asked than plan or line allow
+  3    link or device: no answer, another drive, a failed check, no --hardware, a locked or open motor
   4    safety trip
-  5    no requested parameter can be identified from the data
+  5    not identified: nothing at all, or a key of --require
   6    internal error
   130  interrupted, after a safe stop";
 

@@ -28,7 +28,8 @@ pub(super) struct Arguments {
     live: LiveArguments,
     #[command(flatten)]
     unknown: UnknownMotor,
-    /// Which run of the bench file's [runs]: the seed of the sequence's random parts, and of the emulator's noise on that day
+    /// Seed of the sequence's random parts, and of the emulator's noise on that day (no number of a run): as runs.fit, select
+    /// or confirm of the bench file. Without it runs.fit
     #[arg(long, value_name = "N")]
     run_seed: Option<u64>,
 }

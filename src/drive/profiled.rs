@@ -417,7 +417,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         self.bus.name()
     }
 
-    /// Reads first; only a drive that is what the profile says gets its watchdog written.
+    /// Reads first; only a drive that is what the profile says, and does not run, gets its watchdog written.
     fn identify(&mut self) -> Result<Identity, LinkError> {
         let mut identity = self.recognise()?;
         let time_s = self.supervision()?;

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::drive::DriveLimits;
 use crate::drive::DriveProfile;
 use crate::drive::register_map::Converter;
 
@@ -134,6 +135,8 @@ impl SupplySection {
 /// What the drive's profile adds to the limits of a bench; it does not stand in the bench file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DriveFacts {
+    /// What the profile allows to be asked of the drive.
+    pub bounds: DriveLimits,
     pub converter: Option<Converter>,
     /// Field current below which the motor would run away, A.
     pub field_min_a: Option<f64>,
@@ -141,12 +144,11 @@ pub struct DriveFacts {
 
 impl DriveFacts {
     pub fn of(profile: &DriveProfile) -> Self {
-        profile
-            .registers
-            .as_deref()
-            .map_or_else(Self::default, |map| Self {
-                converter: map.converter,
-                field_min_a: map.field_min_a,
-            })
+        let map = profile.registers.as_deref();
+        Self {
+            bounds: profile.limits,
+            converter: map.and_then(|map| map.converter),
+            field_min_a: map.and_then(|map| map.field_min_a),
+        }
     }
 }

@@ -49,12 +49,12 @@ impl Checker<'_> {
         }
         let tripped = after.state == Some(DriveState::Fault) || after.fault.is_some();
         let text = format!(
-            "set to {watchdog_s} s; after {silence_s:.3} s of silence at zero the drive was {}{}",
-            after.state.map_or("in no known state", DriveState::name),
+            "set to {watchdog_s} s; after {silence_s:.3} s of silence at zero the drive was in {}{}",
+            after.state.map_or("no known state", DriveState::name),
             after
                 .fault
                 .filter(|code| *code != 0)
-                .map_or_else(String::new, |code| format!(", fault {code:#06x}"))
+                .map_or_else(String::new, |code| format!(", code {code:#06x}"))
         );
         if tripped {
             self.report.watchdog_proven_s = Some(silence_s);

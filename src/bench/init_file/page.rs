@@ -123,14 +123,22 @@ fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
         KickedBy::Write => "any write counts",
         KickedBy::Any => "any message counts, reading too",
     };
+    let set_s = profile
+        .registers
+        .as_deref()
+        .and_then(|map| map.watchdog.set_s);
     let time = match (told.watchdog_s, profile.watchdog.default_ms) {
+        _ if set_s.is_some() => format!(
+            "{} s (set at connect by the profile)",
+            set_s.unwrap_or_default()
+        ),
         (Some(time_s), _) if time_s > 0.0 => format!("{time_s} s (read back)"),
         (Some(_), _) => "off (read back)".to_owned(),
         (None, Some(default_ms)) => format!("{default_ms} ms as delivered, not read back"),
         (None, None) => "not known".to_owned(),
     };
     page.comment(&format!(
-        "Its watchdog: {time}; {kick}. `run` proves it at zero output before anything moves, or needs --waive-watchdog."
+        "Its watchdog: {time}; {kick}. It is proven at zero output before anything moves, or needs --waive-watchdog."
     ));
     page.line(&format!("profile = {:?}", bench.drive.profile));
 }
@@ -169,7 +177,7 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
     }
     page.left_out(
         "deadline_ms",
-        "the wire time and twice the profile's reply time are waited for",
+        "the profile's, else wire time with silences, twice its reply_ms and 40 ms",
     );
 }
 

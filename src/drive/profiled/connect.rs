@@ -4,6 +4,7 @@ use super::ProfiledLink;
 use crate::drive::link::{DriveLink, LinkError};
 use crate::drive::register_bus::RegisterBus;
 use crate::drive::register_map::{IdentityCheck, IdentityTest, Layout, Location};
+use crate::sample::DriveState;
 
 impl<B: RegisterBus> ProfiledLink<B> {
     pub(super) fn check_identity(&mut self) -> Result<(), LinkError> {
@@ -40,9 +41,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Ok(())
     }
 
-    /// The watchdog's time: written where the profile says so, and read back.
+    /// The watchdog's time: written where the profile says so, and read back. The drive of somebody else, which runs, is
+    /// left as it is: with a watchdog that nobody refreshes it would stop once this host has gone.
     pub(super) fn supervision(&mut self) -> Result<Option<f64>, LinkError> {
+        let runs = self.state() == DriveState::Running;
         let watchdog = &self.map.watchdog;
+        let set_s = watchdog.set_s.filter(|_| !runs);
         let Some((location, unit_s)) = watchdog.time else {
             return Ok(watchdog.default_s);
         };
@@ -51,7 +55,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             address,
             layout: Layout { kind, .. },
         } = location;
-        if let Some(set_s) = watchdog.set_s {
+        if let Some(set_s) = set_s {
             let function = if self.map.functions.contains(&6) {
                 6
             } else {
@@ -66,7 +70,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let registers = self.bus.read(table, address, 1)?;
         let raw = location.layout.pattern(&registers).unwrap_or_default();
         let time_s = location.layout.number(raw) * unit_s;
-        if let Some(set_s) = self.map.watchdog.set_s
+        if let Some(set_s) = set_s
             && (time_s - set_s).abs() > 0.5 * unit_s
         {
             return Err(LinkError::Identity {

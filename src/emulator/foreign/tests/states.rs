@@ -167,3 +167,24 @@ fn a_fault_code_is_read_at_once_and_told_in_words() {
     assert_eq!(sample.fault_text.as_deref(), Some("overbraking"));
     assert_eq!(table.far().told_last("speed_ref"), Some(0));
 }
+
+#[test]
+fn the_watchdog_of_a_drive_that_somebody_runs_is_left_as_it_is() {
+    let time = |table: &mut Table| {
+        table.link.identify().unwrap();
+        table
+            .link
+            .bus_mut()
+            .read(RegisterTable::Holding, 0, 1)
+            .unwrap()[0]
+    };
+    let mut idle = Table::new("siemens-v20");
+    assert_eq!(time(&mut idle), 1000);
+    let mut runs = Table::new("siemens-v20");
+    runs.link.identify().unwrap();
+    runs.enable(Some(("speed_ref", 10.0)));
+    runs.link.bus_mut().write(16, 0, &[0]).unwrap();
+    assert_eq!(time(&mut runs), 0, "as somebody else has set it");
+    runs.pass(60.0);
+    assert!(runs.far().is_running(), "long after this host has gone");
+}
