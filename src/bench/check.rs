@@ -73,6 +73,8 @@ pub struct CheckOptions<'a> {
     pub waivers: Waivers,
     /// `None`: the motor is not known, and what finds it begins with steps that are as small.
     pub first_move: Option<FirstMove<'a>>,
+    /// Clear a fault that the drive has latched, once it is known that this may be done and nobody runs it.
+    pub reset_fault: bool,
 }
 
 /// The check that the line can carry the rate at all: nothing is measured, the bench file asks for too much.
@@ -223,6 +225,7 @@ impl Checker<'_> {
             && self.limits(limits)
             && self.rate(options.rate_hz)
             && self.nobody_s()
+            && self.reset(options.reset_fault)?
             && self.probe(limits, options.rate_hz)?
             && self.set_points()?
             && self.load(limits)
@@ -272,6 +275,32 @@ impl Checker<'_> {
             who,
             "this drive does not say that it is an emulator: pass --hardware if the motor may move",
         )
+    }
+
+    /// What somebody left in the drive, reference and command, is taken back first: with the fault gone it may count again.
+    fn reset(&mut self, wanted: bool) -> Result<bool, LinkError> {
+        if !wanted {
+            return Ok(true);
+        }
+        self.touched = true;
+        self.link.bring_to_rest()?;
+        let mut last = None;
+        let cleared = self.until(Demand::ResetFault, |state| {
+            last = Some(state);
+            state != DriveState::Fault
+        })?;
+        let text = match last {
+            Some(DriveState::Running) => "the drive ran once its fault was reset, and was stopped",
+            _ if cleared => "the drive is without a fault",
+            _ => "the drive stays in fault",
+        };
+        let passed = cleared && last != Some(DriveState::Running);
+        Ok(self.note(
+            "reset",
+            passed,
+            text.to_owned(),
+            "mend the cause of the fault; take the run command away (keypad, terminals, another master)",
+        ))
     }
 
     /// A load that falls is not even held without knowing how.
@@ -331,9 +360,9 @@ impl Checker<'_> {
     fn until(
         &mut self,
         demand: Demand,
-        wanted: impl Fn(DriveState) -> bool,
+        mut wanted: impl FnMut(DriveState) -> bool,
     ) -> Result<bool, LinkError> {
-        self.until_sample(demand, |sample| sample.state.is_some_and(&wanted))
+        self.until_sample(demand, |sample| sample.state.is_some_and(&mut wanted))
     }
 
     fn until_sample(

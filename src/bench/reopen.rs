@@ -199,7 +199,7 @@ impl Search<'_> {
             return Found::Stranger(reason);
         }
         if let Err(error) = link.bring_to_rest() {
-            return Found::Nothing(format!("it is back, and does not stop: {error}"));
+            return Found::Nothing(format!("it is back, and was not brought to rest: {error}"));
         }
         let seq = self.options.seq.wrapping_add(1);
         let look = link.exchange(Command {

@@ -9,7 +9,6 @@ use super::failure::{Failure, INTERRUPTED, LINK, USAGE};
 use super::live::{Rig, Strings};
 use super::output;
 use crate::bench::{CheckOptions, CheckReport, FirstMove, RATE_CHECK, Waivers, check};
-use crate::sample::{Command, Demand};
 
 /// Checks that may be gone without, each by its own word. What is waived stands in the manifest, the log and the messages.
 #[derive(Args, Clone, Copy, Debug)]
@@ -51,14 +50,6 @@ pub(super) struct Consent {
 impl Rig {
     /// Identity, limits, link probe, watchdog proof, direction pulse; the refusal is the first check that failed.
     pub(super) fn check(&mut self, strings: &Strings) -> Result<CheckReport, Failure> {
-        if std::mem::take(&mut self.consent.reset_fault) {
-            // Who is there is asked first: a reset is not sent to a stranger.
-            self.link.identify()?;
-            self.link.exchange(Command {
-                seq: 1,
-                demand: Demand::ResetFault,
-            })?;
-        }
         if self.escalates && self.bench.load.vertical {
             return Err(Failure::with_help(
                 USAGE,
@@ -82,6 +73,7 @@ impl Rig {
             hardware_said: self.consent.hardware_said,
             waivers: self.consent.waivers,
             first_move,
+            reset_fault: std::mem::take(&mut self.consent.reset_fault),
         };
         let report = check(
             self.link.as_mut(),

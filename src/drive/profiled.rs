@@ -268,6 +268,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         loop {
             let now_s = self.bus.now_s();
             let faulty = self.told("fault") == Some(true);
+            self.points.is_urgent = matches!(self.mode, Mode::Stopping(_));
             let readings = &self.readings;
             let status = |name: &str| {
                 let reading = readings.get(name)?;
@@ -517,11 +518,13 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
     fn bring_to_rest(&mut self) -> Result<(), LinkError> {
-        match self.points.zero(&mut self.bus, &self.readings) {
+        self.points.is_urgent = true;
+        let zeroed = self.points.zero(&mut self.bus, &self.readings);
+        if !matches!(zeroed, Err(LinkError::Gone { .. })) {
             // A drive that takes no reference now may well take a stop.
-            Err(error @ LinkError::Gone { .. }) => Err(error),
-            _ => self.stop(),
+            self.stop()?;
         }
+        zeroed
     }
 
     fn confirms_stop(&self) -> bool {

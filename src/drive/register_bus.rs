@@ -26,6 +26,16 @@ pub trait RegisterBus: Send {
     /// Writes with function code 6 (one register) or 16; never repeated by itself.
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError>;
 
+    /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
+    fn write_at_once(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+    ) -> Result<(), LinkError> {
+        self.write(function, address, values)
+    }
+
     /// An object of function code 43; `None` where the drive does not have it.
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError>;
 

@@ -16,8 +16,9 @@ use crate::sample::{Channel, Demand, DriveState, Sample};
 /// Speed limit of the pulse, in rated speeds, and its current limit in rated currents.
 const SPEED_IN_RATED: f64 = 0.25;
 const CURRENT_IN_RATED: f64 = 1.5;
-/// Share of the bench's speed limit below which the shaft counts as at rest afterwards.
+/// Share of the bench's speed limit, and standard deviations at rest, within which the shaft counts as at rest afterwards.
 const REST_SHARE: f64 = 0.01;
+const REST_NOISE: f64 = 3.0;
 /// Samples in a row that have to show it.
 const REST_SAMPLES: u32 = 3;
 /// Longest wait for rest, s.
@@ -112,6 +113,10 @@ impl Checker<'_> {
         if let Some(Cut::Lost(error)) = cut {
             return Err(error);
         }
+        let gives_speed = self.report.signals.contains(&Channel::Speed);
+        let lost_speed = legs
+            .iter()
+            .any(|leg| gives_speed && leg.points.iter().all(|p| p.speed_rad_s.is_none()));
         let (figures, refusal) = direction::judge(&known, &legs);
         let (ratios, implausible) = plausible::judge(&known, &legs);
         let way = if one_way {
@@ -149,6 +154,16 @@ impl Checker<'_> {
                     false,
                     text,
                     "the pulse was stopped at once: check limits, load and the drive's profile",
+                ))
+            }
+            (None, _) if lost_speed => {
+                let text =
+                    format!("the drive told its speed at rest, and none while it ran ({figures})");
+                Ok(self.note(
+                    DIRECTION,
+                    false,
+                    text,
+                    "look at `invalid` and `valid` of the speed in the drive's profile, and at the encoder",
                 ))
             }
             (_, Some((reason, help))) => {
@@ -194,7 +209,8 @@ struct Mover<'c, 'a, 'f> {
     size: Size,
     still: Still,
     brake: Option<Brake>,
-    rest_rad_s: f64,
+    /// Mean of the speed at rest, and the most beside it, rad/s.
+    rest: (f64, f64),
     first: FirstMove<'f>,
     next_s: f64,
 }
@@ -218,12 +234,16 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             ..limits.clone()
         };
         let limit_a = checker.report.identity.current_limit_a;
+        let noise = &checker.report.noise;
+        let floor = noise.iter().find(|floor| floor.channel == Channel::Speed);
+        let (mean, std) = floor.map_or((0.0, 0.0), |floor| (floor.mean, floor.std));
+        let share = (REST_SHARE * limits.speed_rad_s).min(0.5 * size.goal_rad_s);
         Self {
             guard: Guard::new(own, plate, limit_a).with_period(checker.period_s),
             size,
             still,
             brake: limits.load.brake(),
-            rest_rad_s: (REST_SHARE * limits.speed_rad_s).min(0.5 * size.goal_rad_s),
+            rest: (mean, share.max(REST_NOISE * std)),
             first,
             next_s: checker.clock.now_s(),
             checker,
@@ -250,8 +270,8 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             Reached::Never => return Err(Cut::Trip(self.never_runs())),
             Reached::Moved(text) => return Err(Cut::Moved(text)),
         }
-        self.next_s = self.checker.clock.now_s();
         let sample = self.checker.answer(zero)?;
+        self.next_s = self.checker.clock.now_s();
         self.guard.begin(self.next_s, &sample);
         self.guard.shape(self.next_s, zero);
         if let Some(brake) = self.brake {
@@ -311,7 +331,7 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             // A lost reply shows no rest. Of a drive without a speed there is nothing to wait for but the time.
             rests = match (&sample, speed) {
                 (None, _) => 0,
-                (Some(_), Some(speed)) if speed.abs() > self.rest_rad_s => 0,
+                (Some(_), Some(speed)) if (speed - self.rest.0).abs() > self.rest.1 => 0,
                 _ => rests + 1,
             };
             let waited_s = self.next_s - begin_s;

@@ -8,7 +8,7 @@ use crate::bench::limits::Limits;
 use crate::sample::{Channel, Sample};
 
 /// Mean and standard deviation at rest may be so large with the output off, as shares of the bench's limits.
-const REST_SPEED_SHARE: f64 = 0.02;
+const REST_SPEED_SHARE: f64 = 0.01;
 const REST_SHARE: f64 = 0.05;
 /// A single sample may be so many times that.
 const SINGLE_FACTOR: f64 = 3.0;

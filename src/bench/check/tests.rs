@@ -19,6 +19,7 @@ fn options() -> CheckOptions<'static> {
         hardware_said: false,
         waivers: Waivers::default(),
         first_move: None,
+        reset_fault: false,
     }
 }
 
@@ -517,4 +518,47 @@ fn a_silent_drive_is_a_link_error_and_a_lossy_one_a_refusal() {
     let lossy = ScriptedDrive::new(0.01).with(5, 15, Fault::Timeout);
     let report = scripted(lossy, options()).unwrap();
     assert!(report.refusal().unwrap().text.contains("10 lost"));
+}
+
+#[test]
+fn a_fault_of_real_hardware_is_not_reset_before_somebody_said_that_it_may_move() {
+    let mut drive = ScriptedDrive::new(0.01);
+    drive.is_emulator = false;
+    let mut clock = VirtualClock::new();
+    let asked = CheckOptions {
+        reset_fault: true,
+        ..options()
+    };
+    let limits = BenchFile::embedded_default().limits();
+    let report = check(&mut drive, &mut clock, &limits, asked).unwrap();
+    assert_eq!(report.refusal().unwrap().name, "identity");
+    assert!(drive.demands.is_empty() && drive.stops == 0);
+}
+
+#[test]
+fn a_latched_fault_is_cleared_where_that_is_asked_for_and_the_checks_go_on() {
+    let limits = BenchFile::embedded_default().limits();
+    for reset_fault in [false, true] {
+        let mut clock = VirtualClock::new();
+        let drive = SoftDrive::new(&EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 3);
+        let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+        // A host that was killed while the drive ran: its watchdog has tripped.
+        let left = Command {
+            seq: 1,
+            demand: Demand::Voltage(0.0),
+        };
+        link.exchange(left).unwrap();
+        clock.set_time_s(1.0);
+        let asked = CheckOptions {
+            reset_fault,
+            ..options()
+        };
+        let report = check(&mut link, &mut clock, &limits, asked).unwrap();
+        if reset_fault {
+            assert!(report.passed(), "{:?}", report.refusal());
+            assert_eq!(text(&report, "reset"), "the drive is without a fault");
+        } else {
+            assert_eq!(report.refusal().unwrap().text, "the drive is in fault");
+        }
+    }
 }

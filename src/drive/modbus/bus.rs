@@ -200,6 +200,22 @@ impl ModbusBus {
             });
         answer.map(|answer| answer.value)
     }
+
+    fn put(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
+        let allowed = self.link.timing.allowed(9 + 2 * values.len(), 8);
+        let what = format!("write {values:04x?} at {address}");
+        let request = match (function, values) {
+            (6, [value]) => Request::WriteSingleRegister(address, *value),
+            _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
+        };
+        let answer = self
+            .link
+            .call(request, &what, allowed, |response| match response {
+                Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
+                other => Err(format!("{other:?}")),
+            });
+        answer.map(|answer| answer.value)
+    }
 }
 
 /// RTU frame of the reply to a read.
@@ -249,20 +265,21 @@ impl RegisterBus for ModbusBus {
     }
 
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
-        let allowed = self.link.timing.allowed(9 + 2 * values.len(), 8);
         self.fresh()?;
-        let what = format!("write {values:04x?} at {address}");
-        let request = match (function, values) {
-            (6, [value]) => Request::WriteSingleRegister(address, *value),
-            _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
-        };
-        let answer = self
-            .link
-            .call(request, &what, allowed, |response| match response {
-                Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
-                other => Err(format!("{other:?}")),
-            });
-        answer.map(|answer| answer.value)
+        self.put(function, address, values)
+    }
+
+    fn write_at_once(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+    ) -> Result<(), LinkError> {
+        self.link.listen()?;
+        let was_suspect = self.link.suspect;
+        let result = self.put(function, address, values);
+        self.link.suspect |= was_suspect;
+        result
     }
 
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {

@@ -13,6 +13,7 @@ const STOP_TIME_S: f64 = 2.0;
 impl<B: RegisterBus> ProfiledLink<B> {
     /// One pass of a command to its end, with the time that its steps take.
     pub(super) fn carry_out(&mut self, command: &'static str) -> Result<(), LinkError> {
+        self.points.is_urgent = true;
         let steps = match command {
             "coast" => &self.map.commands.coast,
             _ => &self.map.commands.stop,

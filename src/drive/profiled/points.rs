@@ -11,6 +11,8 @@ use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
 const NVM_SHARE: u32 = 1000;
 /// Writes where the profile does not say how many cycles the memory has.
 const NVM_WRITES: u32 = 10;
+/// Longest time over which a slew is counted, s: after a longer pause a reference does not jump further.
+const LONGEST_SLEW_TIME_S: f64 = 0.5;
 
 /// What went out last to one set-point.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -18,7 +20,11 @@ struct Sent {
     /// In units; `None` while it is not being held.
     value: Option<f64>,
     registers: Vec<u16>,
+    /// A write was not acknowledged, so that the drive may hold either: until one is, every value is written.
+    in_doubt: bool,
     at_s: f64,
+    /// When it was asked for last; `None` while it is not being held.
+    asked_s: Option<f64>,
     writes: u32,
     /// Times in a row that it read back otherwise, and as what.
     mismatches: u32,
@@ -33,6 +39,8 @@ pub(super) struct Points {
     pub(super) limited: bool,
     /// When something was written that a command watchdog counts, s.
     pub(super) kicked_s: f64,
+    /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
+    pub(super) is_urgent: bool,
     running: bool,
 }
 
@@ -43,6 +51,7 @@ impl Points {
             map,
             limited: false,
             kicked_s: f64::NEG_INFINITY,
+            is_urgent: false,
             running: false,
         }
     }
@@ -52,15 +61,17 @@ impl Points {
         self.running = false;
         for sent in &mut self.sent {
             sent.value = None;
+            sent.asked_s = None;
             sent.mismatches = 0;
         }
     }
 
-    /// The value that is being held for a quantity that the bench commands, SI.
+    /// The value that is being held for a quantity that the bench commands, SI; `None` where the drive may hold another.
     pub(super) fn held(&self, map: &RegisterMap, quantity: Quantity) -> Option<f64> {
         let point = map.demand(quantity)?;
         let at = map.set_points.iter().position(|p| p.name == point.name)?;
-        Some(self.sent.get(at)?.value? * point.si?)
+        let sent = self.sent.get(at).filter(|sent| !sent.in_doubt)?;
+        Some(sent.value? * point.si?)
     }
 
     /// Holds a reference: within its limits, no faster than its slew.
@@ -72,6 +83,7 @@ impl Points {
         wanted: f64,
     ) -> Result<(), LinkError> {
         self.running = true;
+        self.is_urgent = false;
         let map = Arc::clone(&self.map);
         let Some(point) = map.set_point(name) else {
             return Ok(());
@@ -86,14 +98,17 @@ impl Points {
         if let Some(slew) = point.slew_per_s {
             let sent = &self.sent[at];
             let from = sent.value.unwrap_or(0.0);
-            let most = slew * (now_s - sent.at_s).max(0.0);
+            let since_s = sent.asked_s.map_or(0.0, |asked_s| now_s - asked_s);
+            let most = slew * since_s.clamp(0.0, LONGEST_SLEW_TIME_S);
             value = value.clamp(from - most, from + most);
         }
+        self.sent[at].asked_s = Some(now_s);
         self.limited |= (value - wanted).abs() > 1e-9 * wanted.abs().max(1.0);
-        if self.sent[at]
+        let sent = &self.sent[at];
+        let is_held = sent
             .value
-            .is_some_and(|last| last.to_bits() == value.to_bits())
-        {
+            .is_some_and(|last| last.to_bits() == value.to_bits());
+        if is_held && !sent.in_doubt {
             return Ok(());
         }
         self.write(bus, readings, name, value, None)
@@ -131,19 +146,25 @@ impl Points {
         due.reduce(f64::min)
     }
 
-    /// Every reference to zero, at once.
+    /// Every reference to zero, at once. One that the drive does not take keeps none of the others from it: the first
+    /// error is that of all.
     pub(super) fn zero(
         &mut self,
         bus: &mut dyn RegisterBus,
         readings: &Readings,
     ) -> Result<(), LinkError> {
         let map = Arc::clone(&self.map);
+        let mut result = Ok(());
         for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
-            self.write(bus, readings, &point.name, 0.0, None)?;
+            let written = self.write(bus, readings, &point.name, 0.0, None);
             let at = self.position(&point.name);
             self.sent[at].value = None;
+            if matches!(written, Err(LinkError::Gone { .. })) {
+                return written;
+            }
+            result = result.and(written);
         }
-        Ok(())
+        result
     }
 
     /// Writes a value as it is, or only the bits under `mask`.
@@ -163,22 +184,32 @@ impl Points {
             ));
         };
         let at = self.position(name);
-        let magnitude = if let Some(sign) = &point.sign {
-            self.write_sign(bus, &sign.set_point, sign.mask, value < 0.0)?;
+        let encoded = |value: f64| {
+            let factor = readings.factor(&point.numbers.scale_by)?;
+            let raw = point.numbers.raw(value, factor);
+            point.location.layout.encode(raw)
+        };
+        let magnitude = if point.sign.is_some() {
             value.abs()
         } else {
             value
         };
-        let raw = readings
-            .factor(&point.numbers.scale_by)
-            .map(|factor| point.numbers.raw(magnitude, factor));
-        let Some(mut registers) = raw.and_then(|raw| point.location.layout.encode(raw)) else {
+        let Some(mut registers) = encoded(magnitude) else {
             let unit = point.numbers.unit.name();
             return Err(refused(
                 bus,
                 format!("setpoint {name} = {value} {unit} does not fit its register"),
             ));
         };
+        if let Some(sign) = &point.sign {
+            // Through zero: between the two writes the old magnitude must not stand behind the new sign.
+            let turns = self.sent[at].value.is_some_and(|held| held * value < 0.0);
+            if let Some(zero) = encoded(0.0).filter(|_| turns) {
+                self.send(bus, at, point, &zero)?;
+                self.sent[at].value = Some(0.0);
+            }
+            self.write_sign(bus, &sign.set_point, sign.mask, value < 0.0)?;
+        }
         if let (Some(mask), [word]) = (mask, registers.as_mut_slice()) {
             let before = self.sent[at].registers.first().copied().unwrap_or(0);
             *word = (before & !mask) | (*word & mask);
@@ -197,6 +228,7 @@ impl Points {
         negative: bool,
     ) -> Result<(), LinkError> {
         let at = self.position(name);
+        let in_doubt = self.sent[at].in_doubt;
         let Some(before) = self.sent[at].registers.first().copied() else {
             return Ok(());
         };
@@ -207,7 +239,7 @@ impl Points {
         };
         let map = Arc::clone(&self.map);
         match map.set_points.get(at) {
-            Some(point) if word != before => self.send(bus, at, point, &[word]),
+            Some(point) if word != before || in_doubt => self.send(bus, at, point, &[word]),
             _ => Ok(()),
         }
     }
@@ -228,7 +260,7 @@ impl Points {
             return Err(refused(bus, text));
         }
         if point.nvm {
-            if sent.registers == registers {
+            if sent.registers == registers && !sent.in_doubt {
                 return Ok(());
             }
             let most = self
@@ -243,16 +275,25 @@ impl Points {
                 return Err(refused(bus, text));
             }
         }
-        bus.write(point.function, point.location.address, registers)
-            .map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
+        self.sent[at].in_doubt = true;
+        let (function, address) = (point.function, point.location.address);
+        let written = if self.is_urgent {
+            bus.write_at_once(function, address, registers)
+        } else {
+            bus.write(function, address, registers)
+        };
+        written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         let sent = &mut self.sent[at];
         sent.writes += 1;
         sent.at_s = bus.now_s();
         sent.registers = registers.to_vec();
         self.kicked_s = sent.at_s;
+        // Without a read-back that comes, the value that is held has not been noted either.
+        sent.in_doubt = point.readback;
         if point.readback {
             let count = point.location.layout.registers();
             let found = bus.read(point.location.table, point.location.address, count)?;
+            sent.in_doubt = false;
             if found == registers {
                 sent.mismatches = 0;
             } else {

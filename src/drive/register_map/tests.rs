@@ -186,7 +186,14 @@ fn wrong(name: &str, from: &str, to: &str) -> (String, String) {
 }
 
 /// Profile, what is exchanged, the message or its help, and what stands at the place of the error.
-const DEFECTS: [(&str, &str, &str, &str, &str); 31] = [
+const DEFECTS: [(&str, &str, &str, &str, &str); 32] = [
+    (
+        "siemens-v20",
+        "limits = [0, 100]",
+        "limits = [5, 100]",
+        "0 within for what moves the motor",
+        "limits",
+    ),
     (
         "siemens-v20",
         "poll = \"fast\"",

@@ -19,6 +19,7 @@ pub struct ForeignBus {
     statistics: LinkStatistics,
     /// So many requests from now on get no reply.
     deaf: u32,
+    mute: u32,
 }
 
 impl ForeignBus {
@@ -31,6 +32,7 @@ impl ForeignBus {
             now_s: 0.0,
             statistics: LinkStatistics::default(),
             deaf: 0,
+            mute: 0,
         }
     }
 
@@ -40,6 +42,11 @@ impl ForeignBus {
 
     pub const fn drive_mut(&mut self) -> &mut ForeignDrive {
         &mut self.drive
+    }
+
+    /// The next requests are carried out, and their replies are lost.
+    pub const fn lose_replies(&mut self, replies: u32) {
+        self.mute = replies;
     }
 
     /// The next requests are lost on the way.
@@ -55,8 +62,12 @@ impl ForeignBus {
             arrived_s = self.pace.arrival_s(self.now_s);
         }
         self.drive.advance_to(arrived_s);
-        if self.deaf > 0 {
-            self.deaf -= 1;
+        let is_lost = self.deaf > 0;
+        let answer = (!is_lost).then(|| self.drive.answer(request));
+        let is_mute = !is_lost && self.mute > 0;
+        self.deaf -= u32::from(is_lost);
+        self.mute -= u32::from(is_mute);
+        let Some(answer) = answer.filter(|_| !is_mute) else {
             self.statistics.timeout += 1;
             let waited_s = 0.1;
             self.now_s = arrived_s + waited_s;
@@ -65,8 +76,7 @@ impl ForeignBus {
                 deadline_ms: 100,
                 request: what(),
             });
-        }
-        let answer = self.drive.answer(request);
+        };
         self.now_s = self.pace.delivery_s(arrived_s, answer.len() + FRAME_BYTES);
         if let [function, code] = *answer.as_slice()
             && function & 0x80 != 0

@@ -39,6 +39,10 @@ impl Table {
     }
 
     fn check(&mut self) -> CheckReport {
+        self.check_after(false)
+    }
+
+    fn check_after(&mut self, reset_fault: bool) -> CheckReport {
         let bench = BenchFile::embedded_default();
         let plate = bench.nameplate().unwrap();
         let limits = Limits {
@@ -58,6 +62,7 @@ impl Table {
                 profile: &self.host,
                 stopped: &|| false,
             }),
+            reset_fault,
             ..options()
         };
         check(&mut self.link, &mut self.clock, &limits, options).unwrap()
@@ -126,6 +131,12 @@ fn a_set_point_that_reads_back_otherwise_is_refused_at_rest() {
 
 #[test]
 fn a_drive_that_somebody_runs_is_refused_and_nothing_is_asked_of_it() {
+    for reset_fault in [false, true] {
+        is_left_running(reset_fault);
+    }
+}
+
+fn is_left_running(reset_fault: bool) {
     let far = profile("high_first", "0.1");
     let mut table = Table::new(far.clone(), &far);
     let bus = table.link.bus_mut();
@@ -133,7 +144,7 @@ fn a_drive_that_somebody_runs_is_refused_and_nothing_is_asked_of_it() {
         bus.write(16, address, words).unwrap();
     }
     table.clock.set_time_s(2.0);
-    let report = table.check();
+    let report = table.check_after(reset_fault);
     let refusal = report.refusal().unwrap();
     assert_eq!(refusal.name, "standstill");
     assert!(

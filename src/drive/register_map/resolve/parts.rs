@@ -173,16 +173,19 @@ impl Reader<'_> {
         })?;
         if let Some(limits) = keys.limits {
             let ordered = limits[0].is_finite() && limits[1].is_finite() && limits[0] < limits[1];
+            // A drive is brought to rest with zero, which must not become something else on its way out.
+            let moves = !matches!(keys.quantity, Quantity::Word | Quantity::Other);
+            let rests = !moves || (limits[0] <= 0.0 && limits[1] > 0.0);
             // With a factor from the drive this can only be known when the factor is.
             let fits = !numbers.scale_by.is_empty()
                 || limits
                     .iter()
                     .all(|limit| layout.encode(numbers.raw(*limit, 1.0)).is_some());
-            if !(ordered && fits) {
+            if !(ordered && fits && rests) {
                 return Err(wrong(
                     "limits",
                     format!(
-                        "limits {limits:?} is not allowed (expected [lowest, highest] that the raw type holds)"
+                        "limits {limits:?} is not allowed (expected [lowest, highest] that the raw type holds, 0 within for what moves the motor)"
                     ),
                 ));
             }

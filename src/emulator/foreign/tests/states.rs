@@ -188,3 +188,39 @@ fn the_watchdog_of_a_drive_that_somebody_runs_is_left_as_it_is() {
     runs.pass(60.0);
     assert!(runs.far().is_running(), "long after this host has gone");
 }
+
+/// A refresh would write again what was lost.
+const NO_REFRESH: (&str, &str) = ("refresh_ms = 100.0", "");
+
+#[test]
+fn a_set_point_whose_acknowledgement_was_lost_is_written_again_whatever_is_asked_next() {
+    let mut table = Table::of(&profile_with("epulse50-dc", &[NO_REFRESH]), None);
+    table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 0.5);
+    let before = table.far().told_last("speed_ref");
+    table.link.bus_mut().lose_replies(1);
+    let lost = table.run(Some(("speed_ref", 700.0))).unwrap_err();
+    assert!(lost.is_transient(), "{lost}");
+    assert_ne!(table.far().told_last("speed_ref"), before);
+    // As asked before the reply was lost: the drive must not keep what nobody wants any more.
+    table.run(REFERENCE).unwrap();
+    assert_eq!(table.far().told_last("speed_ref"), before);
+}
+
+#[test]
+fn a_slew_counts_from_the_last_cycle_and_not_from_the_last_change() {
+    let slow = (
+        "limits = [-3000, 3000]",
+        "limits = [-3000, 3000]\nslew_per_s = 100.0",
+    );
+    let mut table = Table::of(&profile_with("epulse50-dc", &[slow, NO_REFRESH]), None);
+    table.link.identify().unwrap();
+    table.enable(Some(("speed_ref", 0.0)));
+    table.hold(Some(("speed_ref", 0.0)), 8.0);
+    let sample = table.run(Some(("speed_ref", 500.0))).unwrap();
+    assert!(sample.limited);
+    table.hold(Some(("speed_ref", 500.0)), 1.0);
+    let speed = table.far().speed_rad_s();
+    assert!(speed < 20.0, "{speed} rad/s after 1 s at 100 rpm/s");
+}
