@@ -26,14 +26,12 @@ use self::still::Still;
 use super::clock::Clock;
 use super::limits::Limits;
 use crate::drive::offer::{self, Purpose};
-use crate::drive::{DriveLink, DriveProfile, Identity, LinkError};
+use crate::drive::{CommandTimes, DriveLink, DriveProfile, Identity, LinkError};
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// A request that moves nothing is sent again for so long, and so many cycles, where its reply is lost, s.
 const ASKS_S: f64 = 1.0;
 const ASKS_CYCLES: f64 = 3.0;
-/// Cycles that the drive may take to run at zero, or to clear its fault.
-const PATIENCE: u32 = 100;
 
 /// Why the checks could not be carried out.
 #[derive(Debug, Error)]
@@ -356,7 +354,22 @@ impl Checker<'_> {
         )
     }
 
-    /// Sends `demand` once per period until the drive's state is as wanted.
+    /// What the drive may take at the rate of these checks.
+    fn times(&self) -> CommandTimes {
+        self.link.command_times().asked_every(self.period_s)
+    }
+
+    /// Time after which a drive has not done as `demand` says, s.
+    fn patience_s(&self, demand: Demand) -> f64 {
+        let times = self.times();
+        match demand {
+            Demand::Disable | Demand::Stop => times.stop_s,
+            Demand::ResetFault => times.reset_s,
+            Demand::Voltage(_) | Demand::Current(_) | Demand::Speed(_) => times.enable_s,
+        }
+    }
+
+    /// Sends `demand` once per period until the drive's state is as wanted, for as long as it may take.
     fn until(
         &mut self,
         demand: Demand,
@@ -370,10 +383,11 @@ impl Checker<'_> {
         demand: Demand,
         mut wanted: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, LinkError> {
-        let begin_s = self.clock.now_s();
-        for cycle in 0..PATIENCE {
-            self.clock
-                .sleep_until_s(begin_s + f64::from(cycle + 1) * self.period_s);
+        let mut next_s = self.clock.now_s();
+        let until_s = next_s + self.patience_s(demand);
+        while self.clock.now_s() < until_s {
+            next_s += self.period_s;
+            self.clock.sleep_until_s(next_s);
             match self.exchange(demand) {
                 Ok(sample) if wanted(&sample) => return Ok(true),
                 Ok(_) => {}

@@ -19,12 +19,11 @@ pub use trip::{Trip, TripKind};
 use thiserror::Error;
 
 use super::limits::{Limits, Nameplate};
+use crate::drive::CommandTimes;
 use crate::sample::{Channel, Demand, DriveState, Sample};
 
 /// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends (LINKS.md 5.3: 38).
 const ALLOWED_IN_A_ROW: u32 = 3;
-/// Time that a drive may take from the command to run until it reports that it does, s.
-const ENABLE_TIME_S: f64 = 1.0;
 /// A drive that ran and left that state by itself is given this long (one late status word), s.
 const LEFT_RUNNING_S: f64 = 0.05;
 /// Measured voltage may exceed the commanded limit by this share: ripple, noise and calibration of the drive.
@@ -85,6 +84,8 @@ pub struct Guard {
     run_wanted_since_s: Option<f64>,
     has_run: bool,
     not_running_since_s: Option<f64>,
+    /// Time that the drive may take from the command to run until it reports that it does, s.
+    enable_time_s: f64,
     angle_origin_rad: Option<f64>,
 }
 
@@ -125,6 +126,13 @@ impl Guard {
         self
     }
 
+    /// For a drive that may take so long from the command to run until it reports that it does.
+    #[must_use]
+    pub const fn with_enable_time(mut self, enable_time_s: f64) -> Self {
+        self.enable_time_s = enable_time_s;
+        self
+    }
+
     fn with_shaper(limits: Limits, shaper: shape::Shaper) -> Self {
         Self {
             shaper,
@@ -141,6 +149,7 @@ impl Guard {
             run_wanted_since_s: None,
             has_run: false,
             not_running_since_s: None,
+            enable_time_s: CommandTimes::default().enable_s,
             angle_origin_rad: None,
         }
     }
@@ -426,7 +435,7 @@ impl Guard {
             // The first reply that says so may be a status word of before; the second is not.
             (since_s, LEFT_RUNNING_S)
         } else {
-            (wanted_since_s, ENABLE_TIME_S)
+            (wanted_since_s, self.enable_time_s)
         };
         let waited_s = now_s - since_s;
         (waited_s > limit_s).then(|| Trip::not_running(now_s, state, waited_s, limit_s))

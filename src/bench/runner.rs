@@ -184,7 +184,14 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
     };
     let mut runner = Runner {
         publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
-        session: session.telling_stop(bench.link.confirms_stop()),
+        session: session
+            .telling_stop(bench.link.confirms_stop())
+            .with_command_times(
+                bench
+                    .link
+                    .command_times()
+                    .asked_every(1.0 / options.rate_hz),
+            ),
         link: StopOnDrop(bench.link),
         recorder: bench.recorder,
         estimator: bench.estimator,
@@ -275,7 +282,11 @@ impl Runner<'_> {
             cycle += 1;
         }
         // Whatever the session knows: the last word to the drive is zero output.
-        let stop_error = self.link.0.stop().err().map(|error| error.to_string());
+        let stopped = self.link.0.stop();
+        if let Some(notice) = self.session.last_word(stopped.as_ref().map(|()| ())) {
+            self.act_on_notice(notice);
+        }
+        let stop_error = stopped.err().map(|error| error.to_string());
         if let Some(estimator) = self.estimator.as_mut() {
             estimator.finish();
         }

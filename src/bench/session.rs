@@ -25,10 +25,11 @@ use super::guard::{Causes, Guard, Trip};
 use super::pilot::{OpenLoop, Pilot};
 use super::program::Program;
 use super::speed::SpeedReport;
+use crate::drive::CommandTimes;
 use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// Longest wait for the drive's word that it has stopped, unless its watchdog is known to act earlier, s.
-const STOP_CONFIRM_S: f64 = 1.0;
+/// A drive that is to stop and says nothing at all is given up after this, s: there is no ramp to wait for.
+const STOP_SILENCE_S: f64 = 1.0;
 /// After the output has reached zero the shaft is given this long to come to rest under braking, s.
 const COME_TO_REST_S: f64 = 2.0;
 /// Share of the speed limit below which the shaft counts as at rest.
@@ -106,6 +107,14 @@ pub struct Session {
     stopping_since_s: f64,
     /// What the session will end with, once it has stopped.
     ending: Option<Outcome>,
+    /// Longest wait for the drive's word that it has stopped, s.
+    stop_time_s: f64,
+    /// When the drive was heard last, s.
+    heard_s: f64,
+    /// The drive was seen to run, or does not tell whether it does.
+    has_run: bool,
+    /// It has ended without the drive's word that its output is off.
+    unconfirmed: bool,
     drive: Option<Sample>,
     segment: Option<usize>,
     shaping: Causes,
@@ -147,6 +156,10 @@ impl Session {
             ramp_since_s: 0.0,
             stopping_since_s: 0.0,
             ending: None,
+            stop_time_s: CommandTimes::default().stop_s,
+            heard_s: 0.0,
+            has_run: false,
+            unconfirmed: false,
             drive: None,
             segment: None,
             shaping: Causes::default(),
@@ -177,6 +190,14 @@ impl Session {
     #[must_use]
     pub const fn telling_stop(mut self, tells: bool) -> Self {
         self.tells_stop = tells;
+        self
+    }
+
+    /// For a drive that may take so long to run and to stop.
+    #[must_use]
+    pub fn with_command_times(mut self, times: CommandTimes) -> Self {
+        self.guard = self.guard.with_enable_time(times.enable_s);
+        self.stop_time_s = times.stop_s;
         self
     }
 
@@ -363,6 +384,8 @@ impl Session {
             actions.push(Action::Row(Box::new(sample.clone())));
         }
         let state = sample.state;
+        self.heard_s = now_s;
+        self.has_run |= state.map_or(armed, |state| state == DriveState::Running);
         let reached = self.goals.iter().copied().find_map(|(channel, level)| {
             let value = sample.get(channel).filter(|value| value.abs() >= level)?;
             Some((channel, value, level))
@@ -400,6 +423,9 @@ impl Session {
             Lost::Refused(message) => ("refused_by_drive", message),
             Lost::Gone(message) => ("link_gone", message),
         };
+        if matches!(lost, Lost::Refused(_)) {
+            self.heard_s = now_s;
+        }
         self.event(now_s, kind, json!({ "message": message }), actions);
         if matches!(lost, Lost::Refused(_)) && self.phase.is_energised() {
             notice(actions, Level::Error, message.clone());

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 use super::limits::Nameplate;
 use super::program::Program;
-use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use crate::drive::{CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use crate::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
 
 impl Nameplate {
@@ -72,6 +72,9 @@ pub(super) struct ScriptedDrive {
     pub(super) stops: u32,
     pub(super) is_emulator: bool,
     pub(super) shortest_cycle_s: Option<f64>,
+    pub(super) times: CommandTimes,
+    /// What a stop outside a run ends with; `None`: it is confirmed.
+    pub(super) stop_fails: Option<fn(String) -> LinkError>,
     state: DriveState,
     time_s: f64,
     voltage_v: f64,
@@ -89,6 +92,8 @@ impl ScriptedDrive {
             stops: 0,
             is_emulator: true,
             shortest_cycle_s: None,
+            times: CommandTimes::default(),
+            stop_fails: None,
             state: DriveState::Disabled,
             time_s: 0.0,
             voltage_v: 0.0,
@@ -204,9 +209,16 @@ impl DriveLink for ScriptedDrive {
 
     fn stop(&mut self) -> Result<(), LinkError> {
         self.stops += 1;
+        if let Some(error) = self.stop_fails {
+            return Err(error(self.name().0));
+        }
         self.state = DriveState::Disabled;
         self.voltage_v = 0.0;
         Ok(())
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        self.times
     }
 
     fn statistics(&self) -> LinkStatistics {

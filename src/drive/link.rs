@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::burst::Burst;
 use super::clock_map::ClockMap;
+use super::command_times::CommandTimes;
 use super::guard::LineCounts;
 use super::tally::RoundTrips;
 use crate::sample::{Command, Demand, Sample};
@@ -241,6 +242,11 @@ pub trait DriveLink: Send {
     /// Whether the drive tells that its output is off. Where it does not, an acknowledged stop is not a confirmed one.
     fn confirms_stop(&self) -> bool {
         true
+    }
+
+    /// How long it may take to do what it is told: nobody gives up on a good drive before.
+    fn command_times(&self) -> CommandTimes {
+        CommandTimes::default()
     }
 
     /// Lets go of the port, so that it can be opened again; every later call finds the link gone.

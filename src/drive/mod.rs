@@ -12,6 +12,7 @@
 //!                  +-- tap/ (capture file) <- raw/ (registers of any unit), serial_ports.rs (what is plugged in)
 //!                                              '-- probe/ (read-only: who is it, and is its profile right?)
 //!                  +-- timeline.rs, clock_map.rs (drive time in seconds since connect)
+//!                  +-- command_times.rs (how long it may take to run, to stop, to be reset)
 //!                  +-- reopen.rs (a link that was lost: when again, under which name, who must be there)
 //! ```
 //!
@@ -21,6 +22,7 @@
 mod budget;
 pub mod burst;
 mod clock_map;
+mod command_times;
 #[cfg(test)]
 mod fake;
 #[cfg(test)]
@@ -52,6 +54,7 @@ mod virtual_line;
 pub use budget::{AdapterRate, LineBudget, LoopRates, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
+pub use command_times::CommandTimes;
 pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 pub use modbus::{ModbusBus, ModbusLink, RegisterTable};

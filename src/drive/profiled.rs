@@ -19,6 +19,7 @@ use std::sync::Arc;
 use self::points::Points;
 use self::readings::Readings;
 use self::sequence::{Next, Sequence};
+use super::command_times::CommandTimes;
 use super::guard::LineCounts;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
@@ -529,6 +530,10 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     fn confirms_stop(&self) -> bool {
         self.map.state("running").is_some()
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        CommandTimes::of(&self.map.commands)
     }
 
     fn close(&mut self) {

@@ -5,7 +5,7 @@ use super::plausible;
 use super::pulse::{Kind, Leg, Size};
 use super::still::Still;
 use super::watchdog::AT_ZERO_HELP;
-use super::{CheckOptions, Checker, PATIENCE, Reached};
+use super::{CheckOptions, Checker, Reached};
 use crate::bench::bench_file::Brake;
 use crate::bench::guard::{Guard, Trip};
 use crate::bench::limits::{Limits, Nameplate};
@@ -239,7 +239,9 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
         let (mean, std) = floor.map_or((0.0, 0.0), |floor| (floor.mean, floor.std));
         let share = (REST_SHARE * limits.speed_rad_s).min(0.5 * size.goal_rad_s);
         Self {
-            guard: Guard::new(own, plate, limit_a).with_period(checker.period_s),
+            guard: Guard::new(own, plate, limit_a)
+                .with_period(checker.period_s)
+                .with_enable_time(checker.times().enable_s),
             size,
             still,
             brake: limits.load.brake(),
@@ -391,12 +393,12 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
     }
 
     fn never_runs(&self) -> Trip {
-        let patience_s = f64::from(PATIENCE) * self.checker.period_s;
+        let patience_s = self.checker.times().enable_s;
         Trip::not_running(self.next_s, DriveState::Disabled, patience_s, patience_s)
     }
 
     fn never_stops(&self) -> Trip {
-        let patience_s = f64::from(PATIENCE) * self.checker.period_s;
+        let patience_s = self.checker.times().stop_s;
         Trip::unstopped(self.next_s, patience_s)
     }
 }

@@ -1,6 +1,7 @@
 //! The checks over the emulated drive and over a scripted one; `foreign.rs`: before a drive of another make.
 
 mod foreign;
+mod patience;
 mod stalls;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};

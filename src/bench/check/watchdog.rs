@@ -1,7 +1,7 @@
 //! Whether the drive's own watchdog works: the host stops talking on purpose.
 
 use super::still::Still;
-use super::{Checker, PATIENCE, Reached};
+use super::{Checker, Reached};
 use crate::bench::limits::Limits;
 use crate::drive::LinkError;
 use crate::sample::{Demand, DriveState};
@@ -34,7 +34,8 @@ impl Checker<'_> {
         match self.runs_at_zero(&mut still)? {
             Reached::Yes => {}
             Reached::Never => {
-                let text = format!("the drive does not run at zero within {PATIENCE} cycles");
+                let waited_s = self.times().enable_s;
+                let text = format!("the drive does not run at zero within {waited_s:.2} s");
                 return Ok(self.note(WATCHDOG, false, text, "check the drive's enable input"));
             }
             Reached::Moved(text) => return Ok(self.moved_at_zero("", &text)),
@@ -62,7 +63,8 @@ impl Checker<'_> {
             match self.until_still(Demand::ResetFault, &mut still, cleared)? {
                 Reached::Yes => {}
                 Reached::Never => {
-                    let text = format!("{text}; it does not reset");
+                    let waited_s = self.times().reset_s;
+                    let text = format!("{text}; it does not reset within {waited_s:.2} s");
                     return Ok(self.note(WATCHDOG, false, text, "reset the drive by hand"));
                 }
                 Reached::Moved(text) => return Ok(self.moved_at_zero(" with the reset", &text)),

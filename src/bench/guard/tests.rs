@@ -109,6 +109,26 @@ fn a_drive_that_stops_running_by_itself_ends_the_run() {
 }
 
 #[test]
+fn a_drive_is_given_the_time_that_it_may_take_to_run() {
+    let mut guard = guard().with_enable_time(4.0);
+    guard.begin(0.0, &sample(0.0));
+    let mut now_s = 0.0;
+    while now_s < 10.0 && guard.tripped().is_none() {
+        now_s += PERIOD_S;
+        guard.tick(now_s);
+        guard.shape(now_s, Demand::Voltage(0.0));
+        let mut sample = sample(now_s);
+        sample.state = Some(DriveState::Ready);
+        guard.watch(now_s, &sample, true);
+    }
+    assert_eq!(
+        guard.tripped().map(|trip| trip.kind),
+        Some(TripKind::NotRunning)
+    );
+    assert!((4.0..4.1).contains(&now_s), "{now_s}");
+}
+
+#[test]
 fn silence_of_the_link_and_of_the_host_are_told_apart() {
     let (mut guard, mut now_s) = running();
     for _ in 0..9 {

@@ -2,8 +2,11 @@
 
 use serde_json::json;
 
-use super::{Action, Level, Outcome, Phase, STOP_CONFIRM_S, Session, notice};
+use super::{Action, Level, Notice, Outcome, Phase, STOP_SILENCE_S, Session, notice};
 use crate::bench::guard::Trip;
+use crate::drive::LinkError;
+
+const TOLD_NOTHING: &str = "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still";
 
 impl Session {
     pub(super) fn end(&mut self, outcome: Outcome, now_s: f64, actions: &mut Vec<Action>) {
@@ -43,7 +46,9 @@ impl Session {
     }
 
     pub(super) fn finish_if_late(&mut self, now_s: f64, actions: &mut Vec<Action>) {
-        if now_s - self.stopping_since_s > STOP_CONFIRM_S {
+        let waited_s = now_s - self.stopping_since_s;
+        let silent_s = now_s - self.heard_s;
+        if waited_s > self.stop_time_s || waited_s.min(silent_s) > STOP_SILENCE_S {
             self.finish(false, now_s, actions);
         }
     }
@@ -61,21 +66,9 @@ impl Session {
             Outcome::Tripped(_) => Phase::Tripped,
             Outcome::LinkLost { .. } => Phase::LinkLost,
         };
-        if !confirmed {
-            notice(
-                actions,
-                Level::Error,
-                "stop NOT confirmed by the drive: its watchdog must have stopped the motor"
-                    .to_owned(),
-            );
-        }
+        self.unconfirmed = !confirmed;
         if confirmed && !self.tells_stop {
-            notice(
-                actions,
-                Level::Warning,
-                "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still"
-                    .to_owned(),
-            );
+            notice(actions, Level::Warning, TOLD_NOTHING.to_owned());
         }
         self.enter(phase, now_s, actions);
         self.event(
@@ -85,5 +78,36 @@ impl Session {
             actions,
         );
         actions.push(Action::Finished(outcome));
+    }
+
+    /// What is to be said after the link's own last stop, where the session ended without the drive's word.
+    pub fn last_word(&self, stopped: Result<(), &LinkError>) -> Option<Notice> {
+        if !self.unconfirmed {
+            return None;
+        }
+        let (level, text) = match stopped {
+            Ok(()) if self.tells_stop => (
+                Level::Warning,
+                "the drive confirmed its stop only when it was told once more, after the run"
+                    .to_owned(),
+            ),
+            Ok(()) => (Level::Warning, TOLD_NOTHING.to_owned()),
+            // It answers, or was not seen to run: no watchdog has acted.
+            Err(error @ (LinkError::Refused { .. } | LinkError::Sequence { .. })) => (
+                Level::Error,
+                format!("stop NOT confirmed by the drive: {error}; see that the shaft stands still"),
+            ),
+            Err(_) if !self.has_run => (
+                Level::Error,
+                "stop NOT confirmed by the drive, which was not seen to run; see that the shaft stands still"
+                    .to_owned(),
+            ),
+            Err(_) => (
+                Level::Error,
+                "stop NOT confirmed by the drive: its watchdog must have stopped the motor"
+                    .to_owned(),
+            ),
+        };
+        Some(Notice { level, text })
     }
 }

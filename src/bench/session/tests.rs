@@ -4,7 +4,7 @@ use super::*;
 use crate::bench::guard::TripKind;
 use crate::bench::limits::{Limits, Nameplate};
 use crate::bench::testing::{Fault, ScriptedDrive, Wave};
-use crate::drive::DriveLink;
+use crate::drive::{DriveLink, LinkError};
 
 const PERIOD_S: f64 = 0.01;
 
@@ -216,16 +216,48 @@ fn a_stop_that_the_drive_does_not_confirm_is_repeated_and_said() {
         .filter(|d| **d == Demand::Stop)
         .count();
     assert!(stops >= 99, "{stops}");
-    assert!(bench.log.iter().any(|action| matches!(
-        action,
-        Action::Notice(notice) if notice.text.contains("NOT confirmed")
-    )));
+    let silent = LinkError::Gone {
+        link: "script:".to_owned(),
+        reason: "unplugged".to_owned(),
+    };
+    let said = bench.session.last_word(Err(&silent)).unwrap();
+    assert_eq!(said.level, Level::Error);
+    assert!(said.text.contains("NOT confirmed"), "{}", said.text);
     // The program was over, but nobody knows that the output is off: no success.
     assert!(
         matches!(bench.outcome(), Some(Outcome::LinkLost { .. })),
         "{:?}",
         bench.outcome()
     );
+}
+
+/// A session that gives its drive 10 s to stop.
+fn patient(drive: ScriptedDrive) -> Bench {
+    let mut bench = Bench::new(drive);
+    let times = CommandTimes {
+        stop_s: 10.0,
+        ..CommandTimes::default()
+    };
+    bench.session = session().with_command_times(times);
+    bench.start()
+}
+
+#[test]
+fn a_drive_that_comes_down_by_a_slow_ramp_of_its_own_is_waited_for() {
+    let mut bench = patient(ScriptedDrive::new(PERIOD_S).with(60, 500, Fault::IgnoresStop));
+    bench.cycles(600);
+    assert_eq!(bench.outcome(), Some(&Outcome::Done));
+    assert_eq!(bench.session.last_word(Ok(())), None);
+}
+
+#[test]
+fn a_drive_that_says_nothing_is_not_waited_for_as_for_a_slow_ramp() {
+    let mut bench = patient(ScriptedDrive::new(PERIOD_S).with(60, u64::MAX, Fault::Timeout));
+    bench.cycles(600);
+    assert!(matches!(bench.outcome(), Some(Outcome::LinkLost { .. })));
+    let demands = bench.drive.demands.iter();
+    let stops = demands.filter(|demand| **demand == Demand::Stop).count();
+    assert!((99..110).contains(&stops), "{stops}");
 }
 
 #[test]

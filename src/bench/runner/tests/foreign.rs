@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::*;
 use crate::bench::limits::Limits;
-use crate::drive::{DriveProfile, Identity, LinkError, LinkName, ProfiledLink};
+use crate::drive::{CommandTimes, DriveProfile, Identity, LinkError, LinkName, ProfiledLink};
 use crate::emulator::{ForeignBus, ForeignDrive, Guise};
 
 /// A servo amplifier that tells who has its command and whether its torque is off.
@@ -48,6 +48,10 @@ impl DriveLink for Befallen {
 
     fn confirms_stop(&self) -> bool {
         self.link.confirms_stop()
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        self.link.command_times()
     }
 
     fn statistics(&self) -> LinkStatistics {
@@ -98,6 +102,30 @@ fn an_undisturbed_run_is_done_and_confirmed() {
     let (summary, events, _) = summary(&profile(), SLOW, u64::MAX, |_| {});
     assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
     assert!(events.contains("\"stop_confirmed\":true"), "{events}");
+}
+
+/// The drive of which a command takes its time.
+fn slow(from: &str, to: &str) -> DriveProfile {
+    let text = DriveProfile::text("epulse50-dc").unwrap();
+    assert!(text.contains(from));
+    DriveProfile::parse("epulse50-dc", &text.replacen(from, to, 1)).unwrap()
+}
+
+#[test]
+fn a_drive_that_takes_long_to_run_as_its_profile_says_is_waited_for() {
+    let profile = slow("enable = [\n", "enable = [\n  { delay_ms = 1600 },\n");
+    let (summary, _, _) = summary(&profile, SLOW, u64::MAX, |_| {});
+    assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
+}
+
+#[test]
+fn a_drive_that_takes_long_to_stop_as_its_profile_says_is_no_lost_link() {
+    let profile = slow("stop = [\n", "stop = [\n  { delay_ms = 1600 },\n");
+    let (summary, events, _) = summary(&profile, SLOW, u64::MAX, |_| {});
+    assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
+    assert!(events.contains("\"stop_confirmed\":true"), "{events}");
+    let mut said = summary.notices.iter().map(|notice| notice.text.as_str());
+    assert!(said.all(|text| !text.contains("confirmed")));
 }
 
 #[test]
