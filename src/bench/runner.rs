@@ -283,7 +283,7 @@ impl Runner<'_> {
         }
         // Whatever the session knows: the last word to the drive is zero output.
         let stopped = self.link.0.stop();
-        if let Some(notice) = self.session.last_word(stopped.as_ref().map(|()| ())) {
+        if let Some(notice) = self.session.last_word(stopped.as_ref().err()) {
             self.act_on_notice(notice);
         }
         let stop_error = stopped.err().map(|error| error.to_string());

@@ -20,6 +20,7 @@ pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome};
 use serde_json::{Value, json};
 
 use self::brake::BrakeOrder;
+use self::ending::DriveWord;
 use super::bench_file::Brake;
 use super::guard::{Causes, Guard, Trip};
 use super::pilot::{OpenLoop, Pilot};
@@ -107,14 +108,7 @@ pub struct Session {
     stopping_since_s: f64,
     /// What the session will end with, once it has stopped.
     ending: Option<Outcome>,
-    /// Longest wait for the drive's word that it has stopped, s.
-    stop_time_s: f64,
-    /// When the drive was heard last, s.
-    heard_s: f64,
-    /// The drive was seen to run, or does not tell whether it does.
-    has_run: bool,
-    /// It has ended without the drive's word that its output is off.
-    unconfirmed: bool,
+    word: DriveWord,
     drive: Option<Sample>,
     segment: Option<usize>,
     shaping: Causes,
@@ -127,8 +121,6 @@ pub struct Session {
     brake: Option<BrakeOrder>,
     /// What the user waived, to be said once.
     waived: Vec<String>,
-    /// Whether the drive tells that its output is off.
-    tells_stop: bool,
 }
 
 impl Session {
@@ -156,10 +148,7 @@ impl Session {
             ramp_since_s: 0.0,
             stopping_since_s: 0.0,
             ending: None,
-            stop_time_s: CommandTimes::default().stop_s,
-            heard_s: 0.0,
-            has_run: false,
-            unconfirmed: false,
+            word: DriveWord::default(),
             drive: None,
             segment: None,
             shaping: Causes::default(),
@@ -168,7 +157,6 @@ impl Session {
             burst_at: None,
             brake: None,
             waived: Vec::new(),
-            tells_stop: true,
         }
     }
 
@@ -189,7 +177,7 @@ impl Session {
     /// For a drive that does not tell whether its output is off: a stop that it took is then not said to be confirmed.
     #[must_use]
     pub const fn telling_stop(mut self, tells: bool) -> Self {
-        self.tells_stop = tells;
+        self.word.tells_stop = tells;
         self
     }
 
@@ -197,7 +185,7 @@ impl Session {
     #[must_use]
     pub fn with_command_times(mut self, times: CommandTimes) -> Self {
         self.guard = self.guard.with_enable_time(times.enable_s);
-        self.stop_time_s = times.stop_s;
+        self.word.stop_time_s = times.stop_s;
         self
     }
 
@@ -384,8 +372,8 @@ impl Session {
             actions.push(Action::Row(Box::new(sample.clone())));
         }
         let state = sample.state;
-        self.heard_s = now_s;
-        self.has_run |= state.map_or(armed, |state| state == DriveState::Running);
+        self.word.heard_s = now_s;
+        self.word.has_run |= state.map_or(armed, |state| state == DriveState::Running);
         let reached = self.goals.iter().copied().find_map(|(channel, level)| {
             let value = sample.get(channel).filter(|value| value.abs() >= level)?;
             Some((channel, value, level))
@@ -424,7 +412,7 @@ impl Session {
             Lost::Gone(message) => ("link_gone", message),
         };
         if matches!(lost, Lost::Refused(_)) {
-            self.heard_s = now_s;
+            self.word.heard_s = now_s;
         }
         self.event(now_s, kind, json!({ "message": message }), actions);
         if matches!(lost, Lost::Refused(_)) && self.phase.is_energised() {
