@@ -172,23 +172,12 @@ impl Reader<'_> {
             wrong("scale", m)
         })?;
         if let Some(limits) = keys.limits {
-            let ordered = limits[0].is_finite() && limits[1].is_finite() && limits[0] < limits[1];
-            // A drive is brought to rest with zero, which must not become something else on its way out.
-            let moves = !matches!(keys.quantity, Quantity::Word | Quantity::Other);
-            let rests = !moves || (limits[0] <= 0.0 && limits[1] > 0.0);
             // With a factor from the drive this can only be known when the factor is.
-            let fits = !numbers.scale_by.is_empty()
-                || limits
-                    .iter()
-                    .all(|limit| layout.encode(numbers.raw(*limit, 1.0)).is_some());
-            if !(ordered && fits && rests) {
-                return Err(wrong(
-                    "limits",
-                    format!(
-                        "limits {limits:?} is not allowed (expected [lowest, highest] that the raw type holds, 0 within for what moves the motor)"
-                    ),
-                ));
-            }
+            let fits = |limit| {
+                let raw = numbers.raw(limit, 1.0);
+                !numbers.scale_by.is_empty() || layout.encode(raw).is_some()
+            };
+            check_limits(limits, keys.quantity, fits).map_err(|text| wrong("limits", text))?;
         }
         for (key, value) in [
             ("refresh_ms", keys.refresh_ms),
@@ -322,4 +311,21 @@ fn bit_range(text: &str, width: u16) -> Option<(u8, u8)> {
     let (first, last) = text.split_once("..")?;
     let (first, last) = (first.parse::<u8>().ok()?, last.parse::<u8>().ok()?);
     (first <= last && u16::from(last) < width).then_some((first, last))
+}
+
+/// The range of a set-point. A drive is brought to rest with zero, which must not become something else on its way out.
+fn check_limits(
+    [low, high]: [f64; 2],
+    quantity: Quantity,
+    fits: impl Fn(f64) -> bool,
+) -> Result<(), String> {
+    let ordered = low.is_finite() && high.is_finite() && low < high;
+    let moves = !matches!(quantity, Quantity::Word | Quantity::Other);
+    let rests = !moves || (low <= 0.0 && high > 0.0);
+    if ordered && rests && fits(low) && fits(high) {
+        return Ok(());
+    }
+    Err(format!(
+        "limits [{low:?}, {high:?}] is not allowed (expected [lowest, highest] that the raw type holds, 0 within for what moves the motor)"
+    ))
 }
