@@ -141,7 +141,11 @@ impl Search<'_> {
                 return (self.end(ReopenEnding::Interrupted, None, text), None);
             }
             let attempt = self.reopening.attempt();
-            self.show(format!("link lost, reopening (attempt {attempt})…"), None);
+            self.show(
+                format!("link lost, reopening (attempt {attempt})…"),
+                None,
+                None,
+            );
             match self.attempt(open) {
                 Found::Nothing(reason) => {
                     if reason != self.last_reason {
@@ -170,7 +174,7 @@ impl Search<'_> {
                     let text = format!(
                         "the same drive is back, zero reference and stop sent, {how}; nothing is armed"
                     );
-                    let state = state.map(DriveState::name).filter(|_| confirms);
+                    let state = state.filter(|_| confirms);
                     return (self.end(ending, state, &text), Some(link));
                 }
             }
@@ -232,14 +236,14 @@ impl Search<'_> {
         }
     }
 
-    fn end(&mut self, ending: ReopenEnding, state: Option<&'static str>, text: &str) -> Reopened {
+    fn end(&mut self, ending: ReopenEnding, state: Option<DriveState>, text: &str) -> Reopened {
         let downtime_s = (self.bench.clock.now_s() - self.options.end.last_reply_s).max(0.0);
         let reopened = Reopened {
             ending,
             attempts: self.reopening.attempts(),
             downtime_s,
             identity: self.identity.take(),
-            state,
+            state: state.map(DriveState::name),
             text: format!(
                 "{}: {text} ({} attempts in {downtime_s:.1} s)",
                 self.options.link,
@@ -253,7 +257,7 @@ impl Search<'_> {
         }
         self.bench.recorder.event(event);
         let phase = reopened.is_safe().then_some(Phase::Safe);
-        self.show(reopened.text.clone(), phase);
+        self.show(reopened.text.clone(), phase, state);
         reopened
     }
 
@@ -271,10 +275,12 @@ impl Search<'_> {
         Event::new(time_s, Some(self.options.seq), kind).with("host_time_s", now_s)
     }
 
-    fn show(&self, text: String, phase: Option<Phase>) {
+    /// What was known of the drive before it was lost is not shown as its state any more.
+    fn show(&self, text: String, phase: Option<Phase>, state: Option<DriveState>) {
         let mut snapshot = (*self.bench.snapshots.latest()).clone();
         snapshot.reopening = Some(text);
         snapshot.phase = phase.or(snapshot.phase);
+        snapshot.drive_state = state;
         self.bench.snapshots.publish(snapshot);
     }
 }

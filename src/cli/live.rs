@@ -152,7 +152,7 @@ pub(super) struct Rig {
     /// Its file, as it was read.
     profile_text: String,
     pub(super) link: Box<dyn DriveLink>,
-    /// A run has lost its drive: what comes after it is started by hand.
+    /// A run has lost its drive: none follows it, and the checks with their pulse are for whoever starts the program anew.
     lost: bool,
     /// Opens the link again; `None` for a drive in memory.
     pub(super) reopener: Option<Reopener>,
@@ -427,7 +427,7 @@ impl Rig {
             follows,
             speed,
         } = planned;
-        if self.lost && self.headless {
+        if self.lost {
             let headline =
                 "the drive was lost in the run before: nothing is started again by itself";
             return Err(Failure::new(LINK, headline));
@@ -483,7 +483,7 @@ impl Rig {
                 rate_hz: self.bench.link.rate_hz,
                 motor,
                 // Beside a screen a real motor is started by hand, after a question.
-                auto_start: !self.lost && (target == Target::Sim || self.headless || follows),
+                auto_start: target == Target::Sim || self.headless || follows,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;

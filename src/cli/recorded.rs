@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use super::output;
-use crate::bench::{OnlineResult, Outcome, Reopened, RunSummary};
+use crate::bench::{OnlineResult, Outcome, RunSummary};
 use crate::drive::Capture;
 use crate::recording::{RunFile, RunFolder, write_run};
 
@@ -36,12 +36,6 @@ impl Recorded {
         })?;
         self.folder.write(RunFile::Result, &text)?;
         Ok(())
-    }
-
-    /// Whether the drive was lost, and is there again and at rest.
-    pub(super) fn is_back(&self) -> bool {
-        let reopened = self.summary.reopened.as_ref();
-        reopened.is_some_and(Reopened::is_safe)
     }
 
     /// The failure that ended the run early, if any.

@@ -105,23 +105,13 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Done, Failure> {
     let name = rig.bench.name.clone();
     let recorded = rig.record(&name, seed, strings)?;
     let nameplate = rig.nameplate()?.motor();
-    let mut whole = Whole {
+    let whole = Whole {
         plan,
         recorded,
         escalation,
         plate: rig.plate.clone(),
     };
     write_results(&whole, &nameplate)?;
-    // A drive that was lost and is back is checked anew, and whoever sits at the screen may start another run.
-    while !headless && whole.recorded.is_back() && !strings.is_stopped() {
-        rig.check(strings)?;
-        let again = rig.record(&name, seed, strings)?;
-        if again.summary.rows == 0 {
-            break;
-        }
-        whole.recorded = again;
-        write_results(&whole, &nameplate)?;
-    }
     Ok(Done::Run(Box::new(whole)))
 }
 

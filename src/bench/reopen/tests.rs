@@ -167,6 +167,8 @@ fn the_same_drive_is_stopped_and_nothing_else_and_the_record_says_so() {
     assert!(done.has_link && done.reopened.is_safe());
     assert_eq!(done.reopened.attempts, 4);
     assert_eq!(done.asked, ["identify", "stop", "Disable"]);
+    // Not as it was before it was lost.
+    assert_eq!(done.shown.drive_state, Some(DriveState::Disabled));
     // 50, 100, 200 and 400 ms, each up to a quarter off, after the reply 0.1 s before.
     let downtime_s = done.reopened.downtime_s;
     assert!((0.6..1.2).contains(&downtime_s), "{downtime_s}");
