@@ -275,7 +275,9 @@ impl Points {
                 return Err(refused(bus, text));
             }
         }
+        // Counted and in doubt until it is acknowledged: the drive may have carried it out all the same.
         self.sent[at].in_doubt = true;
+        self.sent[at].writes += 1;
         let (function, address) = (point.function, point.location.address);
         let written = if self.is_urgent {
             bus.write_at_once(function, address, registers)
@@ -284,7 +286,6 @@ impl Points {
         };
         written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         let sent = &mut self.sent[at];
-        sent.writes += 1;
         sent.at_s = bus.now_s();
         sent.registers = registers.to_vec();
         self.kicked_s = sent.at_s;
@@ -335,6 +336,7 @@ impl Points {
     ) -> Result<Option<Result<String, String>>, LinkError> {
         let map = Arc::clone(&self.map);
         let mut names = Vec::new();
+        self.is_urgent = false;
         for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
             if !point.readback {
                 continue;
