@@ -5,6 +5,16 @@ use super::guard::LineCounts;
 use super::link::{LinkError, LinkName, LinkStatistics};
 use super::tally::RoundTrips;
 
+/// Registers as they were read, and the host times between which the drive took their values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RegistersRead {
+    pub words: Vec<u16>,
+    /// First byte of the accepted request out, s.
+    pub asked_s: f64,
+    /// First byte of its reply in, s.
+    pub answered_s: f64,
+}
+
 /// Reads and writes registers, each call bounded by the bus's own deadline for it, and keeps the host's time.
 pub trait RegisterBus: Send {
     fn name(&self) -> LinkName;
@@ -21,7 +31,7 @@ pub trait RegisterBus: Send {
         table: RegisterTable,
         address: u16,
         count: u16,
-    ) -> Result<Vec<u16>, LinkError>;
+    ) -> Result<RegistersRead, LinkError>;
 
     /// Writes with function code 6 (one register) or 16; never repeated by itself.
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError>;

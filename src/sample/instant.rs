@@ -71,6 +71,9 @@ pub struct Applied {
 pub struct Sample {
     /// Drive time where the drive has a clock, else host time; s.
     pub time_s: f64,
+    /// Half of the interval in which the sample may have been taken, s: it lies within `time_s` plus or minus this.
+    /// `None`: the drive stamped it itself.
+    pub time_half_width_s: Option<f64>,
     /// Host time at which the reply was complete; s.
     pub host_time_s: Option<f64>,
     pub seq: Option<u64>,

@@ -50,13 +50,13 @@ fn on_a_bus(resync: &str, faults: &[Fault], count: u64, seed: u64) -> Outcome {
                 .err()
         } else {
             match bus.read(RegisterTable::Holding, address, words) {
-                Ok(values) => {
+                Ok(read) => {
                     let heard = device.lock().unwrap().heard;
                     let first = usize::from(address);
                     let meant: Vec<_> = (0..usize::from(words))
                         .map(|k| register(heard, first + k))
                         .collect();
-                    outcome.wrong += u64::from(values != meant);
+                    outcome.wrong += u64::from(read.words != meant);
                     None
                 }
                 Err(error) => Some(error),

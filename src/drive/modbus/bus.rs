@@ -21,7 +21,7 @@ use super::{LinkError, ModbusLink, PROBES, RegisterTable, now};
 use crate::drive::guard::LineCounts;
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
 use crate::drive::raw::registers;
-use crate::drive::register_bus::RegisterBus;
+use crate::drive::register_bus::{RegisterBus, RegistersRead};
 use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::drive::reply::FrameKind;
 use crate::drive::tally::RoundTrips;
@@ -140,11 +140,11 @@ impl ModbusBus {
         table: RegisterTable,
         address: u16,
         count: u16,
-    ) -> Result<Vec<u16>, LinkError> {
+    ) -> Result<RegistersRead, LinkError> {
         let sent = now();
-        let values = self.ask(table, address, count)?;
+        let read = self.ask(table, address, count)?;
         if self.link.kind == FrameKind::Tcp {
-            return Ok(values);
+            return Ok(read);
         }
         let took = now().saturating_duration_since(sent);
         let usual = self.usual();
@@ -166,7 +166,7 @@ impl ModbusBus {
                 ),
             });
         }
-        Ok(values)
+        Ok(read)
     }
 
     /// How long a reply takes at the most, a busy host left out.
@@ -181,7 +181,7 @@ impl ModbusBus {
         table: RegisterTable,
         address: u16,
         count: u16,
-    ) -> Result<Vec<u16>, LinkError> {
+    ) -> Result<RegistersRead, LinkError> {
         let allowed = self.link.timing.allowed(8, reply_bytes(count));
         let what = format!("read {} at {address}", registers(count.into()));
         let request = match table {
@@ -198,7 +198,11 @@ impl ModbusBus {
                 }
                 other => Err(format!("{other:?}")),
             });
-        answer.map(|answer| answer.value)
+        answer.map(|answer| RegistersRead {
+            words: answer.value,
+            asked_s: answer.sent_s,
+            answered_s: answer.received_s,
+        })
     }
 
     fn put(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
@@ -243,7 +247,7 @@ impl RegisterBus for ModbusBus {
         table: RegisterTable,
         address: u16,
         count: u16,
-    ) -> Result<Vec<u16>, LinkError> {
+    ) -> Result<RegistersRead, LinkError> {
         let mut attempt = 1;
         loop {
             let result = self

@@ -67,7 +67,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             })?;
             self.bus.write(function, address, &registers)?;
         }
-        let registers = self.bus.read(table, address, 1)?;
+        let registers = self.bus.read(table, address, 1)?.words;
         let raw = location.layout.pattern(&registers).unwrap_or_default();
         let time_s = location.layout.number(raw) * unit_s;
         if let Some(set_s) = set_s

@@ -293,7 +293,9 @@ impl Points {
         sent.in_doubt = point.readback;
         if point.readback {
             let count = point.location.layout.registers();
-            let found = bus.read(point.location.table, point.location.address, count)?;
+            let found = bus
+                .read(point.location.table, point.location.address, count)?
+                .words;
             sent.in_doubt = false;
             if found == registers {
                 sent.mismatches = 0;

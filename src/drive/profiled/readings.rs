@@ -111,8 +111,7 @@ impl Readings {
     }
 
     fn read(&mut self, bus: &mut dyn RegisterBus, block: &ReadBlock) -> Result<(), LinkError> {
-        let read_s = bus.now_s();
-        let registers = bus
+        let read = bus
             .read(block.table, block.address, block.count)
             .map_err(|error| {
                 let signals = block.signals.iter().map(|index| &self.map.signals[*index]);
@@ -122,7 +121,8 @@ impl Readings {
         for index in &block.signals {
             let location = self.map.signals[*index].location;
             let offset = usize::from(location.address - block.address);
-            let pattern = registers
+            let pattern = read
+                .words
                 .get(offset..)
                 .and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));
@@ -130,7 +130,7 @@ impl Readings {
             self.last[*index] = Reading {
                 value,
                 pattern,
-                read_s,
+                read_s: read.asked_s,
             };
         }
         Ok(())

@@ -1,7 +1,9 @@
 //! The drive in memory as a bus of registers, in virtual time.
 
 use super::{ForeignDrive, Guise};
-use crate::drive::{LinkError, LinkName, LinkStatistics, RegisterBus, RegisterTable};
+use crate::drive::{
+    LinkError, LinkName, LinkStatistics, RegisterBus, RegisterTable, RegistersRead,
+};
 use crate::emulator::VirtualClock;
 use crate::emulator::pace::Pace;
 
@@ -118,7 +120,7 @@ impl RegisterBus for ForeignBus {
         table: RegisterTable,
         address: u16,
         count: u16,
-    ) -> Result<Vec<u16>, LinkError> {
+    ) -> Result<RegistersRead, LinkError> {
         let function = match table {
             RegisterTable::Holding => 3,
             RegisterTable::Input => 4,
@@ -127,11 +129,16 @@ impl RegisterBus for ForeignBus {
         request.extend(address.to_be_bytes());
         request.extend(count.to_be_bytes());
         let what = || format!("read {count} registers at {address}");
+        let asked_s = RegisterBus::now_s(self);
         let answer = self.ask(&request, what)?;
         let words = answer.get(2..).unwrap_or_default().chunks_exact(2);
-        Ok(words
-            .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
-            .collect())
+        Ok(RegistersRead {
+            words: words
+                .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+                .collect(),
+            asked_s,
+            answered_s: self.now_s,
+        })
     }
 
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {

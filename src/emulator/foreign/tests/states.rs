@@ -176,7 +176,8 @@ fn the_watchdog_of_a_drive_that_somebody_runs_is_left_as_it_is() {
             .link
             .bus_mut()
             .read(RegisterTable::Holding, 0, 1)
-            .unwrap()[0]
+            .unwrap()
+            .words[0]
     };
     let mut idle = Table::new("siemens-v20");
     assert_eq!(time(&mut idle), 1000);
