@@ -257,6 +257,13 @@ impl Guard {
         None
     }
 
+    /// The computer was suspended for so long: ends the run, and nothing is said of silence that only the sleep has made.
+    pub fn slept(&mut self, now_s: f64, slept_s: f64) -> Option<&Trip> {
+        self.last_step_s = Some(now_s);
+        self.last_valid_s = self.last_valid_s.map(|_| now_s);
+        self.latch(Trip::suspended(now_s, slept_s))
+    }
+
     /// Looks at one valid reply. With `armed` false (drive disabled, nobody meant to move it) it only learns which
     /// signals there are and that the link lives.
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {

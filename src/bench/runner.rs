@@ -14,7 +14,7 @@ use std::sync::mpsc::Receiver;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::clock::Clock;
+use super::clock::{Clock, SUSPENDED_S};
 use super::guard::RearmError;
 use super::limits::Nameplate;
 use super::reopen::Reopened;
@@ -205,6 +205,8 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         not_started: None,
         burst_armed: false,
         knows_stranger: false,
+        slept_s: bench.clock.slept_s(),
+        record_news: 0,
     };
     runner.go(bench.clock, bench.intents, bench.interrupted, options)
 }
@@ -240,6 +242,10 @@ struct Runner<'a> {
     burst_armed: bool,
     /// It has been told that somebody else is on the line.
     knows_stranger: bool,
+    /// For how long the computer had been suspended when that was looked at last.
+    slept_s: f64,
+    /// News of the record that were told.
+    record_news: usize,
 }
 
 impl Runner<'_> {
@@ -277,6 +283,7 @@ impl Runner<'_> {
             }
             self.feed(clock, Input::Cycle);
             if self.publisher.is_due(now_s) {
+                self.tell_record(now_s);
                 self.publish(now_s, options.rate_hz, None);
             }
             cycle += 1;
@@ -300,6 +307,7 @@ impl Runner<'_> {
             (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
         };
+        self.tell_record(now_s);
         self.publish(now_s, options.rate_hz, Some(outcome.name()));
         let recorder = self.recorder.status();
         RunSummary {
@@ -359,7 +367,16 @@ impl Runner<'_> {
     /// One input and everything that follows from it.
     fn feed(&mut self, clock: &dyn Clock, input: Input) {
         self.inputs.push_back(input);
-        while let Some(input) = self.inputs.pop_front() {
+        loop {
+            // Whatever waits, and whatever an exchange has brought: a sleep is told first.
+            let slept_s = clock.slept_s() - self.slept_s;
+            if slept_s > SUSPENDED_S {
+                self.slept_s += slept_s;
+                self.inputs.push_front(Input::Suspended(slept_s));
+            }
+            let Some(input) = self.inputs.pop_front() else {
+                break;
+            };
             let mut actions = std::mem::take(&mut self.actions);
             self.session.step(clock.now_s(), input, &mut actions);
             for action in actions.drain(..) {
@@ -430,6 +447,18 @@ impl Runner<'_> {
         self.warn(format!(
             "{frames} frames on the line answer nothing that was asked: two devices share the address, or a second master is on the bus?"
         ));
+    }
+
+    /// What goes wrong with the record is told while it does, and stops nothing.
+    fn tell_record(&mut self, now_s: f64) {
+        let status = self.recorder.status();
+        for text in status.news.into_iter().skip(self.record_news) {
+            self.record_news += 1;
+            let event = Event::new(now_s + self.end.drive_minus_host_s, None, "record");
+            let event = event.with("host_time_s", now_s);
+            self.recorder.event(event.with("message", text.as_str()));
+            self.warn(text);
+        }
     }
 
     /// A burst is an extra: a run goes on without it, and says so.

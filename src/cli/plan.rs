@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::data::read_text;
 use super::failure::{Failure, USAGE};
-use super::live_link::wired_profile;
+use super::opening::wired_profile;
 use super::output;
 use crate::bench::{
     BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Plan, Port, Reference, plan,
@@ -48,7 +48,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         .map_or(asked_hz, |line| asked_hz.min(line.rate_hz()));
     let mut plan = plan(
         &program,
-        &super::live::nameplate(&bench)?,
+        &crate::app::nameplate(&bench)?,
         &bench.limits(),
         rate_hz,
         None,

@@ -8,7 +8,7 @@ use clap::ValueEnum;
 use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::live_record::LiveFolder;
 use super::live_study::{live_study, mysteries};
-use super::{interrupt, output, progress};
+use super::{output, progress, signals};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
 use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
@@ -81,7 +81,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             ))
         }
         Paper::PaperA => {
-            let _endable = interrupt::endable()?;
+            let _endable = signals::endable()?;
             let shown = progress::begin("reproduce");
             let found = reproduce::paper_a(|part| progress::stage(part, 0));
             drop(shown);
@@ -90,7 +90,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             output::result(&found, arguments.json, |_| report.text())
         }
         Paper::PaperB => {
-            let _endable = interrupt::endable()?;
+            let _endable = signals::endable()?;
             let shown = progress::begin("reproduce");
             let found = reproduce::paper_b(|part| progress::stage(part, 0));
             drop(shown);
@@ -163,7 +163,7 @@ fn study(
             "give --live N with it, or --sets of at least 1",
         ));
     }
-    let interrupted = interrupt::flag()?;
+    let interrupted = signals::flag()?;
     let ended = || {
         Failure::with_help(
             INTERRUPTED,
@@ -261,7 +261,7 @@ fn create(folder: &Path) -> Result<(), Failure> {
 }
 
 fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
-    let _whole = interrupt::writing();
+    let _whole = signals::writing();
     create(folder)?;
     for (name, content) in files {
         let path = folder.join(name);

@@ -1,13 +1,13 @@
 //! What `registers` and `doctor` have in common: which line, how it is asked, and the capture of what it carries.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
 
 use super::failure::{Failure, USAGE};
-use super::{live, output};
-use crate::drive::{Framing, RawClient, RawSettings, TapFile, Target, TargetError};
+pub(super) use crate::app::Tap;
+use crate::drive::{Framing, RawClient, RawSettings, Target, TargetError};
 
 /// Options of the commands that talk to any Modbus unit.
 #[derive(Args, Clone, Debug)]
@@ -82,38 +82,5 @@ impl WireArguments {
             &self.settings(),
             tap.file(),
         )?)
-    }
-}
-
-/// The capture that a command was asked for; what goes wrong with it is told at the end and stops nothing.
-pub(super) struct Tap(Option<TapFile>);
-
-impl Tap {
-    /// A new file, if one was asked for. Nothing is running yet, so one that cannot be made is refused.
-    pub(super) fn create(path: Option<&Path>) -> Result<Self, Failure> {
-        let Some(path) = path else {
-            return Ok(Self(None));
-        };
-        output::refuse_existing(path, "--tap")?;
-        let file = TapFile::create(path, live::now().into()).map_err(|error| {
-            Failure::with_help(
-                USAGE,
-                format!("{}: cannot write: {error}", path.display()),
-                "name a file that does not exist yet, in a folder that does",
-            )
-        })?;
-        Ok(Self(Some(file)))
-    }
-
-    pub(super) fn file(&self) -> Option<&TapFile> {
-        self.0.as_ref()
-    }
-}
-
-impl Drop for Tap {
-    fn drop(&mut self) {
-        if let Some(Err(reason)) = self.0.take().map(TapFile::finish) {
-            output::message(&format!("warning: {reason}"));
-        }
     }
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::super::failure::{Failure, INTERRUPTED, LINK};
 use super::super::wire::{Tap, WireArguments};
-use super::super::{interrupt, output};
+use super::super::{output, signals};
 use super::{failure, number};
 use crate::drive::{Batch, MOST_READ, RawCounters, Read, ReadRequest, RegisterTable, read_batch};
 
@@ -102,7 +102,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             count,
         })
         .collect();
-    let stop = interrupt::flag()?;
+    let stop = signals::flag()?;
     let tap = Tap::create(arguments.wire.tap.as_deref())?;
     let mut client = arguments.wire.open(&tap)?;
     let batch = read_batch(&mut client, &requests, arguments.repeat, &stop);
