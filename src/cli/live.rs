@@ -28,7 +28,7 @@ use crate::bench::{
     stage_session,
 };
 use crate::drive::offer::{self, Purpose};
-use crate::drive::{DriveLink, DriveProfile};
+use crate::drive::{CutIn, DriveLink, DriveProfile};
 use crate::emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
@@ -466,6 +466,10 @@ impl Rig {
         let mut recorder = Recorder::create(folder.clone(), layout.clone(), &manifest, sync_every)?;
         let mut online = LiveOnline::new(layout, config);
         let sent_before = self.link.statistics().sent;
+        if let Some(cut_in) = self.link.cut_in() {
+            let flags = [&strings.interrupted, &strings.stop_requested];
+            *cut_in = CutIn::watching(flags.map(std::sync::Arc::clone));
+        }
         let mut summary = run(
             session,
             Bench {
