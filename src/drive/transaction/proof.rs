@@ -478,7 +478,6 @@ impl Proof {
         self.proven = true;
         self.suspect = false;
         self.dirty = false;
-        self.tried = 0;
         self.silent = 0;
         self.hushed = None;
         if matches!(self.policy, Policy::Trial(_)) {
