@@ -8,6 +8,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use super::checks::Consent;
 use super::failure::{Failure, INTERNAL, LINK, USAGE};
@@ -24,7 +25,7 @@ use crate::bench::{
     stage_session,
 };
 use crate::drive::offer::{self, Purpose};
-use crate::drive::{DriveLink, DriveProfile};
+use crate::drive::{CutIn, DriveLink, DriveProfile};
 use crate::emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
@@ -401,6 +402,10 @@ impl Rig {
         let mut online = LiveOnline::new(layout, config);
         let sent_before = self.link.statistics().sent;
         self.energises(strings, session.guard().ramp_down_s());
+        if let Some(cut_in) = self.link.cut_in() {
+            let flags = [&strings.interrupted, &strings.stop_requested];
+            *cut_in = CutIn::watching(flags.map(Arc::clone));
+        }
         let mut summary = run(
             session,
             Bench {

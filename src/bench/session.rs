@@ -219,6 +219,11 @@ impl Session {
         &self.guard
     }
 
+    /// Of the time since the last step so much was spent waiting for the link.
+    pub fn waited_for_link(&mut self, now_s: f64, waited_s: f64) {
+        self.guard.waited_for_link(now_s, waited_s);
+    }
+
     pub const fn last_sample(&self) -> Option<&Sample> {
         self.drive.as_ref()
     }

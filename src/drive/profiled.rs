@@ -20,12 +20,12 @@ use self::points::Points;
 use self::readings::Readings;
 use self::sequence::{Next, Sequence};
 use super::command_times::CommandTimes;
-use super::guard::LineCounts;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
 use super::register_bus::RegisterBus;
 use super::register_map::{Quantity, RegisterMap, Step};
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
 
 /// Set-points that read back otherwise so often in a row are ignored by the drive.
@@ -492,6 +492,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// Stops, and looks whether the drive says so; where it does not, coasts.
     fn stop(&mut self) -> Result<(), LinkError> {
+        self.bus.bound(f64::INFINITY);
         self.points.release();
         self.mode = Mode::Off;
         self.latched = false;
@@ -546,6 +547,14 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     fn line(&self) -> Option<LineCounts> {
         self.bus.line()
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.bus.bound(left_s);
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        self.bus.cut_in()
     }
 
     /// Fast signals and one set-point.

@@ -164,6 +164,7 @@ fn text(result: &ReadResult) -> String {
         }
     }
     let c = &result.counters;
+    let r = &c.requests;
     if let (true, Some(rate_hz), Some(p50), Some(p99), Some(worst)) = (
         result.asked > result.reads.len() as u64,
         result.rate_hz,
@@ -180,7 +181,7 @@ fn text(result: &ReadResult) -> String {
     // What a probe that the line is in step was refused is no refusal of anything that was asked for.
     let is_clean = result.answered == result.asked
         && result.reads.iter().all(|read| read.error.is_none())
-        && c.timeout + c.crc + c.stale + c.mismatch + c.aborted == 0;
+        && r.timeout + r.crc + r.stale + r.mismatch + r.aborted == 0;
     if !is_clean {
         let probes = match c.probes {
             0 => String::new(),
@@ -190,14 +191,14 @@ fn text(result: &ReadResult) -> String {
         let _ = writeln!(
             text,
             "{} requests{probes}: {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception, {} aborted",
-            c.sent - c.probes,
-            c.ok,
-            c.timeout,
-            c.crc,
-            c.stale,
-            c.mismatch,
-            c.exception,
-            c.aborted
+            r.sent - c.probes,
+            r.ok,
+            r.timeout,
+            r.crc,
+            r.stale,
+            r.mismatch,
+            r.exception,
+            r.aborted
         );
     }
     text
