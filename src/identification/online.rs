@@ -76,6 +76,7 @@ impl Online {
                 .filter(|_| sample.quality(channel) == Quality::Good)
         };
         if let (Some(current), Some(speed)) = (good(Channel::Current), good(Channel::Speed)) {
+            self.scheme_3.set_limited(sample.limited);
             self.scheme_3.push(time_s, current, speed);
             if let Some(noise) = self.scheme_3.speed_noise_rad_s() {
                 self.scheme_2.set_speed_noise(noise);

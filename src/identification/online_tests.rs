@@ -51,6 +51,7 @@ impl Bench {
             current_a: vec![],
             speed_rad_s: vec![],
             angle: vec![],
+            time_half_width_s: vec![],
         };
         let out = Plant::new(&Model::baseline(motor), Input::Voltage)
             .unwrap()

@@ -78,6 +78,8 @@ pub struct Scenario {
     pub speed_rad_s: Vec<f64>,
     /// Measured angle `(time, angle)`, continuous over turns; an exogenous input of effects of position. Empty: the speed is integrated.
     pub angle: Vec<(f64, f64)>,
+    /// Half-widths of the stamps of the samples, s, zero where the drive stamped them itself. Empty: it stamped all.
+    pub time_half_width_s: Vec<f64>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
 }
@@ -104,6 +106,7 @@ impl Scenario {
         let nothing = vec![f64::NAN; run.rows()];
         let current = run.column(Channel::Current).unwrap_or(&nothing);
         let speed = run.column(Channel::Speed).unwrap_or(&nothing);
+        let half_width = run.column(Channel::TimeHalfWidth);
         let mut scenario = Self {
             name: run.name.clone(),
             input,
@@ -116,6 +119,7 @@ impl Scenario {
                 run.points(Channel::Angle).collect(),
                 &run.points(Channel::Speed).collect::<Vec<_>>(),
             ),
+            time_half_width_s: Vec::new(),
             scored: 0..0,
         };
         for (row, &time_s) in run.time_s().iter().enumerate() {
@@ -123,6 +127,10 @@ impl Scenario {
                 scenario.sample_time_s.push(time_s);
                 scenario.current_a.push(current[row]);
                 scenario.speed_rad_s.push(speed[row]);
+                if let Some(half_width) = half_width {
+                    let known = Some(half_width[row]).filter(|s| s.is_finite());
+                    scenario.time_half_width_s.push(known.map_or(0.0, f64::abs));
+                }
             }
         }
         let rows = scenario.sample_time_s.len();
@@ -165,6 +173,11 @@ impl Scenario {
             }),
             None => Ok(()),
         }
+    }
+
+    /// Half of the interval in which a sample may have been taken, s; zero where the drive stamped it itself.
+    pub fn half_width_s(&self, sample: usize) -> f64 {
+        self.time_half_width_s.get(sample).copied().unwrap_or(0.0)
     }
 
     /// When the first input came: the simulation starts there.
@@ -223,6 +236,7 @@ impl Scenario {
         training.sample_time_s.truncate(cut);
         training.current_a.truncate(cut);
         training.speed_rad_s.truncate(cut);
+        training.time_half_width_s.truncate(cut);
         training.scored = 0..cut;
         holdout.name = format!(
             "{} (last {:.0} %)",

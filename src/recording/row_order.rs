@@ -193,7 +193,9 @@ impl RowOrder {
             match sample.quality(*channel) {
                 Quality::Good => row.set(*channel, sample.get(*channel)),
                 Quality::Stale => row.remark(*channel, "stale"),
-                Quality::Missing if channel.is_commanded() => {}
+                // A stamp without a half-width is the drive's own.
+                Quality::Missing
+                    if channel.is_commanded() || *channel == Channel::TimeHalfWidth => {}
                 Quality::Missing => row.remark(*channel, "missing"),
             }
         }

@@ -85,7 +85,7 @@ impl Track {
     pub(super) fn new(start: Winding, noise: SampleNoise, forgetting: f64, certain: bool) -> Self {
         let prior = (PRIOR / noise.current_a).powi(2);
         Self {
-            estimator: RecursiveLeastSquares::new(start, start, prior, forgetting),
+            estimator: RecursiveLeastSquares::new(start, start, prior, forgetting).clustered(),
             start,
             anchor: start,
             forgetting,
