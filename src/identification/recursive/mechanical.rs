@@ -19,8 +19,10 @@ const REOPENED_ROWS: u64 = 60;
 /// missing effect makes of them.
 const CHANGE_SHARE: f64 = 0.15;
 
-/// Spread of the speed's size over its mean below which the shaft turns at one speed.
-const ONE_SPEED: f64 = 0.2;
+/// Share by which the load may change where a friction that grows with the speed is allowed beside it, at most, and the
+/// standard deviations of that which count.
+const MOST_SLOPE_DOUBT: f64 = 0.06;
+const TWO_SIDED: f64 = 2.0;
 
 /// Move by leaving out every second sample over the error at the full rate. A rule of second order would give 3, but the
 /// current has a corner at each step of the voltage, and where L/R is not resolved the order falls to the first.
@@ -42,8 +44,9 @@ pub(super) struct MechanicalBalance {
     /// The estimate as it was begun, and how often it was begun again because inertia or load had changed.
     fresh: RecursiveLeastSquares<2>,
     changes: u32,
-    /// Recent mean and mean square of the speed's size, rad/s, and the forgetting that they go by.
-    speeds: [f64; 2],
+    /// Beside Kt/J and Mc/J a friction in proportion to the speed, over J: whether the load is as constant as it is
+    /// taken for.
+    sloping: RecursiveLeastSquares<3>,
     forgetting: f64,
 }
 
@@ -76,6 +79,11 @@ pub(super) fn carry(charge_noise: f64, n: f64) -> f64 {
     2.0 * k / (1.0 + (1.0 - 4.0 * k * k).max(0.0).sqrt())
 }
 
+fn sloping(forgetting: f64) -> RecursiveLeastSquares<3> {
+    let [a, b] = SCALE;
+    RecursiveLeastSquares::new([0.0; 3], [a, b, 1.0], PRIOR, forgetting).clustered()
+}
+
 impl MechanicalBalance {
     pub(super) fn new(forgetting: f64) -> Self {
         let estimator =
@@ -89,7 +97,7 @@ impl MechanicalBalance {
             blocked_rows: 0,
             watch: ChangeWatch::new(CHANGE_SHARE, 0.0),
             changes: 0,
-            speeds: [f64::NAN; 2],
+            sloping: sloping(forgetting),
             forgetting,
         }
     }
@@ -117,7 +125,8 @@ impl MechanicalBalance {
         if self.watch.take(foreseen, step, believed) {
             self.reopen();
         }
-        self.follow_speed(row.speed_rad_s);
+        let along = [regressor[0], held, held * row.speed_rad_s.abs()];
+        self.sloping.update_row(&along, step, noise);
         self.innovation_rad_s = self.estimator.update_row(&regressor, step, noise);
         self.doubtful
             .update_row(&[row.doubtful_integral_a_s, held], step, noise);
@@ -130,18 +139,7 @@ impl MechanicalBalance {
         self.doubtful = self.fresh.clone();
         self.watch.interrupt();
         self.changes += 1;
-        self.speeds = [f64::NAN; 2];
-    }
-
-    fn follow_speed(&mut self, speed_rad_s: f64) {
-        let now = [speed_rad_s.abs(), speed_rad_s * speed_rad_s];
-        for (mean, now) in self.speeds.iter_mut().zip(now) {
-            *mean = if mean.is_nan() {
-                now
-            } else {
-                *mean + (1.0 - self.forgetting) * (now - *mean)
-            };
-        }
+        self.sloping = sloping(self.forgetting);
     }
 
     /// Why nothing may be settled now although the rows agree.
@@ -154,11 +152,20 @@ impl MechanicalBalance {
         })
     }
 
-    /// The mean size of the speed where it hardly changes, rad/s.
-    fn one_speed(&self) -> Option<f64> {
-        let [mean, square] = self.speeds;
-        let spread = (square - mean * mean).max(0.0).sqrt();
-        (spread < ONE_SPEED * mean).then_some(mean)
+    /// Why the load may not be settled although the rows agree: with a friction that grows with the speed it would be
+    /// another, and the rows do not rule such a friction out. `ratio` is Mc/Kt.
+    fn not_constant(&self, ratio: f64) -> Option<String> {
+        let [a, b, _] = self.sloping.parameters();
+        let std = self.sloping.standard_deviations()?[1];
+        let doubt = (b / (a * ratio) - 1.0).abs() + TWO_SIDED * std / (a * ratio).abs();
+        // A comparison that is false for NaN as well.
+        let sure = doubt <= MOST_SLOPE_DOUBT;
+        (!sure).then(|| {
+            format!(
+                "a friction that grows with the speed, of which these speeds do not tell, would change it by up to {:.0} %",
+                (100.0 * doubt).min(100.0)
+            )
+        })
     }
 
     pub(super) fn innovation_rad_s(&self) -> Option<f64> {
@@ -188,6 +195,9 @@ impl MechanicalBalance {
     pub(super) fn set_forgetting(&mut self, forgetting: f64) {
         self.estimator.set_forgetting(forgetting);
         self.doubtful.set_forgetting(forgetting);
+        self.fresh.set_forgetting(forgetting);
+        self.sloping.set_forgetting(forgetting);
+        self.forgetting = forgetting;
     }
 
     pub(super) fn ignorance(&self) -> [f64; 2] {
@@ -268,13 +278,9 @@ impl MechanicalBalance {
                     ));
                 }
                 let why_open = self.reopened().or_else(|| {
-                    let one_speed = self.one_speed().filter(|_| key == MotorKey::LoadTorque);
-                    one_speed.map(|speed_rad_s| {
-                        format!(
-                            "the shaft turns near {speed_rad_s:.0} rad/s only: a friction that grows with the speed \
-                             looks the same there"
-                        )
-                    })
+                    (key == MotorKey::LoadTorque)
+                        .then(|| self.not_constant(b / a))
+                        .flatten()
                 });
                 if let (Verdict::Settled, Some(reason)) = (judged.verdict, why_open) {
                     judged.verdict = Verdict::Searching;
