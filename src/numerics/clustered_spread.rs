@@ -36,7 +36,8 @@ impl<const N: usize> ClusteredSpread<N> {
         let size: f64 = (0..N).map(|j| psi[j] * q_psi[j]).sum();
         for i in 0..N {
             for j in 0..N {
-                self.closed[i][j] += size * gain[i] * gain[j] - gain[i] * q_psi[j] - q_psi[i] * gain[j];
+                self.closed[i][j] +=
+                    size * gain[i] * gain[j] - gain[i] * q_psi[j] - q_psi[i] * gain[j];
             }
         }
         self.rows += 1;

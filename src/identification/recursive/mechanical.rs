@@ -86,8 +86,7 @@ fn sloping(forgetting: f64) -> RecursiveLeastSquares<3> {
 
 impl MechanicalBalance {
     pub(super) fn new(forgetting: f64) -> Self {
-        let estimator =
-            RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting).clustered();
+        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting).clustered();
         Self {
             doubtful: estimator.clone(),
             fresh: estimator.clone(),

@@ -141,6 +141,8 @@ pub struct Scheme3 {
     period_s: f64,
     /// Whether the samples that come now were taken while a limit of the drive held its output.
     limited: bool,
+    /// Half-width of the stamps of the samples that come now, s.
+    half_width_s: f64,
 }
 
 impl Scheme3 {
@@ -170,7 +172,13 @@ impl Scheme3 {
             current_innovation_a: None,
             period_s: f64::NAN,
             limited: false,
+            half_width_s: 0.0,
         }
+    }
+
+    /// Half-width of the stamp of the next sample, s; zero where the drive stamped it.
+    pub fn set_half_width(&mut self, half_width_s: f64) {
+        self.half_width_s = half_width_s;
     }
 
     /// Whether a limit of the drive held its output at the samples that come from now on. Between such samples, and on
@@ -379,6 +387,7 @@ impl Scheme3 {
                     .unwrap_or(NOISE_SHARE * self.direction.largest_rad_s()),
                 self.direction.largest_rad_s(),
             ),
+            by_stamp: 1.0,
         }
     }
 
@@ -434,8 +443,24 @@ impl Scheme3 {
             .collect();
     }
 
-    fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
+    /// Noise of a sample of this block: that of its sensor and what the signal does within the stamp's interval.
+    fn stamped_noise(&self, length_s: f64) -> SampleNoise {
         let noise = self.noise();
+        let share = self.half_width_s / (3f64.sqrt() * length_s);
+        let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
+        let current_a = noise
+            .current_a
+            .hypot(share * (last.current_a - first.current_a));
+        let speed_step_rad_s = last.speed_rad_s - first.speed_rad_s;
+        SampleNoise {
+            current_a,
+            speed_rad_s: noise.speed_rad_s.hypot(share * speed_step_rad_s),
+            by_stamp: current_a / noise.current_a,
+        }
+    }
+
+    fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
+        let noise = self.stamped_noise(length_s);
         let mut tracks = std::mem::take(&mut self.tracks);
         let block = Block {
             predict: |winding: &Winding, begin_a, speed_errors| {
