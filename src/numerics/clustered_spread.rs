@@ -57,3 +57,45 @@ impl<const N: usize> ClusteredSpread<N> {
         self.closed[parameter][parameter].max(0.0) + self.open[parameter].powi(2)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
+    use crate::numerics::recursive_least_squares::RecursiveLeastSquares;
+
+    /// Root mean square of the errors over the standard deviation, over seeds; `held`: rows that err alike.
+    fn error_over_claim(held: usize, clustered: bool) -> f64 {
+        let (mut errors, mut claims) = (0.0, 0.0);
+        for seed in 0..200 {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            let mut rls = RecursiveLeastSquares::new([0.0], [1.0], 1e9, 0.995);
+            if clustered {
+                rls = rls.clustered();
+            }
+            let mut error = 0.0;
+            for row in 0..800 {
+                if row % held == 0 {
+                    error = random.random_range(-1.0..1.0);
+                }
+                rls.update(&[1.0], 3.0 + error);
+            }
+            errors += (rls.parameters()[0] - 3.0_f64).powi(2);
+            claims += rls
+                .standard_deviations()
+                .map_or(f64::NAN, |stds| stds[0])
+                .powi(2);
+        }
+        (errors / claims).sqrt()
+    }
+
+    #[test]
+    fn rows_that_err_together_widen_and_white_ones_hardly_do() {
+        let white = error_over_claim(1, true);
+        assert!((0.8..1.1).contains(&white), "{white}");
+        assert!(error_over_claim(12, false) > 2.5);
+        let together = error_over_claim(12, true);
+        assert!((0.7..1.25).contains(&together), "{together}");
+    }
+}

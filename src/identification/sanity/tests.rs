@@ -281,7 +281,6 @@ fn a_locked_rotor_keeps_resistance_and_inductance() {
         current: scenario.current_a,
         speed: scenario.speed_rad_s,
         angle: Vec::new(),
-        time_half_width_s: Vec::new(),
     };
     let findings = examined(&locked.run(), unknown());
     assert_eq!(findings.len(), 1, "{findings:#?}");
@@ -334,7 +333,6 @@ fn a_coast_down_with_open_terminals_is_no_shorted_one() {
         current: vec![0.0; 600],
         speed: times.iter().map(|t| 100.0 - 30.0 * t).collect(),
         angle: Vec::new(),
-        time_half_width_s: Vec::new(),
         time_s: times,
     };
     refused(
@@ -373,7 +371,6 @@ fn a_stretch_with_open_terminals_is_seen_within_a_record() {
         current: scenario.current_a,
         speed: scenario.speed_rad_s,
         angle: Vec::new(),
-        time_half_width_s: Vec::new(),
     };
     assert!(examined(&shorted.run(), unknown()).is_empty());
 }
