@@ -285,7 +285,10 @@ mod tests {
         let events: Vec<_> = told.iter().map(|news| news.event).collect();
         assert_eq!(events, ["rate_lost", "rate_regained"], "{told:?}");
         let text = &told[0].notice.text;
-        assert!(text.contains("of 50 Hz") && text.contains("silences and probes"), "{text}");
+        assert!(
+            text.contains("of 50 Hz") && text.contains("silences and probes"),
+            "{text}"
+        );
         assert!((40.0..45.1).contains(&told[0].figure), "{told:?}");
     }
 }

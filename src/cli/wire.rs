@@ -7,9 +7,7 @@ use clap::Args;
 
 use super::failure::{Failure, USAGE};
 use super::{live, output};
-use crate::drive::{
-    Framing, RawClient, RawSettings, TapFile, Target, TargetError, standard_gap_s,
-};
+use crate::drive::{Framing, RawClient, RawSettings, TapFile, Target, TargetError, standard_gap_s};
 
 /// Options of the commands that talk to any Modbus unit.
 #[derive(Args, Clone, Debug)]

@@ -157,7 +157,10 @@ impl AsyncWrite for Guard {
         match Pin::new(&mut inner.port).poll_write(cx, bytes) {
             Poll::Ready(Ok(count)) => {
                 let reception = &mut inner.reception;
-                reception.expected.request.extend_from_slice(&bytes[..count]);
+                reception
+                    .expected
+                    .request
+                    .extend_from_slice(&bytes[..count]);
                 reception.sent(count, at);
                 Poll::Ready(Ok(count))
             }

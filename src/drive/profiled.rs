@@ -20,12 +20,12 @@ use self::points::Points;
 use self::readings::Readings;
 use self::sequence::{Next, Sequence};
 use super::command_times::CommandTimes;
-use super::transaction::{CutIn, LineCounts};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
 use super::register_bus::RegisterBus;
 use super::register_map::{Quantity, RegisterMap, Step};
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
 
 /// Set-points that read back otherwise so often in a row are ignored by the drive.

@@ -1,9 +1,9 @@
 //! Registers at the far end of something: all that a profiled drive needs of a link.
 
 use super::RegisterTable;
-use super::transaction::{CutIn, LineCounts};
 use super::link::{LinkError, LinkName, LinkStatistics};
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 
 /// Registers as they were read, and the host times between which the drive took their values.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,9 +10,7 @@ use super::super::link::LinkError;
 use super::super::reply::FrameKind;
 use super::super::tap::Tap;
 use super::super::timing::wait_until;
-use super::super::transaction::{
-    End, Policy, Proof, Reception, Step, out_of_step, restless,
-};
+use super::super::transaction::{End, Policy, Proof, Reception, Step, out_of_step, restless};
 use super::counters::RawCounters;
 use super::request::{ReadRequest, WriteFunction, exception_name, registers, values, write_pdu};
 use super::wire::Wire;
@@ -184,7 +182,7 @@ impl RawClient {
         let mut begun = false;
         loop {
             match self.proof.next(pdu, now()) {
-                Step::InStep => return Ok(()),
+                Step::Go => return Ok(()),
                 Step::Silence(until) => self.keep_silent(until)?,
                 Step::Probe(probe) => {
                     let is_new = self.proof.is_dirty() && !std::mem::replace(&mut begun, true);
@@ -197,7 +195,7 @@ impl RawClient {
                     }
                 }
                 Step::Restless => return Err(restless(&self.name)),
-                Step::OutOfStep => return Err(out_of_step(&self.name)),
+                Step::GiveUp => return Err(out_of_step(&self.name)),
             }
         }
     }

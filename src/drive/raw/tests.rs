@@ -242,7 +242,11 @@ fn no_fault_of_any_request_delivers_a_wrong_value_and_the_line_recovers() {
         assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
         let second = batch(&mut client, &reads(&[10, 20, 30], 2), 1);
         assert_eq!(answered(&second, &context), 3, "{context}: {second:?}");
-        assert!(client.counters().requests.balances(), "{:?}", client.counters());
+        assert!(
+            client.counters().requests.balances(),
+            "{:?}",
+            client.counters()
+        );
         drop(client);
         device.end();
     };

@@ -15,8 +15,8 @@ mod bound;
 mod proof;
 mod reception;
 
-pub use bound::CutIn;
 pub(super) use bound::Bound;
+pub use bound::CutIn;
 pub(super) use proof::{End, Method, PATIENCE, Policy, Proof, Step};
 pub use reception::LineCounts;
 pub(super) use reception::Reception;
