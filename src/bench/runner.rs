@@ -423,7 +423,12 @@ impl Runner<'_> {
                 estimator.command(&row);
             }
         }
-        let left_s = self.session.guard().silence_left_s(sent_s);
+        // What stops a motor is not held to the time that is left of an old silence.
+        let left_s = if command.demand.energises() {
+            self.session.guard().silence_left_s(sent_s)
+        } else {
+            self.session.guard().limits().link_silence_s
+        };
         self.link.0.bound(left_s);
         let answer = self.link.0.exchange(command);
         let now_s = clock.now_s();

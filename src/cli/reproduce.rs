@@ -105,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             output::result(&found, arguments.json, |_| report.text())
         }
         Paper::Lines => {
-            let _endable = interrupt::endable()?;
+            let _endable = signals::endable()?;
             let shown = progress::begin("reproduce");
             let runs = usize::try_from(arguments.sets.unwrap_or(LINE_RUNS).max(1)).unwrap_or(1);
             let found = reproduce::lines::line_study(runs, arguments.seed.unwrap_or(1));

@@ -229,7 +229,7 @@ pub trait DriveLink: Send {
     /// it takes. A stop outside an exchange is not bound.
     fn bound(&mut self, _left_s: f64) {}
 
-    /// Where to say that a stop is wanted: silences, probes and retries under way are then given up at once.
+    /// Where to say that a stop is wanted: silences, probes and retries of a bounded exchange are then given up at once.
     fn cut_in(&mut self) -> Option<&mut CutIn> {
         None
     }

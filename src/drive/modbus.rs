@@ -52,14 +52,7 @@ const FAILURES_BEFORE_SILENCE: u32 = 2;
 const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
 /// With less time left nothing is asked any more.
 const SHORTEST_EXCHANGE: Duration = Duration::from_millis(1);
-/// A command to the proof: the telemetry is read with it.
-const FC23: [u8; 5] = [
-    23,
-    TELEMETRY_ADDRESS.to_be_bytes()[0],
-    TELEMETRY_ADDRESS.to_be_bytes()[1],
-    0,
-    TELEMETRY_WORDS as u8,
-];
+const NAMES: &str = "the device identification";
 /// RTU frames of a command and of its reply.
 pub(super) const COMMAND_BYTES: usize = 13 + 2 * COMMAND_WORDS;
 pub(super) const TELEMETRY_BYTES: usize = 5 + 2 * TELEMETRY_WORDS;
@@ -118,6 +111,19 @@ struct Question<'a> {
     is_probe: bool,
     /// Its reply carries its own number.
     is_numbered: bool,
+}
+
+impl<'a> Question<'a> {
+    const fn plain(request: Request<'a>, pdu: [u8; 5], what: &'a str, allowed: Duration) -> Self {
+        Self {
+            request,
+            pdu,
+            what,
+            allowed,
+            is_probe: false,
+            is_numbered: false,
+        }
+    }
 }
 
 impl ModbusLink {
@@ -179,14 +185,9 @@ impl ModbusLink {
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
         let what = format!("write {} at {address}", registers(values.len()));
-        let question = Question {
-            request: Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
-            pdu: [16, 0, 0, 0, 0],
-            what: &what,
-            allowed: self.timing.allowed(9 + 2 * values.len(), 8),
-            is_probe: false,
-            is_numbered: false,
-        };
+        let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
+        let allowed = self.timing.allowed(9 + 2 * values.len(), 8);
+        let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
         self.in_step(&question.pdu)?;
         self.call(question, |response| match response {
             Response::WriteMultipleRegisters(..) => Ok(()),
@@ -214,13 +215,12 @@ impl ModbusLink {
             COMMAND_ADDRESS,
             Cow::Borrowed(&words),
         );
+        let [a, b] = TELEMETRY_ADDRESS.to_be_bytes();
+        let [c, d] = quantity(TELEMETRY_WORDS).to_be_bytes();
+        let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
         let question = Question {
-            request,
-            pdu: FC23,
-            what: "the command",
-            allowed: self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES),
-            is_probe: false,
             is_numbered: true,
+            ..Question::plain(request, [23, a, b, c, d], "the command", allowed)
         };
         let answer = self.call(question, |response| match response {
             Response::ReadWriteMultipleRegisters(values) => telemetry(&values),
@@ -341,7 +341,7 @@ impl ModbusLink {
         let mut probed = false;
         loop {
             match self.proof.next(pdu, now()) {
-                Step::InStep => return Ok(()),
+                Step::Go => return Ok(()),
                 Step::Silence(until) => drop(self.keep_silent(until)?),
                 Step::Probe(_) if probed && self.bound.is_set() => return Err(self.unproven()),
                 Step::Probe(pdu) => {
@@ -354,33 +354,25 @@ impl ModbusLink {
                     }
                 }
                 Step::Restless => return Err(restless(&self.name)),
-                Step::OutOfStep => return Err(out_of_step(&self.name)),
+                Step::GiveUp => return Err(out_of_step(&self.name)),
             }
         }
     }
 
     /// One probe. The guard compares all its bytes.
     fn probe(&mut self, pdu: [u8; 5]) -> Result<(), LinkError> {
-        let [function, a, b, c, d] = pdu;
+        let [function, data @ ..] = pdu;
+        let [a, b, c, d] = data;
         let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
-        let (request, bytes) = match function {
-            3 => (
-                Request::ReadHoldingRegisters(address, count),
-                5 + 2 * usize::from(count),
-            ),
-            4 => (
-                Request::ReadInputRegisters(address, count),
-                5 + 2 * usize::from(count),
-            ),
-            _ => (Request::Custom(8, Cow::Owned(vec![a, b, c, d])), 8),
+        let (request, words) = match function {
+            3 => (Request::ReadHoldingRegisters(address, count), count),
+            4 => (Request::ReadInputRegisters(address, count), count),
+            _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
         };
+        let allowed = self.timing.allowed(8, 5 + 2 * usize::from(words));
         let question = Question {
-            request,
-            pdu,
-            what: "the probe",
-            allowed: self.timing.allowed(8, bytes),
             is_probe: true,
-            is_numbered: false,
+            ..Question::plain(request, pdu, "the probe", allowed)
         };
         self.call(question, |_| Ok(())).map(drop)
     }
@@ -563,13 +555,9 @@ impl DriveLink for ModbusLink {
         let mut identity = identity(&block);
         // Names are a comfort that a drive need not offer.
         let allowed = self.timing.allowed(7, 256);
-        let ask = || Question {
-            request: Request::ReadDeviceIdentification(ReadCode::Regular, 0),
-            pdu: [43, 14, 2, 0, 0],
-            what: "the device identification",
-            allowed,
-            is_probe: false,
-            is_numbered: false,
+        let ask = || {
+            let request = Request::ReadDeviceIdentification(ReadCode::Regular, 0);
+            Question::plain(request, [43, 14, 2, 0, 0], NAMES, allowed)
         };
         let names = self.read_with_retries(ask, |response| match response {
             Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
@@ -697,18 +685,12 @@ fn quantity(words: usize) -> u16 {
 }
 
 /// The question for registers.
-fn question<'a>(read: ReadRequest, what: &'a str, allowed: Duration) -> Question<'a> {
-    Question {
-        request: match read.table {
-            RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
-            RegisterTable::Input => Request::ReadInputRegisters(read.address, read.count),
-        },
-        pdu: read.pdu(),
-        what,
-        allowed,
-        is_probe: false,
-        is_numbered: false,
-    }
+fn question(read: ReadRequest, what: &str, allowed: Duration) -> Question<'_> {
+    let request = match read.table {
+        RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
+        RegisterTable::Input => Request::ReadInputRegisters(read.address, read.count),
+    };
+    Question::plain(request, read.pdu(), what, allowed)
 }
 
 /// The registers that were asked for.

@@ -36,12 +36,8 @@ impl ModbusLink {
                 Cow::Borrowed(&words),
             );
             let question = Question {
-                request,
-                pdu: [23, 0, 0, 0, 0],
-                what: "captured samples",
-                allowed,
-                is_probe: false,
                 is_numbered: true,
+                ..Question::plain(request, [23, 0, 0, 0, 0], "captured samples", allowed)
             };
             let window = self.call(question, |response| match response {
                 Response::ReadWriteMultipleRegisters(values) => Ok(values),

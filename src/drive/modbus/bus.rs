@@ -15,7 +15,7 @@ use std::time::Duration;
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
-use super::{LinkError, ModbusLink, Question, RegisterTable, now, question, words};
+use super::{LinkError, ModbusLink, NAMES, Question, RegisterTable, now, question, words};
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
 use crate::drive::raw::{ReadRequest, registers};
 use crate::drive::register_bus::{RegisterBus, RegistersRead};
@@ -130,17 +130,11 @@ impl ModbusBus {
     ) -> Result<(), LinkError> {
         let what = format!("write {values:04x?} at {address}");
         let [high, low] = address.to_be_bytes();
-        let question = Question {
-            request: match (function, values) {
-                (6, [value]) => Request::WriteSingleRegister(address, *value),
-                _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
-            },
-            pdu: [function, high, low, 0, 0],
-            what: &what,
-            allowed,
-            is_probe: false,
-            is_numbered: false,
+        let request = match (function, values) {
+            (6, [value]) => Request::WriteSingleRegister(address, *value),
+            _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
         };
+        let question = Question::plain(request, [function, high, low, 0, 0], &what, allowed);
         let answer = self.link.call(question, |response| match response {
             Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
             other => Err(format!("{other:?}")),
@@ -209,14 +203,9 @@ impl RegisterBus for ModbusBus {
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
         let pdu = [43, 14, 4, object, 0];
         self.link.in_step(&pdu)?;
-        let question = Question {
-            request: Request::ReadDeviceIdentification(ReadCode::Specific, object),
-            pdu,
-            what: "the device identification",
-            allowed: self.link.timing.allowed(7, 256),
-            is_probe: false,
-            is_numbered: false,
-        };
+        let request = Request::ReadDeviceIdentification(ReadCode::Specific, object);
+        let allowed = self.link.timing.allowed(7, 256);
+        let question = Question::plain(request, pdu, NAMES, allowed);
         let answer = self.link.call(question, |response| match response {
             Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
             other => Err(format!("{other:?}")),

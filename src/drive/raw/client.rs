@@ -182,7 +182,7 @@ impl RawClient {
         let mut begun = false;
         loop {
             match self.proof.next(pdu, now()) {
-                Step::InStep => return Ok(()),
+                Step::Go => return Ok(()),
                 Step::Silence(until) => self.keep_silent(until)?,
                 Step::Probe(probe) => {
                     let is_new = self.proof.is_dirty() && !std::mem::replace(&mut begun, true);
@@ -195,7 +195,7 @@ impl RawClient {
                     }
                 }
                 Step::Restless => return Err(restless(&self.name)),
-                Step::OutOfStep => return Err(out_of_step(&self.name)),
+                Step::GiveUp => return Err(out_of_step(&self.name)),
             }
         }
     }

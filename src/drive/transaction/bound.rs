@@ -9,7 +9,7 @@ const LOOK: Duration = Duration::from_millis(4);
 
 /// Says that a stop is wanted: any of its flags was raised since the last [`CutIn::lower`].
 ///
-/// Silences, probes and retries under way are given up then, so that the stop goes out next.
+/// Silences, probes and retries of a bounded exchange are given up then, so that the stop goes out next.
 #[derive(Clone, Debug, Default)]
 pub struct CutIn(Vec<(Arc<AtomicBool>, bool)>);
 
@@ -52,7 +52,8 @@ impl Bound {
 
     /// Nothing that can wait is begun or gone on with any more.
     pub(in crate::drive) fn is_over(&self, now: Instant) -> bool {
-        self.until.is_some_and(|until| now >= until) || self.cut_in.is_raised()
+        let wanted = self.cut_in.is_raised();
+        self.until.is_some_and(|until| wanted || now >= until)
     }
 
     /// `at`, or where the exchange has to end.
@@ -63,7 +64,7 @@ impl Bound {
     /// Where a wait until `at` looks up next.
     pub(in crate::drive) fn next_look(&self, now: Instant, at: Instant) -> Instant {
         let at = self.earlier(at);
-        if self.cut_in.0.is_empty() {
+        if !self.is_set() || self.cut_in.0.is_empty() {
             at
         } else {
             at.min(now + LOOK)

@@ -62,7 +62,8 @@ pub(in crate::drive) enum Policy {
 /// What is to be done before a request may go out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::drive) enum Step {
-    InStep,
+    /// In step: the request may go out.
+    Go,
     /// Nothing may come before this instant.
     Silence(Instant),
     /// This PDU is asked, and no more than a reply to it is waited for.
@@ -70,7 +71,7 @@ pub(in crate::drive) enum Step {
     /// The line is never silent.
     Restless,
     /// No probe came back alone; the next call begins anew.
-    OutOfStep,
+    GiveUp,
 }
 
 /// How an exchange ended.
@@ -103,6 +104,10 @@ impl Asked {
 
 /// Whether the line is in step, and what shows it.
 #[derive(Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent facts, each set and cleared by its own event"
+)]
 pub(in crate::drive) struct Proof {
     policy: Policy,
     quiet: Duration,
@@ -249,11 +254,11 @@ impl Proof {
     /// What is to be done before this request.
     pub(in crate::drive) fn next(&mut self, pdu: &[u8], now: Instant) -> Step {
         if self.policy == Policy::Numbered {
-            return Step::InStep;
+            return Step::Go;
         }
         let calm = self.disturbed + self.quiet;
         let is_read = matches!(pdu.first(), Some(3 | 4 | 43));
-        let needs_proof = self.suspect || (self.dirty && !(is_read && !self.could_confuse(pdu)));
+        let needs_proof = self.suspect || (self.dirty && (!is_read || self.could_confuse(pdu)));
         if (needs_proof || self.dirty) && now < calm {
             return self.silence(calm, now);
         }
@@ -263,7 +268,7 @@ impl Proof {
                 Some(until) if is_read => self.silence(until, now),
                 _ => {
                     self.restless = None;
-                    Step::InStep
+                    Step::Go
                 }
             };
         }
@@ -272,7 +277,7 @@ impl Proof {
             // Nobody is known to be there; what may still come is found by the proof after the first answer.
             self.suspect = false;
             self.dirty = false;
-            return Step::InStep;
+            return Step::Go;
         }
         if self.method == Method::Silence
             && let Policy::Trial(longest) = self.policy
@@ -286,7 +291,7 @@ impl Proof {
         if self.tried == PROBES {
             self.tried = 0;
             self.suspect = true;
-            return Step::OutOfStep;
+            return Step::GiveUp;
         }
         self.tried += 1;
         let Some(probe) = self.probe(pdu) else {
@@ -565,4 +570,108 @@ fn head(pdu: &[u8]) -> [u8; 5] {
         *to = *from;
     }
     head
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::guard::now;
+
+    const QUIET: Duration = Duration::from_millis(20);
+    const MS: Duration = Duration::from_millis(1);
+
+    fn read(address: u16, count: u16) -> [u8; 5] {
+        let table = RegisterTable::Holding;
+        ReadRequest {
+            table,
+            address,
+            count,
+        }
+        .pdu()
+    }
+
+    fn late(pdu: &[u8]) -> [Heard; 1] {
+        [Heard {
+            code: Code::answering(pdu),
+            behind: false,
+        }]
+    }
+
+    /// Goes on until a probe is to be asked.
+    fn probe(proof: &mut Proof, pdu: &[u8], at: &mut Instant) -> [u8; 5] {
+        loop {
+            match proof.next(pdu, *at) {
+                Step::Probe(probe) => return probe,
+                Step::Silence(until) => *at = until,
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn a_unit_that_is_one_reply_behind_is_proven_by_the_code_of_a_probe() {
+        let mut at = now();
+        let mut proof = Proof::new(Policy::Trial(50 * MS), QUIET, at);
+        let (first, wanted) = (read(10, 1), read(20, 1));
+        proof.known(ReadRequest {
+            table: RegisterTable::Holding,
+            address: 10,
+            count: 1,
+        });
+        // Its reply comes with the next request, which it fits as well.
+        for pdu in [&first, &wanted] {
+            proof.asked(pdu, false, at);
+            let end = if *pdu == first {
+                End::Missing
+            } else {
+                End::Data
+            };
+            proof.ended(end, &[], false, false, at);
+        }
+        assert!(!proof.is_vouched(), "it may be the reply to the first");
+        let one = probe(&mut proof, &wanted, &mut at);
+        proof.asked(&one, true, at);
+        proof.ended(End::Missing, &late(&wanted), true, false, at);
+        let two = probe(&mut proof, &wanted, &mut at);
+        assert!(one != two && Code::answering(&two) != Code::answering(&wanted));
+        proof.asked(&two, true, at);
+        proof.ended(End::Missing, &late(&one), true, false, at);
+        // Everything before the first probe is over, and only the wanted read can get such a reply now.
+        at += QUIET;
+        assert_eq!(proof.next(&wanted, at), Step::Go);
+        proof.asked(&wanted, false, at);
+        proof.ended(End::Data, &late(&two), true, false, at);
+        assert!(proof.is_vouched());
+    }
+
+    #[test]
+    fn the_silence_for_an_old_reply_ends_after_a_clean_stretch() {
+        let mut at = now();
+        let mut proof = Proof::new(Policy::Fixed(Method::Nonce), QUIET, at);
+        proof.set_policy(Method::Nonce, None);
+        let nonce = probe(&mut proof, &read(0, 1), &mut at);
+        let clean = |proof: &mut Proof, pdu: &[u8], is_probe, at| {
+            proof.asked(pdu, is_probe, at);
+            proof.ended(End::Data, &[], false, false, at);
+        };
+        clean(&mut proof, &nonce, true, at);
+        let is_apart = |proof: &mut Proof, at| proof.next(&read(2, 1), at) != Step::Go;
+        for _ in 0..KNOWN_AFTER {
+            clean(&mut proof, &read(1, 1), false, at);
+        }
+        assert!(!is_apart(&mut proof, at), "nothing old ever came");
+        proof.asked(&read(1, 1), false, at);
+        proof.ended(End::Missing, &late(&read(1, 1)), true, false, at + 70 * MS);
+        at += 70 * MS;
+        let nonce = probe(&mut proof, &read(1, 1), &mut at);
+        clean(&mut proof, &nonce, true, at);
+        for seconds in [1, 3, 6] {
+            let later = at + Duration::from_secs(seconds);
+            clean(&mut proof, &read(1, 1), false, later);
+            assert!(is_apart(&mut proof, later + MS), "{seconds}");
+        }
+        let later = at + Duration::from_secs(8);
+        clean(&mut proof, &read(1, 1), false, later);
+        assert!(!is_apart(&mut proof, later + MS));
+    }
 }
