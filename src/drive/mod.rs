@@ -74,7 +74,7 @@ pub use raw::{
     Batch, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, RawSettings, Read, ReadRequest,
     WriteFunction, read_batch, registers,
 };
-pub use register_bus::{RegisterBus, RegistersRead};
+pub use register_bus::{Carried, RegisterBus, RegistersRead};
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use stream::StreamLink;
 pub use tally::RoundTrips;

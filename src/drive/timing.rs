@@ -85,6 +85,13 @@ impl LineTiming {
         seconds(wire_s) + 2 * self.reply + HOST_ALLOWANCE
     }
 
+    /// Wire time of an exchange with its silences and the longest reply that the profile allows: who waits no longer loses
+    /// the replies that adapter and host hand over late, but does not speak into one.
+    pub(super) fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
+        seconds(wire_s) + self.reply
+    }
+
     /// Wire time of an exchange with its silences, s: what no drive can do better. How long this one takes to reply is
     /// measured, and often far below what its profile allows. `None` without a line.
     pub(super) fn shortest_cycle_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {

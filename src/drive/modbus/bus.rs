@@ -21,7 +21,7 @@ use super::{LinkError, ModbusLink, PROBES, RegisterTable, now};
 use crate::drive::guard::LineCounts;
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
 use crate::drive::raw::registers;
-use crate::drive::register_bus::{RegisterBus, RegistersRead};
+use crate::drive::register_bus::{Carried, RegisterBus, RegistersRead};
 use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::drive::reply::FrameKind;
 use crate::drive::tally::RoundTrips;
@@ -141,8 +141,17 @@ impl ModbusBus {
         address: u16,
         count: u16,
     ) -> Result<RegistersRead, LinkError> {
+        self.alone(count, address, |bus| bus.ask(table, address, count))
+    }
+
+    fn alone(
+        &mut self,
+        count: u16,
+        address: u16,
+        ask: impl FnOnce(&mut Self) -> Result<RegistersRead, LinkError>,
+    ) -> Result<RegistersRead, LinkError> {
         let sent = now();
-        let read = self.ask(table, address, count)?;
+        let read = ask(self)?;
         if self.link.kind == FrameKind::Tcp {
             return Ok(read);
         }
@@ -205,8 +214,13 @@ impl ModbusBus {
         })
     }
 
-    fn put(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
-        let allowed = self.link.timing.allowed(9 + 2 * values.len(), 8);
+    fn put(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+        allowed: Duration,
+    ) -> Result<Carried, LinkError> {
         let what = format!("write {values:04x?} at {address}");
         let request = match (function, values) {
             (6, [value]) => Request::WriteSingleRegister(address, *value),
@@ -218,9 +232,65 @@ impl ModbusBus {
                 Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
                 other => Err(format!("{other:?}")),
             });
-        answer.map(|answer| answer.value)
+        answer.map(|answer| Carried {
+            asked_s: answer.sent_s,
+            answered_s: answer.received_s,
+        })
+    }
+
+    /// As `put`, on a line in doubt too; the doubt stays.
+    fn put_in_doubt(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+        allowed: Duration,
+    ) -> Result<Carried, LinkError> {
+        self.link.listen()?;
+        let was_suspect = self.link.suspect;
+        let result = self.put(function, address, values, allowed);
+        self.link.suspect |= was_suspect;
+        result
+    }
+
+    /// One transaction of function code 23: the drive writes first, then reads.
+    fn put_and_ask(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let request_bytes = READ_WRITE_BYTES + 2 * values.len();
+        let allowed = self.link.timing.allowed(request_bytes, reply_bytes(count));
+        let what = format!(
+            "write {values:04x?} at {to} and read {} at {from}",
+            registers(count.into())
+        );
+        let request =
+            Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
+        let answer = self
+            .link
+            .call(request, &what, allowed, |response| match response {
+                Response::ReadWriteMultipleRegisters(values)
+                    if values.len() == usize::from(count) =>
+                {
+                    Ok(values)
+                }
+                other => Err(format!("{other:?}")),
+            });
+        answer.map(|answer| RegistersRead {
+            words: answer.value,
+            asked_s: answer.sent_s,
+            answered_s: answer.received_s,
+        })
     }
 }
+
+/// RTU frame of a write of several registers beside these.
+const WRITE_BYTES: usize = 9;
+/// RTU frame of a request of function code 23 beside the registers that it writes.
+const READ_WRITE_BYTES: usize = 13;
+/// RTU frame of the acknowledgement of a write.
+const WRITTEN_BYTES: usize = 8;
 
 /// RTU frame of the reply to a read.
 fn reply_bytes(count: u16) -> usize {
@@ -268,9 +338,16 @@ impl RegisterBus for ModbusBus {
         }
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
+    fn write(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+    ) -> Result<Carried, LinkError> {
         self.fresh()?;
-        self.put(function, address, values)
+        let bytes = WRITE_BYTES + 2 * values.len();
+        let allowed = self.link.timing.allowed(bytes, WRITTEN_BYTES);
+        self.put(function, address, values, allowed)
     }
 
     fn write_at_once(
@@ -278,11 +355,36 @@ impl RegisterBus for ModbusBus {
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<(), LinkError> {
-        self.link.listen()?;
-        let was_suspect = self.link.suspect;
-        let result = self.put(function, address, values);
-        self.link.suspect |= was_suspect;
+    ) -> Result<Carried, LinkError> {
+        let bytes = WRITE_BYTES + 2 * values.len();
+        let allowed = self.link.timing.allowed(bytes, WRITTEN_BYTES);
+        self.put_in_doubt(function, address, values, allowed)
+    }
+
+    fn write_briefly(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+    ) -> Result<Carried, LinkError> {
+        let bytes = WRITE_BYTES + 2 * values.len();
+        let allowed = self.link.timing.brief(bytes, WRITTEN_BYTES);
+        self.put_in_doubt(function, address, values, allowed)
+    }
+
+    fn read_write(
+        &mut self,
+        write: (u16, &[u16]),
+        read: (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let (from, count) = read;
+        self.fresh()?;
+        self.keep_apart(count)?;
+        let result = self.alone(count, from, |bus| bus.put_and_ask(write, read));
+        self.link.recent.push((reply_bytes(count), now()));
+        if result.as_ref().is_err_and(LinkError::is_transient) {
+            self.unanswered.push(count);
+        }
         result
     }
 
