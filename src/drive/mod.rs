@@ -51,7 +51,7 @@ mod timing;
 #[cfg(test)]
 mod virtual_line;
 
-pub use budget::{AdapterRate, LineBudget, LoopRates, MeasuredLine};
+pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use command_times::CommandTimes;

@@ -21,6 +21,7 @@ use self::clock::Clock;
 use self::points::Points;
 use self::readings::{Readings, Span};
 use self::sequence::{Next, Sequence};
+use super::budget::{READ_WRITE_BYTES, joint_point};
 use super::clock_map::ClockMap;
 use super::command_times::CommandTimes;
 use super::guard::LineCounts;
@@ -39,8 +40,6 @@ const REFUSALS_S: f64 = 0.5;
 /// Bytes of a read request and of a reply beside its registers, RTU.
 const READ_BYTES: usize = 8;
 const REPLY_BYTES: usize = 5;
-/// Bytes of a request of function code 23 beside the registers that it writes, RTU.
-const READ_WRITE_BYTES: usize = 13;
 
 /// What the link is about.
 #[derive(Clone, Debug, PartialEq)]
@@ -376,8 +375,9 @@ impl<B: RegisterBus> ProfiledLink<B> {
     /// The same without its end: what is next, where the command is, and the first write of a stop that was not acknowledged.
     fn go_on(&mut self) -> Result<Option<(Next, Sequence, Option<LinkError>)>, LinkError> {
         let mode = self.mode.clone();
-        let (Mode::Enabling(mut sequence) | Mode::Stopping(mut sequence) | Mode::Resetting(mut sequence)) =
-            mode
+        let (Mode::Enabling(mut sequence)
+        | Mode::Stopping(mut sequence)
+        | Mode::Resetting(mut sequence)) = mode
         else {
             return Ok(None);
         };
@@ -706,14 +706,16 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// Fast signals and one set-point.
     fn shortest_cycle_s(&self) -> Option<f64> {
-        let joined = self.readings.joinable().zip(self.points.joinable_registers());
+        let joined = self.readings.joinable().zip(joint_point(&self.map));
         let mut cycle_s = match joined {
             Some(_) => 0.0,
             None => self.bus.wire_s(READ_BYTES, READ_BYTES)?,
         };
         for (at, block) in self.readings.fast().iter().enumerate() {
             let request = match joined {
-                Some((with, registers)) if with == at => READ_WRITE_BYTES + 2 * registers,
+                Some((with, point)) if with == at => {
+                    READ_WRITE_BYTES + 2 * usize::from(point.location.layout.registers())
+                }
                 _ => READ_BYTES,
             };
             let reply = REPLY_BYTES + 2 * usize::from(block.count);

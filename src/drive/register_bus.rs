@@ -43,12 +43,7 @@ pub trait RegisterBus: Send {
     ) -> Result<RegistersRead, LinkError>;
 
     /// Writes with function code 6 (one register) or 16; never repeated by itself.
-    fn write(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-    ) -> Result<Carried, LinkError>;
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError>;
 
     /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
     fn write_at_once(

@@ -216,7 +216,10 @@ mod tests {
         let mut dialogue = Dialogue::new(kind, UNIT);
         let mut answers = Vec::new();
         for byte in bytes {
-            if dialogue.push(*byte, &mut drive, &mut || true, &mut answers).is_err() {
+            if dialogue
+                .push(*byte, &mut drive, &mut || true, &mut answers)
+                .is_err()
+            {
                 break;
             }
         }

@@ -296,12 +296,20 @@ fn a_host_that_says_nothing_starves_nobody_and_one_of_several_is_in_command() {
         .unwrap();
     let within = Duration::from_secs(2);
     runtime.block_on(async {
-        let mut first = prelude::tcp::connect_slave(address, Slave(1)).await.unwrap();
-        let mut second = prelude::tcp::connect_slave(address, Slave(1)).await.unwrap();
+        let mut first = prelude::tcp::connect_slave(address, Slave(1))
+            .await
+            .unwrap();
+        let mut second = prelude::tcp::connect_slave(address, Slave(1))
+            .await
+            .unwrap();
         let command = |seq| volts(seq, 1.0).to_registers();
         let (one, two) = (command(5), command(6));
         let write = first.write_multiple_registers(32, &one);
-        tokio::time::timeout(within, write).await.unwrap().unwrap().unwrap();
+        tokio::time::timeout(within, write)
+            .await
+            .unwrap()
+            .unwrap()
+            .unwrap();
         // Whoever reads is served beside it; who writes is told that another one is in command.
         let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
         assert_eq!(words[2], 5);
@@ -310,7 +318,11 @@ fn a_host_that_says_nothing_starves_nobody_and_one_of_several_is_in_command() {
         // It is gone: the other one takes over.
         drop(first);
         tokio::time::sleep(Duration::from_millis(50)).await;
-        second.write_multiple_registers(32, &two).await.unwrap().unwrap();
+        second
+            .write_multiple_registers(32, &two)
+            .await
+            .unwrap()
+            .unwrap();
         let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
         assert_eq!(words[2], 6);
     });

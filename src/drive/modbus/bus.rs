@@ -265,8 +265,7 @@ impl ModbusBus {
             "write {values:04x?} at {to} and read {} at {from}",
             registers(count.into())
         );
-        let request =
-            Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
+        let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
         let answer = self
             .link
             .call(request, &what, allowed, |response| match response {
@@ -338,12 +337,7 @@ impl RegisterBus for ModbusBus {
         }
     }
 
-    fn write(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-    ) -> Result<Carried, LinkError> {
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
         self.fresh()?;
         let bytes = WRITE_BYTES + 2 * values.len();
         let allowed = self.link.timing.allowed(bytes, WRITTEN_BYTES);

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::readings::{Joined, Readings, Span, in_profile};
+use crate::drive::budget::may_join;
 use crate::drive::link::LinkError;
 use crate::drive::register_bus::RegisterBus;
 use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
@@ -11,8 +12,6 @@ use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
 const NVM_SHARE: u32 = 1000;
 /// Writes where the profile does not say how many cycles the memory has.
 const NVM_WRITES: u32 = 10;
-/// Registers that one transaction of function code 23 may write (Modbus Application Protocol 1.1b3, 6.17).
-const JOINED_REGISTERS: u16 = 121;
 /// Longest time over which a slew is counted, s: after a longer pause a reference does not jump further.
 const LONGEST_SLEW_TIME_S: f64 = 0.5;
 
@@ -260,18 +259,6 @@ impl Points {
         Ok(())
     }
 
-    /// Registers of the first reference that may go out together with a read.
-    pub(super) fn joinable_registers(&self) -> Option<usize> {
-        let mut points = self.map.set_points.iter();
-        let point = points.find(|point| self.can_join(point))?;
-        Some(usize::from(point.location.layout.registers()))
-    }
-
-    fn can_join(&self, point: &SetPoint) -> bool {
-        let fits = point.location.layout.registers() <= self.map.max_write.min(JOINED_REGISTERS);
-        fits && !point.is_word() && !point.readback && !point.nvm
-    }
-
     /// Sends, or leaves it to the read of this exchange where one transaction takes both.
     fn send_or_join(
         &mut self,
@@ -280,7 +267,7 @@ impl Points {
         point: &SetPoint,
         registers: &[u16],
     ) -> Result<(), LinkError> {
-        if !(self.may_join && self.joined.is_none() && self.can_join(point)) {
+        if !(self.may_join && self.joined.is_none() && may_join(&self.map, point)) {
             return self.send(bus, at, point, registers);
         }
         if !self.may_be_written(bus, at, point, registers)? {

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use crate::drive::budget::joint_block;
 use crate::drive::link::LinkError;
-use crate::drive::RegisterTable;
 use crate::drive::register_bus::{Carried, RegisterBus, RegistersRead};
 use crate::drive::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
 
@@ -70,9 +70,6 @@ struct Position {
     counts: f64,
     at_s: f64,
 }
-
-/// Function code that writes and reads in one transaction.
-pub(super) const READ_WRITE: u8 = 23;
 
 /// A write that goes out together with a read.
 #[derive(Clone, Debug, PartialEq)]
@@ -163,9 +160,7 @@ impl Readings {
 
     /// The fast block that function code 23 can read: it has holding registers only.
     pub(super) fn joinable(&self) -> Option<usize> {
-        let can = self.map.functions.contains(&READ_WRITE);
-        let is_holding = |block: &ReadBlock| block.table == RegisterTable::Holding;
-        can.then(|| self.fast.iter().position(is_holding)).flatten()
+        joint_block(&self.map, &self.fast)
     }
 
     /// Positions of the fast blocks as they are read: a write goes out first.
@@ -282,9 +277,12 @@ impl Readings {
         let at_s = f64::midpoint(read.asked_s, read.answered_s);
         let factor = self.factor(&signal.numbers.scale_by)?;
         let counts = self.positions.get(&index).map_or(raw, |last| {
-            let moved = self.speed_rad_s().zip(signal.channel).map(|(speed, (_, si))| {
-                speed * (at_s - last.at_s) / (si * signal.numbers.scale * factor)
-            });
+            let moved = self
+                .speed_rad_s()
+                .zip(signal.channel)
+                .map(|(speed, (_, si))| {
+                    speed * (at_s - last.at_s) / (si * signal.numbers.scale * factor)
+                });
             let step = raw - last.raw;
             let turns = ((step - moved.unwrap_or(0.0)) / span).round();
             last.counts + step - turns * span

@@ -44,15 +44,13 @@ impl Quantity {
             | Self::LineVoltage
             | Self::RatedVoltage
             | Self::VoltageLimit => &[Unit::V, Unit::Percent],
-            Self::ShaftSpeed | Self::OutputSpeed | Self::RatedSpeed | Self::Speed => {
-                &[
-                    Unit::Rpm,
-                    Unit::RadS,
-                    Unit::Hertz,
-                    Unit::CountsPerSecond,
-                    Unit::Percent,
-                ]
-            }
+            Self::ShaftSpeed | Self::OutputSpeed | Self::RatedSpeed | Self::Speed => &[
+                Unit::Rpm,
+                Unit::RadS,
+                Unit::Hertz,
+                Unit::CountsPerSecond,
+                Unit::Percent,
+            ],
             Self::Torque => &[Unit::NewtonMetre, Unit::Percent],
             Self::Power => &[Unit::KiloWatt, Unit::Percent],
             Self::Duty => &[Unit::Percent],

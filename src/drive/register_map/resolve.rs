@@ -377,7 +377,11 @@ impl Reader<'_> {
     }
 
     /// A position that may go half of its way round between two readings cannot be followed without a speed.
-    fn position_is_followed(&self, file: &ProfileFile, map: &RegisterMap) -> Result<(), ConfigError> {
+    fn position_is_followed(
+        &self,
+        file: &ProfileFile,
+        map: &RegisterMap,
+    ) -> Result<(), ConfigError> {
         let Some(position) = map.of_channel(Channel::Angle) else {
             return Ok(());
         };

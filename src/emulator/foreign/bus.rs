@@ -199,12 +199,7 @@ impl RegisterBus for ForeignBus {
         })
     }
 
-    fn write(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-    ) -> Result<Carried, LinkError> {
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
         self.put(function, address, values, DEADLINE_S)
     }
 
@@ -229,8 +224,7 @@ impl RegisterBus for ForeignBus {
         request.extend(counted(values));
         request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
         let asked_s = self.departure_s();
-        let what =
-            || format!("write {values:04x?} at {to} and read {count} registers at {from}");
+        let what = || format!("write {values:04x?} at {to} and read {count} registers at {from}");
         let (answer, answered_s) = self.ask(&request, DEADLINE_S, what)?;
         Ok(RegistersRead {
             words: words(&answer),

@@ -188,7 +188,9 @@ impl ForeignDrive {
                 let value = self.truth(signal);
                 let raw = (value - signal.numbers.offset) / (signal.numbers.scale * factor);
                 match (signal.quantity, signal.wraps_at) {
-                    (Quantity::Clock, _) => count(raw, 2.0_f64.powi(i32::from(signal.location.layout.width()))),
+                    (Quantity::Clock, _) => {
+                        count(raw, 2.0_f64.powi(i32::from(signal.location.layout.width())))
+                    }
                     (_, Some(span)) => count(raw, span),
                     _ => bits(signal.location.layout.kind, raw),
                 }

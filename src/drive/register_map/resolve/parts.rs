@@ -4,8 +4,8 @@ use toml::Spanned;
 
 use super::super::address::resolve;
 use super::super::facts::{
-    Location, Numbers, PerTurn, PollRate, Quantity, SetPoint, Sign, Signal, Supervision, Traits, Unit, channel_of,
-    demand_si,
+    Location, Numbers, PerTurn, PollRate, Quantity, SetPoint, Sign, Signal, Supervision, Traits,
+    Unit, channel_of, demand_si,
 };
 use super::super::schema::{SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
 use super::super::value::{Kind, Layout};
@@ -343,7 +343,8 @@ fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, St
     if !matches!(keys.kind, Kind::U16 | Kind::U32) || keys.byte.is_some() || keys.bits.is_some() {
         return Err((
             "type",
-            "a clock is a whole counter (expected type u16 or u32 without byte and bits)".to_owned(),
+            "a clock is a whole counter (expected type u16 or u32 without byte and bits)"
+                .to_owned(),
         ));
     }
     if keys.poll != PollRate::Fast {
@@ -359,7 +360,10 @@ fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, St
         ("offset", keys.offset.is_some()),
     ] {
         if is_there {
-            return Err((key, format!("a clock has no {key}: each of its counts is a time")));
+            return Err((
+                key,
+                format!("a clock has no {key}: each of its counts is a time"),
+            ));
         }
     }
     let unit_s = match keys.unit {
@@ -387,9 +391,9 @@ fn wraps_at(keys: &SignalKeys, layout: Layout) -> Result<Option<f64>, String> {
     let whole = keys.kind != Kind::F32;
     match keys.wraps_at {
         None => Ok((is_position && whole).then(|| 2.0_f64.powi(i32::from(layout.width())))),
-        Some(_) if !is_position => {
-            Err("wraps_at is for a position (expected quantity \"angle\", unit \"counts\")".to_owned())
-        }
+        Some(_) if !is_position => Err(
+            "wraps_at is for a position (expected quantity \"angle\", unit \"counts\")".to_owned(),
+        ),
         Some(counts) if counts < 2 => Err(format!(
             "wraps_at {counts} is not allowed (expected 2 or more)"
         )),

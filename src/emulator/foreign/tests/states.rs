@@ -266,7 +266,11 @@ fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
     table.far().refuse_writes(Some(4));
     let sample = table.run(reference).unwrap();
     assert_eq!(sample.state, Some(DriveState::Fault));
-    assert_eq!(sample.fault, Some(5), "read with the first sight of the fault");
+    assert_eq!(
+        sample.fault,
+        Some(5),
+        "read with the first sight of the fault"
+    );
 }
 
 #[test]
