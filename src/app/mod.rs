@@ -42,7 +42,7 @@ pub use escalation::escalation_failure;
 pub use failure::Failure;
 pub use recorded::Recorded;
 pub use reopening::Reopener;
-pub(crate) use rig::{MYSTERY, nameplate};
+pub(crate) use rig::MYSTERY;
 pub use rig::{OpenRig, Rig, RigOptions};
 pub(crate) use run::run_result;
 pub use run::{RunDone, RunRequest, Whole, run};

@@ -32,7 +32,8 @@ pub(super) struct Arguments {
     /// Path of the pseudo-terminal's symlink; without it one in the temporary folder
     #[arg(long, value_name = "PATH", conflicts_with = "listen")]
     pty: Option<PathBuf>,
-    /// TCP address, as 127.0.0.1:1502; port 0 takes a free one
+    /// TCP address, as 127.0.0.1:1502; port 0 takes a free one. Up to 8 hosts at once: each may read, one is in command until
+    /// it is gone or has commanded nothing for 2 s; who says nothing for 60 s is let go
     #[arg(long, value_name = "ADDR")]
     listen: Option<SocketAddr>,
     /// Draws the specimen within its tolerance, and the sensor noise
@@ -132,6 +133,11 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         }
         (None, None) => Endpoint::temporary_pty(),
     };
+    if let Endpoint::Tcp(address) = &endpoint
+        && let Some(warning) = open_to_others(*address)
+    {
+        output::message(&warning);
+    }
     let mut sealed = None;
     if let Some(mystery) = &mystery {
         let path = arguments.seal.unwrap_or_else(|| sealed_name(mystery.seed));
@@ -181,6 +187,18 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
+/// What to say of an address that other machines reach.
+fn open_to_others(address: SocketAddr) -> Option<String> {
+    let who = match address.ip() {
+        ip if ip.is_loopback() => return None,
+        ip if ip.is_unspecified() => format!("{ip} is every address of this machine"),
+        ip => format!("{ip} is reached from other machines"),
+    };
+    Some(format!(
+        "warning: --listen {address}: {who}: anybody on the network can drive this; 127.0.0.1 is for this machine only"
+    ))
+}
+
 /// The guise of a profile; our own map needs none.
 fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guise>, Failure> {
     let guise = Guise::of(profile);
@@ -200,5 +218,21 @@ fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guis
             "--watchdog-ms is for the profile of another drive",
             "for our own: watchdog_ms in the emulator file",
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_others_reach_is_warned_of() {
+        let told = |address: &str| open_to_others(address.parse().unwrap());
+        for open in ["0.0.0.0:502", "[::]:502", "192.168.1.7:502"] {
+            let warning = told(open).unwrap();
+            assert!(warning.contains("anybody on the network"), "{warning}");
+        }
+        assert_eq!(told("127.0.0.1:502"), None);
+        assert_eq!(told("[::1]:502"), None);
     }
 }

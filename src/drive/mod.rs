@@ -53,7 +53,7 @@ mod transaction;
 #[cfg(test)]
 mod virtual_line;
 
-pub use budget::{AdapterRate, LineBudget, LoopRates, MeasuredLine};
+pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use command_times::CommandTimes;
@@ -75,7 +75,7 @@ pub use raw::{
     Batch, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, RawSettings, Read, ReadRequest,
     WriteFunction, read_batch, registers,
 };
-pub use register_bus::{RegisterBus, RegistersRead};
+pub use register_bus::{Carried, RegisterBus, RegistersRead};
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use stream::StreamLink;
 pub use tally::RoundTrips;

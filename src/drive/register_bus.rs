@@ -15,6 +15,15 @@ pub struct RegistersRead {
     pub answered_s: f64,
 }
 
+/// The host times between which the far end carried out a write that it acknowledged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Carried {
+    /// First byte of the request out, s.
+    pub asked_s: f64,
+    /// First byte of its acknowledgement in, s.
+    pub answered_s: f64,
+}
+
 /// Reads and writes registers, each call bounded by the bus's own deadline for it, and keeps the host's time.
 pub trait RegisterBus: Send {
     fn name(&self) -> LinkName;
@@ -34,7 +43,7 @@ pub trait RegisterBus: Send {
     ) -> Result<RegistersRead, LinkError>;
 
     /// Writes with function code 6 (one register) or 16; never repeated by itself.
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError>;
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError>;
 
     /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
     ///
@@ -44,8 +53,23 @@ pub trait RegisterBus: Send {
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<(), LinkError> {
+    ) -> Result<Carried, LinkError> {
         self.write(function, address, values)
+    }
+
+    /// Writes holding registers and then reads others, in one transaction (function code 23) where the bus has one; never
+    /// repeated by itself. The times are those between which both were done.
+    fn read_write(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let written = self.write(16, to, values)?;
+        let read = self.read(RegisterTable::Holding, from, count)?;
+        Ok(RegistersRead {
+            asked_s: written.asked_s,
+            ..read
+        })
     }
 
     /// An object of function code 43; `None` where the drive does not have it.

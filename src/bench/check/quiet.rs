@@ -168,7 +168,7 @@ impl Checker<'_> {
             "link",
             fast,
             figures,
-            "lower link.rate_hz, raise the baud rate, or check the latency of the adapter",
+            "lower link.rate_hz, raise the baud rate, or check what adapter and drive take to answer (`drivebench doctor --port PORT`)",
         ) {
             return Ok(false);
         }

@@ -171,11 +171,14 @@ impl Trip {
     }
 
     pub(super) fn drive_fault(at_s: f64, code: Option<u16>, text: Option<&str>) -> Self {
-        let mut code_text =
-            code.map_or_else(|| "no code".to_owned(), |code| format!("code {code:#06x}"));
-        if let Some(text) = text {
-            code_text = format!("{code_text}: {text}");
-        }
+        // 0 is no code.
+        let code = code.filter(|code| *code != 0);
+        let code_text = match (code, text) {
+            (Some(code), Some(text)) => format!("code {code:#06x}: {text}"),
+            (Some(code), None) => format!("code {code:#06x}"),
+            (None, Some(text)) => text.to_owned(),
+            (None, None) => "no code".to_owned(),
+        };
         Self {
             kind: TripKind::DriveFault,
             at_s,

@@ -18,7 +18,7 @@ use tokio_modbus::{Request, Response};
 use super::{LinkError, ModbusLink, NAMES, Question, RegisterTable, now, question, words};
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
 use crate::drive::raw::{ReadRequest, registers};
-use crate::drive::register_bus::{RegisterBus, RegistersRead};
+use crate::drive::register_bus::{Carried, RegisterBus, RegistersRead};
 use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::drive::reply::FrameKind;
 use crate::drive::tally::RoundTrips;
@@ -81,10 +81,18 @@ impl ModbusBus {
     fn ask_alone(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
         let what = format!("read {} at {}", registers(read.count.into()), read.address);
         let allowed = self.link.timing.allowed(8, read.reply_bytes());
+        self.alone(question(read, &what, allowed), words(read))
+    }
+
+    /// A question whose answer is taken only where no other came within the time that one usually takes.
+    fn alone(
+        &mut self,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<Vec<u16>, String>,
+    ) -> Result<RegistersRead, LinkError> {
+        let what = question.what;
         let sent = now();
-        let answer = self
-            .link
-            .call(question(read, &what, allowed), words(read))?;
+        let answer = self.link.call(question, check)?;
         let answer = RegistersRead {
             words: answer.value,
             asked_s: answer.asked_s,
@@ -127,7 +135,7 @@ impl ModbusBus {
         address: u16,
         values: &[u16],
         allowed: Duration,
-    ) -> Result<(), LinkError> {
+    ) -> Result<Carried, LinkError> {
         let what = format!("write {values:04x?} at {address}");
         let [high, low] = address.to_be_bytes();
         let request = match (function, values) {
@@ -139,9 +147,18 @@ impl ModbusBus {
             Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
             other => Err(format!("{other:?}")),
         });
-        answer.map(|answer| answer.value)
+        answer.map(|answer| Carried {
+            asked_s: answer.asked_s,
+            answered_s: answer.answered_s,
+        })
     }
 }
+
+/// RTU frames of a write of several registers and of a request of function code 23, beside the registers that they write,
+/// and of the acknowledgement of a write.
+const WRITE_BYTES: usize = 9;
+const READ_WRITE_BYTES: usize = 13;
+const WRITTEN_BYTES: usize = 8;
 
 impl RegisterBus for ModbusBus {
     fn name(&self) -> LinkName {
@@ -179,9 +196,12 @@ impl RegisterBus for ModbusBus {
         }
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
         self.link.in_step(&[function])?;
-        let allowed = self.link.timing.allowed(9 + 2 * values.len(), 8);
+        let allowed = self
+            .link
+            .timing
+            .allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
         self.put(function, address, values, allowed)
     }
 
@@ -190,14 +210,40 @@ impl RegisterBus for ModbusBus {
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<(), LinkError> {
+    ) -> Result<Carried, LinkError> {
         self.link.listen()?;
-        let allowed = self.link.brief(9 + 2 * values.len(), 8);
+        let allowed = self
+            .link
+            .brief(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
         // What stops a drive has its own short time, whatever is left of that for reading.
         let bound = std::mem::take(&mut self.link.bound);
         let result = self.put(function, address, values, allowed);
         self.link.bound = bound;
         result
+    }
+
+    fn read_write(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let [from_high, from_low] = from.to_be_bytes();
+        let [count_high, count_low] = count.to_be_bytes();
+        let pdu = [23, from_high, from_low, count_high, count_low];
+        self.link.in_step(&pdu)?;
+        let words = usize::from(count);
+        let request_bytes = READ_WRITE_BYTES + 2 * values.len();
+        let allowed = self.link.timing.allowed(request_bytes, 5 + 2 * words);
+        let what = format!(
+            "write {values:04x?} at {to} and read {} at {from}",
+            registers(words)
+        );
+        let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
+        let question = Question::plain(request, pdu, &what, allowed);
+        self.alone(question, |response| match response {
+            Response::ReadWriteMultipleRegisters(values) if values.len() == words => Ok(values),
+            other => Err(format!("{other:?}")),
+        })
     }
 
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {

@@ -1,5 +1,6 @@
 //! Every profile commissioned against its emulated drive, in virtual time, as far as its signals allow.
 
+mod stamps;
 mod states;
 mod trial;
 
