@@ -42,7 +42,8 @@ impl Lab {
     fn with(steps: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let bench = include_str!("../bench-configs/benches/zk-22fc-emulated.toml")
-            .replace("link_silence_s = 0.45", "link_silence_s = 0.95");
+            .replace("link_silence_s = 0.45", "link_silence_s = 0.95")
+            .replace("time_s = 30.0", "time_s = 60.0");
         let (head, _) = bench.split_once("[[sequence]]").unwrap();
         let sequence = format!(
             "{head}[[sequence]]\nstandstill = {{ seconds = 0.3 }}\n[[sequence]]\nsteps = {{ {steps} }}\n"
