@@ -8,12 +8,15 @@
 )]
 
 mod process;
+#[expect(dead_code, reason = "these tests read messages, not documents")]
 mod program;
+#[expect(dead_code, reason = "no key is pressed here")]
 mod terminal;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill};
@@ -30,6 +33,8 @@ const WATCHDOG_TRIPPED: u16 = 1 << 6;
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
 struct Lab {
+    /// One run after the other: each wants its deadlines kept.
+    _turn: MutexGuard<'static, ()>,
     folder: tempfile::TempDir,
     drive: Emulator,
 }
@@ -40,6 +45,8 @@ impl Lab {
     }
 
     fn with(steps: &str) -> Self {
+        static TURN: Mutex<()> = Mutex::new(());
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let folder = tempfile::tempdir().unwrap();
         let bench = include_str!("../bench-configs/benches/zk-22fc-emulated.toml")
             .replace("link_silence_s = 0.45", "link_silence_s = 0.95")
@@ -54,7 +61,11 @@ impl Lab {
         let config = folder.path().join("drive.toml");
         fs::write(&config, drive).unwrap();
         let drive = Emulator::on("modbus-rtu", &folder.path().join("drive"), "{}", &[&config]);
-        Self { folder, drive }
+        Self {
+            _turn: turn,
+            folder,
+            drive,
+        }
     }
 
     fn path(&self) -> &Path {

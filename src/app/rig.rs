@@ -89,6 +89,10 @@ pub(crate) struct SpeedAbout {
 /// An open drive with its clock, and the emulator's thread where it is ours.
 ///
 /// Whatever unwinds through it, in the checks, in a run or between two, leaves the drive told to stop.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "each is a fact of its own about the rig"
+)]
 pub struct Rig {
     pub(crate) bench: BenchFile,
     pub(crate) profile: DriveProfile,

@@ -281,7 +281,7 @@ impl Writer {
     fn look(&mut self) {
         match Place::of(&self.folder) {
             Ok(place) if self.place.as_ref() == Some(&place) && self.gone.is_none() => {
-                self.journal.retry()
+                self.journal.retry();
             }
             Ok(_) => self.make_again(),
             Err(error) if is_gone(&error) || self.gone.is_some() => self.make_again(),
