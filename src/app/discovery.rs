@@ -2,13 +2,15 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use super::failure::{Failure, INTERNAL};
+use super::ending::said;
+use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::{model_output, output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::plant::{FileHistory, Model, ModelFile};
@@ -148,23 +150,40 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
         .name("diagnosis".to_owned())
         .spawn(move || work(discovery, &shown, &ordered, &told, &heard, &is_left))
         .map_err(|error| Failure::new(INTERNAL, format!("cannot start a thread: {error}")))?;
-    let exit = show_discovery(screen);
+    let held = output::hold();
+    let exit = catch_unwind(AssertUnwindSafe(|| show_discovery(screen)));
     {
         // A model that is being written is finished; one that was not begun is not begun any more.
         let _whole = signals::writing();
         gone.store(true, Ordering::Release);
     }
-    let exit =
-        exit.map_err(|error| Failure::new(INTERNAL, format!("the screen has failed: {error}")))?;
-    if exit == Exit::WorkerPanicked {
-        return Err(Failure::new(INTERNAL, "the analysis has panicked"));
-    }
+    drop(held);
     let standing = standing.lock();
     let standing = standing.unwrap_or_else(PoisonError::into_inner).clone();
     // The screen that said so is gone.
     for text in &standing.written {
         output::message(text);
     }
+    let exit = match exit {
+        Ok(Ok(Exit::WorkerPanicked)) => {
+            return Err(Failure::new(INTERNAL, "the analysis has panicked"));
+        }
+        Ok(Ok(exit)) => exit,
+        // Closed, most likely: nothing is energised, and a model that was written is there.
+        Ok(Err(error)) => {
+            return Err(Failure::new(
+                INTERRUPTED,
+                format!("the screen has failed: {error}"),
+            ));
+        }
+        Err(panic) => {
+            let said = said(panic.as_ref());
+            return Err(Failure::new(
+                INTERNAL,
+                format!("the screen has panicked ({said})"),
+            ));
+        }
+    };
     Ok(Left {
         exit,
         hang_up,

@@ -11,14 +11,14 @@ use std::any::Any;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use super::strings::{DriveWord, Ends, Strings};
 use super::{output, signals};
-use crate::bench::{Level, SnapshotCell};
+use crate::bench::{Level, Notice, SnapshotCell};
 use crate::tui::{Exit, ShowOptions, WorkerCell, show};
 use crate::workflow::ProgressCell;
 
@@ -89,7 +89,10 @@ pub fn conduct<T: Send + 'static>(
 ) -> Result<Ended<T>, Failure> {
     match audience {
         Audience::Headless => {
-            let work = alone(work)?;
+            let (listener, notices) = channel();
+            let (strings, ends) = Strings::new(SnapshotCell::heard_by(listener));
+            signals::pull(ends)?;
+            let work = alone(strings, notices, work)?;
             Ok(Ended {
                 work,
                 left: Left::Headless,
@@ -104,10 +107,11 @@ pub fn conduct<T: Send + 'static>(
 }
 
 /// Without a screen: what has to be known at once is told on stderr, by a thread that may wait for it.
-fn alone<T>(work: impl FnOnce(&Strings) -> Result<T, Failure>) -> Result<T, Failure> {
-    let (listener, notices) = channel();
-    let (strings, ends) = Strings::heard_by(listener);
-    signals::pull(ends)?;
+fn alone<T>(
+    strings: Strings,
+    notices: Receiver<Notice>,
+    work: impl FnOnce(&Strings) -> Result<T, Failure>,
+) -> Result<T, Failure> {
     let drive = strings.drive.clone();
     let teller = thread::Builder::new()
         .name("notices".to_owned())
@@ -262,7 +266,8 @@ fn bench_panicked(panic: &(dyn Any + Send), drive: &DriveWord) -> Failure {
     )
 }
 
-fn said(panic: &(dyn Any + Send)) -> &str {
+/// The words of a panic.
+pub(super) fn said(panic: &(dyn Any + Send)) -> &str {
     panic
         .downcast_ref::<&str>()
         .copied()
@@ -273,3 +278,7 @@ fn said(panic: &(dyn Any + Send)) -> &str {
 fn cannot_start(error: &io::Error) -> Failure {
     Failure::new(INTERNAL, format!("cannot start a thread: {error}"))
 }
+
+#[cfg(test)]
+#[path = "ending_tests.rs"]
+mod tests;

@@ -31,7 +31,7 @@ use crate::identification::escalation::Stage;
 use crate::identification::online::OnlineConfig;
 use crate::numerics::count::whole;
 use crate::plant::{Model, Motor};
-use crate::recording::{Manifest, Recorder, RunFolder, utc_stamp};
+use crate::recording::{Layout, Manifest, Recorder, RunFolder, utc_stamp};
 use crate::sample::{Channel, Origin};
 
 /// What stands for the emulator's configuration in a bench file that hides it.
@@ -90,6 +90,10 @@ pub(crate) struct SpeedAbout {
 /// An open drive with its clock, and the emulator's thread where it is ours.
 ///
 /// Whatever unwinds through it, in the checks, in a run or between two, leaves the drive told to stop.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "each is a fact of its own about the rig"
+)]
 pub struct Rig {
     pub(crate) bench: BenchFile,
     pub(crate) profile: DriveProfile,
@@ -104,6 +108,8 @@ pub struct Rig {
     pub(crate) tap: Tap,
     pub(crate) clock: Box<dyn Clock + Send>,
     pub(crate) last_seq: u64,
+    /// There are runs of it already, which are worth nothing without the one that follows.
+    has_recorded: bool,
     pub(crate) check: Option<CheckReport>,
     pub(crate) consent: Consent,
     pub(crate) headless: bool,
@@ -184,6 +190,7 @@ impl Rig {
             tap: opened.tap,
             clock: opened.clock,
             last_seq: 0,
+            has_recorded: false,
             check: None,
             consent: Consent {
                 // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
@@ -396,9 +403,7 @@ impl Rig {
             OnlineSettings::NAME.to_owned(),
             OnlineSettings::from(config).text(),
         );
-        let folder = RunFolder::create(&self.out, &manifest.stamp, name)?;
-        let sync_every = whole(self.bench.link.rate_hz.ceil());
-        let mut recorder = Recorder::create(folder, layout.clone(), &manifest, sync_every)?;
+        let mut recorder = self.recorder(name, &layout, &manifest)?;
         let mut online = LiveOnline::new(layout, config);
         let sent_before = self.link.statistics().sent;
         self.energises(strings, session.guard().ramp_down_s());
@@ -438,6 +443,7 @@ impl Rig {
         }
         // The writer thread may still have been busy when the run ended: only now is every row counted.
         let kept = recorder.finish(&manifest);
+        self.has_recorded = true;
         summary.rows = kept.status.rows as u64;
         summary.recorder_error.clone_from(&kept.status.error);
         manifest.finished = true;
@@ -447,6 +453,28 @@ impl Rig {
         // Kept at once: whoever goes on with this run may be interrupted.
         recorded.write_result(&serde_json::json!({}));
         Ok(recorded)
+    }
+
+    /// A run whose record cannot be begun is refused, with nothing energised; one that follows others goes on in memory.
+    fn recorder(
+        &self,
+        name: &str,
+        layout: &Layout,
+        manifest: &Manifest,
+    ) -> Result<Recorder, Failure> {
+        let sync_every = whole(self.bench.link.rate_hz.ceil());
+        let made = RunFolder::create(&self.out, &manifest.stamp, name)
+            .and_then(|folder| Recorder::create(folder, layout.clone(), manifest, sync_every));
+        match made {
+            Err(error) if self.has_recorded => {
+                let folder = RunFolder::unmade(&self.out, &manifest.stamp, name);
+                let layout = layout.clone();
+                Ok(Recorder::without_disk(
+                    folder, layout, manifest, sync_every, &error,
+                )?)
+            }
+            made => Ok(made?),
+        }
     }
 
     fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::bench::{Intent, Notice, SnapshotCell};
+use crate::bench::{Intent, SnapshotCell};
 
 /// What ties a run to the world. The thread that works has it; whoever ends it holds [`Ends`].
 pub struct Strings {
@@ -30,7 +30,8 @@ impl Strings {
             intents,
         };
         let ends = Ends {
-            snapshots: strings.snapshots.clone(),
+            // Whoever hears the notices hears that the work is over when the worker's strings are gone.
+            snapshots: strings.snapshots.unheard(),
             interrupted: Arc::clone(&strings.interrupted),
             stop_requested: Arc::clone(&strings.stop_requested),
             drive: strings.drive.clone(),
@@ -39,11 +40,6 @@ impl Strings {
             leaving: Arc::default(),
         };
         (strings, ends)
-    }
-
-    /// The same with a listener for every notice, as a run without a screen has one.
-    pub(crate) fn heard_by(listener: Sender<Notice>) -> (Self, Ends) {
-        Self::new(SnapshotCell::heard_by(listener))
     }
 
     /// Whether nothing more is to be started.

@@ -105,6 +105,15 @@ impl SnapshotCell {
         }
     }
 
+    /// The same cell for somebody who only looks.
+    #[must_use]
+    pub fn unheard(&self) -> Self {
+        Self {
+            latest: Arc::clone(&self.latest),
+            listener: None,
+        }
+    }
+
     fn tell(&self, notice: &Notice) {
         if let Some(listener) = &self.listener {
             // Nobody listens any more: the notice is in the summary all the same.

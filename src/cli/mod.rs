@@ -119,7 +119,7 @@ pub fn main() -> ExitCode {
         Command::Probe(arguments) => probe::execute(&arguments),
         Command::Registers(arguments) => registers::execute(&arguments),
         Command::Plan(arguments) => plan::execute(&arguments),
-        Command::Run(arguments) => run::execute(arguments),
+        Command::Run(arguments) => run::execute(&arguments),
         Command::Speed(arguments) => speed::execute(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
         Command::Replay(arguments) => replay::execute(&arguments),

@@ -27,7 +27,7 @@ pub(super) struct Arguments {
     run_seed: Option<u64>,
 }
 
-pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let json = arguments.live.json;
     let request = RunRequest {
         rig: arguments.live.options(arguments.unknown.escalate)?,

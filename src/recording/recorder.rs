@@ -1,6 +1,7 @@
 //! The recorder of a run on disk: a thread of its own, so that a slow disk never delays a cycle.
 
-use std::io;
+use std::fs::File;
+use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -8,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::journal::{EVENTS_IN_MEMORY, Journal, Lines, SAMPLES_IN_MEMORY};
+use super::journal::{Durable, EVENTS_IN_MEMORY, Journal, Lines, SAMPLES_IN_MEMORY};
 use super::{
     CommandRow, Event, Layout, Manifest, Record, RecorderStatus, RecordingError, RunFolder,
 };
@@ -57,28 +58,35 @@ impl Recorder {
         manifest: &Manifest,
         sync_every_rows: usize,
     ) -> Result<Self, RecordingError> {
-        let unfinished = Manifest {
-            finished: false,
-            rows: None,
-            ..manifest.clone()
-        };
         let (samples, events) = folder.create_logs()?;
-        folder.write_manifest(&unfinished)?;
-        let place = Place::of(&folder)
-            .map_err(|error| RecordingError::io(folder.path(), "look at", &error))?;
-        let writer = Writer {
-            journal: Journal::new(
-                layout,
-                Lines::new(samples, SAMPLES_IN_MEMORY),
-                Lines::new(events, EVENTS_IN_MEMORY),
-                sync_every_rows,
-            ),
-            folder: folder.clone(),
-            place,
-            gone: None,
-            unfinished,
-            look_every: sync_every_rows.max(1),
-        };
+        let logs = [Log(Ok(samples)), Log(Ok(events))];
+        let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
+        writer.folder.write_manifest(&writer.unfinished)?;
+        let place = Place::of(&writer.folder);
+        writer.place = Some(
+            place.map_err(|error| RecordingError::io(writer.folder.path(), "look at", &error))?,
+        );
+        Self::start(writer)
+    }
+
+    /// For a run that goes on with what was begun before, where `folder` cannot be made for now: all of it is kept in
+    /// memory, and the folder is made as soon as that is possible.
+    pub fn without_disk(
+        folder: RunFolder,
+        layout: Layout,
+        manifest: &Manifest,
+        sync_every_rows: usize,
+        reason: &RecordingError,
+    ) -> Result<Self, RecordingError> {
+        let reason = reason.to_string();
+        let logs = [Log(Err(reason.clone())), Log(Err(reason.clone()))];
+        let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
+        writer.gone = Some(reason);
+        Self::start(writer)
+    }
+
+    fn start(writer: Writer) -> Result<Self, RecordingError> {
+        let folder = writer.folder.clone();
         let status = Arc::new(Mutex::new(writer.journal.status()));
         let (sender, receiver) = channel();
         let shared = Arc::clone(&status);
@@ -184,11 +192,34 @@ impl Place {
     }
 }
 
+/// A log of the folder, as long as there is one.
+struct Log(Result<File, String>);
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.0 {
+            Ok(file) => file.write(bytes),
+            Err(reason) => Err(io::Error::other(reason.clone())),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Durable for Log {
+    fn sync(&mut self) -> io::Result<()> {
+        self.0.as_mut().map_or(Ok(()), Durable::sync)
+    }
+}
+
 /// The thread's own part of a recorder.
 struct Writer {
-    journal: Journal<std::fs::File>,
+    journal: Journal<Log>,
     folder: RunFolder,
-    place: Place,
+    /// `None` before there was one.
+    place: Option<Place>,
     /// Why the folder, which is gone, cannot be made again.
     gone: Option<String>,
     unfinished: Manifest,
@@ -197,6 +228,32 @@ struct Writer {
 }
 
 impl Writer {
+    fn new(
+        folder: RunFolder,
+        layout: Layout,
+        manifest: &Manifest,
+        sync_every_rows: usize,
+        [samples, events]: [Log; 2],
+    ) -> Self {
+        Self {
+            journal: Journal::new(
+                layout,
+                Lines::new(samples, SAMPLES_IN_MEMORY),
+                Lines::new(events, EVENTS_IN_MEMORY),
+                sync_every_rows,
+            ),
+            folder,
+            place: None,
+            gone: None,
+            unfinished: Manifest {
+                finished: false,
+                rows: None,
+                ..manifest.clone()
+            },
+            look_every: sync_every_rows.max(1),
+        }
+    }
+
     fn write_all(mut self, receiver: &Receiver<Message>, status: &Mutex<RecorderStatus>) -> Self {
         let mut unlooked = 0;
         loop {
@@ -223,7 +280,9 @@ impl Writer {
     /// Whether the folder is where it was; one that is gone is made again.
     fn look(&mut self) {
         match Place::of(&self.folder) {
-            Ok(place) if place == self.place && self.gone.is_none() => self.journal.retry(),
+            Ok(place) if self.place.as_ref() == Some(&place) && self.gone.is_none() => {
+                self.journal.retry();
+            }
             Ok(_) => self.make_again(),
             Err(error) if is_gone(&error) || self.gone.is_some() => self.make_again(),
             // It may be there all the same: what is written tells.
@@ -234,6 +293,10 @@ impl Writer {
     fn make_again(&mut self) {
         let old = self.folder.path().display().to_string();
         let lost = self.journal.status().rows_lost;
+        let what = match self.place {
+            Some(_) => "was deleted or renamed",
+            None => "could not be made",
+        };
         match self.remade() {
             Ok(()) => {
                 let new = self.folder.path().display();
@@ -247,14 +310,14 @@ impl Writer {
                 };
                 self.gone = None;
                 self.journal.tell(format!(
-                    "{old} was deleted or renamed; the record is made again in {new}{rest}"
+                    "{old} {what}; the record is made again in {new}{rest}"
                 ));
             }
             Err(error) => {
                 let reason = error.to_string();
                 if self.gone.as_ref() != Some(&reason) {
                     self.journal.tell(format!(
-                        "{old} was deleted or renamed, and the record cannot be made again: {reason}; the run goes on, and is kept in memory"
+                        "{old} {what}, and the record cannot be made again: {reason}; the run goes on, and is kept in memory"
                     ));
                     self.gone = Some(reason);
                 }
@@ -267,10 +330,10 @@ impl Writer {
         let path = folder.path().to_owned();
         let (samples, events) = folder.create_logs()?;
         folder.write_manifest(&self.unfinished)?;
-        self.place =
-            Place::of(&folder).map_err(|error| RecordingError::io(&path, "look at", &error))?;
+        let place = Place::of(&folder);
+        self.place = Some(place.map_err(|error| RecordingError::io(&path, "look at", &error))?);
         self.folder = folder;
-        self.journal.go_on_in(samples, events);
+        self.journal.go_on_in(Log(Ok(samples)), Log(Ok(events)));
         Ok(())
     }
 

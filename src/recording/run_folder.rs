@@ -75,6 +75,13 @@ impl RunFolder {
         }
     }
 
+    /// A folder that cannot be made for now, under the name that it would have.
+    pub fn unmade(root: &Path, stamp: &str, name: &str) -> Self {
+        Self {
+            path: root.join(format!("{}-{}", file_safe(stamp), file_safe(name))),
+        }
+    }
+
     /// A folder that is there already.
     pub fn existing(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into() }
