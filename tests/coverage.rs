@@ -19,7 +19,9 @@ use drivebench::identification::online::{Online, OnlineConfig};
 use drivebench::identification::{output_error, start, weak_form};
 use drivebench::plant::{Model, Motor, MotorKey, Scenario};
 use drivebench::sample::{ParameterEstimate, Run, Verdict};
-use drivebench::workflow::reproduce::lines::{self, ALL_ERRORS, Errors, HOST_STAMPED, Told};
+use drivebench::workflow::reproduce::lines::{
+    self, ALL_ERRORS, Errors, HOST_STAMPED, Told, VoltageKnown,
+};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -228,7 +230,7 @@ fn what_a_host_stamps_covers() {
         ..ALL_ERRORS
     };
     let sampled = Errors {
-        sampled_voltage: true,
+        voltage: VoltageKnown::Sampled,
         ..ALL_ERRORS
     };
     let clocked = Errors {

@@ -340,7 +340,7 @@ fn settled_and_wrong(online: &Online, truth: [f64; 5]) -> Vec<String> {
             estimate.verdict == Verdict::Settled
                 && (estimate.value.unwrap() - truth).abs() > 3.0 * estimate.std.unwrap()
         })
-        .map(|(estimate, truth)| format!("{} {estimate:?}", truth))
+        .map(|(estimate, truth)| format!("{truth} {estimate:?}"))
         .collect()
 }
 
@@ -427,6 +427,6 @@ fn an_inertia_that_changes_is_never_settled_at_what_lies_between() {
                 }
             }
         }
-        assert!(settled > 100, "{factor}: settled {settled} times");
+        assert!(settled > 20, "{factor}: settled {settled} times");
     }
 }

@@ -52,7 +52,7 @@ pub struct RecursiveLeastSquares<const N: usize> {
     /// Covariance of the scaled parameters with the error of the last sample.
     shared: [f64; N],
     /// The same where neighbouring rows err together.
-    clustered: Option<ClusteredSpread<N>>,
+    clustered: Option<Box<ClusteredSpread<N>>>,
     noise_sum: f64,
     noise_weight: f64,
     rows: u64,
@@ -94,7 +94,7 @@ impl<const N: usize> RecursiveLeastSquares<N> {
     /// With standard deviations that also hold where neighbouring rows err together.
     #[must_use]
     pub fn clustered(mut self) -> Self {
-        self.clustered = Some(ClusteredSpread::new());
+        self.clustered = Some(Box::new(ClusteredSpread::new()));
         self
     }
 

@@ -24,6 +24,15 @@ const DEADLINE_S: f64 = 0.08;
 /// What a doubled reply costs before the line is clean again, s.
 const CLEAN_S: f64 = 0.005;
 
+/// What the record has of the voltage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VoltageKnown {
+    /// The command, and the voltage at the sample.
+    Commanded,
+    /// Only the voltage at the sample.
+    Sampled,
+}
+
 /// Which errors of the record are there.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
@@ -33,8 +42,7 @@ pub struct Errors {
     pub jitter: bool,
     /// Resolution of registers: 0.1 V, 0.01 A, 1 r/min.
     pub quantised: bool,
-    /// The command is not known, only the voltage at the sample.
-    pub sampled_voltage: bool,
+    pub voltage: VoltageKnown,
     /// Shares of replies that are late, lost and doubled.
     pub late: f64,
     pub lost: f64,
@@ -77,26 +85,7 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
         near(4.5e-3),
         near(0.455),
     ];
-    let [
-        resistance_ohm,
-        inductance_h,
-        back_emf_v_s_per_rad,
-        inertia_kg_m2,
-        load_torque_n_m,
-    ] = truth;
-    let motor = MotorTruth {
-        name: "own".to_owned(),
-        rated_voltage_v: 110.0,
-        rated_current_a: 5.7,
-        rated_speed_rad_s: 293.2,
-        resistance_ohm,
-        inductance_h,
-        back_emf_v_s_per_rad,
-        torque_n_m_per_a: None,
-        inertia_kg_m2,
-        load_torque_n_m,
-    };
-    let mut plant = Plant::new(motor, &[]);
+    let mut plant = Plant::new(motor(truth), &[]);
     let mut far = FarEnd {
         plant: &mut plant,
         now_s: 0.0,
@@ -183,6 +172,28 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
     }
 }
 
+fn motor(truth: [f64; 5]) -> MotorTruth {
+    let [
+        resistance_ohm,
+        inductance_h,
+        back_emf_v_s_per_rad,
+        inertia_kg_m2,
+        load_torque_n_m,
+    ] = truth;
+    MotorTruth {
+        name: "own".to_owned(),
+        rated_voltage_v: 110.0,
+        rated_current_a: 5.7,
+        rated_speed_rad_s: 293.2,
+        resistance_ohm,
+        inductance_h,
+        back_emf_v_s_per_rad,
+        torque_n_m_per_a: None,
+        inertia_kg_m2,
+        load_torque_n_m,
+    }
+}
+
 struct FarEnd<'a> {
     plant: &'a mut Plant,
     now_s: f64,
@@ -215,7 +226,7 @@ fn run_of(rows: &[Row], commands: &[(f64, f64)], errors: Errors) -> Run {
             (row.time_s, [missing, row.half_width_s, u, i, w])
         })
         .collect();
-    if !errors.sampled_voltage {
+    if errors.voltage == VoltageKnown::Commanded {
         for &(time_s, volts) in commands {
             match lines.binary_search_by(|line| line.0.total_cmp(&time_s)) {
                 Ok(at) => lines[at].1[0] = volts,

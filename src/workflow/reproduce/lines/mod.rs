@@ -16,7 +16,7 @@ use crate::numerics::statistics;
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
 
-pub use drive::{Errors, Pace, Recorded, record};
+pub use drive::{Errors, Pace, Recorded, VoltageKnown, record};
 
 /// R, L, Ke, J, Mc.
 pub const KEYS: [MotorKey; 5] = [
@@ -32,7 +32,7 @@ pub const ALL_ERRORS: Errors = Errors {
     stamps: true,
     jitter: true,
     quantised: true,
-    sampled_voltage: false,
+    voltage: VoltageKnown::Commanded,
     late: 0.0,
     lost: 0.0,
     doubled: 0.0,
@@ -168,7 +168,7 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
         (
             "voltage sampled only, stamps believed",
             Errors {
-                sampled_voltage: true,
+                voltage: VoltageKnown::Sampled,
                 ..ALL_ERRORS
             },
             Told::StampsBelieved,
@@ -176,7 +176,7 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
         (
             "voltage sampled only",
             Errors {
-                sampled_voltage: true,
+                voltage: VoltageKnown::Sampled,
                 ..ALL_ERRORS
             },
             Told::All,
