@@ -35,6 +35,24 @@ struct Sent {
     looked_s: f64,
 }
 
+/// How long a write is waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Haste {
+    None,
+    /// What goes out brings the drive to rest: a line in doubt is not waited for.
+    Urgent,
+    /// A write of this stop was not acknowledged: the next ones are not waited for as long again.
+    Brief,
+}
+
+/// Whether a reference goes out together with the read of this exchange.
+#[derive(Clone, Debug, PartialEq)]
+enum Joint {
+    Never,
+    May,
+    With(Joined),
+}
+
 /// All of them, by position in the map.
 pub(super) struct Points {
     map: Arc<RegisterMap>,
@@ -43,13 +61,8 @@ pub(super) struct Points {
     pub(super) limited: bool,
     /// When something was written that a command watchdog counts, s.
     pub(super) kicked_s: f64,
-    /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
-    pub(super) is_urgent: bool,
-    /// A write of this stop was not acknowledged: the next ones are not waited for as long again.
-    is_brief: bool,
-    /// A reference may go out together with the read of this exchange.
-    pub(super) may_join: bool,
-    joined: Option<Joined>,
+    haste: Haste,
+    joint: Joint,
     /// When the last write of this exchange was carried out.
     pub(super) carried: Option<Span>,
     running: bool,
@@ -62,10 +75,8 @@ impl Points {
             map,
             limited: false,
             kicked_s: f64::NEG_INFINITY,
-            is_urgent: false,
-            is_brief: false,
-            may_join: false,
-            joined: None,
+            haste: Haste::None,
+            joint: Joint::Never,
             carried: None,
             running: false,
         }
@@ -74,15 +85,37 @@ impl Points {
     /// The next exchange begins.
     pub(super) fn begin(&mut self) {
         self.limited = false;
-        self.is_brief = false;
-        self.joined = None;
+        if self.haste == Haste::Brief {
+            self.haste = Haste::Urgent;
+        }
+        self.joint = Joint::Never;
         self.carried = None;
     }
 
     /// The reference that goes out with the read of this exchange.
-    pub(super) const fn take_joined(&mut self) -> Option<Joined> {
-        self.may_join = false;
-        self.joined.take()
+    pub(super) fn take_joined(&mut self) -> Option<Joined> {
+        match std::mem::replace(&mut self.joint, Joint::Never) {
+            Joint::With(joined) => Some(joined),
+            Joint::Never | Joint::May => None,
+        }
+    }
+
+    /// A reference may go out together with the read of this exchange.
+    pub(super) fn may_join(&mut self, may: bool) {
+        self.joint = if may { Joint::May } else { Joint::Never };
+    }
+
+    /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
+    pub(super) fn hurry(&mut self, is_urgent: bool) {
+        match (is_urgent, self.haste) {
+            (false, _) => self.haste = Haste::None,
+            (true, Haste::None) => self.haste = Haste::Urgent,
+            (true, _) => {}
+        }
+    }
+
+    pub(super) fn is_urgent(&self) -> bool {
+        self.haste != Haste::None
     }
 
     /// It was acknowledged.
@@ -118,7 +151,7 @@ impl Points {
         wanted: f64,
     ) -> Result<(), LinkError> {
         self.running = true;
-        self.is_urgent = false;
+        self.hurry(false);
         let map = Arc::clone(&self.map);
         let Some(point) = map.set_point(name) else {
             return Ok(());
@@ -161,7 +194,7 @@ impl Points {
             let Some(refresh_s) = point.refresh_s else {
                 continue;
             };
-            if self.joined.as_ref().is_some_and(|joined| joined.at == at) {
+            if matches!(&self.joint, Joint::With(joined) if joined.at == at) {
                 continue;
             }
             let sent = &self.sent[at];
@@ -241,7 +274,7 @@ impl Points {
         };
         // Zero has no sign, and does not wait for one on its way to bring the drive to rest.
         let sign = point.sign.as_ref();
-        if let Some(sign) = sign.filter(|_| !(self.is_urgent && value == 0.0)) {
+        if let Some(sign) = sign.filter(|_| !(self.is_urgent() && value == 0.0)) {
             // Through zero: between the two writes the old magnitude must not stand behind the new sign.
             let turns = self.sent[at].value.is_some_and(|held| held * value < 0.0);
             if let Some(zero) = encoded(0.0).filter(|_| turns) {
@@ -267,7 +300,7 @@ impl Points {
         point: &SetPoint,
         registers: &[u16],
     ) -> Result<(), LinkError> {
-        if !(self.may_join && self.joined.is_none() && may_join(&self.map, point)) {
+        if self.joint != Joint::May || !may_join(&self.map, point) {
             return self.send(bus, at, point, registers);
         }
         if !self.may_be_written(bus, at, point, registers)? {
@@ -275,7 +308,7 @@ impl Points {
         }
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
-        self.joined = Some(Joined {
+        self.joint = Joint::With(Joined {
             at,
             registers: registers.to_vec(),
         });
@@ -364,18 +397,20 @@ impl Points {
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
         let (function, address) = (point.function, point.location.address);
-        let written = match (self.is_urgent, self.is_brief) {
-            (true, true) => bus.write_briefly(function, address, registers),
-            (true, false) => bus.write_at_once(function, address, registers),
-            (false, _) => bus.write(function, address, registers),
+        let written = match self.haste {
+            Haste::Brief => bus.write_briefly(function, address, registers),
+            Haste::Urgent => bus.write_at_once(function, address, registers),
+            Haste::None => bus.write(function, address, registers),
         };
-        self.is_brief |= self.is_urgent && written.as_ref().is_err_and(LinkError::is_transient);
+        if self.is_urgent() && written.as_ref().is_err_and(LinkError::is_transient) {
+            self.haste = Haste::Brief;
+        }
         let carried =
             written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         self.carried = Some(Span::from(carried));
         self.acknowledged(at, registers.to_vec(), bus.now_s());
         // What brings the drive to rest is followed by a look at its state instead.
-        if point.readback && !self.is_urgent {
+        if point.readback && !self.is_urgent() {
             // Without a read-back that comes, the value that is held has not been noted either.
             self.sent[at].in_doubt = true;
             let found = self.read_back(bus, at, point)?;
@@ -472,7 +507,7 @@ impl Points {
     ) -> Result<Option<Result<String, String>>, LinkError> {
         let map = Arc::clone(&self.map);
         let mut names = Vec::new();
-        self.is_urgent = false;
+        self.hurry(false);
         for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
             if !point.readback {
                 continue;
