@@ -18,6 +18,7 @@ mod escalate;
 mod guard;
 mod init_file;
 mod limits;
+mod line_watch;
 mod live_online;
 mod next_bench;
 mod pilot;

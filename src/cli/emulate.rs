@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
-use super::reveal::{seal, sealed_name};
-use super::{interrupt, live_link, output};
+use super::{opening, output, signals};
+use crate::app::seal::{seal, sealed_name};
 use crate::drive::DriveProfile;
 use crate::emulator::{
     EmulatorConfig, Endpoint, Guise, LinkKind, UNIT, mystery, ready_line, serve,
@@ -87,7 +87,7 @@ impl State<'_> {
 }
 
 pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
-    let (profile, _) = live_link::profile(&arguments.profile)?;
+    let (profile, _) = opening::profile(&arguments.profile)?;
     let guise = guise(&profile, arguments.watchdog_ms)?;
     let asked = arguments
         .link
@@ -109,7 +109,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
                 "allowed: modbus-rtu, modbus-tcp",
             ));
         }
-        live_link::announce(&profile);
+        opening::announce(&profile);
     }
     let mystery = arguments.mystery.map(mystery::draw);
     let seed = arguments.mystery.unwrap_or(arguments.seed);
@@ -123,7 +123,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
             EmulatorConfig::parse(name, &read_text(name.as_ref())?)
                 .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?
         }
-        Some(name) => live_link::emulator_config(name)?,
+        Some(name) => opening::emulator_config(name)?,
     };
     let endpoint = match (arguments.pty, arguments.listen) {
         (Some(path), _) => Endpoint::Pty(path),
@@ -144,7 +144,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         seal(mystery, &path)?;
         sealed = Some(path);
     }
-    let stop = interrupt::flag()?;
+    let stop = signals::flag()?;
     let mut served = String::new();
     serve(
         guise.as_ref(),

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::data::read_text;
 use super::failure::{Failure, USAGE};
-use super::live_link::wired_profile;
+use super::opening::wired_profile;
 use super::output;
 use crate::bench::{
     BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Foresight, Plan, Port, Reference,

@@ -24,12 +24,12 @@ use self::sequence::{Next, Sequence};
 use super::budget::{READ_WRITE_BYTES, joint_point};
 use super::clock_map::ClockMap;
 use super::command_times::CommandTimes;
-use super::guard::LineCounts;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
 use super::register_bus::RegisterBus;
 use super::register_map::{Quantity, RegisterMap, Step};
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
 
 /// Set-points that read back otherwise so often in a row are ignored by the drive.
@@ -350,7 +350,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// Carries the command under way as far as it goes now.
     fn advance(&mut self) -> Result<(), LinkError> {
-        self.points.hurry(matches!(self.mode, Mode::Stopping(_)));
+        self.points.is_urgent = matches!(self.mode, Mode::Stopping(_));
         let Some((next, sequence, unheard)) = self.go_on()? else {
             return Ok(());
         };
@@ -381,7 +381,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         else {
             return Ok(None);
         };
-        if self.points.is_urgent() {
+        if self.points.is_urgent {
             let descended = self.descend(&mut sequence);
             self.mode = Mode::Stopping(sequence.clone());
             let (next, unheard) = descended?;
@@ -518,7 +518,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if in_fault || runs == Some(false) {
             self.latched = true;
             self.points.release();
-            self.points.hurry(true);
+            self.points.is_urgent = true;
             gone(self.points.zero(&mut self.bus, &self.readings))?;
             self.begin_stop(now_s);
             return gone(self.advance());
@@ -634,6 +634,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// Stops, and looks whether the drive says so; where it does not, coasts.
     fn stop(&mut self) -> Result<(), LinkError> {
+        self.bus.bound(f64::INFINITY);
         self.points.release();
         self.mode = Mode::Off;
         self.latched = false;
@@ -676,7 +677,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
     fn bring_to_rest(&mut self) -> Result<(), LinkError> {
-        self.points.hurry(true);
+        self.points.is_urgent = true;
         let zeroed = self.points.zero(&mut self.bus, &self.readings);
         if !matches!(zeroed, Err(LinkError::Gone { .. })) {
             // A drive that takes no reference now may well take a stop.
@@ -703,6 +704,14 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     fn line(&self) -> Option<LineCounts> {
         self.bus.line()
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.bus.bound(left_s);
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        self.bus.cut_in()
     }
 
     /// Fast signals and one set-point.

@@ -1,9 +1,9 @@
 //! Registers at the far end of something: all that a profiled drive needs of a link.
 
 use super::RegisterTable;
-use super::guard::LineCounts;
 use super::link::{LinkError, LinkName, LinkStatistics};
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 
 /// Registers as they were read, and the host times between which the drive took their values.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +46,8 @@ pub trait RegisterBus: Send {
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError>;
 
     /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
+    ///
+    /// On such a line it waits for one turnaround and no longer, so that the next write can follow where no reply came.
     fn write_at_once(
         &mut self,
         function: u8,
@@ -53,17 +55,6 @@ pub trait RegisterBus: Send {
         values: &[u16],
     ) -> Result<Carried, LinkError> {
         self.write(function, address, values)
-    }
-
-    /// As `write_at_once`, behind a write of the same stop that was not acknowledged: the next one is not to wait for a whole
-    /// deadline again, but only for as long as the line and the drive take.
-    fn write_briefly(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-    ) -> Result<Carried, LinkError> {
-        self.write_at_once(function, address, values)
     }
 
     /// Writes holding registers and then reads others, in one transaction (function code 23) where the bus has one; never
@@ -87,6 +78,14 @@ pub trait RegisterBus: Send {
     /// Whether the far end is known to be software.
     fn is_emulated(&self) -> bool {
         false
+    }
+
+    /// As [`DriveLink::bound`](super::DriveLink::bound); [`RegisterBus::write_at_once`] is not bound.
+    fn bound(&mut self, _left_s: f64) {}
+
+    /// As [`DriveLink::cut_in`](super::DriveLink::cut_in).
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        None
     }
 
     /// Lets go of what carries the registers.

@@ -18,7 +18,9 @@ pub enum TripKind {
     TimeLimit,
     /// No valid reply for longer than the limit.
     LinkSilence,
-    /// The host itself stood still (stopped process, suspended machine): nobody watched the motor meanwhile.
+    /// The computer was suspended, as a laptop whose lid is closed: nobody watched the motor meanwhile.
+    Suspended,
+    /// The host itself stood still (stopped process): nobody watched the motor meanwhile.
     HostGap,
     /// A limited quantity that the drive used to give is missing.
     SignalMissing,
@@ -55,6 +57,7 @@ impl TripKind {
             Self::BusHigh => "bus voltage too high",
             Self::TimeLimit => "time limit",
             Self::LinkSilence => "link silent",
+            Self::Suspended => "computer suspended",
             Self::HostGap => "host stood still",
             Self::SignalMissing => "signal missing",
             Self::ClockStuck => "clock stuck",
@@ -72,7 +75,7 @@ impl TripKind {
 
     /// Whether it was the link that was lost (exit status 3) and not a limit that was crossed (4).
     pub const fn is_link(self) -> bool {
-        matches!(self, Self::LinkSilence | Self::HostGap)
+        matches!(self, Self::LinkSilence | Self::HostGap | Self::Suspended)
     }
 }
 
@@ -120,6 +123,19 @@ impl Trip {
             reason: format!(
                 "{}: {what} for {value_s:.3} s, limit {limit_s:.3} s",
                 kind.name()
+            ),
+        }
+    }
+
+    /// The computer was suspended for so long.
+    pub(super) fn suspended(at_s: f64, slept_s: f64) -> Self {
+        Self {
+            kind: TripKind::Suspended,
+            at_s,
+            value: slept_s,
+            limit: 0.0,
+            reason: format!(
+                "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
             ),
         }
     }

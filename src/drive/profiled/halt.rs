@@ -34,7 +34,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         &mut self,
         sequence: &mut Sequence,
     ) -> Result<(Next, Option<LinkError>), LinkError> {
-        self.points.hurry(true);
+        self.points.is_urgent = true;
         let mut first = None;
         for (at, step) in sequence.again() {
             let Step::Write {

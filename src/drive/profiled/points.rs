@@ -35,16 +35,6 @@ struct Sent {
     looked_s: f64,
 }
 
-/// How long a write is waited for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Haste {
-    None,
-    /// What goes out brings the drive to rest: a line in doubt is not waited for.
-    Urgent,
-    /// A write of this stop was not acknowledged: the next ones are not waited for as long again.
-    Brief,
-}
-
 /// Whether a reference goes out together with the read of this exchange.
 #[derive(Clone, Debug, PartialEq)]
 enum Joint {
@@ -61,7 +51,8 @@ pub(super) struct Points {
     pub(super) limited: bool,
     /// When something was written that a command watchdog counts, s.
     pub(super) kicked_s: f64,
-    haste: Haste,
+    /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
+    pub(super) is_urgent: bool,
     joint: Joint,
     /// When the last write of this exchange was carried out.
     pub(super) carried: Option<Span>,
@@ -75,7 +66,7 @@ impl Points {
             map,
             limited: false,
             kicked_s: f64::NEG_INFINITY,
-            haste: Haste::None,
+            is_urgent: false,
             joint: Joint::Never,
             carried: None,
             running: false,
@@ -85,9 +76,6 @@ impl Points {
     /// The next exchange begins.
     pub(super) fn begin(&mut self) {
         self.limited = false;
-        if self.haste == Haste::Brief {
-            self.haste = Haste::Urgent;
-        }
         self.joint = Joint::Never;
         self.carried = None;
     }
@@ -103,19 +91,6 @@ impl Points {
     /// A reference may go out together with the read of this exchange.
     pub(super) fn may_join(&mut self, may: bool) {
         self.joint = if may { Joint::May } else { Joint::Never };
-    }
-
-    /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
-    pub(super) fn hurry(&mut self, is_urgent: bool) {
-        match (is_urgent, self.haste) {
-            (false, _) => self.haste = Haste::None,
-            (true, Haste::None) => self.haste = Haste::Urgent,
-            (true, _) => {}
-        }
-    }
-
-    pub(super) fn is_urgent(&self) -> bool {
-        self.haste != Haste::None
     }
 
     /// It was acknowledged.
@@ -151,7 +126,7 @@ impl Points {
         wanted: f64,
     ) -> Result<(), LinkError> {
         self.running = true;
-        self.hurry(false);
+        self.is_urgent = false;
         let map = Arc::clone(&self.map);
         let Some(point) = map.set_point(name) else {
             return Ok(());
@@ -274,7 +249,7 @@ impl Points {
         };
         // Zero has no sign, and does not wait for one on its way to bring the drive to rest.
         let sign = point.sign.as_ref();
-        if let Some(sign) = sign.filter(|_| !(self.is_urgent() && value == 0.0)) {
+        if let Some(sign) = sign.filter(|_| !(self.is_urgent && value == 0.0)) {
             // Through zero: between the two writes the old magnitude must not stand behind the new sign.
             let turns = self.sent[at].value.is_some_and(|held| held * value < 0.0);
             if let Some(zero) = encoded(0.0).filter(|_| turns) {
@@ -397,20 +372,17 @@ impl Points {
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
         let (function, address) = (point.function, point.location.address);
-        let written = match self.haste {
-            Haste::Brief => bus.write_briefly(function, address, registers),
-            Haste::Urgent => bus.write_at_once(function, address, registers),
-            Haste::None => bus.write(function, address, registers),
+        let written = if self.is_urgent {
+            bus.write_at_once(function, address, registers)
+        } else {
+            bus.write(function, address, registers)
         };
-        if self.is_urgent() && written.as_ref().is_err_and(LinkError::is_transient) {
-            self.haste = Haste::Brief;
-        }
         let carried =
             written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         self.carried = Some(Span::from(carried));
         self.acknowledged(at, registers.to_vec(), bus.now_s());
         // What brings the drive to rest is followed by a look at its state instead.
-        if point.readback && !self.is_urgent() {
+        if point.readback && !self.is_urgent {
             // Without a read-back that comes, the value that is held has not been noted either.
             self.sent[at].in_doubt = true;
             let found = self.read_back(bus, at, point)?;
@@ -507,7 +479,7 @@ impl Points {
     ) -> Result<Option<Result<String, String>>, LinkError> {
         let map = Arc::clone(&self.map);
         let mut names = Vec::new();
-        self.hurry(false);
+        self.is_urgent = false;
         for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
             if !point.readback {
                 continue;

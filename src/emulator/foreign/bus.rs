@@ -27,6 +27,8 @@ pub struct ForeignBus {
     mute: u32,
     /// Silence that is kept before each read, as on a line where old replies may come, s.
     silence_s: f64,
+    /// The last request got no reply: what must not wait for one does not wait for the next either.
+    in_doubt: bool,
 }
 
 impl ForeignBus {
@@ -41,6 +43,7 @@ impl ForeignBus {
             deaf: 0,
             mute: 0,
             silence_s: 0.0,
+            in_doubt: false,
         }
     }
 
@@ -86,6 +89,7 @@ impl ForeignBus {
         let is_mute = !is_lost && self.mute > 0;
         self.deaf -= u32::from(is_lost);
         self.mute -= u32::from(is_mute);
+        self.in_doubt = is_lost || is_mute;
         let Some(answer) = answer.filter(|_| !is_mute) else {
             self.statistics.timeout += 1;
             self.now_s = self.pace.delivery_s(arrived_s, FRAME_BYTES) + patience_s;
@@ -203,13 +207,14 @@ impl RegisterBus for ForeignBus {
         self.put(function, address, values, DEADLINE_S)
     }
 
-    fn write_briefly(
+    fn write_at_once(
         &mut self,
         function: u8,
         address: u16,
         values: &[u16],
     ) -> Result<Carried, LinkError> {
-        self.put(function, address, values, 0.0)
+        let patience_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
+        self.put(function, address, values, patience_s)
     }
 
     fn read_write(
