@@ -79,8 +79,8 @@ pub struct ProfiledLink<B> {
     patience: Patience,
     /// The drive's own, where the profile maps it.
     clock: Option<Clock>,
-    /// The fault condition held when the state was last looked at.
-    was_in_fault: bool,
+    /// Since when its fault condition has been seen to hold, s.
+    in_fault_since_s: Option<f64>,
 }
 
 impl<B: RegisterBus> ProfiledLink<B> {
@@ -90,7 +90,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             points: Points::new(Arc::clone(&map)),
             watchdog_s: map.watchdog.default_s.filter(|time| *time > 0.0),
             clock: Clock::of(&map),
-            was_in_fault: false,
+            in_fault_since_s: None,
             map,
             bus,
             mode: Mode::Off,
@@ -171,7 +171,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 return Err(self.ended(reason));
             }
             self.points.carried = None;
-            self.points.may_join = self.readings.joinable().is_some();
+            self.points.may_join(self.readings.joinable().is_some());
             if let Wanted::Run(Some((name, value))) = wanted {
                 let (points, readings) = (&mut self.points, &self.readings);
                 let put = points.put(&mut self.bus, readings, name, *value);
@@ -467,11 +467,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
     fn supervise(&mut self) -> Result<(), LinkError> {
         let now_s = self.bus.now_s();
         let in_fault = self.is_in_fault();
-        if in_fault && !std::mem::replace(&mut self.was_in_fault, in_fault) {
+        let since_s = in_fault.then(|| self.in_fault_since_s.unwrap_or(now_s));
+        if in_fault && std::mem::replace(&mut self.in_fault_since_s, since_s).is_none() {
             // The code of a fault is often polled slowly, and is wanted now. A lost one comes with the slow signals.
             gone(self.readings.read_now(&mut self.bus, Quantity::FaultCode))?;
         }
-        self.was_in_fault = in_fault;
+        self.in_fault_since_s = since_s;
         if let (Some(least_a), Some(field)) = (
             self.map.field_min_a,
             self.map.of_quantity(Quantity::FieldCurrent),

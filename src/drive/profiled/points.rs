@@ -35,6 +35,14 @@ struct Sent {
     looked_s: f64,
 }
 
+/// Whether a reference goes out together with the read of this exchange.
+#[derive(Clone, Debug, PartialEq)]
+enum Joint {
+    Never,
+    May,
+    With(Joined),
+}
+
 /// All of them, by position in the map.
 pub(super) struct Points {
     map: Arc<RegisterMap>,
@@ -45,9 +53,7 @@ pub(super) struct Points {
     pub(super) kicked_s: f64,
     /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
     pub(super) is_urgent: bool,
-    /// A reference may go out together with the read of this exchange.
-    pub(super) may_join: bool,
-    joined: Option<Joined>,
+    joint: Joint,
     /// When the last write of this exchange was carried out.
     pub(super) carried: Option<Span>,
     running: bool,
@@ -61,8 +67,7 @@ impl Points {
             limited: false,
             kicked_s: f64::NEG_INFINITY,
             is_urgent: false,
-            may_join: false,
-            joined: None,
+            joint: Joint::Never,
             carried: None,
             running: false,
         }
@@ -71,14 +76,21 @@ impl Points {
     /// The next exchange begins.
     pub(super) fn begin(&mut self) {
         self.limited = false;
-        self.joined = None;
+        self.joint = Joint::Never;
         self.carried = None;
     }
 
     /// The reference that goes out with the read of this exchange.
-    pub(super) const fn take_joined(&mut self) -> Option<Joined> {
-        self.may_join = false;
-        self.joined.take()
+    pub(super) fn take_joined(&mut self) -> Option<Joined> {
+        match std::mem::replace(&mut self.joint, Joint::Never) {
+            Joint::With(joined) => Some(joined),
+            Joint::Never | Joint::May => None,
+        }
+    }
+
+    /// A reference may go out together with the read of this exchange.
+    pub(super) fn may_join(&mut self, may: bool) {
+        self.joint = if may { Joint::May } else { Joint::Never };
     }
 
     /// It was acknowledged.
@@ -157,7 +169,7 @@ impl Points {
             let Some(refresh_s) = point.refresh_s else {
                 continue;
             };
-            if self.joined.as_ref().is_some_and(|joined| joined.at == at) {
+            if matches!(&self.joint, Joint::With(joined) if joined.at == at) {
                 continue;
             }
             let sent = &self.sent[at];
@@ -263,7 +275,7 @@ impl Points {
         point: &SetPoint,
         registers: &[u16],
     ) -> Result<(), LinkError> {
-        if !(self.may_join && self.joined.is_none() && may_join(&self.map, point)) {
+        if self.joint != Joint::May || !may_join(&self.map, point) {
             return self.send(bus, at, point, registers);
         }
         if !self.may_be_written(bus, at, point, registers)? {
@@ -271,7 +283,7 @@ impl Points {
         }
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
-        self.joined = Some(Joined {
+        self.joint = Joint::With(Joined {
             at,
             registers: registers.to_vec(),
         });

@@ -228,14 +228,11 @@ fn a_slew_counts_from_the_last_cycle_and_not_from_the_last_change() {
 
 /// The servo amplifier whose watchdog trips it and says so on a bit of its status word.
 fn telling_comm_loss() -> DriveProfile {
-    let text = DriveProfile::text("epulse50-dc").unwrap();
-    let part = &text[text.find("[watchdog]").unwrap()..];
-    println!("{part}");
     profile_with(
         "epulse50-dc",
         &[(
             RUNNING,
-            "[state]\ncomm_loss = { signal = \"enabled\", mask = 0x08, equals = 0x08 }\n",
+            "[signals.fault_code]\naddress = 0x1300\ntype = \"u16\"\nquantity = \"fault_code\"\npoll = \"slow\"\n\n[state]\ncomm_loss = { signal = \"enabled\", mask = 0x08, equals = 0x08 }\n",
         )],
     )
 }
