@@ -22,6 +22,7 @@ mod live_online;
 mod next_bench;
 mod pilot;
 mod plan;
+mod plausibility;
 mod program;
 mod reopen;
 mod runner;
@@ -55,6 +56,7 @@ pub use live_online::{
 };
 pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use pilot::Pilot;
+pub use plausibility::Plausibility;
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use program::Program;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, reopen};
