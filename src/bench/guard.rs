@@ -301,6 +301,7 @@ impl Guard {
     /// signals there are and that the link lives.
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
         self.last_valid_s = Some(now_s);
+        self.shaper.hear(now_s);
         for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {
             *seen |= sample.get(channel).is_some();
         }

@@ -580,8 +580,8 @@ impl Plausibility {
         if !doubted {
             self.disagree = 0;
             let fits = window.gap(WINDING, FLUX, drop_v) <= 0.0;
-            let mirrored = window.with(window.current, negative(window.speed));
-            self.direction_seen |= fits && mirrored.gap(WINDING, FLUX, drop_v) > 0.0;
+            let turns = window.mean_speed.abs() > drop_v;
+            self.direction_seen |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
             self.believed = Some((window.mean_volts, window.mean_current + window.mean_speed));
             return None;
         }

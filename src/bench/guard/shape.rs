@@ -1,8 +1,8 @@
 //! Command shaping: slew, voltage and winding limits, and the way down to zero.
 //!
 //! While stopping the output goes towards what is wanted and never away from it. The bound of the winding and the one of
-//! the supply may slow it, as long as they rest on a speed that is fresh, believed and falling, and until the planned time
-//! of the ramp is over: a broken encoder must not hold the motor on.
+//! the supply may slow it, as long as they rest on a speed that is fresh, believed and falling, and a silent link holds it;
+//! both until the planned time of the ramp is over: neither a broken encoder nor a lost reply keeps the motor on.
 
 use std::collections::VecDeque;
 
@@ -79,6 +79,8 @@ pub(super) struct Shaper {
     speeds: VecDeque<f64>,
     /// Time for which it stands for the shaft, s.
     fresh_s: f64,
+    /// Host time of the last valid reply, with a speed or without.
+    heard_s: f64,
     /// Host time at which a ramp down has reached what is wanted, whatever is measured; `None`: not stopping.
     stop_by_s: Option<f64>,
     /// What the load's torque takes of the voltage in rest and motion alike, V.
@@ -104,6 +106,7 @@ impl Shaper {
             speed_at_s: None,
             speeds: VecDeque::with_capacity(FALLING + 1),
             fresh_s: f64::INFINITY,
+            heard_s: 0.0,
             stop_by_s: None,
             load_v: 0.0,
             unseen_v: None,
@@ -162,6 +165,10 @@ impl Shaper {
 
     pub(super) const fn set_slew(&mut self, v_per_s: f64) {
         self.slew_v_per_s = v_per_s;
+    }
+
+    pub(super) const fn hear(&mut self, now_s: f64) {
+        self.heard_s = now_s;
     }
 
     pub(super) fn see_speed(&mut self, now_s: f64, speed_rad_s: f64) {
@@ -285,6 +292,12 @@ impl Shaper {
             self.was_off = false;
         }
         let mut target_v = wanted_v;
+        let is_unheard = now_s - self.heard_s > self.fresh_s;
+        if self.stop_by_s.is_some() && self.winding_v.is_some() && is_unheard {
+            // What was sent since may not have arrived: the drive would see the whole way down as one step.
+            target_v = self.output_v;
+            causes.winding = true;
+        }
         if let Some(winding_v) = self.winding_v.filter(|_| bound) {
             let (low_v, high_v) = self.back_emf_range_v(now_s, back_emf_v);
             let (least_v, most_v) = (high_v - winding_v, low_v + winding_v);
