@@ -174,8 +174,7 @@ impl Guard {
     /// what the supply takes back or the current limit brakes, whichever is longer. The shaft's own time comes on top.
     pub fn ramp_down_s(&self) -> f64 {
         let coast_s = self.shaper.coast_s(self.limits.speed_rad_s);
-        self.shaper.ramp_s(self.limits.voltage_v)
-            + coast_s.min(LONGEST_COAST_S).max(self.braking_s)
+        self.shaper.ramp_s(self.limits.voltage_v) + coast_s.min(LONGEST_COAST_S).max(self.braking_s)
     }
 
     /// From here on the output goes down, with the bench's slew limit, and never up again.
@@ -315,8 +314,8 @@ impl Guard {
                 .or_else(|| self.drive_state(now_s, sample))
                 .or_else(|| {
                     let beyond = self.beyond_limit(now_s, sample)?;
-                    // A signal in the place of another is beyond its limit before it is anything else.
-                    Some(self.plausibility.swapped(now_s).unwrap_or(beyond))
+                    // What is read wrong is often beyond a limit before it is anything else.
+                    Some(self.plausibility.explain(now_s).unwrap_or(beyond))
                 })
                 .or_else(|| self.lost_signal(now_s, sample))
                 .or_else(|| self.stuck_clock(now_s, sample))
@@ -346,9 +345,7 @@ impl Guard {
             return Shaped::unchanged(Demand::Stop);
         }
         let is_believed = self.plausibility.believes_speed();
-        let shaped = self
-            .shaper
-            .shape(now_s, wanted, &self.limits, is_believed);
+        let shaped = self.shaper.shape(now_s, wanted, &self.limits, is_believed);
         self.switch(now_s, shaped.demand.energises());
         shaped
     }

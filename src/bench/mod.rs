@@ -56,8 +56,8 @@ pub use live_online::{
 };
 pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use pilot::Pilot;
-pub use plausibility::Plausibility;
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
+pub use plausibility::Plausibility;
 pub use program::Program;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, reopen};
 pub use runner::{Bench, Excitation, LiveEstimator, RunEnd, RunOptions, RunSummary, run};

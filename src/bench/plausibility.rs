@@ -59,6 +59,8 @@ const REST_SPEED: f64 = 0.01;
 const REST_VOLTAGE: f64 = 0.01;
 const MOVED_V: f64 = 0.015;
 const MOVED_SPEED: f64 = 0.05;
+/// A back-EMF that proves the encoder's direction, in rated voltages.
+const PROVEN_V: f64 = 0.045;
 /// Without current nothing drives the shaft, and a drive may only be slow to switch its output on: what disagrees then has
 /// to go on for so long, s.
 const IDLE_S: f64 = 0.3;
@@ -85,7 +87,8 @@ const RUNAWAY_CYCLES: usize = 4;
 const RUNAWAY_GROWTH: f64 = 0.01;
 const RUNAWAY_BEYOND: f64 = 0.05;
 
-const CHECK_ENCODER: &str = "check the encoder's cable, its counts per turn and its sign in the drive's profile";
+const CHECK_ENCODER: &str =
+    "check the encoder's cable, its counts per turn and its sign in the drive's profile";
 const CHECK_CURRENT: &str =
     "check the current sensor's leads, and unit and scale of the current in the drive's profile";
 const CHECK_SET_POINT: &str = "check address, scale and word order of the set-point in the drive's profile, and that the bus has the command";
@@ -120,8 +123,7 @@ impl Plate {
     }
 
     fn slowness(&self, seconds: f64) -> f64 {
-        let time_s =
-            self.resistance * self.inertia / (self.back_emf * self.back_emf);
+        let time_s = self.resistance * self.inertia / (self.back_emf * self.back_emf);
         (seconds / (3.0 * time_s)).min(0.5)
     }
 
@@ -319,15 +321,15 @@ impl Plausibility {
     pub fn unwatched(&self) -> Option<&'static str> {
         let last = self.history.last()?;
         match last.demand? {
-            _ if self.plate.is_none() => Some(
-                "without a nameplate speed and current are not held against the voltage",
-            ),
+            _ if self.plate.is_none() => {
+                Some("without a nameplate speed and current are not held against the voltage")
+            }
             Demand::Speed(_) => Some(
                 "behind the drive's own speed loop speed and current are not held against the voltage",
             ),
-            Demand::Current(_) if last.voltage_v.is_none() => Some(
-                "the drive tells no voltage, so speed and current are not held against it",
-            ),
+            Demand::Current(_) if last.voltage_v.is_none() => {
+                Some("the drive tells no voltage, so speed and current are not held against it")
+            }
             Demand::Voltage(_) if last.voltage_v.is_none() => Some(
                 "the drive tells no voltage, so its output is judged by current and speed only",
             ),
@@ -337,7 +339,9 @@ impl Plausibility {
 
     /// Looks at one sample. With `armed` false it only learns how noisy the sensors are.
     pub(super) fn look(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
-        let runs = sample.state.is_none_or(|state| state == DriveState::Running);
+        let runs = sample
+            .state
+            .is_none_or(|state| state == DriveState::Running);
         let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
         let still = speed.is_some_and(|speed| speed.abs() < REST_SPEED * self.scale.rad_s);
         if !(armed && runs && self.history.has_sent()) {
@@ -499,20 +503,33 @@ impl Plausibility {
                 last.time_s - self.speed.since_s(),
                 self.speed.needed().unwrap_or(0.0)
             );
-            return Some(Trip::implausible(TripKind::EncoderFrozen, now_s, (speed, speed), &what));
+            return Some(Trip::implausible(
+                TripKind::EncoderFrozen,
+                now_s,
+                (speed, speed),
+                &what,
+            ));
         }
-        let moved = self.current_held.map_or(0.0, |(from, _)| (speed - from).abs());
+        let moved = self
+            .current_held
+            .map_or(0.0, |(from, _)| (speed - from).abs());
         let from_rest = self.current_held.is_some_and(|(_, at_rest)| at_rest);
         let needs_current = moved > MOVED_SPEED * self.scale.rad_s;
         let stays = from_rest && needs_current && self.current.run() >= SAME;
-        if excited && (self.current.is_silent() || self.current.is_stuck() && needs_current || stays)
+        if excited
+            && (self.current.is_silent() || self.current.is_stuck() && needs_current || stays)
         {
             let what = format!(
                 "the measured current stays at {current:.3} A to the last bit in {} samples, {:.2} s, while the speed went by {moved:.1} rad/s to {speed:.1} rad/s; {CHECK_CURRENT}",
                 self.current.run() + 1,
                 last.time_s - self.current.since_s()
             );
-            return Some(Trip::implausible(TripKind::CurrentStuck, now_s, (current, current), &what));
+            return Some(Trip::implausible(
+                TripKind::CurrentStuck,
+                now_s,
+                (current, current),
+                &what,
+            ));
         }
         None
     }
@@ -525,8 +542,8 @@ impl Plausibility {
             .scale
             .amps
             .max(HELD_FRICTION * plate.friction / plate.back_emf);
-        let stands = row.current_a.abs() >= least_a
-            && row.speed_rad_s.abs() < REST_SPEED * self.scale.rad_s;
+        let stands =
+            row.current_a.abs() >= least_a && row.speed_rad_s.abs() < REST_SPEED * self.scale.rad_s;
         let last_s = self.history.last()?.time_s;
         if !stands {
             self.stands_since_s = None;
@@ -552,7 +569,8 @@ impl Plausibility {
     fn by_balance(&mut self, now_s: f64) -> Option<Trip> {
         let plate = self.plate?;
         let row = *self.history.rows().back()?;
-        if !(self.waived || row.limited) && row.exact
+        if !(self.waived || row.limited)
+            && row.exact
             && let Some(factor) = self
                 .factor
                 .as_mut()
@@ -574,15 +592,28 @@ impl Plausibility {
         }
         let drop_v = self.drop_v();
         let doubted = window.gap(ANY, ANY, drop_v) > 0.0
-            || is_mirrored(&window, window.mean_speed, window.mean_current, self.scale.volts)
+            || is_mirrored(
+                &window,
+                window.mean_speed,
+                window.mean_current,
+                self.scale.volts,
+            )
             || self.is_signed
-                && is_mirrored(&window, window.mean_current, window.mean_speed, self.scale.volts);
+                && is_mirrored(
+                    &window,
+                    window.mean_current,
+                    window.mean_speed,
+                    self.scale.volts,
+                );
         if !doubted {
             self.disagree = 0;
             let fits = window.gap(WINDING, FLUX, drop_v) <= 0.0;
-            let turns = window.mean_speed.abs() > drop_v;
+            let turns = window.mean_speed.abs() > PROVEN_V * self.scale.volts;
             self.direction_seen |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
-            self.believed = Some((window.mean_volts, window.mean_current + window.mean_speed));
+            if fits {
+                let answer = window.mean_current + window.mean_speed;
+                self.believed = Some((window.mean_volts, answer));
+            }
             return None;
         }
         self.disagree += 1;
@@ -646,7 +677,12 @@ impl Plausibility {
             let what = format!(
                 "the drive does not follow, or its output is not on, or the armature circuit is open (it tells no voltage that would say which): {figures}; {CHECK_SET_POINT}; check the motor's leads"
             );
-            Trip::implausible(TripKind::SetPointIgnored, now_s, (current, expected_a), &what)
+            Trip::implausible(
+                TripKind::SetPointIgnored,
+                now_s,
+                (current, expected_a),
+                &what,
+            )
         })
     }
 
@@ -667,9 +703,8 @@ impl Plausibility {
             "{current:.3} A are measured while the voltage speeds the shaft up by {gain:.1} rad/s to {speed:.1} rad/s; without a current {:.1} rad/s are allowed; {CHECK_CURRENT}",
             DRIVEN_SPEED * self.scale.rad_s
         );
-        (gain > DRIVEN_SPEED * self.scale.rad_s).then(|| {
-            Trip::implausible(TripKind::CurrentStuck, now_s, (current, idle_a), &what)
-        })
+        (gain > DRIVEN_SPEED * self.scale.rad_s)
+            .then(|| Trip::implausible(TripKind::CurrentStuck, now_s, (current, idle_a), &what))
     }
 
     /// The same speed again and again, while the back-EMF has changed since it came first or cannot be that of this speed.
@@ -689,7 +724,11 @@ impl Plausibility {
         let idle_v = IDLE_A * self.scale.amps * plate.resistance;
         // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
         let turns = held.current.abs() < idle_v || held.current * window.mean_current < 0.0;
-        let drops_v = if turns { 2.0 * self.drop_v() } else { REST_VOLTAGE * self.scale.volts };
+        let drops_v = if turns {
+            2.0 * self.drop_v()
+        } else {
+            REST_VOLTAGE * self.scale.volts
+        };
         let doubt = drops_v + (1.0 - WINDING.low) * by_current + 0.5 * window.volts.width();
         let moved = FLUX.low * (by_voltage - held.by_voltage).abs() > doubt;
         let cannot_be = window.gap(WINDING, FLUX, self.drop_v()) > 0.0;
@@ -700,18 +739,14 @@ impl Plausibility {
     fn name(&mut self, now_s: f64, plate: &Plate, window: &Window) -> Option<Trip> {
         let drop_v = self.drop_v();
         let fits = |window: Window| window.gap(WINDING, FLUX, drop_v) <= 0.0;
-        if let Some(trip) = self.swapped(now_s) {
-            return Some(trip);
-        }
         let unheeded = self.believed.is_some_and(|(volts, answer)| {
             let asked = (window.mean_volts - volts).abs();
             let answered = (window.mean_current + window.mean_speed - answer).abs();
             asked > 2.0 * drop_v && answered < 0.25 * asked
         });
         let last = *self.history.last()?;
-        let speed = |plausibility: &Self, kind| {
-            Some(plausibility.speed_trip(kind, now_s, plate, window))
-        };
+        let speed =
+            |plausibility: &Self, kind| Some(plausibility.speed_trip(kind, now_s, plate, window));
         let mirrored = window.with(window.current, negative(window.speed));
         let swap_current = window.with(negative(window.current), window.speed);
         let turns = last.speed_rad_s?.abs() >= REST_SPEED * self.scale.rad_s;
@@ -724,6 +759,8 @@ impl Plausibility {
             && fits(swap_current)
         {
             Some(self.current_trip(TripKind::CurrentReversed, now_s, plate, window))
+        } else if let Some(trip) = self.swapped(now_s) {
+            Some(trip)
         } else if unheeded && last.voltage_v.is_none() {
             let answer = window.mean_current + window.mean_speed;
             let what = format!(
@@ -731,7 +768,12 @@ impl Plausibility {
                 window.mean_volts
             );
             let figures = (answer, window.mean_volts);
-            Some(Trip::implausible(TripKind::SetPointIgnored, now_s, figures, &what))
+            Some(Trip::implausible(
+                TripKind::SetPointIgnored,
+                now_s,
+                figures,
+                &what,
+            ))
         } else if !turns {
             speed(self, TripKind::EncoderFrozen)
         } else if self.waived {
@@ -762,7 +804,9 @@ impl Plausibility {
         let ratio = measured / by_voltage;
         let scale = match kind {
             TripKind::SpeedImplausible if ratio.is_finite() => {
-                format!("; it reads {ratio:.2} times what it should (or Ke of the nameplate is off by as much)")
+                format!(
+                    "; it reads {ratio:.2} times what it should (or Ke of the nameplate is off by as much)"
+                )
             }
             _ => String::new(),
         };
@@ -796,7 +840,11 @@ impl Plausibility {
 
     /// A current that both balances want to be another.
     fn current_scaled(&self, now_s: f64, factor: f64) -> Trip {
-        let current = self.history.last().and_then(|last| last.current_a).unwrap_or(0.0);
+        let current = self
+            .history
+            .last()
+            .and_then(|last| last.current_a)
+            .unwrap_or(0.0);
         let kind = if factor < 0.0 {
             TripKind::CurrentReversed
         } else {
@@ -817,31 +865,66 @@ impl Plausibility {
             (self.history.asked(self.cycles()), last.voltage_v)
             && !last.limited
         {
-            let near = |value: f64| asked.times(Range::new(0.9, 1.1)).wider(0.02 * self.scale.volts).gap(Range::new(value, value)) <= 0.0;
+            let near = |value: f64| {
+                asked
+                    .times(Range::new(0.9, 1.1))
+                    .wider(0.02 * self.scale.volts)
+                    .gap(Range::new(value, value))
+                    <= 0.0
+            };
             let far = asked.middle().abs() > 0.05 * self.scale.volts;
             if near(current) && !near(volts) && far {
                 let what = format!(
                     "the current reads {current:.2} A and the voltage {volts:.2} V, where {:.2} V were asked: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
                     asked.middle()
                 );
-                return Some(Trip::implausible(TripKind::SignalsSwapped, now_s, (volts, asked.middle()), &what));
+                return Some(Trip::implausible(
+                    TripKind::SignalsSwapped,
+                    now_s,
+                    (volts, asked.middle()),
+                    &what,
+                ));
             }
         }
-        let window = self.window(&plate, 1)?;
-        let volts = window.volts;
-        let misfit = |current: f64, speed: f64| {
-            let needed = plate.resistance * current + plate.back_emf * speed;
-            volts.gap(Range::new(needed, needed))
-        };
-        let (as_read, exchanged) = (misfit(current, speed), misfit(speed, current));
         let floor = 0.03 * self.scale.volts;
+        let last_rows = self.history.rows().iter().rev().take(LONGEST_WINDOW);
+        let misfits: Vec<(f64, f64)> = last_rows
+            .map_while(|row| {
+                let volts = row.volts?;
+                let misfit = |current_a: f64, speed_rad_s: f64| {
+                    let needed = plate.resistance * current_a + plate.back_emf * speed_rad_s;
+                    volts.gap(Range::new(needed, needed))
+                };
+                let (current_a, speed_rad_s) = row.ends();
+                Some((
+                    misfit(current_a, speed_rad_s),
+                    misfit(speed_rad_s, current_a),
+                ))
+            })
+            .collect();
+        let (as_read, exchanged) = *misfits.first()?;
+        // Every row that does not fit as it was read has to fit when exchanged.
+        let all = misfits
+            .iter()
+            .filter(|(as_read, _)| *as_read > floor)
+            .all(|(as_read, exchanged)| exchanged < &(0.3 * as_read) && *exchanged < floor);
         let what = format!(
-            "current {current:.2} A and speed {speed:.2} rad/s do not fit {:.1} V by {as_read:.1} V; exchanged, {speed:.2} A and {current:.2} rad/s do, within {exchanged:.1} V; check the addresses of current and speed in the drive's profile",
-            volts.middle()
+            "current {current:.2} A and speed {speed:.2} rad/s miss the voltage by {as_read:.1} V; exchanged, {speed:.2} A and {current:.2} rad/s miss it by {exchanged:.1} V; check the addresses of current and speed in the drive's profile"
         );
-        (as_read > floor && exchanged < 0.3 * as_read && exchanged < floor).then(|| {
-            Trip::implausible(TripKind::SignalsSwapped, now_s, (current, speed), &what)
-        })
+        (as_read > floor && all)
+            .then(|| Trip::implausible(TripKind::SignalsSwapped, now_s, (current, speed), &what))
+    }
+
+    /// Why a reading is beyond its limit, where it is not to be believed.
+    pub(super) fn explain(&mut self, now_s: f64) -> Option<Trip> {
+        if let Some(trip) = self.swapped(now_s) {
+            return Some(trip);
+        }
+        let plate = self.plate?;
+        let window = self.window(&plate, 1)?;
+        (window.gap(ANY, ANY, self.drop_v()) > 0.0)
+            .then(|| self.name(now_s, &plate, &window))
+            .flatten()
     }
 
     /// Whether the drive does what it is asked.
@@ -849,24 +932,37 @@ impl Plausibility {
         let cycles = self.cycles();
         let last = *self.history.last()?;
         let asked = self.history.asked(cycles - 2);
-        let Some((demand, asked)) = asked.filter(|_| !last.limited) else {
+        let Some((demand, asked)) = asked else {
             self.astray = None;
             return None;
         };
         let period_s = self.history.period_s()?;
         let latency_s = LATENCY_S.max(LATENCY_CYCLES as f64 * period_s);
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
-        let idle = current.abs() < IDLE_A * self.scale.amps
-            && speed.abs() < REST_SPEED * self.scale.rad_s;
-        let factors = if self.waived { Range::new(0.1, 10.0) } else { ANY };
+        let idle =
+            current.abs() < IDLE_A * self.scale.amps && speed.abs() < REST_SPEED * self.scale.rad_s;
+        let factors = if self.waived {
+            Range::new(0.1, 10.0)
+        } else {
+            ANY
+        };
         let mut region = asked.times(factors);
         let (measured, full, confirm_s, unit) = match demand {
             Demand::Voltage(_) => {
                 region = region.wider(self.drop_v());
-                let soon_s = if last.exact { 0.6 * latency_s } else { 1.5 * period_s };
+                let soon_s = if last.exact {
+                    0.6 * latency_s
+                } else {
+                    1.5 * period_s
+                };
                 let confirm_s = if idle { IDLE_S } else { soon_s };
-                let limits = current.abs() > self.limits_from_a;
-                (last.voltage_v.filter(|_| !limits), self.scale.volts, confirm_s, "V")
+                if last.limited || current.abs() > self.limits_from_a {
+                    // A limit brings the voltage nearer to the back-EMF, never beyond it.
+                    let emf_v = self.plate.map(|plate| plate.back_emf * speed);
+                    let emf = emf_v.map(|emf_v| Range::new(emf_v, emf_v).times(ANY));
+                    region = emf.map_or(Range::EVERY, |emf| region.hull(emf.wider(self.drop_v())));
+                }
+                (last.voltage_v, self.scale.volts, confirm_s, "V")
             }
             Demand::Current(_) => {
                 let amps = self.scale.amps;
@@ -876,13 +972,14 @@ impl Plausibility {
                 if !self.is_signed {
                     region = region.hull(negative(region));
                 }
-                let measured = Some(current).filter(|_| has_room);
+                let measured = Some(current).filter(|_| has_room && !last.limited);
                 (measured, amps, FOLLOWS_CURRENT_S.max(latency_s), "A")
             }
             _ => {
                 region = region.wider(FOLLOWS_SPEED * self.scale.rad_s);
                 let confirm_s = FOLLOWS_SPEED_S.max(latency_s);
-                (Some(speed), self.scale.rad_s, confirm_s, "rad/s")
+                let measured = Some(speed).filter(|_| !last.limited);
+                (measured, self.scale.rad_s, confirm_s, "rad/s")
             }
         };
         let distance = measured.map_or(0.0, |value| region.gap(Range::new(value, value)));
@@ -914,15 +1011,27 @@ impl Plausibility {
         {
             let answer = plate.current_v(row) + plate.back_emf * row.speed_rad_s;
             let nearer = |volts: f64| (answer - volts).abs();
-            if 2.0 * nearer(wanted) < nearer(value) && nearer(wanted) < self.drop_v() + 0.3 * wanted.abs() {
+            if 2.0 * nearer(wanted) < nearer(value)
+                && nearer(wanted) < self.drop_v() + 0.3 * wanted.abs()
+            {
                 let what = format!(
                     "{figures}; current and speed are those of {answer:.1} V, so it is the measured voltage that is wrong; check its address, scale and sign in the drive's profile"
                 );
-                return Some(Trip::implausible(TripKind::VoltageImplausible, now_s, (value, wanted), &what));
+                return Some(Trip::implausible(
+                    TripKind::VoltageImplausible,
+                    now_s,
+                    (value, wanted),
+                    &what,
+                ));
             }
         }
         let what = format!("{figures}; {CHECK_SET_POINT}");
-        Some(Trip::implausible(TripKind::SetPointIgnored, now_s, (value, wanted), &what))
+        Some(Trip::implausible(
+            TripKind::SetPointIgnored,
+            now_s,
+            (value, wanted),
+            &what,
+        ))
     }
 
     /// The angle turned over the last cycles against the speed.
@@ -933,15 +1042,24 @@ impl Plausibility {
             return None;
         }
         let (mut seconds, mut turned, mut speeds) = (0.0, 0.0, None);
+        // A counter that was set anew is no motion: the one row that fits least does not count.
+        let mut worst = (0.0, 0.0, 0.0);
         for row in all.iter().skip(all.len() - rows) {
-            turned += row.turned_rad?;
+            let row_rad = row.turned_rad?;
+            let misfit = (row_rad - row.speed_rad_s * row.seconds).abs();
+            if misfit >= worst.0 {
+                worst = (misfit, row_rad, row.seconds);
+            }
+            turned += row_rad;
             seconds += row.seconds;
             let half = 0.5 * row.speed_change_rad_s.abs();
             let range = Range::around(row.speed_rad_s, half);
             speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
         }
-        let rate = turned / seconds;
-        let believed = speeds?.times(ANY).wider(2.0 * REST_SPEED * self.scale.rad_s);
+        let rate = (turned - worst.1) / (seconds - worst.2);
+        let believed = speeds?
+            .times(ANY)
+            .wider(2.0 * REST_SPEED * self.scale.rad_s);
         if believed.gap(Range::new(rate, rate)) <= 0.0 {
             self.angle_disagrees = 0;
             return None;
@@ -986,7 +1104,9 @@ impl Plausibility {
             return None;
         }
         // Seen by a reversed encoder the shaft runs away as soon as it moves.
-        let window = self.plate.and_then(|plate| Some((plate, self.window(&plate, WINDOW)?)));
+        let window = self
+            .plate
+            .and_then(|plate| Some((plate, self.window(&plate, WINDOW)?)));
         Some(match window {
             Some((plate, window)) if misfit(&window, -1.0) < misfit(&window, 1.0) => {
                 self.speed_trip(TripKind::EncoderReversed, now_s, &plate, &window)

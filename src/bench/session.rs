@@ -321,6 +321,10 @@ impl Session {
             && self.is_ramped_down(now_s)
             && self.is_brake_shut(now_s, actions)
         {
+            if !self.is_at_rest() {
+                let text = "the ramp down is over and the shaft is not known to stand still: the output goes off all the same; see that it does";
+                notice(actions, Level::Warning, text.to_owned());
+            }
             self.stop_now(now_s, actions);
         }
     }

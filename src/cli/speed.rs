@@ -280,11 +280,7 @@ fn record(arguments: &Arguments, strings: &Strings) -> Result<Whole, Failure> {
         hold: hold(&request),
     };
     let rule = request.section.rule(request.actuator);
-    let pilot = SpeedPilot::new(
-        regulator,
-        request.reference,
-        settings,
-    );
+    let pilot = SpeedPilot::new(regulator, request.reference, settings);
     let name = format!("{}-speed", rig.bench.name);
     let whole = Whole {
         recorded: rig.record_loop(&name, pilot, about, strings)?,

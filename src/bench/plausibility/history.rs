@@ -31,6 +31,8 @@ impl Range {
         Self { low, high }
     }
 
+    pub(super) const EVERY: Self = Self::new(f64::NEG_INFINITY, f64::INFINITY);
+
     pub(super) const fn around(value: f64, by: f64) -> Self {
         Self::new(value - by, value + by)
     }
@@ -108,6 +110,16 @@ pub(super) struct Row {
     pub(super) volts: Option<Range>,
     pub(super) exact: bool,
     pub(super) limited: bool,
+}
+
+impl Row {
+    /// Current and speed of its second sample, A and rad/s.
+    pub(super) fn ends(&self) -> (f64, f64) {
+        (
+            self.current_a + 0.5 * self.current_change_a,
+            self.speed_rad_s + 0.5 * self.speed_change_rad_s,
+        )
+    }
 }
 
 /// The last commands and samples.
@@ -279,7 +291,10 @@ impl History {
             speed_rad_s: 0.5 * (from_rad_s + to_rad_s),
             current_change_a: to_a - from_a,
             speed_change_rad_s: to_rad_s - from_rad_s,
-            turned_rad: last.angle_rad.zip(now.angle_rad).map(|(from, to)| to - from),
+            turned_rad: last
+                .angle_rad
+                .zip(now.angle_rad)
+                .map(|(from, to)| to - from),
             volts: self.volts(last, now, scale),
             exact: now.exact,
             limited: last.limited || now.limited,

@@ -117,6 +117,9 @@ mod tests {
         let slow: Vec<f64> = (0..60).map(|n: u32| f64::from(n / 4)).collect();
         assert!(!after(&slow, 40).is_stuck());
         assert!(after(&slow, 90).is_stuck());
-        assert!(!after(&slow, 90).is_silent(), "this may be a shaft that trembled");
+        assert!(
+            !after(&slow, 90).is_silent(),
+            "this may be a shaft that trembled"
+        );
     }
 }

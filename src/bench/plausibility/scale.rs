@@ -74,8 +74,7 @@ impl<const N: usize> Normal<N> {
         }
         let inverse = matrix.try_inverse()?;
         let found = inverse * right;
-        let misfit = self.square - 2.0 * found.dot(&self.right)
-            + found.dot(&(self.matrix * found));
+        let misfit = self.square - 2.0 * found.dot(&self.right) + found.dot(&(self.matrix * found));
         // Rows that fit worse than they should are worth less.
         let inflated = (misfit / self.rows.max(1.0)).max(1.0);
         Some((found[0], (inverse[(0, 0)] * inflated).max(0.0).sqrt()))
@@ -106,7 +105,9 @@ impl Factor {
         let current_v = plate.current_v(row);
         let speed_v = plate.back_emf * row.speed_rad_s;
         let dynamic_v = plate.doubt_v(row);
-        let noise = (FLOOR_V * scale.volts).hypot(0.5 * volts.width()).hypot(dynamic_v);
+        let noise = (FLOOR_V * scale.volts)
+            .hypot(0.5 * volts.width())
+            .hypot(dynamic_v);
         let factors = [current_v, speed_v, row.current_a.signum()];
         self.voltage.add(keep, factors, volts.middle(), noise);
         if row.speed_rad_s.abs() > TURNS * scale.rad_s {
@@ -115,7 +116,8 @@ impl Factor {
             let floor = FLOOR_TORQUE * plate.back_emf * scale.amps;
             let noise = floor.hypot(plate.slowness(row.seconds) * acceleration);
             let torque = plate.back_emf * row.current_a;
-            self.torque.add(keep, [acceleration, friction], torque, noise);
+            self.torque
+                .add(keep, [acceleration, friction], torque, noise);
         }
         let (r, r_std) = self.voltage.first()?;
         let (j, j_std) = self.torque.first()?;
