@@ -315,7 +315,7 @@ impl Guard {
                 .or_else(|| {
                     let beyond = self.beyond_limit(now_s, sample)?;
                     // What is read wrong is often beyond a limit before it is anything else.
-                    Some(self.plausibility.explain(now_s).unwrap_or(beyond))
+                    Some(self.plausibility.explained(now_s, beyond))
                 })
                 .or_else(|| self.lost_signal(now_s, sample))
                 .or_else(|| self.stuck_clock(now_s, sample))

@@ -176,6 +176,7 @@ pub struct Plausibility {
     scale: Scale,
     plate: Option<Plate>,
     speed_limit_rad_s: f64,
+    current_limit_a: f64,
     /// Current from which the drive may limit by itself, A.
     limits_from_a: f64,
     /// Something pulls at the shaft: it may stand still under a current.
@@ -188,6 +189,8 @@ pub struct Plausibility {
     current: Repeats,
     /// Of the speed, since it repeats itself.
     held: Option<Held>,
+    /// Windows in a row in which it should have changed.
+    frozen: usize,
     /// Where the shaft was, and whether it was at rest, when the current began to repeat itself.
     current_held: Option<(f64, bool)>,
     /// A clearly negative current was read: it has a sign.
@@ -249,6 +252,7 @@ impl Plausibility {
             scale,
             plate: None,
             speed_limit_rad_s: limits.speed_rad_s,
+            current_limit_a: limits.current_a,
             limits_from_a: LIMITS_BY_ITSELF * scale.amps,
             vertical: limits.load.vertical,
             waived: false,
@@ -257,6 +261,7 @@ impl Plausibility {
             speed: Repeats::default(),
             current: Repeats::default(),
             held: None,
+            frozen: 0,
             current_held: None,
             is_signed: false,
             factor: None,
@@ -302,7 +307,7 @@ impl Plausibility {
 
     fn reset(&mut self) {
         (self.held, self.current_held, self.believed) = (None, None, None);
-        (self.disagree, self.angle_disagrees) = (0, 0);
+        (self.disagree, self.angle_disagrees, self.frozen) = (0, 0, 0);
         (self.astray, self.idle_since_s, self.stands_since_s) = (None, None, None);
         self.away.clear();
     }
@@ -574,7 +579,7 @@ impl Plausibility {
             && let Some(factor) = self
                 .factor
                 .as_mut()
-                .and_then(|factor| factor.push(&row, &plate, &self.scale))
+                .and_then(|factor| factor.push(&row, self.is_signed, &plate, &self.scale))
         {
             return Some(self.current_scaled(now_s, factor));
         }
@@ -591,20 +596,9 @@ impl Plausibility {
             return Some(trip);
         }
         let drop_v = self.drop_v();
-        let doubted = window.gap(ANY, ANY, drop_v) > 0.0
-            || is_mirrored(
-                &window,
-                window.mean_speed,
-                window.mean_current,
-                self.scale.volts,
-            )
-            || self.is_signed
-                && is_mirrored(
-                    &window,
-                    window.mean_current,
-                    window.mean_speed,
-                    self.scale.volts,
-                );
+        let misfits = !self.waived && window.gap(ANY, ANY, drop_v) > 0.0;
+        let against = self.goes_against(&window);
+        let doubted = misfits || against;
         if !doubted {
             self.disagree = 0;
             let fits = window.gap(WINDING, FLUX, drop_v) <= 0.0;
@@ -621,6 +615,30 @@ impl Plausibility {
             return None;
         }
         self.name(now_s, &plate, &window)
+    }
+
+    /// Whether the shaft gains or loses speed against what current and speed say of it, and they would fit with the opposite
+    /// sign.
+    fn goes_against(&self, window: &Window) -> bool {
+        let rated_v = self.scale.volts;
+        let rows = self.history.rows().iter().rev().take(WINDOW);
+        let gain: f64 = rows.map(|row| row.speed_change_rad_s).sum();
+        if gain.abs() < REST_SPEED * self.scale.rad_s {
+            return false;
+        }
+        let (volts, speed, current) = (window.mean_volts, window.mean_speed, window.mean_current);
+        let drives = !self.is_signed || current * volts > 0.0;
+        let encoder = drives
+            && speed * volts < 0.0
+            && gain * volts < 0.0
+            && is_mirrored(window, speed, current, MOVED_V * rated_v, rated_v);
+        // A braked shaft may lose speed under a current that drives it, where a load takes more.
+        let least_v = if current * volts < 0.0 { MOVED_V } else { DROP };
+        let sensor = self.is_signed
+            && speed * volts > 0.0
+            && gain * current < 0.0
+            && is_mirrored(window, current, speed, least_v * rated_v, rated_v);
+        encoder || sensor
     }
 
     /// Whether no current flows that would drive anything.
@@ -657,6 +675,9 @@ impl Plausibility {
             last.time_s - since_s
         );
         if speed.abs() >= REST_SPEED * self.scale.rad_s {
+            if self.waived {
+                return None;
+            }
             let what = format!(
                 "no current drives the shaft, so it should turn at about {by_voltage:.1} rad/s: {figures}; {CHECK_ENCODER}"
             );
@@ -709,7 +730,9 @@ impl Plausibility {
 
     /// The same speed again and again, while the back-EMF has changed since it came first or cannot be that of this speed.
     fn frozen(&mut self, now_s: f64, plate: &Plate, window: &Window) -> Option<Trip> {
-        if self.speed.run() == 0 {
+        // What the window says must all be of the time since the speed has been the same.
+        if self.speed.run() < self.window_rows() {
+            self.frozen = 0;
             return None;
         }
         let by_voltage = window.mean_volts - window.mean_current;
@@ -732,7 +755,15 @@ impl Plausibility {
         let doubt = drops_v + (1.0 - WINDING.low) * by_current + 0.5 * window.volts.width();
         let moved = FLUX.low * (by_voltage - held.by_voltage).abs() > doubt;
         let cannot_be = window.gap(WINDING, FLUX, self.drop_v()) > 0.0;
-        (moved || cannot_be).then(|| self.speed_trip(TripKind::EncoderFrozen, now_s, plate, window))
+        if !(moved || cannot_be) {
+            self.frozen = 0;
+            return None;
+        }
+        self.frozen += 1;
+        // A drive that does not stamp its samples may have read the speed some cycles ago.
+        let needed = if self.is_exact() { 1 } else { self.cycles() };
+        (self.frozen >= needed)
+            .then(|| self.speed_trip(TripKind::EncoderFrozen, now_s, plate, window))
     }
 
     /// Which reading it is that does not fit.
@@ -752,10 +783,13 @@ impl Plausibility {
         let turns = last.speed_rad_s?.abs() >= REST_SPEED * self.scale.rad_s;
         if self.speed.run() >= self.same_needed() {
             speed(self, TripKind::EncoderFrozen)
-        } else if window.mean_speed * window.mean_volts < 0.0 && fits(mirrored) {
+        } else if window.mean_speed * window.mean_volts < 0.0
+            && window.mean_current * window.mean_volts.signum() >= -drop_v
+            && fits(mirrored)
+        {
             speed(self, TripKind::EncoderReversed)
         } else if self.is_signed
-            && window.mean_current * window.mean_volts < 0.0
+            && (window.mean_current * window.mean_volts < 0.0 || self.goes_against(window))
             && fits(swap_current)
         {
             Some(self.current_trip(TripKind::CurrentReversed, now_s, plate, window))
@@ -886,6 +920,9 @@ impl Plausibility {
                 ));
             }
         }
+        if speed.abs() > self.current_limit_a || current.abs() > self.speed_limit_rad_s {
+            return None;
+        }
         let floor = 0.03 * self.scale.volts;
         let last_rows = self.history.rows().iter().rev().take(LONGEST_WINDOW);
         let misfits: Vec<(f64, f64)> = last_rows
@@ -915,16 +952,20 @@ impl Plausibility {
             .then(|| Trip::implausible(TripKind::SignalsSwapped, now_s, (current, speed), &what))
     }
 
-    /// Why a reading is beyond its limit, where it is not to be believed.
-    pub(super) fn explain(&mut self, now_s: f64) -> Option<Trip> {
+    /// A trip beyond a limit, with what speaks against the reading that broke it.
+    pub(super) fn explained(&mut self, now_s: f64, mut beyond: Trip) -> Trip {
         if let Some(trip) = self.swapped(now_s) {
-            return Some(trip);
+            return trip;
         }
-        let plate = self.plate?;
-        let window = self.window(&plate, 1)?;
-        (window.gap(ANY, ANY, self.drop_v()) > 0.0)
-            .then(|| self.name(now_s, &plate, &window))
-            .flatten()
+        let doubt = self.plate.and_then(|plate| {
+            let window = self.window(&plate, 1)?;
+            let doubted = window.gap(ANY, ANY, self.drop_v()) > 0.0;
+            doubted.then(|| self.name(now_s, &plate, &window)).flatten()
+        });
+        if let Some(doubt) = doubt {
+            beyond.reason = format!("{}; or {}", beyond.reason, doubt.reason);
+        }
+        beyond
     }
 
     /// Whether the drive does what it is asked.
@@ -1036,7 +1077,12 @@ impl Plausibility {
 
     /// The angle turned over the last cycles against the speed.
     fn by_angle(&mut self, now_s: f64) -> Option<Trip> {
-        let rows = self.cycles() - 2;
+        // An angle that is read more seldom than it is asked stays for some cycles.
+        let rows = if self.is_exact() {
+            self.cycles() - 2
+        } else {
+            2 * self.cycles()
+        };
         let all = self.history.rows();
         if all.len() < rows {
             return None;
@@ -1073,7 +1119,7 @@ impl Plausibility {
             "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
             believed.low, believed.high
         );
-        let kind = if self.speed.run() >= self.same_needed() {
+        let kind = if self.speed.run() >= SAME {
             TripKind::EncoderFrozen
         } else {
             TripKind::AngleImplausible
@@ -1125,15 +1171,11 @@ fn misfit(window: &Window, speed: f64) -> f64 {
     (window.mean_volts - window.mean_current - speed * window.mean_speed).abs()
 }
 
-/// Whether a reading that goes against the voltage fits with the opposite sign, and not with its own; all in V.
-fn is_mirrored(window: &Window, reading: f64, other: f64, rated_v: f64) -> bool {
-    let volts = window.mean_volts;
-    let half = 0.5 * window.volts.width();
-    let as_read = (volts - other - reading).abs() - half;
-    let mirrored = (volts - other + reading).abs();
-    let size = reading.abs();
-    size > MOVED_V * rated_v
-        && reading * volts < 0.0
-        && as_read > size + REST_VOLTAGE * rated_v
-        && mirrored < 0.5 * size + REST_VOLTAGE * rated_v
+/// Whether a reading of at least so many volts fits with the opposite sign, and not with its own.
+fn is_mirrored(window: &Window, reading: f64, other: f64, least_v: f64, rated_v: f64) -> bool {
+    let rest = window.mean_volts - other;
+    let as_read = (rest - reading).abs() - 0.5 * window.volts.width();
+    let mirrored = (rest + reading).abs();
+    let (size, slack) = (reading.abs(), REST_VOLTAGE * rated_v);
+    size > least_v && as_read > size + slack && mirrored < 0.5 * size + slack
 }

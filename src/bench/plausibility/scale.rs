@@ -97,25 +97,38 @@ impl Factor {
     }
 
     /// Takes a row of which the voltage is known; the factor by which the current is read, once it is beyond doubt that
-    /// it lies outside 0.5 to 2.
-    pub(super) fn push(&mut self, row: &Row, plate: &Plate, scale: &Scale) -> Option<f64> {
+    /// it lies outside 0.5 to 2. Of a current that may have no sign, only what drives the shaft counts.
+    pub(super) fn push(
+        &mut self,
+        row: &Row,
+        is_signed: bool,
+        plate: &Plate,
+        scale: &Scale,
+    ) -> Option<f64> {
         let volts = row.volts?;
+        let direction = volts.middle().signum();
+        let is_driven =
+            row.speed_rad_s * direction >= 0.0 && row.speed_change_rad_s * direction >= 0.0;
+        let sign = if is_signed { 1.0 } else { direction };
+        if !(is_signed || is_driven) {
+            return None;
+        }
         let memory_s = MEMORY_S.max(MEMORY_ROWS * row.seconds);
         let keep = (-row.seconds / memory_s).exp();
-        let current_v = plate.current_v(row);
+        let current_v = sign * plate.current_v(row);
         let speed_v = plate.back_emf * row.speed_rad_s;
         let dynamic_v = plate.doubt_v(row);
         let noise = (FLOOR_V * scale.volts)
             .hypot(0.5 * volts.width())
             .hypot(dynamic_v);
-        let factors = [current_v, speed_v, row.current_a.signum()];
+        let factors = [current_v, speed_v, sign * row.current_a.signum()];
         self.voltage.add(keep, factors, volts.middle(), noise);
         if row.speed_rad_s.abs() > TURNS * scale.rad_s {
             let acceleration = plate.inertia * row.speed_change_rad_s / row.seconds;
             let friction = plate.friction * row.speed_rad_s.signum();
             let floor = FLOOR_TORQUE * plate.back_emf * scale.amps;
             let noise = floor.hypot(plate.slowness(row.seconds) * acceleration);
-            let torque = plate.back_emf * row.current_a;
+            let torque = sign * plate.back_emf * row.current_a;
             self.torque
                 .add(keep, [acceleration, friction], torque, noise);
         }
