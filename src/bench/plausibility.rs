@@ -2,11 +2,11 @@
 //! voltage, current, speed and angle against each other.
 //!
 //! ```text
-//! commands, samples --history.rs--> rows --+-- u = R i + L di/dt + Ke w, no factor of 0.5 to 2 makes it fit --> which one?
-//!                                          +-- measured voltage, current or speed against the set-points
+//! commands, samples --history.rs--> rows --+-- u = R i + L di/dt + Ke w, no factor of 0.5 to 2 makes it fit (balance.rs)
+//!                                          +-- measured voltage, current or speed against the set-points   (set_point.rs)
 //!                                          +-- the same to the bit, while things change                   (repeats.rs)
 //!                                          +-- current by two balances                                    (scale.rs)
-//!                                          +-- angle against speed; speed beyond its reference
+//!                                          +-- angle against speed; speed beyond its reference             (motion.rs)
 //! ```
 //!
 //! Every quantity is a range: what was in force, and what was read, over the last cycles. So a drive that answers some
@@ -20,12 +20,16 @@
 //! What cannot be told apart is said as such, and ends the run all the same. An unknown motor has no balance: what is left
 //! is what needs no nameplate.
 
+mod balance;
 mod history;
+mod motion;
 mod repeats;
 mod scale;
+mod set_point;
 #[cfg(test)]
 mod tests;
 
+use self::balance::{Plate, Scale, Window, is_mirrored, negative};
 use self::history::{History, Range, Row};
 use self::repeats::Repeats;
 use self::scale::Factor;
@@ -93,76 +97,6 @@ const CHECK_CURRENT: &str =
     "check the current sensor's leads, and unit and scale of the current in the drive's profile";
 const CHECK_SET_POINT: &str = "check address, scale and word order of the set-point in the drive's profile, and that the bus has the command";
 
-/// What the quantities are measured by: rated values, or limits where nothing is rated.
-#[derive(Clone, Copy, Debug)]
-struct Scale {
-    volts: f64,
-    amps: f64,
-    rad_s: f64,
-}
-
-/// The nameplate, as the balances need it.
-#[derive(Clone, Copy, Debug)]
-struct Plate {
-    resistance: f64,
-    inductance: f64,
-    back_emf: f64,
-    inertia: f64,
-    friction: f64,
-}
-
-impl Plate {
-    /// What the current takes of the voltage in a row, V.
-    fn current_v(&self, row: &Row) -> f64 {
-        self.resistance * row.current_a + self.inductance * row.current_change_a / row.seconds
-    }
-
-    /// Error of the trapezoid between two samples, as a share of the change, for the winding and for the shaft.
-    fn quickness(&self, seconds: f64) -> f64 {
-        (seconds * self.resistance / (6.0 * self.inductance)).min(0.5)
-    }
-
-    fn slowness(&self, seconds: f64) -> f64 {
-        let time_s = self.resistance * self.inertia / (self.back_emf * self.back_emf);
-        (seconds / (3.0 * time_s)).min(0.5)
-    }
-
-    /// What a row's balance is in doubt because nobody looked within the cycle, V.
-    fn doubt_v(&self, row: &Row) -> f64 {
-        self.quickness(row.seconds) * self.resistance * row.current_change_a.abs()
-            + self.slowness(row.seconds) * self.back_emf * row.speed_change_rad_s.abs()
-    }
-}
-
-/// The terms of the voltage balance over a window, V.
-#[derive(Clone, Copy, Debug)]
-struct Window {
-    volts: Range,
-    current: Range,
-    speed: Range,
-    /// The means of the window's rows.
-    mean_volts: f64,
-    mean_current: f64,
-    mean_speed: f64,
-}
-
-impl Window {
-    /// What lies between the voltage and the two others, where they may be off by these factors, V; 0: they fit.
-    fn gap(&self, current: Range, speed: Range, drop_v: f64) -> f64 {
-        let needed = self.current.times(current).plus(self.speed.times(speed));
-        self.volts.gap(needed.wider(drop_v))
-    }
-
-    /// The same with another reading in the place of a measured one.
-    fn with(&self, current: Range, speed: Range) -> Self {
-        Self {
-            current,
-            speed,
-            ..*self
-        }
-    }
-}
-
 /// The same reading again and again, and what voltage and current made of the speed when it began, V.
 #[derive(Clone, Copy, Debug)]
 struct Held {
@@ -172,6 +106,10 @@ struct Held {
 
 /// The watch of one session.
 #[derive(Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "what is known of a machine, each for itself"
+)]
 pub struct Plausibility {
     scale: Scale,
     plate: Option<Plate>,
@@ -889,293 +827,4 @@ impl Plausibility {
         );
         Trip::implausible(kind, now_s, (factor, 1.0), &what)
     }
-
-    /// Two readings that fit in each other's place and not in their own.
-    pub(super) fn swapped(&self, now_s: f64) -> Option<Trip> {
-        let plate = self.plate.filter(|_| !self.waived)?;
-        let last = self.history.last()?;
-        let (current, speed) = (last.current_a?, last.speed_rad_s?);
-        if let (Some((Demand::Voltage(_), asked)), Some(volts)) =
-            (self.history.asked(self.cycles()), last.voltage_v)
-            && !last.limited
-        {
-            let near = |value: f64| {
-                asked
-                    .times(Range::new(0.9, 1.1))
-                    .wider(0.02 * self.scale.volts)
-                    .gap(Range::new(value, value))
-                    <= 0.0
-            };
-            let far = asked.middle().abs() > 0.05 * self.scale.volts;
-            if near(current) && !near(volts) && far {
-                let what = format!(
-                    "the current reads {current:.2} A and the voltage {volts:.2} V, where {:.2} V were asked: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
-                    asked.middle()
-                );
-                return Some(Trip::implausible(
-                    TripKind::SignalsSwapped,
-                    now_s,
-                    (volts, asked.middle()),
-                    &what,
-                ));
-            }
-        }
-        if speed.abs() > self.current_limit_a || current.abs() > self.speed_limit_rad_s {
-            return None;
-        }
-        let floor = 0.03 * self.scale.volts;
-        let last_rows = self.history.rows().iter().rev().take(LONGEST_WINDOW);
-        let misfits: Vec<(f64, f64)> = last_rows
-            .map_while(|row| {
-                let volts = row.volts?;
-                let misfit = |current_a: f64, speed_rad_s: f64| {
-                    let needed = plate.resistance * current_a + plate.back_emf * speed_rad_s;
-                    volts.gap(Range::new(needed, needed))
-                };
-                let (current_a, speed_rad_s) = row.ends();
-                Some((
-                    misfit(current_a, speed_rad_s),
-                    misfit(speed_rad_s, current_a),
-                ))
-            })
-            .collect();
-        let (as_read, exchanged) = *misfits.first()?;
-        // Every row that does not fit as it was read has to fit when exchanged.
-        let all = misfits
-            .iter()
-            .filter(|(as_read, _)| *as_read > floor)
-            .all(|(as_read, exchanged)| exchanged < &(0.3 * as_read) && *exchanged < floor);
-        let what = format!(
-            "current {current:.2} A and speed {speed:.2} rad/s miss the voltage by {as_read:.1} V; exchanged, {speed:.2} A and {current:.2} rad/s miss it by {exchanged:.1} V; check the addresses of current and speed in the drive's profile"
-        );
-        (as_read > floor && all)
-            .then(|| Trip::implausible(TripKind::SignalsSwapped, now_s, (current, speed), &what))
-    }
-
-    /// A trip beyond a limit, with what speaks against the reading that broke it.
-    pub(super) fn explained(&mut self, now_s: f64, mut beyond: Trip) -> Trip {
-        if let Some(trip) = self.swapped(now_s) {
-            return trip;
-        }
-        let doubt = self.plate.and_then(|plate| {
-            let window = self.window(&plate, 1)?;
-            let doubted = window.gap(ANY, ANY, self.drop_v()) > 0.0;
-            doubted.then(|| self.name(now_s, &plate, &window)).flatten()
-        });
-        if let Some(doubt) = doubt {
-            beyond.reason = format!("{}; or {}", beyond.reason, doubt.reason);
-        }
-        beyond
-    }
-
-    /// Whether the drive does what it is asked.
-    fn follows(&mut self, now_s: f64) -> Option<Trip> {
-        let cycles = self.cycles();
-        let last = *self.history.last()?;
-        let asked = self.history.asked(cycles - 2);
-        let Some((demand, asked)) = asked else {
-            self.astray = None;
-            return None;
-        };
-        let period_s = self.history.period_s()?;
-        let latency_s = LATENCY_S.max(LATENCY_CYCLES as f64 * period_s);
-        let (speed, current) = (last.speed_rad_s?, last.current_a?);
-        let idle =
-            current.abs() < IDLE_A * self.scale.amps && speed.abs() < REST_SPEED * self.scale.rad_s;
-        let factors = if self.waived {
-            Range::new(0.1, 10.0)
-        } else {
-            ANY
-        };
-        let mut region = asked.times(factors);
-        let (measured, full, confirm_s, unit) = match demand {
-            Demand::Voltage(_) => {
-                region = region.wider(self.drop_v());
-                let soon_s = if last.exact {
-                    0.6 * latency_s
-                } else {
-                    1.5 * period_s
-                };
-                let confirm_s = if idle { IDLE_S } else { soon_s };
-                if last.limited || current.abs() > self.limits_from_a {
-                    // A limit brings the voltage nearer to the back-EMF, never beyond it.
-                    let emf_v = self.plate.map(|plate| plate.back_emf * speed);
-                    let emf = emf_v.map(|emf_v| Range::new(emf_v, emf_v).times(ANY));
-                    region = emf.map_or(Range::EVERY, |emf| region.hull(emf.wider(self.drop_v())));
-                }
-                (last.voltage_v, self.scale.volts, confirm_s, "V")
-            }
-            Demand::Current(_) => {
-                let amps = self.scale.amps;
-                region = region.wider(FOLLOWS_CURRENT * amps);
-                let emf_v = self.plate.map_or(0.0, |plate| plate.back_emf * speed);
-                let has_room = last.voltage_v.unwrap_or(2.0 * emf_v).abs() < 0.9 * self.scale.volts;
-                if !self.is_signed {
-                    region = region.hull(negative(region));
-                }
-                let measured = Some(current).filter(|_| has_room && !last.limited);
-                (measured, amps, FOLLOWS_CURRENT_S.max(latency_s), "A")
-            }
-            _ => {
-                region = region.wider(FOLLOWS_SPEED * self.scale.rad_s);
-                let confirm_s = FOLLOWS_SPEED_S.max(latency_s);
-                let measured = Some(speed).filter(|_| !last.limited);
-                (measured, self.scale.rad_s, confirm_s, "rad/s")
-            }
-        };
-        let distance = measured.map_or(0.0, |value| region.gap(Range::new(value, value)));
-        let Some(value) = measured.filter(|_| distance > 0.0) else {
-            self.astray = None;
-            return None;
-        };
-        let (since_s, farthest) = *self.astray.get_or_insert((last.time_s, distance));
-        if distance < farthest - 0.01 * full {
-            // It is on its way.
-            self.astray = Some((last.time_s, distance));
-            return None;
-        }
-        if last.time_s - since_s < confirm_s {
-            return None;
-        }
-        if let Some(trip) = self.swapped(now_s) {
-            return Some(trip);
-        }
-        let wanted = asked.middle();
-        let figures = format!(
-            "asked {wanted:.2} {unit}, measured {value:.2} {unit} for {:.2} s, {:.2} to {:.2} {unit} would be believed",
-            last.time_s - since_s,
-            region.low,
-            region.high
-        );
-        if let (Demand::Voltage(_), Some(plate)) = (demand, &self.plate)
-            && let Some(row) = self.history.rows().back().filter(|_| !idle)
-        {
-            let answer = plate.current_v(row) + plate.back_emf * row.speed_rad_s;
-            let nearer = |volts: f64| (answer - volts).abs();
-            if 2.0 * nearer(wanted) < nearer(value)
-                && nearer(wanted) < self.drop_v() + 0.3 * wanted.abs()
-            {
-                let what = format!(
-                    "{figures}; current and speed are those of {answer:.1} V, so it is the measured voltage that is wrong; check its address, scale and sign in the drive's profile"
-                );
-                return Some(Trip::implausible(
-                    TripKind::VoltageImplausible,
-                    now_s,
-                    (value, wanted),
-                    &what,
-                ));
-            }
-        }
-        let what = format!("{figures}; {CHECK_SET_POINT}");
-        Some(Trip::implausible(
-            TripKind::SetPointIgnored,
-            now_s,
-            (value, wanted),
-            &what,
-        ))
-    }
-
-    /// The angle turned over the last cycles against the speed.
-    fn by_angle(&mut self, now_s: f64) -> Option<Trip> {
-        // An angle that is read more seldom than it is asked stays for some cycles.
-        let rows = if self.is_exact() {
-            self.cycles() - 2
-        } else {
-            2 * self.cycles()
-        };
-        let all = self.history.rows();
-        if all.len() < rows {
-            return None;
-        }
-        let (mut seconds, mut turned, mut speeds) = (0.0, 0.0, None);
-        // A counter that was set anew is no motion: the one row that fits least does not count.
-        let mut worst = (0.0, 0.0, 0.0);
-        for row in all.iter().skip(all.len() - rows) {
-            let row_rad = row.turned_rad?;
-            let misfit = (row_rad - row.speed_rad_s * row.seconds).abs();
-            if misfit >= worst.0 {
-                worst = (misfit, row_rad, row.seconds);
-            }
-            turned += row_rad;
-            seconds += row.seconds;
-            let half = 0.5 * row.speed_change_rad_s.abs();
-            let range = Range::around(row.speed_rad_s, half);
-            speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
-        }
-        let rate = (turned - worst.1) / (seconds - worst.2);
-        let believed = speeds?
-            .times(ANY)
-            .wider(2.0 * REST_SPEED * self.scale.rad_s);
-        if believed.gap(Range::new(rate, rate)) <= 0.0 {
-            self.angle_disagrees = 0;
-            return None;
-        }
-        self.angle_disagrees += 1;
-        if self.angle_disagrees < CONFIRM {
-            return None;
-        }
-        let speed = speeds?.middle();
-        let what = format!(
-            "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
-            believed.low, believed.high
-        );
-        let kind = if self.speed.run() >= SAME {
-            TripKind::EncoderFrozen
-        } else {
-            TripKind::AngleImplausible
-        };
-        Some(Trip::implausible(kind, now_s, (rate, speed), &what))
-    }
-
-    /// The speed grows beyond its reference although the torque is against it.
-    fn runs_away(&mut self, now_s: f64) -> Option<Trip> {
-        let row = *self.history.rows().back()?;
-        let speed = self.history.last()?.speed_rad_s?;
-        let reference = self.reference_rad_s?;
-        let direction = speed.signum();
-        let beyond = direction * (speed - reference);
-        let grows = direction * row.speed_change_rad_s > 0.0;
-        let braked = direction * row.current_a < 0.0;
-        if !(grows && braked && beyond > RUNAWAY_BEYOND * self.speed_limit_rad_s) {
-            self.away.clear();
-            return None;
-        }
-        if self.away.is_empty() {
-            self.away.push(speed - row.speed_change_rad_s);
-        }
-        self.away.push(speed);
-        let growth = direction * (speed - self.away[0]);
-        let long = self.away.len() > RUNAWAY_CYCLES;
-        if !(long && growth > RUNAWAY_GROWTH * self.speed_limit_rad_s) {
-            return None;
-        }
-        // Seen by a reversed encoder the shaft runs away as soon as it moves.
-        let window = self
-            .plate
-            .and_then(|plate| Some((plate, self.window(&plate, WINDOW)?)));
-        Some(match window {
-            Some((plate, window)) if misfit(&window, -1.0) < misfit(&window, 1.0) => {
-                self.speed_trip(TripKind::EncoderReversed, now_s, &plate, &window)
-            }
-            _ => Trip::runaway(now_s, speed, reference),
-        })
-    }
-}
-
-const fn negative(range: Range) -> Range {
-    Range::new(-range.high, -range.low)
-}
-
-/// What is left of the balance with the speed times this factor, V.
-fn misfit(window: &Window, speed: f64) -> f64 {
-    (window.mean_volts - window.mean_current - speed * window.mean_speed).abs()
-}
-
-/// Whether a reading of at least so many volts fits with the opposite sign, and not with its own.
-fn is_mirrored(window: &Window, reading: f64, other: f64, least_v: f64, rated_v: f64) -> bool {
-    let rest = window.mean_volts - other;
-    let as_read = (rest - reading).abs() - 0.5 * window.volts.width();
-    let mirrored = (rest + reading).abs();
-    let (size, slack) = (reading.abs(), REST_VOLTAGE * rated_v);
-    size > least_v && as_read > size + slack && mirrored < 0.5 * size + slack
 }

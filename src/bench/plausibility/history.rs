@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use super::Scale;
+use super::balance::Scale;
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// Commands that may still be answered.
@@ -184,11 +184,11 @@ impl History {
         let lag = if last.exact { 2 } else { cycles as u64 };
         let mut range: Option<Range> = None;
         for demand in self.in_force(last, last, lag) {
-            let value = match (demand, last.demand?) {
-                (Demand::Voltage(value), Demand::Voltage(_))
-                | (Demand::Current(value), Demand::Current(_))
-                | (Demand::Speed(value), Demand::Speed(_)) => value,
-                _ => return None,
+            let ((Demand::Voltage(value), Demand::Voltage(_))
+            | (Demand::Current(value), Demand::Current(_))
+            | (Demand::Speed(value), Demand::Speed(_))) = (demand, last.demand?)
+            else {
+                return None;
             };
             range = Some(range.map_or(Range::new(value, value), |range| range.with(value)));
         }

@@ -11,8 +11,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use super::balance::{Plate, Scale};
 use super::history::Row;
-use super::{Plate, Scale};
 
 /// Rows are forgotten with this time constant, s, and not within fewer than so many rows.
 const MEMORY_S: f64 = 0.25;

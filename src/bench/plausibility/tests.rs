@@ -182,6 +182,10 @@ impl DriveLink for Broken {
 }
 
 /// One run.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "what is odd about a drive, each for itself"
+)]
 struct Trial {
     wrong: Wrong,
     from_s: f64,
