@@ -1,0 +1,136 @@
+//! The witness at a pseudo-terminal, in real time: a thread that carries bytes, and knows when it itself stood still.
+
+use std::collections::BTreeMap;
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::pty::openpty;
+use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
+use nix::unistd::{read, ttyname, write};
+
+use crate::witness::drive::Drive;
+
+/// A witness that stood still for longer than this has not seen what happened meanwhile, s.
+pub(crate) const STOOD_STILL_S: f64 = 0.02;
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the witness keeps the time of its log"
+)]
+pub(crate) fn now() -> Instant {
+    Instant::now()
+}
+
+pub(crate) struct Shared {
+    pub(crate) drive: Drive,
+    /// From when it stood still, and for how long, s.
+    pub(crate) gaps: Vec<(f64, f64)>,
+}
+
+/// Dropping it ends the drive.
+pub(crate) struct Line {
+    pub(crate) path: PathBuf,
+    pub(crate) origin: Instant,
+    shared: Arc<Mutex<Shared>>,
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Line {
+    pub(crate) fn open(drive: Drive) -> Self {
+        let pair = openpty(None, None).expect("a pseudo-terminal");
+        let mut modes = tcgetattr(&pair.slave).expect("modes of a terminal");
+        cfmakeraw(&mut modes);
+        tcsetattr(&pair.slave, SetArg::TCSANOW, &modes).expect("raw modes");
+        let path = ttyname(&pair.slave).expect("a path");
+        let origin = now();
+        let gaps = Vec::new();
+        let shared = Arc::new(Mutex::new(Shared { drive, gaps }));
+        let ended = Arc::new(AtomicBool::new(false));
+        let (mine, over) = (Arc::clone(&shared), Arc::clone(&ended));
+        // The slave stays open here, so that the line is there before and after the host.
+        let ends = (pair.master, pair.slave);
+        let thread = std::thread::spawn(move || carry(ends, origin, &mine, &over));
+        Self {
+            path,
+            origin,
+            shared,
+            ended,
+            thread: Some(thread),
+        }
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(crate) fn now_s(&self) -> f64 {
+        self.origin.elapsed().as_secs_f64()
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Shared> {
+        self.shared.lock().expect("the witness lives")
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn carry(ends: (OwnedFd, OwnedFd), origin: Instant, shared: &Mutex<Shared>, ended: &AtomicBool) {
+    let mut ends = Some(ends);
+    let mut coming: BTreeMap<(Duration, u64), Vec<u8>> = BTreeMap::new();
+    let (mut count, mut last_s) = (0, 0.0);
+    while !ended.load(Ordering::Acquire) {
+        let mut bytes = [0; 512];
+        let heard = match &ends {
+            Some((master, _)) => {
+                let mut fds = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
+                match poll(&mut fds, PollTimeout::from(1_u8)) {
+                    Ok(1..) => read(master, &mut bytes).unwrap_or(0),
+                    _ => 0,
+                }
+            }
+            None => {
+                std::thread::sleep(Duration::from_millis(1));
+                0
+            }
+        };
+        let now_s = origin.elapsed().as_secs_f64();
+        let mut state = shared.lock().expect("the test lives");
+        if now_s - last_s > STOOD_STILL_S {
+            state.gaps.push((last_s, now_s - last_s));
+        }
+        last_s = now_s;
+        if heard > 0 {
+            for (at_s, bytes) in state.drive.hear(now_s, &bytes[..heard]) {
+                count += 1;
+                coming.insert((Duration::from_secs_f64(at_s), count), bytes);
+            }
+        } else {
+            state.drive.advance(now_s);
+        }
+        if state.drive.is_unplugged() {
+            ends = None;
+        }
+        drop(state);
+        while let Some(first) = coming.first_entry()
+            && first.key().0 <= origin.elapsed()
+        {
+            let bytes = first.remove();
+            if let Some((master, _)) = &ends {
+                let _ = write(master, &bytes);
+            }
+        }
+    }
+}
