@@ -30,8 +30,10 @@ const RPM: f64 = std::f64::consts::TAU / 60.0;
 const SEEN_RPM: f64 = 100.0;
 const SEEN_CENTIAMPERES: f64 = 250.0;
 const SEEN_V: f64 = 5.0;
+/// By so much another master wants less, 0.1 V.
+const OTHER_DECIVOLTS: i16 = 60;
 /// Torque of somebody who drives the shaft, N.m.
-const PUSH_N_M: f64 = 4.0;
+const PUSH_N_M: f64 = 4.5;
 
 const STATUS: u16 = 100;
 /// The telemetry: status, fault code, speed, current, voltage, bus, angle in two.
@@ -422,7 +424,7 @@ impl Drive {
             Act::FrozenRegisters => apart(2) >= SEEN_RPM || apart(3) >= SEEN_CENTIAMPERES,
             Act::SetPointsIgnored => (asked - self.volts()).abs() >= SEEN_V,
             Act::Blocked => self.motor.current_a.abs() >= 13.0,
-            Act::Driven => self.motor.speed_rad_s.abs() >= 190.0,
+            Act::Driven => self.motor.speed_rad_s.abs() >= 175.0,
             Act::SecondMaster => false,
             _ => true,
         };
@@ -557,7 +559,7 @@ impl Drive {
                     put(codec::registers(7, 3, &[17, 4]), end_s + 0.002);
                 }
                 Act::SecondMaster => {
-                    let other = self.reference / 2;
+                    let other = self.reference - OTHER_DECIVOLTS * self.reference.signum();
                     let [high, low] = other.to_be_bytes();
                     let frame = codec::framed(&[UNIT, 6, 0, 201, high, low]);
                     let end_s = put(frame.clone(), end_s + 0.002);

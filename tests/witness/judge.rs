@@ -16,8 +16,6 @@ pub(crate) struct Budget {
     pub(crate) slew_v_per_s: f64,
     /// Longest time that the stop command of the profile takes, s.
     pub(crate) stop_s: f64,
-    /// In which neither side could do anything about it, s.
-    pub(crate) stood_still_s: f64,
     /// Highest voltage of a pulse, V.
     pub(crate) pulse_v: f64,
 }
@@ -25,7 +23,7 @@ pub(crate) struct Budget {
 impl Budget {
     /// The longer of 3 cycles and 100 ms, and one cycle.
     pub(crate) fn reaction_s(&self) -> f64 {
-        (3.0 * self.period_s).max(0.1) + self.period_s + self.stood_still_s
+        (3.0 * self.period_s).max(0.1) + self.period_s
     }
 }
 

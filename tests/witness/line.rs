@@ -1,17 +1,20 @@
 //! The witness at a pseudo-terminal, in real time: a thread that carries bytes, and knows when it itself stood still.
 
 use std::collections::BTreeMap;
-use std::os::fd::{AsFd, OwnedFd};
+use std::fs::{File, OpenOptions};
+use std::os::fd::AsFd;
+use std::os::unix::fs::{OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use nix::fcntl::OFlag;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::pty::openpty;
+use nix::pty::{PtyMaster, grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
-use nix::unistd::{read, ttyname, write};
+use nix::unistd::{read, write};
 
 use crate::witness::drive::Drive;
 
@@ -34,28 +37,42 @@ pub(crate) struct Shared {
 
 /// Dropping it ends the drive.
 pub(crate) struct Line {
-    pub(crate) path: PathBuf,
-    pub(crate) origin: Instant,
+    path: PathBuf,
+    origin: Instant,
     shared: Arc<Mutex<Shared>>,
     ended: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Line {
-    pub(crate) fn open(drive: Drive) -> Self {
-        let pair = openpty(None, None).expect("a pseudo-terminal");
-        let mut modes = tcgetattr(&pair.slave).expect("modes of a terminal");
+    /// The terminal has a name of its own, which goes when it is unplugged: its number may then be somebody else's.
+    pub(crate) fn open(drive: Drive, path: PathBuf) -> Self {
+        // Nobody who is started meanwhile may inherit it, or it would stay open.
+        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC | OFlag::O_NONBLOCK;
+        let master = posix_openpt(flags).expect("a pseudo-terminal");
+        grantpt(&master).expect("granted");
+        unlockpt(&master).expect("unlocked");
+        let device = ptsname_r(&master).expect("a path");
+        let slave = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .custom_flags(OFlag::O_NOCTTY.bits())
+            .open(&device)
+            .expect("the other end");
+        let mut modes = tcgetattr(&slave).expect("modes of a terminal");
         cfmakeraw(&mut modes);
-        tcsetattr(&pair.slave, SetArg::TCSANOW, &modes).expect("raw modes");
-        let path = ttyname(&pair.slave).expect("a path");
+        tcsetattr(&slave, SetArg::TCSANOW, &modes).expect("raw modes");
+        symlink(&device, &path).expect("a name");
         let origin = now();
         let gaps = Vec::new();
         let shared = Arc::new(Mutex::new(Shared { drive, gaps }));
         let ended = Arc::new(AtomicBool::new(false));
         let (mine, over) = (Arc::clone(&shared), Arc::clone(&ended));
         // The slave stays open here, so that the line is there before and after the host.
-        let ends = (pair.master, pair.slave);
-        let thread = std::thread::spawn(move || carry(ends, origin, &mine, &over));
+        let name = path.clone();
+        let thread = std::thread::spawn(move || {
+            carry((master, slave), &name, origin, &mine, &over);
+        });
         Self {
             path,
             origin,
@@ -87,7 +104,13 @@ impl Drop for Line {
     }
 }
 
-fn carry(ends: (OwnedFd, OwnedFd), origin: Instant, shared: &Mutex<Shared>, ended: &AtomicBool) {
+fn carry(
+    ends: (PtyMaster, File),
+    name: &Path,
+    origin: Instant,
+    shared: &Mutex<Shared>,
+    ended: &AtomicBool,
+) {
     let mut ends = Some(ends);
     let mut coming: BTreeMap<(Duration, u64), Vec<u8>> = BTreeMap::new();
     let (mut count, mut last_s) = (0, 0.0);
@@ -120,8 +143,8 @@ fn carry(ends: (OwnedFd, OwnedFd), origin: Instant, shared: &Mutex<Shared>, ende
         } else {
             state.drive.advance(now_s);
         }
-        if state.drive.is_unplugged() {
-            ends = None;
+        if state.drive.is_unplugged() && ends.take().is_some() {
+            let _ = std::fs::remove_file(name);
         }
         drop(state);
         while let Some(first) = coming.first_entry()
