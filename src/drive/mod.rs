@@ -49,6 +49,8 @@ mod tap;
 pub mod timeline;
 mod timing;
 #[cfg(test)]
+pub(crate) mod virtual_drive;
+#[cfg(test)]
 mod virtual_line;
 
 pub use budget::{AdapterRate, LineBudget, LoopRates, MeasuredLine};

@@ -58,6 +58,8 @@ const LOCAL: u16 = 0x20;
 
 /// The drive as its manual would describe it, as a profile.
 pub(crate) const PROFILE: &str = include_str!("drive.toml");
+/// What is done with it.
+pub(crate) const BENCH: &str = include_str!("bench.toml");
 
 /// The truth at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -141,6 +143,17 @@ impl Drive {
     /// Watchdog that is in force, s.
     pub(crate) fn watchdog_s(&self) -> f64 {
         f64::from(self.watchdog_ms) * 1e-3
+    }
+
+    /// When the host could first have seen the fault; where it was found out before it had to be, when the output went.
+    pub(crate) fn seen_s(&self) -> Option<f64> {
+        let found_out = || {
+            let last = self.log.iter().rposition(|row| row.volts != 0.0)?;
+            self.from_s
+                .and(self.log.get(last + 1))
+                .map(|row| row.time_s)
+        };
+        self.visible_s.or_else(found_out)
     }
 
     pub(crate) fn is_unplugged(&self) -> bool {

@@ -8,24 +8,15 @@ const STEP_V: f64 = 0.15;
 /// What counts as zero output, V.
 const ZERO_V: f64 = 0.05;
 
-/// What the budgets follow from.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Budget {
-    pub(crate) period_s: f64,
-    /// Slew limit of the bench file, V/s.
-    pub(crate) slew_v_per_s: f64,
-    /// Longest time that the stop command of the profile takes, s.
-    pub(crate) stop_s: f64,
-    /// Highest voltage of a pulse, V.
-    pub(crate) pulse_v: f64,
-}
-
-impl Budget {
-    /// The longer of 3 cycles and 100 ms, and one cycle.
-    pub(crate) fn reaction_s(&self) -> f64 {
-        (3.0 * self.period_s).max(0.1) + self.period_s
-    }
-}
+/// Cycle of the bench file, s, and its slew limit, V/s.
+const PERIOD_S: f64 = 0.02;
+const SLEW_V_PER_S: f64 = 300.0;
+/// Longest time that the stop command of the profile takes, s.
+const STOP_S: f64 = 0.5;
+/// Highest voltage of a pulse, V.
+const PULSE_V: f64 = 30.0;
+/// Silence after which the program gives a link up: the longer of 3 cycles and 100 ms; and one cycle.
+const REACTION_S: f64 = 0.1 + PERIOD_S;
 
 /// Where the output went for good.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -64,13 +55,7 @@ pub(crate) fn ending(log: &[Row]) -> Ending {
 }
 
 /// What was wrong, in words; `from_s`: when the host could see the fault, or was told to end.
-pub(crate) fn judge(
-    drive: &Drive,
-    act: Act,
-    class: Class,
-    from_s: Option<f64>,
-    budget: &Budget,
-) -> Vec<String> {
+pub(crate) fn judge(drive: &Drive, act: Act, class: Class, from_s: Option<f64>) -> Vec<String> {
     let end = ending(&drive.log);
     let mut wrong = Vec::new();
     let Some(zero_s) = end.zero_s else {
@@ -85,7 +70,7 @@ pub(crate) fn judge(
             .iter()
             .map(|row| row.volts.abs())
             .fold(0.0, f64::max);
-        if most > budget.pulse_v {
+        if most > PULSE_V {
             wrong.push(format!("energised with {most:.1} V"));
         }
         return wrong;
@@ -101,14 +86,13 @@ pub(crate) fn judge(
             ));
         }
     };
-    let reaction_s = budget.reaction_s();
     match class {
-        Class::Cut(extra_s) => within("zero", zero_s - from_s, reaction_s + extra_s),
+        Class::Cut(extra_s) => within("zero", zero_s - from_s, REACTION_S + extra_s),
         Class::Ramp => {
-            within("the ramp begins", end.fell_s - from_s, reaction_s);
-            within("the magnitude rises", end.rose_s - from_s, reaction_s);
-            let ramp_s = end.volts / budget.slew_v_per_s + budget.stop_s;
-            within("the ramp ends", zero_s - end.fell_s, ramp_s + reaction_s);
+            within("the ramp begins", end.fell_s - from_s, REACTION_S);
+            within("the magnitude rises", end.rose_s - from_s, REACTION_S);
+            let ramp_s = end.volts / SLEW_V_PER_S + STOP_S;
+            within("the ramp ends", zero_s - end.fell_s, ramp_s + REACTION_S);
         }
         Class::Watchdog => {
             // Whatever still arrives counts for the drive.
@@ -116,7 +100,7 @@ pub(crate) fn judge(
                 Act::Host(Host::Kill | Host::Suspend) | Act::StopIgnored(_) => drive.written_s,
                 _ => from_s,
             };
-            let allowed_s = drive.watchdog_s() + budget.period_s;
+            let allowed_s = drive.watchdog_s() + PERIOD_S;
             within("zero", zero_s - last_s.max(from_s), allowed_s);
         }
         Class::GoesOn | Class::Refused => {}

@@ -37,7 +37,6 @@ pub(crate) struct Shared {
 
 /// Dropping it ends the drive.
 pub(crate) struct Line {
-    path: PathBuf,
     origin: Instant,
     shared: Arc<Mutex<Shared>>,
     ended: Arc<AtomicBool>,
@@ -69,21 +68,15 @@ impl Line {
         let ended = Arc::new(AtomicBool::new(false));
         let (mine, over) = (Arc::clone(&shared), Arc::clone(&ended));
         // The slave stays open here, so that the line is there before and after the host.
-        let name = path.clone();
         let thread = std::thread::spawn(move || {
-            carry((master, slave), &name, origin, &mine, &over);
+            carry((master, slave), &path, origin, &mine, &over);
         });
         Self {
-            path,
             origin,
             shared,
             ended,
             thread: Some(thread),
         }
-    }
-
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
     }
 
     pub(crate) fn now_s(&self) -> f64 {

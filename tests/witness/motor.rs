@@ -5,6 +5,12 @@ pub(crate) const INDUCTANCE_H: f64 = 0.0099;
 pub(crate) const BACK_EMF_V_S_PER_RAD: f64 = 0.3538;
 pub(crate) const INERTIA_KG_M2: f64 = 0.0052;
 pub(crate) const COULOMB_N_M: f64 = 0.455;
+/// What a result is held against, by its key.
+pub(crate) const TRUTHS: [(&str, f64); 3] = [
+    ("resistance_ohm", RESISTANCE_OHM),
+    ("back_emf_v_s_per_rad", BACK_EMF_V_S_PER_RAD),
+    ("inertia_kg_m2", INERTIA_KG_M2),
+];
 /// Step of the integration, s: a hundredth of the electrical time constant and less.
 const STEP_S: f64 = 5e-5;
 

@@ -18,9 +18,9 @@ use portable_pty::{CommandBuilder, MasterPty, PtySize, native_pty_system};
 use serde_json::Value;
 
 use super::line::{Line, STOOD_STILL_S};
-use crate::witness::drive::{Drive, PROFILE};
+use crate::witness::drive::{BENCH, Drive, PROFILE};
 use crate::witness::fault::{Act, Class, Fault, Host, Way};
-use crate::witness::judge::{Budget, judge};
+use crate::witness::judge::judge;
 use crate::witness::motor;
 
 const BINARY: &str = env!("CARGO_BIN_EXE_drivebench");
@@ -39,48 +39,8 @@ const SIGMAS: f64 = 3.5;
 const ATTEMPTS: u32 = 4;
 const ROWS: u16 = 40;
 const COLUMNS: u16 = 120;
-const RATE_HZ: f64 = 50.0;
-const SLEW_V_PER_S: f64 = 300.0;
 /// Files may grow so far on a full disk, in blocks of 512 bytes.
 const FULL_BLOCKS: u32 = 60;
-
-/// The bench, with a motor whose nameplate is 15 % off in the inertia.
-fn bench(path: &Path) -> String {
-    format!(
-        r#"name = "trial"
-[drive]
-profile = "drive.toml"
-[link]
-port = "{}"
-rate_hz = {RATE_HZ:?}
-[motor]
-name = "witness"
-rated_voltage_v = 110.0
-rated_current_a = 5.7
-rated_speed_rad_s = 293.2
-resistance_ohm = 1.1
-inductance_h = 0.0099
-back_emf_v_s_per_rad = 0.3538
-inertia_kg_m2 = 0.0045
-load_torque_n_m = 0.455
-[limits]
-current_a = 13.0
-speed_rad_s = 175.0
-voltage_v = 90.0
-slew_v_per_s = {SLEW_V_PER_S:?}
-[speed]
-[[speed.reference]]
-square = {{ low_rad_s = 90.0, high_rad_s = 120.0, half_period_s = 0.8, periods = 3 }}
-[[sequence]]
-standstill = {{ seconds = 0.3 }}
-[[sequence]]
-steps = {{ levels_v = [55.0, 0.0, -55.0, 40.0, -30.0, 0.0], hold_s = 0.7, dither = {{ amplitude_v = 2.0, clock_s = 0.06, seed = 1 }} }}
-[[sequence]]
-prbs = {{ amplitude_v = 40.0, clock_s = 0.12, seconds = 1.5, seed = 2, levels = 5 }}
-"#,
-        path.display()
-    )
-}
 
 /// What came of a trial.
 pub(crate) struct Trial {
@@ -420,7 +380,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let line = Line::open(Drive::new(fault.act, seed), folder.path().join("drive.pty"));
     fs::write(folder.path().join("drive.toml"), PROFILE).expect("written");
-    fs::write(folder.path().join("bench.toml"), bench(line.path())).expect("written");
+    fs::write(folder.path().join("bench.toml"), BENCH).expect("written");
     let mut program = Program::start(fault, way, folder.path());
     let (mut done_s, mut pressed_s, mut off_s) = (None, 0.0, None);
     let mut stood = Vec::new();
@@ -474,10 +434,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     let from_s = match fault.act {
         Act::Host(_) => done_s,
         Act::StopIgnored(_) => done_s,
-        _ => state.drive.visible_s.or(match fault.class {
-            Class::GoesOn => state.drive.from_s,
-            _ => None,
-        }),
+        _ => state.drive.seen_s(),
     };
     // What matters is what the witness did not see once the fault was there, or shortly before.
     let stood_still_s = state
@@ -486,13 +443,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
         .filter(|(at_s, _)| from_s.is_none_or(|from_s| *at_s > from_s - 1.0))
         .map(|(_, gap_s)| *gap_s)
         .fold(0.0, f64::max);
-    let budget = Budget {
-        period_s: 1.0 / RATE_HZ,
-        slew_v_per_s: SLEW_V_PER_S,
-        stop_s: 0.5,
-        pulse_v: 30.0,
-    };
-    let mut wrong = judge(&state.drive, fault.act, fault.class, from_s, &budget);
+    let mut wrong = judge(&state.drive, fault.act, fault.class, from_s);
     drop(state);
     if !fault.statuses.contains(&status) {
         wrong.push(format!("status {status} instead of {:?}", fault.statuses));
@@ -550,12 +501,7 @@ fn documents(runs: &Path) -> Vec<(String, Value)> {
 
 /// R, Ke and J of a result: what is settled has to hold the truth.
 fn hold_against_truth(result: &Value, found: &mut Vec<String>, wrong: &mut Vec<String>) {
-    let truths = [
-        ("resistance_ohm", motor::RESISTANCE_OHM),
-        ("back_emf_v_s_per_rad", motor::BACK_EMF_V_S_PER_RAD),
-        ("inertia_kg_m2", motor::INERTIA_KG_M2),
-    ];
-    for (key, truth) in truths {
+    for (key, truth) in motor::TRUTHS {
         let parameter = &result["parameters"][key];
         let verdict = parameter["verdict"].as_str().unwrap_or("not told");
         let (Some(value), Some(std)) = (parameter["value"].as_f64(), parameter["std"].as_f64())
