@@ -40,16 +40,14 @@ fn cases(wanted: impl Fn(&Fault) -> bool) -> Vec<Case> {
     }
     let everything = std::env::var_os("DRIVEBENCH_EVERYTHING").is_some();
     let mut cases = Vec::new();
-    for (number, fault) in FAULTS.iter().enumerate() {
-        if !wanted(fault) {
-            continue;
+    for fault in FAULTS.iter().filter(|fault| wanted(fault)) {
+        let mut ways: Vec<Way> = Way::ALL.into_iter().filter(|w| fault.happens(*w)).collect();
+        if !everything {
+            // A whole `commission` takes three quarters of a minute; it is made once, where nothing is wrong.
+            ways.retain(|way| fault.class != Class::GoesOn || *way != Way::Commission);
+            ways = vec![ways[cases.len() % ways.len()]];
         }
-        let possible: Vec<Way> = Way::ALL.into_iter().filter(|w| fault.happens(*w)).collect();
-        if everything {
-            cases.extend(possible.into_iter().map(|way| (fault, way)));
-        } else {
-            cases.push((fault, possible[number % possible.len()]));
-        }
+        cases.extend(ways.into_iter().map(|way| (fault, way)));
     }
     cases
 }
@@ -96,7 +94,7 @@ fn expect(cases: &[Case]) {
 }
 
 fn is_about_the_line(fault: &Fault) -> bool {
-    fault.class == Class::GoesOn && !matches!(fault.act, Act::Host(_))
+    fault.class == Class::GoesOn && !matches!(fault.act, Act::Host(_) | Act::Nothing)
 }
 
 fn is_about_the_host(fault: &Fault) -> bool {
