@@ -18,7 +18,7 @@ use trial::{Trial, trial};
 use witness::fault::{Act, Class, FAULTS, Fault, Way};
 
 /// Trials at once in each test function; they mostly wait.
-const AT_ONCE: usize = 2;
+const AT_ONCE: usize = 3;
 
 /// One trial in so many may be counted apart.
 const APART: usize = 5;

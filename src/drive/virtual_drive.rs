@@ -27,8 +27,8 @@ impl LineTime {
     }
 
     pub(crate) fn skip_to_s(self, time_s: f64) {
-        // Upwards, so that a wait never ends early.
-        skip_to(self.0 + Duration::from_nanos((time_s * 1e9).ceil() as u64));
+        // A nanosecond more, so that a wait never ends early.
+        skip_to(self.0 + Duration::from_secs_f64(time_s) + Duration::from_nanos(1));
     }
 }
 

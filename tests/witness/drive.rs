@@ -277,7 +277,7 @@ impl Drive {
             Act::Blocked => self.motor.is_blocked = true,
             Act::Driven => self.motor.pushed_n_m = PUSH_N_M * self.motor.speed_rad_s.signum(),
             Act::FrozenRegisters | Act::Speed(Sensor::Frozen) | Act::Current(Sensor::Frozen) => {
-                self.frozen = Some(self.truth())
+                self.frozen = Some(self.truth());
             }
             _ => {}
         }
@@ -564,7 +564,7 @@ impl Drive {
             put(reply, end_s + 0.001);
         }
         // Between two of our exchanges the line is somebody else's.
-        if self.is_faulty() && self.replies % 8 == 0 {
+        if self.is_faulty() && self.replies.is_multiple_of(8) {
             match self.act {
                 Act::ForeignFrames => {
                     self.see();

@@ -196,6 +196,8 @@ const INTERRUPTED: &[i32] = &[130];
 const KILLED: &[i32] = &[-1];
 /// The longer of 200 ms and 5 cycles, in which a measurement that cannot be is found out, s.
 const FOUND_OUT_S: f64 = 0.2;
+/// In which somebody else on the line shows in what they leave, s.
+const NOTICED_S: f64 = 1.0;
 
 const fn line(name: &'static str, act: Act, words: &'static [&'static str]) -> Fault {
     fault(name, act, Class::GoesOn, DONE, words, Where::Everywhere)
@@ -253,7 +255,11 @@ const SOME: u32 = 20;
 pub(crate) const FAULTS: &[Fault] = &[
     // The line: a run goes on, and what is hidden in it is told.
     line("nothing", Act::Nothing, &[]),
-    line("one late reply", Act::LateOnce(0.07), &["late|stale"]),
+    line(
+        "one late reply",
+        Act::LateOnce(0.07),
+        &["late repl|replies late|came late|stale"],
+    ),
     line("late replies", Act::Replies(Reply::Late(0.03), FEW), &[]),
     line("lost replies", Act::Replies(Reply::Lost, FEW), &[]),
     line("doubled replies", Act::Replies(Reply::Doubled, FEW), &[]),
@@ -286,7 +292,7 @@ pub(crate) const FAULTS: &[Fault] = &[
     fault(
         "second master writes",
         Act::SecondMaster,
-        Class::Cut(FOUND_OUT_S),
+        Class::Cut(NOTICED_S),
         LINK_OR_TRIP,
         &["master|set-point|commanded"],
         Where::Everywhere,
@@ -344,27 +350,27 @@ pub(crate) const FAULTS: &[Fault] = &[
     odd(
         "encoder frozen",
         Act::Speed(Sensor::Frozen),
-        &["encoder|speed"],
+        &["encoder|speed|over-current"],
     ),
     odd(
         "encoder reversed",
         Act::Speed(Sensor::Scaled(-1.0)),
-        &["encoder|speed|revers"],
+        &["encoder|speed|revers|over-current"],
     ),
     odd(
         "encoder stuck at zero",
         Act::Speed(Sensor::Scaled(0.0)),
-        &["encoder|speed"],
+        &["encoder|speed|over-current"],
     ),
     odd(
         "encoder times 0.3",
         Act::Speed(Sensor::Scaled(0.3)),
-        &["encoder|speed|scale"],
+        &["encoder|speed|scale|over-current"],
     ),
     odd(
         "encoder times 3",
         Act::Speed(Sensor::Scaled(3.0)),
-        &["encoder|speed|scale"],
+        &["encoder|speed|scale|over-current"],
     ),
     odd(
         "current stuck at zero",
@@ -382,10 +388,14 @@ pub(crate) const FAULTS: &[Fault] = &[
         Act::SetPointsIgnored,
         &["set-point|setpoint|voltage"],
     ),
-    odd(
+    fault(
         "frozen registers",
         Act::FrozenRegisters,
-        &["frozen|stuck|stands still|same|encoder|voltage"],
+        Class::Cut(FOUND_OUT_S),
+        // Nor does it tell that it has stopped.
+        LINK_OR_TRIP,
+        &["frozen|stuck|stands still|same|encoder|voltage|still runs|over-current"],
+        Where::Everywhere,
     ),
     cut(
         "invalid codes",
@@ -398,7 +408,7 @@ pub(crate) const FAULTS: &[Fault] = &[
         Act::EnableIgnored,
         Class::Refused,
         LINK_OR_TRIP,
-        &["run"],
+        &["does not run|not running|never ran|never runs"],
         Where::Everywhere,
     ),
     cut("drive trips", Act::Trip, TRIP, &["fault"]),
@@ -410,7 +420,7 @@ pub(crate) const FAULTS: &[Fault] = &[
     ),
     cut("local control", Act::LocalControl, TRIP, &["local"]),
     cut("over-current", Act::Blocked, TRIP, &["current"]),
-    cut("over-speed", Act::Driven, TRIP, &["speed"]),
+    cut("over-speed", Act::Driven, TRIP, &["speed|over-current"]),
     fault(
         "stop ignored",
         Act::StopIgnored(Host::InterruptKey),
@@ -473,7 +483,7 @@ pub(crate) const FAULTS: &[Fault] = &[
         Class::GoesOn,
         &[0, 2, 6],
         &["record|written|no such file"],
-        Where::Everywhere,
+        Where::Headless,
     ),
     fault(
         "disk full",

@@ -109,18 +109,15 @@ fn carry(
     let (mut count, mut last_s) = (0, 0.0);
     while !ended.load(Ordering::Acquire) {
         let mut bytes = [0; 512];
-        let heard = match &ends {
-            Some((master, _)) => {
-                let mut fds = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
-                match poll(&mut fds, PollTimeout::from(1_u8)) {
-                    Ok(1..) => read(master, &mut bytes).unwrap_or(0),
-                    _ => 0,
-                }
+        let heard = if let Some((master, _)) = &ends {
+            let mut fds = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
+            match poll(&mut fds, PollTimeout::from(1_u8)) {
+                Ok(1..) => read(master, &mut bytes).unwrap_or(0),
+                _ => 0,
             }
-            None => {
-                std::thread::sleep(Duration::from_millis(1));
-                0
-            }
+        } else {
+            std::thread::sleep(Duration::from_millis(1));
+            0
         };
         let now_s = origin.elapsed().as_secs_f64();
         let mut state = shared.lock().expect("the test lives");

@@ -57,6 +57,8 @@ pub(crate) struct Trial {
     /// Longest time for which the witness stood still, s.
     pub(crate) stood_still_s: f64,
     pub(crate) attempts: u32,
+    /// The fault was there at all.
+    came_about: bool,
 }
 
 impl Trial {
@@ -116,7 +118,9 @@ pub(crate) fn trial(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     loop {
         let mut done = attempt(fault, way, seed);
         done.attempts = attempts;
-        if done.passed() || done.stood_still_s <= STOOD_STILL_S || attempts == ATTEMPTS {
+        // A program that stood still itself may end before there was a fault.
+        let disturbed = done.stood_still_s > STOOD_STILL_S || !done.came_about;
+        if done.passed() || !disturbed || attempts == ATTEMPTS {
             return done;
         }
         attempts += 1;
@@ -140,7 +144,7 @@ struct Screen {
     master: Option<Box<dyn MasterPty + Send>>,
     keys: Option<Box<dyn std::io::Write + Send>>,
     reader: Option<JoinHandle<()>>,
-    screen: Arc<Mutex<vt100::Parser>>,
+    shown: Arc<Mutex<vt100::Parser>>,
     is_closing: Arc<AtomicBool>,
 }
 
@@ -207,7 +211,7 @@ impl Program {
                 keys: pair.master.take_writer().ok(),
                 master: Some(pair.master),
                 reader: Some(reader),
-                screen,
+                shown: screen,
                 is_closing,
             }));
         }
@@ -319,7 +323,7 @@ impl Program {
                 String::from_utf8_lossy(&said).into_owned()
             }
             Self::Screen(screen) => {
-                let screen = screen.screen.lock().expect("the test lives");
+                let screen = screen.shown.lock().expect("the test lives");
                 screen.screen().contents()
             }
         }
@@ -376,12 +380,14 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
     at_s
 }
 
-fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let line = Line::open(Drive::new(fault.act, seed), folder.path().join("drive.pty"));
-    fs::write(folder.path().join("drive.toml"), PROFILE).expect("written");
-    fs::write(folder.path().join("bench.toml"), BENCH).expect("written");
-    let mut program = Program::start(fault, way, folder.path());
+/// Presses what a person would press, and does what the fault has it do; the status, when that was done, and the screens.
+fn sit_through(
+    fault: &Fault,
+    way: Way,
+    program: &mut Program,
+    folder: &Path,
+    line: &Line,
+) -> (i32, Option<f64>, Vec<String>) {
     let (mut done_s, mut pressed_s, mut off_s) = (None, 0.0, None);
     let mut stood = Vec::new();
     let status = loop {
@@ -402,7 +408,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
             && let (Some(host), Some(from_s)) = (fault.host(), from_s)
             && now_s >= from_s
         {
-            done_s = Some(inflict(host, &mut program, folder.path(), &line));
+            done_s = Some(inflict(host, program, folder, line));
         }
         if way.has_screen() && now_s - pressed_s > KEYS_S {
             pressed_s = now_s;
@@ -422,18 +428,27 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
         }
         std::thread::sleep(POLL);
     };
+    stood.dedup();
+    (status, done_s, stood)
+}
+
+fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let line = Line::open(Drive::new(fault.act, seed), folder.path().join("drive.pty"));
+    fs::write(folder.path().join("drive.toml"), PROFILE).expect("written");
+    fs::write(folder.path().join("bench.toml"), BENCH).expect("written");
+    let mut program = Program::start(fault, way, folder.path());
+    let (status, done_s, stood) = sit_through(fault, way, &mut program, folder.path(), &line);
     let seconds = line.now_s();
     std::thread::sleep(Duration::from_secs_f64(AFTER_S));
     let mut said = program.said();
-    stood.dedup();
     for screen in stood.iter().rev().take(12) {
         said.push('\n');
         said.push_str(screen);
     }
     let state = line.lock();
     let from_s = match fault.act {
-        Act::Host(_) => done_s,
-        Act::StopIgnored(_) => done_s,
+        Act::Host(_) | Act::StopIgnored(_) => done_s,
         _ => state.drive.seen_s(),
     };
     // What matters is what the witness did not see once the fault was there, or shortly before.
@@ -443,20 +458,33 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
         .filter(|(at_s, _)| from_s.is_none_or(|from_s| *at_s > from_s - 1.0))
         .map(|(_, gap_s)| *gap_s)
         .fold(0.0, f64::max);
+    let came_about = state.drive.from_s.is_some();
     let mut wrong = judge(&state.drive, fault.act, fault.class, from_s);
     drop(state);
     if !fault.statuses.contains(&status) {
         wrong.push(format!("status {status} instead of {:?}", fault.statuses));
     }
     let documents = documents(&folder.path().join("runs"));
-    for (text, _) in &documents {
-        said.push_str(text);
+    // A screen is full of words; what counts is what stands as an error, and what is kept.
+    let mut told: String = documents.iter().map(|(text, _)| text.as_str()).collect();
+    let is_told = |line: &&str| {
+        let line = line.trim_start();
+        line.starts_with("error:") || line.starts_with("help:")
+    };
+    told.extend(said.lines().filter(is_told).map(|line| format!("\n{line}")));
+    if way == Way::Commission && fault.class == Class::GoesOn {
+        told.push_str(&said);
     }
+    said.push_str(&told);
     if fault.act != Act::Host(Host::CloseTerminal) {
-        wrong.extend(fault.untold(&said));
+        wrong.extend(fault.untold(&told));
     }
     if said.contains("panicked at") {
         wrong.push("it panicked".to_owned());
+    }
+    let loses_record = matches!(fault.act, Act::Host(Host::FolderGone | Host::DiskFull));
+    if loses_record && way == Way::Run && !said.contains("resistance") {
+        wrong.push("the result was not printed".to_owned());
     }
     let mut parameters = Vec::new();
     if fault.class == Class::GoesOn && way.command() == "run" {
@@ -475,6 +503,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
         seconds,
         stood_still_s,
         attempts: 1,
+        came_about,
     }
 }
 
