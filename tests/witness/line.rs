@@ -31,7 +31,7 @@ pub(crate) fn now() -> Instant {
 
 pub(crate) struct Shared {
     pub(crate) drive: Drive,
-    /// From when it stood still, and for how long, s.
+    /// From when it stood still, or the program was kept from running, and for how long, s.
     pub(crate) gaps: Vec<(f64, f64)>,
 }
 

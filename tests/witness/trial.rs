@@ -1,11 +1,12 @@
 //! One trial in real time: the real binary, the witness on a pseudo-terminal, a fault, and the judgement.
 
+use std::collections::HashMap;
 use std::fmt;
 use std::fs;
 use std::io::{Read, Write as _};
 use std::num::NonZero;
 use std::os::unix::process::ExitStatusExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -54,7 +55,7 @@ pub(crate) struct Trial {
     /// R, Ke, J: value, standard deviation, verdict.
     pub(crate) parameters: Vec<String>,
     pub(crate) seconds: f64,
-    /// Longest time for which the witness stood still, s.
+    /// Longest time for which the witness stood still, or the program was kept from running, s.
     pub(crate) stood_still_s: f64,
     pub(crate) attempts: u32,
     /// The fault was there at all.
@@ -91,7 +92,7 @@ impl fmt::Display for Trial {
             let ms = self.stood_still_s * 1e3;
             write!(
                 f,
-                " (attempt {}, witness stood still {ms:.0} ms)",
+                " (attempt {}, it stood still for {ms:.0} ms)",
                 self.attempts
             )?;
         }
@@ -242,14 +243,15 @@ impl Program {
         }
     }
 
+    fn id(&self) -> u32 {
+        match self {
+            Self::Headless { child, .. } => child.id(),
+            Self::Screen(screen) => screen.child.process_id().expect("a process id"),
+        }
+    }
+
     fn signal(&self, signal: Signal) {
-        let id = match self {
-            Self::Headless { child, .. } => Some(child.id()),
-            Self::Screen(screen) => screen.child.process_id(),
-        };
-        let id = id
-            .and_then(|id| i32::try_from(id).ok())
-            .expect("a process id");
+        let id = i32::try_from(self.id()).expect("a process id");
         let _ = kill(Pid::from_raw(id), signal);
     }
 
@@ -380,6 +382,27 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
     at_s
 }
 
+/// How long the threads of the program have been kept waiting for a processor, ns: nothing that it could help.
+#[derive(Default)]
+struct Kept(HashMap<PathBuf, u64>);
+
+impl Kept {
+    /// The longest wait that has ended since the last look, s.
+    fn waiting_s(&mut self, process: u32) -> f64 {
+        let tasks = fs::read_dir(format!("/proc/{process}/task"));
+        let mut longest = 0;
+        for task in tasks.into_iter().flatten().flatten() {
+            let waited = fs::read_to_string(task.path().join("schedstat")).ok();
+            let waited = waited.and_then(|text| text.split(' ').nth(1)?.parse().ok());
+            if let Some(waited) = waited {
+                let before = self.0.insert(task.path(), waited);
+                longest = longest.max(waited.saturating_sub(before.unwrap_or(waited)));
+            }
+        }
+        longest as f64 * 1e-9
+    }
+}
+
 /// Presses what a person would press, and does what the fault has it do; the status, when that was done, and the screens.
 fn sit_through(
     fault: &Fault,
@@ -390,6 +413,7 @@ fn sit_through(
 ) -> (i32, Option<f64>, Vec<String>) {
     let (mut done_s, mut pressed_s, mut off_s) = (None, 0.0, None);
     let mut stood = Vec::new();
+    let mut kept = Kept::default();
     let status = loop {
         if let Some(status) = program.ended() {
             break status;
@@ -399,8 +423,12 @@ fn sit_through(
             program.end_by_force();
             break -3;
         }
+        let waited_s = kept.waiting_s(program.id());
         let (from_s, is_on) = {
-            let state = line.lock();
+            let mut state = line.lock();
+            if waited_s > STOOD_STILL_S {
+                state.gaps.push((now_s - waited_s, waited_s));
+            }
             (state.drive.from_s, state.drive.is_on())
         };
         off_s = if is_on { None } else { off_s.or(Some(now_s)) };
