@@ -4,9 +4,10 @@
 //!
 //! ```text
 //! units < sample < numerics < {plant, excitation, drive, recording} < identification < {diagnosis, control}
-//!       < emulator < bench < report < workflow < tui < cli < main
+//!       < emulator < bench < report < workflow < tui < app < cli < main
 //! ```
 
+pub mod app;
 pub mod bench;
 pub mod cli;
 pub mod config_text;

@@ -20,6 +20,7 @@ const FLOORS: &[&[&str]] = &[
     &["report"],
     &["workflow"],
     &["tui"],
+    &["app"],
     &["cli"],
     &["main"],
 ];
@@ -38,9 +39,9 @@ const FIRMWARE_ROOMS: &[&str] = &["drive", "emulator"];
 
 /// The only files that may read a clock.
 const CLOCK_FILES: &[&str] = &[
+    "src/app/progress.rs",
+    "src/app/rig.rs",
     "src/bench/clock.rs",
-    "src/cli/live.rs",
-    "src/cli/progress.rs",
     "src/drive/guard.rs",
     "src/emulator/server.rs",
 ];

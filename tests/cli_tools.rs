@@ -103,6 +103,17 @@ fn registers_are_read_as_the_contract_says() {
 }
 
 #[test]
+fn a_silence_below_the_standard_is_allowed_and_said() {
+    let drive = Drive::start("modbus-rtu");
+    let done = drive.ask("registers read 64:2 --gap 0", &[]).expect(0);
+    assert!(done.stdout.contains("17474"), "{}", done.stdout);
+    let warning = "0 ms of silence before a request is below the standard's 1.75 ms at 115200 8N1";
+    assert!(done.stderr.contains(warning), "{}", done.stderr);
+    let done = drive.ask("registers read 64:2 --gap 2", &[]).expect(0);
+    assert!(!done.stderr.contains("silence"), "{}", done.stderr);
+}
+
+#[test]
 fn a_read_that_is_refused_is_named_beside_those_that_are_not() {
     let drive = Drive::start("modbus-rtu");
     let done = drive.ask("registers read 64 60000:2 --json", &[]).expect(3);
@@ -150,6 +161,8 @@ fn wrong_arguments_are_usage_errors() {
         "registers read 1 --port x --host y:1",
         "registers read 1 --port x --framing 7E1",
         "registers read 1 --port x --unit 0",
+        "registers read 1 --port x --gap -1",
+        "registers read 1 --port x --gap 1 --gap-us 1000",
         "registers write 1 70000 --port x",
         "registers write 1 --port x",
         "doctor",

@@ -148,13 +148,47 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
     let excited = found["excitation"]["inertia_kg_m2"].as_f64();
     assert!(excited.is_some_and(|share| share > 0.9), "{excited:?}");
 
-    // A plan is not made of nothing.
-    let refused = drivebench(line("plan {}", &[&bench])).expect(2);
+    // Nothing is predicted of nothing: the plan tells the first small step.
+    let planned = drivebench(line("plan {}", &[&bench])).expect(0);
     assert!(
-        refused.stderr.contains("motor.resistance_ohm is left out"),
+        planned.stdout.contains("first stage (feel): up to 0.330 V"),
         "{}",
-        refused.stderr
+        planned.stdout
     );
+}
+
+#[test]
+fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let bench = out.path().join("bench.toml");
+    let whole = include_str!("../bench-configs/benches/zk-22fc-emulated.toml");
+    let without: String = whole
+        .lines()
+        .filter(|line| !line.starts_with("load_torque_n_m"))
+        .flat_map(|line| [line, "\n"])
+        .collect();
+    std::fs::write(&bench, without).expect("a temporary file");
+    let plan = drivebench(line("plan {} --json", &[&bench]))
+        .expect(0)
+        .json();
+    assert!(
+        plan["peak_current_a"]
+            .as_f64()
+            .is_some_and(|peak| peak > 3.0)
+    );
+    assert!(
+        plan["warnings"]
+            .to_string()
+            .contains("motor.load_torque_n_m is left out: 0 N.m is assumed")
+    );
+    let unknown = whole.replacen("# unknown = false", "unknown = true", 1);
+    assert!(unknown.contains("\nunknown = true"));
+    std::fs::write(&bench, unknown).expect("a temporary file");
+    let plan = drivebench(line("plan {} --json", &[&bench]))
+        .expect(0)
+        .json();
+    assert_eq!(plan["escalation"]["first"]["kind"], "feel");
+    assert!(plan["peak_current_a"].is_null());
 }
 
 #[test]

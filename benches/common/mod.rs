@@ -55,6 +55,7 @@ pub(crate) fn record(truth: &Model, seed: u64) -> Scenario {
         current_a: Vec::new(),
         speed_rad_s: Vec::new(),
         angle: Vec::new(),
+        time_half_width_s: Vec::new(),
         scored: 0..samples,
     };
     let truth = Plant::new(truth, Input::Voltage)

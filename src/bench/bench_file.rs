@@ -328,7 +328,11 @@ impl BenchFile {
             bus_min_v: given.bus_min_v,
             bus_max_v: given.bus_max_v,
             time_s: given.time_s.unwrap_or(defaults.time_s),
-            link_silence_s: given.link_silence_s.unwrap_or(defaults.link_silence_s),
+            link_silence_s: given.link_silence_s.unwrap_or_else(|| {
+                // One lost reply is no lost link.
+                let lost_s = self.drive_facts.lost_reply_s.unwrap_or(0.0);
+                defaults.link_silence_s.max(lost_s)
+            }),
             braking_w: self.supply.braking_w(),
             quadrants: self
                 .drive_facts

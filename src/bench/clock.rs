@@ -2,7 +2,12 @@
 
 use std::time::{Duration, Instant};
 
+use rustix::time::{ClockId, clock_gettime};
+
 use crate::emulator::VirtualClock;
+
+/// A computer that was suspended was so for longer, and readings of its two clocks do not differ by as much, s.
+pub(super) const SUSPENDED_S: f64 = 0.1;
 
 /// Host time since the begin of the run, and waiting for an instant of it.
 pub trait Clock: Send {
@@ -10,6 +15,11 @@ pub trait Clock: Send {
 
     /// Returns at `until_s`, or at once if it has passed.
     fn sleep_until_s(&mut self, until_s: f64);
+
+    /// For how long the computer was suspended since this clock was started, s: time that `now_s` does not count.
+    fn slept_s(&self) -> f64 {
+        0.0
+    }
 
     /// Whether time passes by itself. A virtual clock stands while the program computes.
     fn is_real(&self) -> bool;
@@ -19,6 +29,8 @@ pub trait Clock: Send {
 #[derive(Clone, Copy, Debug)]
 pub struct MonotonicClock {
     origin: Instant,
+    /// What the computer had been suspended for when it was started, s.
+    slept_before_s: f64,
 }
 
 impl MonotonicClock {
@@ -29,6 +41,10 @@ impl MonotonicClock {
     pub fn start() -> Self {
         Self {
             origin: Instant::now(),
+            // The largest is the truest.
+            slept_before_s: [suspended_s(), suspended_s(), suspended_s()]
+                .into_iter()
+                .fold(0.0, f64::max),
         }
     }
 }
@@ -52,19 +68,38 @@ impl Clock for MonotonicClock {
         }
     }
 
+    fn slept_s(&self) -> f64 {
+        suspended_s() - self.slept_before_s
+    }
+
     fn is_real(&self) -> bool {
         true
     }
 }
 
+/// For how long the computer was suspended since it was switched on, s: what `CLOCK_BOOTTIME` counts and
+/// `CLOCK_MONOTONIC` does not. Never too much: whatever holds the program up between the two readings makes it less.
+fn suspended_s() -> f64 {
+    let seconds = |id| {
+        let time = clock_gettime(id);
+        time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+    };
+    let since_boot_s = seconds(ClockId::Boottime);
+    since_boot_s - seconds(ClockId::Monotonic)
+}
+
 /// Virtual time advances only by waiting: a run takes no time and is the same each time.
 impl Clock for VirtualClock {
     fn now_s(&self) -> f64 {
-        self.time_s()
+        self.time_s() - self.slept_s()
     }
 
     fn sleep_until_s(&mut self, until_s: f64) {
-        self.set_time_s(self.time_s().max(until_s));
+        self.set_time_s(self.time_s().max(until_s + self.slept_s()));
+    }
+
+    fn slept_s(&self) -> f64 {
+        Self::slept_s(self)
     }
 
     fn is_real(&self) -> bool {
@@ -82,6 +117,20 @@ mod tests {
         clock.sleep_until_s(2.0);
         clock.sleep_until_s(1.0);
         assert!((clock.now_s() - 2.0).abs() < f64::EPSILON);
+    }
+
+    #[test]
+    fn a_suspended_computer_counts_no_time_but_knows_of_it() {
+        let mut clock = VirtualClock::default();
+        clock.sleep_until_s(2.0);
+        clock.suspend_s(30.0);
+        assert!((clock.now_s() - 2.0).abs() < 1e-9 && (clock.time_s() - 32.0).abs() < 1e-9);
+        assert!((Clock::slept_s(&clock) - 30.0).abs() < 1e-9);
+        clock.sleep_until_s(3.0);
+        assert!((clock.time_s() - 33.0).abs() < 1e-9);
+        // Nobody closes the lid of this one.
+        let real = MonotonicClock::start();
+        assert!(real.slept_s() < 0.01, "{}", real.slept_s());
     }
 
     #[test]

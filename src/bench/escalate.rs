@@ -14,7 +14,7 @@ use super::limits::{Limits, Nameplate};
 use super::plan::{Plan, Refusal, plan};
 use super::session::Session;
 use crate::excitation::{self, ExcitationError, Segment};
-use crate::identification::escalation::{Bounds, Stage};
+use crate::identification::escalation::{Bounds, Escalation, Stage};
 use crate::plant::ModelError;
 use crate::sample::Channel;
 
@@ -35,6 +35,40 @@ pub fn bounds(bench: &BenchFile) -> Bounds {
         voltage_limit_v: limits.voltage_v,
         period_s: bench.period_s(),
     }
+}
+
+/// What is known before the first small step of what will be done to an unknown motor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Foresight {
+    /// The first stage as it will be run; every later one follows from what was seen.
+    pub first: Stage,
+    pub duration_s: f64,
+    /// Limits that hold in every stage.
+    pub current_limit_a: f64,
+    pub speed_limit_rad_s: f64,
+    pub voltage_limit_v: f64,
+    pub link_silence_s: f64,
+    /// The stages that may follow, in sentences.
+    pub next: Vec<String>,
+}
+
+/// The escalation as far as it is settled before the motor has been seen.
+pub fn foresee(bench: &BenchFile) -> Result<Option<Foresight>, ExcitationError> {
+    let escalation = Escalation::new(bounds(bench));
+    let Some(first) = escalation.stage() else {
+        return Ok(None);
+    };
+    let session = excitation::Program::new(&first.segments, first.slew_v_per_s)?;
+    let limits = bench.limits();
+    Ok(Some(Foresight {
+        duration_s: session.duration_s(),
+        current_limit_a: limits.current_a,
+        speed_limit_rad_s: limits.speed_rad_s,
+        voltage_limit_v: limits.voltage_v,
+        link_silence_s: limits.link_silence_s,
+        next: Escalation::outlook(),
+        first: first.clone(),
+    }))
 }
 
 /// A session over one stage: every limit of the bench in force, and the goals that end the stage early.

@@ -257,6 +257,28 @@ impl Guard {
         None
     }
 
+    /// The computer was suspended for so long: ends the run, and nothing is said of silence that only the sleep has made.
+    pub fn slept(&mut self, now_s: f64, slept_s: f64) -> Option<&Trip> {
+        self.last_step_s = Some(now_s);
+        self.last_valid_s = self.last_valid_s.map(|_| now_s);
+        self.latch(Trip::suspended(now_s, slept_s))
+    }
+
+    /// Of the time since the last step so much was spent waiting for the link: no stall of the host.
+    pub fn waited_for_link(&mut self, now_s: f64, waited_s: f64) {
+        let last_s = self.last_step_s.map(|last_s| last_s + waited_s.max(0.0));
+        self.last_step_s = last_s.map(|last_s| last_s.min(now_s));
+    }
+
+    /// How long the link may be silent from now on, s: all of it where nothing is awaited of it any more.
+    pub fn silence_left_s(&self, now_s: f64) -> f64 {
+        let limit_s = self.limits.link_silence_s;
+        match self.last_valid_s {
+            Some(last_s) if self.trip.is_none() => (last_s + limit_s - now_s).clamp(0.0, limit_s),
+            _ => limit_s,
+        }
+    }
+
     /// Looks at one valid reply. With `armed` false (drive disabled, nobody meant to move it) it only learns which
     /// signals there are and that the link lives.
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {

@@ -139,6 +139,19 @@ impl MotorSection {
         doubts
     }
 
+    /// The plate with no friction where only `load_torque_n_m` is left out: enough to foresee what a sequence does; `None`
+    /// where it is whole, or more is missing.
+    pub fn without_friction(&self) -> Option<Nameplate> {
+        if self.load_torque_n_m.is_some() {
+            return None;
+        }
+        let assumed = Self {
+            load_torque_n_m: Some(0.0),
+            ..self.clone()
+        };
+        assumed.nameplate()
+    }
+
     /// The first key that is left out.
     pub fn missing(&self) -> Option<&'static str> {
         let missing = MODEL_KEYS.into_iter().find(|key| self.get(*key).is_none());

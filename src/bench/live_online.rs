@@ -39,6 +39,7 @@ impl RowEstimator {
                 sample.set(channel, value);
             }
         }
+        sample.limited = row.is_limited();
         self.online.push(&sample);
         self.rows += 1;
     }

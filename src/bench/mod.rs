@@ -20,6 +20,7 @@ mod fault_trials;
 mod guard;
 mod init_file;
 mod limits;
+mod line_watch;
 mod live_online;
 mod next_bench;
 mod pilot;
@@ -48,7 +49,7 @@ pub use check::{
 pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, layout_with_reference, manifest};
 pub use difference::{Difference, first_difference};
-pub use escalate::{Scaled, bounds, scale, stage_session};
+pub use escalate::{Foresight, Scaled, bounds, foresee, scale, stage_session};
 pub use guard::{Causes, Guard, RearmError, Shaped, Trip, TripKind};
 pub use init_file::{InitError, InitFile, InitRequest, InitUse, Reasoned, Told, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};

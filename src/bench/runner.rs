@@ -14,9 +14,10 @@ use std::sync::mpsc::Receiver;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::clock::Clock;
+use super::clock::{Clock, SUSPENDED_S};
 use super::guard::RearmError;
 use super::limits::Nameplate;
+use super::line_watch::{LineWatch, News};
 use super::reopen::Reopened;
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
@@ -31,8 +32,6 @@ const CONNECT_TIME_S: f64 = 5.0;
 /// Times that a burst is asked for, and the pause between, s: one may still be recording.
 const FETCH_ATTEMPTS: u32 = 20;
 const FETCH_PAUSE_S: f64 = 0.1;
-/// Whole frames that answer nothing that was asked: from so many on somebody else is there.
-const FOREIGN_FRAMES: u64 = 3;
 
 /// What estimates parameters while the run goes on; it is given every recorded command and sample in order.
 pub trait LiveEstimator {
@@ -204,7 +203,9 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         outcome: None,
         not_started: None,
         burst_armed: false,
-        knows_stranger: false,
+        slept_s: bench.clock.slept_s(),
+        record_news: 0,
+        watch: LineWatch::new(options.rate_hz),
     };
     runner.go(bench.clock, bench.intents, bench.interrupted, options)
 }
@@ -238,8 +239,11 @@ struct Runner<'a> {
     /// Why an automatic start was given up.
     not_started: Option<String>,
     burst_armed: bool,
-    /// It has been told that somebody else is on the line.
-    knows_stranger: bool,
+    /// For how long the computer had been suspended when that was looked at last.
+    slept_s: f64,
+    /// News of the record that were told.
+    record_news: usize,
+    watch: LineWatch,
 }
 
 impl Runner<'_> {
@@ -266,6 +270,10 @@ impl Runner<'_> {
                 self.feed(clock, Input::Missed(missed));
             }
             self.punctuality.cycle(now_s, now_s - due_s);
+            if let Some(cut_in) = self.link.0.cut_in() {
+                // Whoever wants a stop is heard now.
+                cut_in.lower();
+            }
             if interrupted.swap(false, Ordering::AcqRel) {
                 self.feed(clock, Input::Intent(Intent::Quit));
             }
@@ -277,6 +285,7 @@ impl Runner<'_> {
             }
             self.feed(clock, Input::Cycle);
             if self.publisher.is_due(now_s) {
+                self.tell_record(now_s);
                 self.publish(now_s, options.rate_hz, None);
             }
             cycle += 1;
@@ -300,6 +309,7 @@ impl Runner<'_> {
             (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
         };
+        self.tell_record(now_s);
         self.publish(now_s, options.rate_hz, Some(outcome.name()));
         let recorder = self.recorder.status();
         RunSummary {
@@ -359,7 +369,16 @@ impl Runner<'_> {
     /// One input and everything that follows from it.
     fn feed(&mut self, clock: &dyn Clock, input: Input) {
         self.inputs.push_back(input);
-        while let Some(input) = self.inputs.pop_front() {
+        loop {
+            // Whatever waits, and whatever an exchange has brought: a sleep is told first.
+            let slept_s = clock.slept_s() - self.slept_s;
+            if slept_s > SUSPENDED_S {
+                self.slept_s += slept_s;
+                self.inputs.push_front(Input::Suspended(slept_s));
+            }
+            let Some(input) = self.inputs.pop_front() else {
+                break;
+            };
             let mut actions = std::mem::take(&mut self.actions);
             self.session.step(clock.now_s(), input, &mut actions);
             for action in actions.drain(..) {
@@ -404,32 +423,69 @@ impl Runner<'_> {
                 estimator.command(&row);
             }
         }
-        self.inputs.push_back(match self.link.0.exchange(command) {
+        // What stops a motor is not held to the time that is left of an old silence.
+        let left_s = if command.demand.energises() {
+            self.session.guard().silence_left_s(sent_s)
+        } else {
+            self.session.guard().limits().link_silence_s
+        };
+        self.link.0.bound(left_s);
+        let answer = self.link.0.exchange(command);
+        let now_s = clock.now_s();
+        let took_s = now_s - sent_s;
+        // So long the link may have held us; what goes beyond that was the host's.
+        self.session.waited_for_link(now_s, took_s.min(left_s));
+        let answered = answer.is_ok();
+        self.inputs.push_back(match answer {
             Ok(sample) => {
                 if sample.time_s.is_finite() {
                     self.end.drive_minus_host_s = sample.time_s - sent_s;
                 }
-                self.end.last_reply_s = clock.now_s();
+                self.end.last_reply_s = now_s;
                 Input::Sample(Box::new(sample))
             }
             Err(error) => Input::Lost(Lost::from(&error)),
         });
-        self.look_for_strangers(clock.now_s());
+        self.watch_line(now_s, took_s, answered);
     }
 
-    /// A second master, or a second device with this address, shows in frames that nobody here asked for.
-    fn look_for_strangers(&mut self, now_s: f64) {
-        let frames = self.link.0.line().map_or(0, |line| line.foreign_frames);
-        if self.knows_stranger || frames < FOREIGN_FRAMES {
-            return;
+    /// What the line leaves behind is told at once, and stands in the record.
+    fn watch_line(&mut self, now_s: f64, took_s: f64, answered: bool) {
+        let line = self.link.0.line().unwrap_or_default();
+        let mut news = self.watch.frames(now_s, line);
+        if self.session.phase().is_energised() {
+            news.extend(self.watch.exchange(now_s, took_s, answered, line));
+        } else {
+            self.watch.rest();
         }
-        self.knows_stranger = true;
-        let event = Event::new(now_s + self.end.drive_minus_host_s, None, "foreign_frames");
-        self.recorder
-            .event(event.with("host_time_s", now_s).with("frames", frames));
-        self.warn(format!(
-            "{frames} frames on the line answer nothing that was asked: two devices share the address, or a second master is on the bus?"
-        ));
+        for News {
+            event,
+            figure,
+            notice,
+        } in news
+        {
+            let key = if event.starts_with("rate") {
+                "achieved_hz"
+            } else {
+                "frames"
+            };
+            let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
+            self.recorder
+                .event(event.with("host_time_s", now_s).with(key, figure));
+            self.act_on_notice(notice);
+        }
+    }
+
+    /// What goes wrong with the record is told while it does, and stops nothing.
+    fn tell_record(&mut self, now_s: f64) {
+        let status = self.recorder.status();
+        for text in status.news.into_iter().skip(self.record_news) {
+            self.record_news += 1;
+            let event = Event::new(now_s + self.end.drive_minus_host_s, None, "record");
+            let event = event.with("host_time_s", now_s);
+            self.recorder.event(event.with("message", text.as_str()));
+            self.warn(text);
+        }
     }
 
     /// A burst is an extra: a run goes on without it, and says so.

@@ -219,6 +219,11 @@ impl Session {
         &self.guard
     }
 
+    /// Of the time since the last step so much was spent waiting for the link.
+    pub fn waited_for_link(&mut self, now_s: f64, waited_s: f64) {
+        self.guard.waited_for_link(now_s, waited_s);
+    }
+
     pub const fn last_sample(&self) -> Option<&Sample> {
         self.drive.as_ref()
     }
@@ -260,8 +265,12 @@ impl Session {
             self.event(now_s, "waived", json!({ "check": check }), actions);
             notice(actions, Level::Warning, format!("waived: {check}"));
         }
-        let trip = self.guard.tick(now_s).cloned();
-        if let Some(trip) = trip {
+        // Before anything is asked of the guard's clock: the time of a sleep is no silence of link or program.
+        let trip = match input {
+            Input::Suspended(slept_s) => self.guard.slept(now_s, slept_s),
+            _ => self.guard.tick(now_s),
+        };
+        if let Some(trip) = trip.cloned() {
             self.trip(now_s, &trip, actions);
         }
         match input {
@@ -272,6 +281,11 @@ impl Session {
                 self.event(now_s, "deadline_lost", json!({ "cycles": cycles }), actions);
             }
             Input::Intent(intent) => self.intent(now_s, &intent, actions),
+            // At once, and nothing else before it.
+            Input::Suspended(_) if !self.phase.is_final() => {
+                self.send(now_s, Demand::Stop, actions);
+            }
+            Input::Suspended(_) => {}
         }
     }
 

@@ -5,6 +5,7 @@ mod publisher;
 
 pub(super) use publisher::{Publisher, RunState};
 
+use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::guard::Trip;
@@ -89,14 +90,42 @@ pub struct Snapshot {
 
 /// The latest snapshot, shared between the runner and the screens. Neither waits for the other.
 #[derive(Clone, Debug, Default)]
-pub struct SnapshotCell(Arc<Mutex<Arc<Snapshot>>>);
+pub struct SnapshotCell {
+    latest: Arc<Mutex<Arc<Snapshot>>>,
+    /// Hears every notice as it comes, where nobody looks at snapshots.
+    listener: Option<Sender<Notice>>,
+}
 
 impl SnapshotCell {
+    /// A cell that passes on every notice as well.
+    pub fn heard_by(listener: Sender<Notice>) -> Self {
+        Self {
+            listener: Some(listener),
+            ..Self::default()
+        }
+    }
+
+    /// The same cell for somebody who only looks.
+    #[must_use]
+    pub fn unheard(&self) -> Self {
+        Self {
+            latest: Arc::clone(&self.latest),
+            listener: None,
+        }
+    }
+
+    fn tell(&self, notice: &Notice) {
+        if let Some(listener) = &self.listener {
+            // Nobody listens any more: the notice is in the summary all the same.
+            let _ = listener.send(notice.clone());
+        }
+    }
+
     pub fn latest(&self) -> Arc<Snapshot> {
-        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        Arc::clone(&self.latest.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     pub fn publish(&self, snapshot: Snapshot) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
+        *self.latest.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
     }
 }

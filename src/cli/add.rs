@@ -10,7 +10,7 @@ use super::defined::{self, DefinitionArguments};
 use super::diagnose::parameter_text;
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
-use super::{compare, interrupt, model_output, output, progress};
+use super::{compare, model_output, output, progress, signals};
 use crate::config_text::help_for_unknown;
 use crate::diagnosis::{AddResult, add, remove};
 use crate::plant::{Effect, FileHistory, Model, ModelError, ModelFile, effect};
@@ -98,7 +98,7 @@ fn run(arguments: &Arguments, adding: Option<&DefinitionArguments>) -> Result<()
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
     }
-    let _endable = interrupt::endable()?;
+    let _endable = signals::endable()?;
     let shown = progress::begin(if adding.is_some() { "add" } else { "remove" });
     let prepared = prepare(
         &arguments.run,

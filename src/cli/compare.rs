@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::data::{EvidenceArguments, prepare};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
-use super::{interrupt, output, pages, progress};
+use super::{output, pages, progress, signals};
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -37,7 +37,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.html {
         output::refuse_existing(path, "--html")?;
     }
-    let _endable = interrupt::endable()?;
+    let _endable = signals::endable()?;
     let shown = progress::begin("compare");
     let prepared = prepare(
         &arguments.run,

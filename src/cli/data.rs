@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::failure::{Failure, USAGE};
+use super::failure::Failure;
 use super::holdout::{self, Beside};
 use super::provenance::Provenance;
 use super::sanity_report::{self, Judging};
 use super::{output, progress};
+pub(super) use crate::app::files::{load, read_model, read_text};
 use crate::diagnosis::{Evidence, HoldoutFrom};
-use crate::identification::{speed_from_angle, start};
+use crate::identification::start;
 use crate::plant::{Model, ModelFile, Motor, Scenario};
-use crate::recording::{ColumnMap, LoadedRun, open_run};
+use crate::recording::{ColumnMap, LoadedRun};
 use crate::sample::{Channel, Run};
 
 /// How foreign columns are read.
@@ -64,19 +65,6 @@ impl MapArguments {
     }
 }
 
-/// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
-pub(super) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Failure> {
-    let mut loaded = open_run(path, map)?;
-    let before = loaded.run.notes.len();
-    loaded.run = speed_from_angle::complete(&loaded.run)
-        .map_err(|error| Failure::new(USAGE, error.to_string()))?;
-    loaded
-        .warnings
-        .extend_from_slice(&loaded.run.notes[before..]);
-    output::warn(&loaded.warnings);
-    Ok(loaded)
-}
-
 /// A model with the place it came from.
 pub(super) struct ChosenModel {
     pub(super) file: ModelFile,
@@ -104,22 +92,6 @@ pub(super) fn model(path: Option<&PathBuf>, run: &LoadedRun) -> Result<ChosenMod
     Ok(ChosenModel {
         file: read_model(&path)?,
         from: path.display().to_string(),
-    })
-}
-
-pub(super) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
-    let name = path.display().to_string();
-    let text = read_text(path)?;
-    Ok(ModelFile::parse(&name, &text)?)
-}
-
-pub(super) fn read_text(path: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(path).map_err(|error| {
-        Failure::with_help(
-            USAGE,
-            format!("{}: cannot read: {error}", path.display()),
-            "check the path",
-        )
     })
 }
 

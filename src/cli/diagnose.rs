@@ -9,7 +9,7 @@ use super::discovery::{self, Shown};
 use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
-use super::{interrupt, output, pages, progress};
+use super::{output, pages, progress, signals};
 use crate::diagnosis::{Candidate, Diagnosis, Options, Peak, Reached, Status, diagnose_with};
 use crate::plant::effect::Axis;
 use crate::report::number::{significant, with_std};
@@ -80,7 +80,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.html {
         output::refuse_existing(path, "--html")?;
     }
-    let mut attended = Some((interrupt::endable()?, progress::begin("diagnose")));
+    let mut attended = Some((signals::endable()?, progress::begin("diagnose")));
     let prepared = prepare(
         &arguments.run,
         arguments.model.as_ref(),
@@ -105,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let discovery = Discovery::new(original.clone(), evidence, arguments.until_floor)
             .with_limits(place.limits());
         let left = discovery::show(discovery, shown)?;
-        attended = Some((interrupt::endable()?, progress::begin("diagnose")));
+        attended = Some((signals::endable()?, progress::begin("diagnose")));
         // Asked only now: from here on a signal ends the program by itself.
         if left.is_interrupted() {
             return Err(Failure::new(INTERRUPTED, "interrupted"));

@@ -89,11 +89,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let budget = port.as_ref().map(|_| MeasuredLine {
         baud: wire.baud,
         framing: wire.framing,
-        gap_s: wire
-            .gap_us
-            .map_or(standard_gap_s(wire.baud, wire.framing), |us| {
-                Duration::from_micros(us).as_secs_f64()
-            }),
+        gap_s: wire.gap().map_or_else(
+            || standard_gap_s(wire.baud, wire.framing),
+            |gap| gap.as_secs_f64(),
+        ),
         added_s: 0.0,
     });
     let findings = Findings {

@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
-use super::reveal::{seal, sealed_name};
-use super::{interrupt, live_link, output};
+use super::{opening, output, signals};
+use crate::app::seal::{seal, sealed_name};
 use crate::drive::DriveProfile;
 use crate::emulator::{
     EmulatorConfig, Endpoint, Guise, LinkKind, UNIT, mystery, ready_line, serve,
@@ -32,7 +32,8 @@ pub(super) struct Arguments {
     /// Path of the pseudo-terminal's symlink; without it one in the temporary folder
     #[arg(long, value_name = "PATH", conflicts_with = "listen")]
     pty: Option<PathBuf>,
-    /// TCP address, as 127.0.0.1:1502; port 0 takes a free one
+    /// TCP address, as 127.0.0.1:1502; port 0 takes a free one. Up to 8 hosts at once: each may read, one is in command until
+    /// it is gone or has commanded nothing for 2 s; who says nothing for 60 s is let go
     #[arg(long, value_name = "ADDR")]
     listen: Option<SocketAddr>,
     /// Draws the specimen within its tolerance, and the sensor noise
@@ -86,7 +87,7 @@ impl State<'_> {
 }
 
 pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
-    let (profile, _) = live_link::profile(&arguments.profile)?;
+    let (profile, _) = opening::profile(&arguments.profile)?;
     let guise = guise(&profile, arguments.watchdog_ms)?;
     let asked = arguments
         .link
@@ -108,7 +109,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
                 "allowed: modbus-rtu, modbus-tcp",
             ));
         }
-        live_link::announce(&profile);
+        opening::announce(&profile);
     }
     let mystery = arguments.mystery.map(mystery::draw);
     let seed = arguments.mystery.unwrap_or(arguments.seed);
@@ -122,7 +123,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
             EmulatorConfig::parse(name, &read_text(name.as_ref())?)
                 .map_err(|error| Failure::with_help(USAGE, error.to_string(), error.help()))?
         }
-        Some(name) => live_link::emulator_config(name)?,
+        Some(name) => opening::emulator_config(name)?,
     };
     let endpoint = match (arguments.pty, arguments.listen) {
         (Some(path), _) => Endpoint::Pty(path),
@@ -132,13 +133,18 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         }
         (None, None) => Endpoint::temporary_pty(),
     };
+    if let Endpoint::Tcp(address) = &endpoint
+        && let Some(warning) = open_to_others(*address)
+    {
+        output::message(&warning);
+    }
     let mut sealed = None;
     if let Some(mystery) = &mystery {
         let path = arguments.seal.unwrap_or_else(|| sealed_name(mystery.seed));
         seal(mystery, &path)?;
         sealed = Some(path);
     }
-    let stop = interrupt::flag()?;
+    let stop = signals::flag()?;
     let mut served = String::new();
     serve(
         guise.as_ref(),
@@ -181,6 +187,18 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
+/// What to say of an address that other machines reach.
+fn open_to_others(address: SocketAddr) -> Option<String> {
+    let who = match address.ip() {
+        ip if ip.is_loopback() => return None,
+        ip if ip.is_unspecified() => format!("{ip} is every address of this machine"),
+        ip => format!("{ip} is reached from other machines"),
+    };
+    Some(format!(
+        "warning: --listen {address}: {who}: anybody on the network can drive this; 127.0.0.1 is for this machine only"
+    ))
+}
+
 /// The guise of a profile; our own map needs none.
 fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guise>, Failure> {
     let guise = Guise::of(profile);
@@ -200,5 +218,21 @@ fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guis
             "--watchdog-ms is for the profile of another drive",
             "for our own: watchdog_ms in the emulator file",
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_others_reach_is_warned_of() {
+        let told = |address: &str| open_to_others(address.parse().unwrap());
+        for open in ["0.0.0.0:502", "[::]:502", "192.168.1.7:502"] {
+            let warning = told(open).unwrap();
+            assert!(warning.contains("anybody on the network"), "{warning}");
+        }
+        assert_eq!(told("127.0.0.1:502"), None);
+        assert_eq!(told("[::1]:502"), None);
     }
 }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use super::data::{MapArguments, model, read_text};
 use super::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use super::sanity_report;
-use super::{interrupt, output};
+use super::{output, signals};
 use crate::bench::MotorSection;
 use crate::config_text;
 use crate::identification::added_inertia::{self, Seen};
@@ -120,7 +120,7 @@ impl Answer {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let _endable = interrupt::endable()?;
+    let _endable = signals::endable()?;
     if let Some(ratio) = arguments
         .gear_ratio
         .filter(|ratio| !GEAR_RATIOS.contains(ratio))

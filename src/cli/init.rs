@@ -13,7 +13,7 @@ use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
 use super::reach::{self, Asking};
 use super::wire::Tap;
-use super::{live_link, output};
+use super::{opening, output};
 use crate::bench::{
     InitError, InitFile, InitRequest, MotorSection, Port, Reasoned, Told, init_file,
 };
@@ -95,7 +95,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             "a serial port, tcp:HOST:PORT, sim: or emulator; `drivebench ports` lists what is plugged in",
         ));
     }
-    let (mut profile, _) = live_link::profile(&arguments.drive)?;
+    let (mut profile, _) = opening::profile(&arguments.drive)?;
     profile.link.baud = arguments.baud.unwrap_or(profile.link.baud);
     profile.link.unit = arguments.unit.unwrap_or(profile.link.unit);
     let motor_file = arguments.motor.display().to_string();

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::failure::{Failure, INTERNAL, USAGE};
-use super::interrupt;
+use super::signals;
 use crate::workflow::reproduce::discovery::{LiveAnswer, LiveLink};
 
 const UNFINISHED: &str = "unfinished.json";
@@ -110,7 +110,7 @@ impl LiveFolder {
 
 /// The whole file or none.
 fn write(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
-    let _whole = interrupt::writing();
+    let _whole = signals::writing();
     let part = path.with_extension(PART);
     let text = serde_json::to_string_pretty(value).map_err(|error| cannot(path, &error))?;
     fs::write(&part, text + "\n")

@@ -10,45 +10,31 @@ mod compare;
 mod data;
 mod defined;
 mod diagnose;
-mod discovery;
 mod doctor;
 mod effects;
 mod emulate;
-mod escalate;
-mod failure;
 mod holdout;
 mod identify;
 mod init;
-mod interrupt;
 mod live;
-mod live_checks;
-mod live_link;
 mod live_record;
-mod live_reopen;
-mod live_strings;
 mod live_study;
 mod load_torque;
-mod model_output;
 mod next_experiment;
-mod output;
 mod pages;
 mod plan;
 mod ports;
 mod probe;
-mod progress;
 mod provenance;
 mod reach;
-mod recorded;
 mod registers;
 mod replay;
 mod reproduce;
 mod reveal;
 mod run;
 mod sanity_report;
-mod screen;
 mod simulate;
 mod speed;
-mod speed_page;
 mod tune;
 mod wire;
 
@@ -56,6 +42,8 @@ use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
+
+use crate::app::{discovery, failure, model_output, opening, output, progress, signals};
 
 /// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
@@ -131,7 +119,7 @@ pub fn main() -> ExitCode {
         Command::Probe(arguments) => probe::execute(&arguments),
         Command::Registers(arguments) => registers::execute(&arguments),
         Command::Plan(arguments) => plan::execute(&arguments),
-        Command::Run(arguments) => run::execute(arguments),
+        Command::Run(arguments) => run::execute(&arguments),
         Command::Speed(arguments) => speed::execute(arguments),
         Command::Identify(arguments) => identify::execute(&arguments),
         Command::Replay(arguments) => replay::execute(&arguments),

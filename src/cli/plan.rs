@@ -7,16 +7,21 @@ use serde::Serialize;
 
 use super::data::read_text;
 use super::failure::{Failure, USAGE};
-use super::live_link::wired_profile;
+use super::opening::wired_profile;
 use super::output;
 use crate::bench::{
-    BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Plan, Port, Reference, plan,
+    BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Foresight, Plan, Port, Reference,
+    foresee, plan,
 };
-use crate::drive::{LineBudget, offer};
+use crate::drive::{DriveProfile, LineBudget, LostReply, offer};
 
 /// Predict peak current, speed, travel, heat and duration of a bench file's sequence
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  drivebench plan bench-configs/benches/zk-22fc-emulated.toml")]
+#[command(
+    after_help = "Example:\n  drivebench plan bench-configs/benches/zk-22fc-emulated.toml\n\n\
+A motor that is not known (motor.unknown = true, or values left out) is found from small steps first: then the plan tells the\n\
+first of them and what follows. Where only load_torque_n_m is left out, the sequence is predicted without friction."
+)]
 pub(super) struct Arguments {
     /// Bench file; without it the embedded one
     bench: Option<PathBuf>,
@@ -46,13 +51,24 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let rate_hz = line
         .as_ref()
         .map_or(asked_hz, |line| asked_hz.min(line.rate_hz()));
-    let mut plan = plan(
-        &program,
-        &super::live::nameplate(&bench)?,
-        &bench.limits(),
-        rate_hz,
-        None,
-    )?;
+    let mut warnings = silence_warning(&bench, &profile, line.is_some());
+    // Without its friction a motor is still known well enough for a prediction; with less it is not.
+    let assumed = bench.motor.without_friction();
+    if let Some(assumed) = assumed.as_ref().filter(|_| !bench.motor.unknown) {
+        bench.motor = assumed.into();
+        warnings.push(
+            "motor.load_torque_n_m is left out: 0 N.m is assumed, the friction is not known. The motor will draw more current and turn \
+             slower than is told here by as much as its friction asks for; `drivebench run` and `commission` find the motor from small \
+             steps first"
+                .to_owned(),
+        );
+    }
+    let nameplate = bench.nameplate().filter(|_| !bench.motor.unknown);
+    let Some(nameplate) = nameplate else {
+        return unknown(&bench, &profile, line, warnings, arguments.json);
+    };
+    let mut plan = plan(&program, &nameplate, &bench.limits(), rate_hz, None)?;
+    plan.warnings.extend(warnings);
     if rate_hz < asked_hz {
         plan.warnings.push(format!(
             "{asked_hz} Hz is asked, the line carries {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
@@ -84,6 +100,95 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             refusal.help(),
         )),
         None => Ok(()),
+    }
+}
+
+/// A slow drive of which one lost reply takes longer than the silence that ends a run.
+fn silence_warning(bench: &BenchFile, profile: &DriveProfile, is_line: bool) -> Vec<String> {
+    let limit_s = bench.limits().link_silence_s;
+    let lost = LostReply::of(profile).filter(|lost| is_line && lost.total_s() > limit_s);
+    let warning = lost.map(|lost| {
+        format!(
+            "{}; limits.link_silence_s is {limit_s} s, so that a single lost reply may end the run",
+            lost.text()
+        )
+    });
+    warning.into_iter().collect()
+}
+
+/// The plan of a motor that is not known: the first stage of its escalation, and what follows.
+fn unknown(
+    bench: &BenchFile,
+    profile: &DriveProfile,
+    line: Option<LineBudget>,
+    mut warnings: Vec<String>,
+    json: bool,
+) -> Result<(), Failure> {
+    if let Some(refusal) = offer::refusal(profile, offer::Purpose::Voltages) {
+        return Err(Failure::with_help(
+            USAGE,
+            format!(
+                "the motor is not known, and small steps cannot find it with this drive: {refusal}"
+            ),
+            "complete [motor]",
+        ));
+    }
+    let escalation = foresee(bench).map_err(|error| BenchFileError::Sequence {
+        file: bench.name.clone(),
+        error,
+    })?;
+    warnings.extend(bench.motor.doubts());
+    let forecast = Unknown {
+        escalation,
+        line,
+        warnings,
+    };
+    output::result(&forecast, json, Unknown::text)
+}
+
+/// What is settled for a motor that is not known.
+#[derive(Serialize)]
+struct Unknown {
+    escalation: Option<Foresight>,
+    line: Option<LineBudget>,
+    warnings: Vec<String>,
+}
+
+impl Unknown {
+    fn text(&self) -> String {
+        let mut text = "the motor is not known: before the sequence it is found from small steps, each as large as the one before allows\n".to_owned();
+        if let Some(told) = &self.escalation {
+            let first = &told.first;
+            let _ = writeln!(
+                text,
+                "\nfirst stage ({}): up to {:.3} V, {:.1} V/s, {:.1} s; ends with {:.2} A or {:.2} rad/s",
+                first.kind.name(),
+                first.peak_v,
+                first.slew_v_per_s,
+                told.duration_s,
+                first.stop_current_a,
+                first.stop_speed_rad_s
+            );
+            for next in &told.next {
+                let _ = writeln!(text, "then {next}");
+            }
+            let _ = writeln!(
+                text,
+                "in every stage a run ends beyond {:.1} A, {:.0} rad/s, {:.0} V, or after {:.2} s without a reply. What the sequence does \
+                 is planned for the motor that was found, and made smaller where that asks for it",
+                told.current_limit_a,
+                told.speed_limit_rad_s,
+                told.voltage_limit_v,
+                told.link_silence_s
+            );
+        }
+        if let Some(line) = &self.line {
+            let _ = writeln!(text, "\n{}", line_text(line));
+        }
+        for warning in &self.warnings {
+            let _ = writeln!(text, "warning: {warning}");
+        }
+        text
     }
 }
 
@@ -203,6 +308,9 @@ fn line_text(line: &LineBudget) -> String {
     );
     for rate in &line.rates {
         let _ = writeln!(text, "  {:<34} {:>6.0} Hz", rate.adapter, rate.rate_hz);
+    }
+    if let Some(reply) = line.reply_text() {
+        let _ = writeln!(text, "{reply}");
     }
     text
 }

@@ -14,7 +14,7 @@ use std::time::Duration;
 use super::failure::{Failure, LINK, REFUSED};
 use super::reach::{self, Asking};
 use super::wire::{Tap, framing};
-use super::{live_link, output};
+use super::{opening, output};
 use crate::drive::{Framing, ProbeReport, ProbeVerdict};
 
 /// Time for one reply where a drive is known, and where every profile is tried, ms.
@@ -84,7 +84,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         output::result(&survey, arguments.json, text::survey)?;
         return survey.verdict();
     };
-    let (profile, _) = live_link::profile(drive)?;
+    let (profile, _) = opening::profile(drive)?;
     let far_end = reach::far_end(&arguments.port, &profile)?;
     let report = reach::look(&far_end, &profile, &arguments.asking(TIMEOUT_MS), &tap)?;
     output::result(&report, arguments.json, text::report)?;

@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::failure::{Failure, INTERNAL, REFUSED, USAGE};
-use super::{interrupt, output};
+use super::{output, signals};
 use crate::bench::{Difference, OnlineResult, OnlineSettings, first_difference, replay};
 use crate::identification::online::OnlineConfig;
 use crate::recording::{ColumnMap, RunFile, RunFolder, RunRows};
@@ -54,7 +54,7 @@ struct ReplayResult {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let _endable = interrupt::endable()?;
+    let _endable = signals::endable()?;
     let map = arguments
         .map
         .as_deref()

@@ -8,7 +8,7 @@ use clap::ValueEnum;
 use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::live_record::LiveFolder;
 use super::live_study::{live_study, mysteries};
-use super::{interrupt, output, progress};
+use super::{output, progress, signals};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
 use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
@@ -16,19 +16,19 @@ use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
 /// Compute a paper's figures and tables again, or how often the diagnosis is right: text on stdout, page, pictures and tables in a folder
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  drivebench reproduce paper-a --out paper-a\n  drivebench reproduce discovery --sets 2 --out validation\n  drivebench reproduce discovery --sets 1 --live 30 --out validation"
+    after_help = "Examples:\n  drivebench reproduce paper-a --out paper-a\n  drivebench reproduce lines --out lines\n  drivebench reproduce discovery --sets 2 --out validation\n  drivebench reproduce discovery --sets 1 --live 30 --out validation"
 )]
 pub(super) struct Arguments {
     /// Which paper, or `discovery`: the diagnosis on machines whose truth is known
     #[arg(value_enum, value_name = "PAPER")]
     paper: Paper,
-    /// With `discovery`: machines for each effect and excitation (default 1: some 300 machines in all; 0 with --live: none)
+    /// With `discovery`: machines for each effect and excitation (default 1: some 300 machines in all; 0 with --live: none); with `lines`: records of each line (default 60)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=100))]
     sets: Option<u64>,
     /// With `discovery`: also so many mystery drives in real time over each link, through the whole program; their runs are kept in DIR/live
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
     live: Option<u64>,
-    /// With `discovery`: another seed makes other machines (default 1)
+    /// With `discovery` and `lines`: another seed makes other machines (default 1)
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
     /// Folder for report.html, figure-2.svg .., table-1.csv ..; it must be new or empty, or hold a --live study that was interrupted, which then goes on (default: reproduce-PAPER, with --json none)
@@ -39,6 +39,9 @@ pub(super) struct Arguments {
     json: bool,
 }
 
+/// Records of each kind of line.
+const LINE_RUNS: u64 = 60;
+
 #[derive(Clone, Copy, ValueEnum)]
 enum Paper {
     /// On-line identification and adaptive control of a DC motor (Ma, Feng, Shi)
@@ -47,6 +50,8 @@ enum Paper {
     PaperB,
     /// How often the diagnosis is right, on emulated machines whose truth is known
     Discovery,
+    /// What a line does to a measurement: stamps, late and lost replies against parameter error and coverage
+    Lines,
 }
 
 impl Paper {
@@ -55,6 +60,7 @@ impl Paper {
             Self::PaperA => "reproduce-paper-a",
             Self::PaperB => "reproduce-paper-b",
             Self::Discovery => "reproduce-discovery",
+            Self::Lines => "reproduce-lines",
         }
     }
 }
@@ -81,7 +87,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             ))
         }
         Paper::PaperA => {
-            let _endable = interrupt::endable()?;
+            let _endable = signals::endable()?;
             let shown = progress::begin("reproduce");
             let found = reproduce::paper_a(|part| progress::stage(part, 0));
             drop(shown);
@@ -90,12 +96,23 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             output::result(&found, arguments.json, |_| report.text())
         }
         Paper::PaperB => {
-            let _endable = interrupt::endable()?;
+            let _endable = signals::endable()?;
             let shown = progress::begin("reproduce");
             let found = reproduce::paper_b(|part| progress::stage(part, 0));
             drop(shown);
             let report = found.report();
             file(out.as_deref(), &report, None)?;
+            output::result(&found, arguments.json, |_| report.text())
+        }
+        Paper::Lines => {
+            let _endable = signals::endable()?;
+            let shown = progress::begin("reproduce");
+            let runs = usize::try_from(arguments.sets.unwrap_or(LINE_RUNS).max(1)).unwrap_or(1);
+            let found = reproduce::lines::line_study(runs, arguments.seed.unwrap_or(1));
+            drop(shown);
+            let report = found.report();
+            let page = ("lines.md".to_owned(), report.markdown());
+            file(out.as_deref(), &report, Some(page))?;
             output::result(&found, arguments.json, |_| report.text())
         }
         Paper::Discovery => {
@@ -163,7 +180,7 @@ fn study(
             "give --live N with it, or --sets of at least 1",
         ));
     }
-    let interrupted = interrupt::flag()?;
+    let interrupted = signals::flag()?;
     let ended = || {
         Failure::with_help(
             INTERRUPTED,
@@ -261,7 +278,7 @@ fn create(folder: &Path) -> Result<(), Failure> {
 }
 
 fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
-    let _whole = interrupt::writing();
+    let _whole = signals::writing();
     create(folder)?;
     for (name, content) in files {
         let path = folder.join(name);

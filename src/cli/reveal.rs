@@ -9,7 +9,7 @@ use super::data::read_text;
 use super::failure::{Failure, USAGE};
 use super::output;
 use crate::config_text::help_for_unknown;
-use crate::emulator::mystery::{Mystery, SealError, Truth};
+use crate::emulator::mystery::Truth;
 use crate::plant::effect;
 use crate::workflow::{Answer, Revelation, reveal};
 
@@ -59,23 +59,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     };
     let revealed = reveal(truth, answer, guess.as_deref());
     output::result(&revealed, arguments.json, Revelation::text)
-}
-
-/// Writes the sealed truth and says where it is. The seed fixes every letter of it, so that the same mystery may be
-/// drawn again, and another one finds its place taken.
-pub(super) fn seal(mystery: &Mystery, path: &Path) -> Result<(), Failure> {
-    let text = mystery.truth.seal()?;
-    let is_there = std::fs::read_to_string(path).is_ok_and(|there| there == text);
-    if !is_there {
-        output::refuse_existing(path, "--seal or --out")?;
-        output::file(path, &text)?;
-    }
-    output::message(&format!("sealed truth in {}", path.display()));
-    Ok(())
-}
-
-pub(super) fn sealed_name(seed: u64) -> PathBuf {
-    PathBuf::from(format!("mystery-{seed}.sealed.json"))
 }
 
 /// The result of a run folder; a file is taken as it is.
@@ -128,12 +111,5 @@ fn ask() -> Result<Option<String>, Failure> {
     match line.trim() {
         "" => Ok(None),
         word => known(word).map(|word| Some(word.to_owned())),
-    }
-}
-
-impl From<SealError> for Failure {
-    fn from(error: SealError) -> Self {
-        let help = error.help();
-        Self::with_help(USAGE, error.to_string(), help)
     }
 }

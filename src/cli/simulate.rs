@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::data::{MapArguments, read_model};
 use super::failure::{Failure, INTERNAL};
-use super::{interrupt, output};
+use super::{output, signals};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::plant::Scenario;
@@ -34,7 +34,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let _endable = interrupt::endable()?;
+    let _endable = signals::endable()?;
     let model = read_model(&arguments.model)?.model;
     model.require_complete()?;
     let loaded = arguments.map.load(&arguments.run)?;

@@ -1,13 +1,14 @@
 //! What `registers` and `doctor` have in common: which line, how it is asked, and the capture of what it carries.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
 
 use super::failure::{Failure, USAGE};
-use super::{live, output};
-use crate::drive::{Framing, RawClient, RawSettings, TapFile, Target, TargetError};
+use super::output;
+pub(super) use crate::app::Tap;
+use crate::drive::{Framing, RawClient, RawSettings, Target, TargetError, standard_gap_s};
 
 /// Options of the commands that talk to any Modbus unit.
 #[derive(Args, Clone, Debug)]
@@ -32,7 +33,10 @@ pub(super) struct WireArguments {
     pub(super) timeout_ms: u64,
     /// Silence before a request over a serial line; without it what the standard says for the baud rate
     #[arg(long, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
-    pub(super) gap_us: Option<u64>,
+    gap_us: Option<u64>,
+    /// The same in ms; 0 for a peer that needs no silence to tell frames apart
+    #[arg(long, value_name = "MS", conflicts_with = "gap_us", value_parser = gap_ms)]
+    gap: Option<f64>,
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     pub(super) tap: Option<PathBuf>,
@@ -48,7 +52,39 @@ pub(super) fn framing(text: &str) -> Result<Framing, String> {
     }
 }
 
+/// Longest silence before a request that may be asked for, ms.
+const LONGEST_GAP_MS: f64 = 1000.0;
+
+fn gap_ms(text: &str) -> Result<f64, String> {
+    let ms = text.parse().ok();
+    ms.filter(|ms| (0.0..=LONGEST_GAP_MS).contains(ms))
+        .ok_or_else(|| format!("{text:?} is not a number of ms from 0 to {LONGEST_GAP_MS}"))
+}
+
 impl WireArguments {
+    /// Silence before a request that was asked for.
+    pub(super) fn gap(&self) -> Option<Duration> {
+        let given = self.gap.map(|ms| Duration::from_secs_f64(ms * 1e-3));
+        given.or(self.gap_us.map(Duration::from_micros))
+    }
+
+    /// A silence below that of the standard is the user's choice, and said.
+    fn short_gap(&self, target: &Target) -> Option<String> {
+        let (Some(gap), Target::Serial { baud, .. }) = (self.gap(), target) else {
+            return None;
+        };
+        let baud = baud.unwrap_or(self.baud);
+        let standard_s = standard_gap_s(baud, self.framing);
+        (gap.as_secs_f64() < standard_s).then(|| {
+            format!(
+                "warning: {} ms of silence before a request is below the standard's {:.2} ms at {baud} {}: a unit that tells frames by silence may take two for one",
+                1e3 * gap.as_secs_f64(),
+                1e3 * standard_s,
+                self.framing.name()
+            )
+        })
+    }
+
     pub(super) fn target(&self) -> Result<Target, Failure> {
         let text = match (&self.port, &self.host) {
             (Some(port), _) => port.clone(),
@@ -72,48 +108,16 @@ impl WireArguments {
             framing: self.framing,
             unit: self.unit,
             timeout: Duration::from_millis(self.timeout_ms),
-            gap: self.gap_us.map(Duration::from_micros),
+            gap: self.gap(),
         }
     }
 
     pub(super) fn open(&self, tap: &Tap) -> Result<RawClient, Failure> {
-        Ok(RawClient::open(
-            &self.target()?,
-            &self.settings(),
-            tap.file(),
-        )?)
-    }
-}
-
-/// The capture that a command was asked for; what goes wrong with it is told at the end and stops nothing.
-pub(super) struct Tap(Option<TapFile>);
-
-impl Tap {
-    /// A new file, if one was asked for. Nothing is running yet, so one that cannot be made is refused.
-    pub(super) fn create(path: Option<&Path>) -> Result<Self, Failure> {
-        let Some(path) = path else {
-            return Ok(Self(None));
-        };
-        output::refuse_existing(path, "--tap")?;
-        let file = TapFile::create(path, live::now().into()).map_err(|error| {
-            Failure::with_help(
-                USAGE,
-                format!("{}: cannot write: {error}", path.display()),
-                "name a file that does not exist yet, in a folder that does",
-            )
-        })?;
-        Ok(Self(Some(file)))
-    }
-
-    pub(super) fn file(&self) -> Option<&TapFile> {
-        self.0.as_ref()
-    }
-}
-
-impl Drop for Tap {
-    fn drop(&mut self) {
-        if let Some(Err(reason)) = self.0.take().map(TapFile::finish) {
-            output::message(&format!("warning: {reason}"));
+        let target = self.target()?;
+        let client = RawClient::open(&target, &self.settings(), tap.file())?;
+        if let Some(warning) = self.short_gap(&target) {
+            output::message(&warning);
         }
+        Ok(client)
     }
 }

@@ -4,6 +4,7 @@
 //! way are left out, nothing is forgotten while nothing moves, and when the prediction misses row after row the memory is
 //! dropped: the load was changed.
 
+use crate::numerics::change_watch::ChangeWatch;
 use crate::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 
 /// Below this speed the direction is noise, rad/s.
@@ -12,18 +13,10 @@ const LEAST_SPEED_RAD_S: f64 = 2.0;
 const FEWEST_ROWS: u64 = 8;
 /// Relative standard deviation of Kt/J at which it is believed.
 const SETTLED: f64 = 0.05;
-/// Rows of which the misses are added up. The noise of the sum is that of its two ends, however many rows lie between:
-/// a changed load stands out of it sooner than in any single row.
-const WATCHED: usize = 8;
-/// A jump is a sum beyond this share of the moves of its rows, and beyond so many times the noise.
+/// Share of the moves of the last rows that their misses add up to at a jump.
 const SURPRISE_SHARE: f64 = 0.25;
-const SURPRISE_NOISES: f64 = 6.0;
-/// Fewest rows that make a jump.
-const SURPRISES: usize = 3;
 /// Prior variance of the parameters over their size, in noise variances.
 const PRIOR: f64 = 1e8;
-/// Share by which the noise of the rows is followed.
-const NOISE_SHARE: f64 = 0.02;
 
 /// What is known of the load now.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,11 +39,7 @@ pub struct LoadEstimator {
     forgetting: f64,
     last: Option<(f64, f64)>,
     continues: bool,
-    /// Mean square of the misses of rows, (rad/s)^2.
-    noise: f64,
-    /// Miss and size of the last rows that follow each other, and how many they are.
-    watched: [(f64, f64); WATCHED],
-    rows: usize,
+    watch: ChangeWatch,
     jumps: u32,
     watches: bool,
 }
@@ -72,9 +61,7 @@ impl LoadEstimator {
             forgetting,
             last: None,
             continues: false,
-            noise: 2.0 * noise_rad_s * noise_rad_s,
-            watched: [(0.0, 0.0); WATCHED],
-            rows: 0,
+            watch: ChangeWatch::new(SURPRISE_SHARE, 2.0 * noise_rad_s * noise_rad_s),
             jumps: 0,
             watches: true,
         }
@@ -126,30 +113,19 @@ impl LoadEstimator {
     }
 
     const fn interrupt(&mut self) {
-        (self.continues, self.rows) = (false, 0);
+        self.continues = false;
+        self.watch.interrupt();
     }
 
     /// Drops the memory when the rows say together that the load is another.
     fn watch(&mut self, regressor: &[f64; 2], moved: f64) {
         let known = self.estimator.parameters();
         let foreseen = known[0] * regressor[0] + known[1] * regressor[1];
-        let miss = moved - foreseen;
-        self.watched[self.rows % WATCHED] = (miss, foreseen.abs().max(moved.abs()));
-        self.rows += 1;
-        let rows = &self.watched[..self.rows.min(WATCHED)];
-        let (sum, size) = rows
-            .iter()
-            .fold((0.0, 0.0), |(sum, size), row| (sum + row.0, size + row.1));
-        let believed = self.estimator.rows() >= FEWEST_ROWS && self.rows >= SURPRISES;
-        let stands_out = sum.abs() > SURPRISE_SHARE * size
-            && sum * sum > SURPRISE_NOISES * SURPRISE_NOISES * self.noise;
-        if believed && stands_out {
+        let believed = self.estimator.rows() >= FEWEST_ROWS;
+        if self.watch.take(foreseen, moved, believed) {
             self.estimator = RecursiveLeastSquares::new(known, self.scale, PRIOR, self.forgetting);
-            self.rows = 0;
-            self.continues = false;
+            self.interrupt();
             self.jumps += 1;
-        } else if !stands_out {
-            self.noise += NOISE_SHARE * (miss * miss - self.noise);
         }
     }
 

@@ -2,9 +2,10 @@
 
 use serde::Serialize;
 
+use super::RegisterTable;
 use super::modbus::{COMMAND_BYTES, TELEMETRY_BYTES};
 use super::profile::{DriveProfile, Framing, LinkSettings, Protocol};
-use super::register_map::{PollRate, RegisterMap, plan_reads};
+use super::register_map::{PollRate, ReadBlock, RegisterMap, SetPoint, plan_reads};
 use super::stream;
 use super::timing::{LineTiming, char_s};
 
@@ -24,6 +25,13 @@ const WRITTEN: f64 = 2.0;
 const READ_BYTES: usize = 8;
 const REPLY_BYTES: usize = 5;
 const WRITE_BYTES: usize = 8;
+/// Function code that writes and reads in one transaction, its request beside the registers that it writes, bytes, and how
+/// many of those it takes (Modbus Application Protocol 1.1b3, 6.17).
+const READ_WRITE: u8 = 23;
+pub(super) const READ_WRITE_BYTES: usize = 13;
+const JOINT_REGISTERS: u16 = 121;
+/// Share of a cycle from which on the time to answer is explained, %.
+const REPLY_SHARE_PERCENT: f64 = 15.0;
 
 /// A line and who is at its ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,7 +89,7 @@ pub struct LineBudget {
     pub wire_ms: f64,
     /// Silences that tell frames apart, ms.
     pub gaps_ms: f64,
-    /// What the drive may take to answer, ms.
+    /// What the drive may take to answer, ms: the profile's `link.reply_ms` once for each request.
     pub reply_ms: f64,
     pub rates: Vec<AdapterRate>,
 }
@@ -151,6 +159,27 @@ impl LineBudget {
         }
     }
 
+    /// What `link.reply_ms` has to do with rate and deadline, and how to measure it; `None` where it hardly counts.
+    pub fn reply_text(&self) -> Option<String> {
+        let cycle_ms = self.wire_ms + self.gaps_ms + self.reply_ms;
+        let share = 100.0 * self.reply_ms / cycle_ms;
+        if share < REPLY_SHARE_PERCENT {
+            return None;
+        }
+        let once_ms = self.reply_ms / self.exchanges as f64;
+        let times = if self.exchanges == 1 {
+            "once".to_owned()
+        } else {
+            format!("{} times", self.exchanges)
+        };
+        Some(format!(
+            "of the {cycle_ms:.1} ms of a cycle {:.1} ms ({share:.0} %) are link.reply_ms = {once_ms} of the drive's profile, {times}: the \
+             longest time that it may take to answer, not measured; a deadline has it twice. `drivebench doctor --port PORT` measures what the \
+             drive takes: with less in the profile this rate goes up and the deadline down",
+            self.reply_ms
+        ))
+    }
+
     /// Behind a usual USB adapter with its latency timer at 1 ms, Hz.
     pub fn usual_rate_hz(&self) -> f64 {
         let usual = self.rates.get(1);
@@ -163,13 +192,70 @@ impl LineBudget {
     }
 }
 
-/// Bytes of the requests and replies of one cycle: every fast block, and one set-point.
+/// A cycle of a drive with a map of its own in which one reply is lost, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LostReply {
+    /// The whole cycle without a loss.
+    pub cycle_s: f64,
+    /// Until the reply is given up.
+    pub deadline_s: f64,
+    /// Silence in which whatever is late may come.
+    pub silence_s: f64,
+    /// The probe behind it and the question again.
+    pub again_s: f64,
+}
+
+impl LostReply {
+    /// `None`: our own map or stream, where a lost reply costs its cycle and no more; or no serial line.
+    pub fn of(profile: &DriveProfile) -> Option<Self> {
+        let map = profile.registers.as_ref()?;
+        let budget = LineBudget::of(profile)?;
+        let (request, reply) = frames(map).into_iter().max_by_key(|(_, reply)| *reply)?;
+        let line = LineTiming::serial(&profile.link, profile.link.baud, true);
+        let once_s = line.brief(request, reply).as_secs_f64();
+        Some(Self {
+            cycle_s: budget.rate_hz().recip(),
+            deadline_s: line.allowed(request, reply).as_secs_f64(),
+            silence_s: line.quiet().as_secs_f64(),
+            again_s: 2.0 * once_s,
+        })
+    }
+
+    pub fn total_s(&self) -> f64 {
+        self.cycle_s + self.deadline_s + self.silence_s + self.again_s
+    }
+
+    /// The arithmetic in words.
+    pub fn text(&self) -> String {
+        format!(
+            "a cycle in which one reply is lost takes up to {:.0} ms: {:.0} ms of its own, {:.0} ms until the reply is given up, {:.0} ms of silence \
+             for whatever is late, {:.0} ms to prove the line and to ask again",
+            1e3 * self.total_s(),
+            1e3 * self.cycle_s,
+            1e3 * self.deadline_s,
+            1e3 * self.silence_s,
+            1e3 * self.again_s
+        )
+    }
+}
+
+/// Bytes of the requests and replies of one cycle: every fast block, and one set-point; both in one where the drive knows
+/// function code 23.
 fn frames(map: &RegisterMap) -> Vec<(usize, usize)> {
-    let reads = plan_reads(map, PollRate::Fast)
-        .into_iter()
-        .map(|block| (READ_BYTES, REPLY_BYTES + 2 * usize::from(block.count)));
+    let blocks = plan_reads(map, PollRate::Fast);
+    let joined = joint_point(map).zip(joint_block(map, &blocks));
+    let reads = blocks.iter().enumerate().map(|(at, block)| {
+        let request = match joined {
+            Some((point, with)) if with == at => {
+                READ_WRITE_BYTES + 2 * usize::from(point.location.layout.registers())
+            }
+            _ => READ_BYTES,
+        };
+        (request, REPLY_BYTES + 2 * usize::from(block.count))
+    });
     let reference = map.set_points.iter().find(|point| !point.is_word());
-    let write = reference.map(|point| match point.function {
+    let alone = reference.filter(|_| joined.is_none());
+    let write = alone.map(|point| match point.function {
         6 => (WRITE_BYTES, WRITE_BYTES),
         _ => (
             WRITE_BYTES + 1 + 2 * usize::from(point.location.layout.registers()),
@@ -177,6 +263,24 @@ fn frames(map: &RegisterMap) -> Vec<(usize, usize)> {
         ),
     });
     reads.chain(write).collect()
+}
+
+/// The first reference that may go out together with a read.
+pub(super) fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
+    map.set_points.iter().find(|point| may_join(map, point))
+}
+
+/// Whether one transaction may write it beside what it reads.
+pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
+    let fits = point.location.layout.registers() <= map.max_write.min(JOINT_REGISTERS);
+    fits && !point.is_word() && !point.readback && !point.nvm
+}
+
+/// Position of the block that function code 23 can read: it has holding registers only.
+pub(super) fn joint_block(map: &RegisterMap, fast: &[ReadBlock]) -> Option<usize> {
+    let can = map.functions.contains(&READ_WRITE);
+    let is_holding = |block: &ReadBlock| block.table == RegisterTable::Holding;
+    can.then(|| fast.iter().position(is_holding)).flatten()
 }
 
 #[cfg(test)]

@@ -13,79 +13,34 @@ use std::io::{self, ErrorKind};
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use serde::Serialize;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::reply::{Echo, Expected, FrameKind, search};
+use super::reply::{Echo, FrameKind};
+use super::transaction::Reception;
 
 /// Anything that carries bytes.
 pub(super) trait Port: AsyncRead + AsyncWrite + Unpin + Send {}
 impl<T: AsyncRead + AsyncWrite + Unpin + Send> Port for T {}
 
-/// Bytes kept while a reply is awaited; a line that babbles beyond loses its oldest.
-const LONGEST_WAIT_BYTES: usize = 1024;
-
 /// The guard; clones share it.
 #[derive(Clone)]
 pub(super) struct Guard(Arc<Mutex<Inner>>);
 
-struct Inner {
+pub(super) struct Inner {
     port: Box<dyn Port>,
-    kind: FrameKind,
-    expected: Expected,
-    received: Vec<u8>,
-    /// The accepted reply, and how much of it the client has taken.
-    reply: Vec<u8>,
+    pub(super) reception: Reception,
+    /// How much of the accepted reply the client has taken.
     taken: usize,
-    last_activity: Instant,
-    line: LineCounts,
-    /// What was wrong since the last look.
-    anomaly: bool,
-}
-
-/// What the line carried: `bytes_received` are those of accepted replies and those dropped, nothing else.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct LineCounts {
-    pub bytes_sent: u64,
-    pub bytes_received: u64,
-    /// Bytes of replies that were taken.
-    pub bytes_accepted: u64,
-    /// Bytes that belonged to no accepted reply.
-    pub bytes_dropped: u64,
-    /// Whole frames among them that answer something asked before: late, or twice.
-    pub stale_frames: u64,
-    /// Whole frames among them that answer nothing that was asked.
-    pub foreign_frames: u64,
-    /// The line returns our own requests (two-wire RS-485 without echo suppression).
-    pub echoes: bool,
-}
-
-/// What is there when the time is over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Leftover {
-    Nothing,
-    /// Whole frames that answer something asked before.
-    Stale,
-    /// Whole frames that answer nothing that was asked.
-    Foreign,
-    /// This many bytes that make no frame.
-    Damaged(usize),
 }
 
 impl Guard {
     pub(super) fn new(port: Box<dyn Port>, kind: FrameKind) -> Self {
         Self(Arc::new(Mutex::new(Inner {
             port,
-            kind,
-            expected: Expected::default(),
-            received: Vec::new(),
-            reply: Vec::new(),
+            reception: Reception::new(kind, now()),
             taken: 0,
-            last_activity: now(),
-            line: LineCounts::default(),
-            anomaly: false,
         })))
     }
 
@@ -95,7 +50,8 @@ impl Guard {
         tokio::task::yield_now().await;
         poll_fn(|cx| {
             let mut inner = self.inner();
-            inner.retire();
+            inner.reception.retire();
+            inner.taken = 0;
             Poll::Ready(inner.discard(cx))
         })
         .await
@@ -103,24 +59,18 @@ impl Guard {
 
     /// What the reply to the next request must carry to be its own.
     pub(super) fn expect(&self, echo: Echo) {
-        self.inner().expected.echo = Some(echo);
+        self.inner().reception.expected.echo = Some(echo);
     }
 
-    /// Waits until the line was silent for `quiet`; false when it never was before `deadline`.
-    pub(super) async fn silence(&self, quiet: Duration, deadline: Instant) -> io::Result<bool> {
-        loop {
-            // When the time is over this is looked at once more: nothing new must not count as something.
-            let byte = poll_fn(|cx| match self.inner().discard(cx) {
-                Ok(0) => Poll::Pending,
-                result => Poll::Ready(result),
-            });
-            match tokio::time::timeout(quiet, byte).await {
-                Err(_) => return Ok(true),
-                Ok(Err(error)) => return Err(error),
-                Ok(Ok(_)) if now() >= deadline => return Ok(false),
-                Ok(Ok(_)) => {}
-            }
-        }
+    /// Listens until this instant, or until something comes: how many bytes.
+    pub(super) async fn listen_until(&self, at: Instant) -> io::Result<usize> {
+        // When the time is over this is looked at once more: nothing new must not count as something.
+        let byte = poll_fn(|cx| match self.inner().discard(cx) {
+            Ok(0) => Poll::Pending,
+            result => Poll::Ready(result),
+        });
+        let came = tokio::time::timeout_at(at.into(), byte).await;
+        came.unwrap_or(Ok(0))
     }
 
     /// Lets go of the port: a device that was unplugged keeps its number for as long as somebody holds it.
@@ -128,143 +78,43 @@ impl Guard {
         self.inner().port = Box::new(tokio::io::empty());
     }
 
-    /// When the line last carried something.
-    pub(super) fn last_activity(&self) -> Instant {
-        self.inner().last_activity
-    }
-
-    pub(super) fn line(&self) -> LineCounts {
-        self.inner().line
-    }
-
-    /// Whether anything was wrong since the last call.
-    pub(super) fn take_anomaly(&self) -> bool {
-        std::mem::take(&mut self.inner().anomaly)
-    }
-
-    /// Judges what came instead of a reply.
-    pub(super) fn leftover(&self) -> Leftover {
-        let inner = self.inner();
-        let (request, received) = (&inner.expected.request, &inner.received);
-        let search = search(inner.kind, &inner.expected, received).unwrap_or_default();
-        match (received.len(), search.foreign, search.stale) {
-            (0, ..) => Leftover::Nothing,
-            (bytes, ..) if bytes == request.len() && received == request => Leftover::Nothing,
-            (bytes, 0, 0) => Leftover::Damaged(bytes),
-            (_, 0, _) => Leftover::Stale,
-            _ => Leftover::Foreign,
-        }
-    }
-
-    fn inner(&self) -> MutexGuard<'_, Inner> {
+    pub(super) fn inner(&self) -> MutexGuard<'_, Inner> {
         // One thread uses it; a panic of that thread has ended the link.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Inner {
-    /// Ends the exchange: what is left of it answers nothing any more.
-    fn retire(&mut self) {
-        let left = std::mem::take(&mut self.received);
-        self.count(&left);
-        // Anomalies of an exchange are judged where it ends; what is dropped here was one of it.
-        self.line.bytes_dropped += left.len() as u64;
-        self.expected.retire();
-        self.reply.clear();
-        self.taken = 0;
-    }
-
     /// Reads until nothing is there; drops it.
     fn discard(&mut self, cx: &mut Context<'_>) -> io::Result<usize> {
         let mut dropped = 0;
-        let mut bytes = [0; 512];
-        let mut strays = Vec::new();
         // A line that babbles faster than it is read must not hold us here.
         while dropped < 1 << 16 {
-            match self.read_port(cx, &mut bytes) {
-                Poll::Ready(Ok(count)) => {
-                    dropped += count;
-                    let room = LONGEST_WAIT_BYTES.saturating_sub(strays.len());
-                    strays.extend_from_slice(&bytes[..count.min(room)]);
-                }
+            match self.read_port(cx) {
+                Poll::Ready(Ok(count)) => dropped += count,
                 Poll::Ready(Err(error)) => return Err(error),
                 Poll::Pending => break,
             }
         }
-        self.count(&strays);
-        self.drop_bytes(dropped);
-        Ok(dropped)
-    }
-
-    /// Counts the frames in bytes that are dropped.
-    fn count(&mut self, bytes: &[u8]) {
-        let search = search(self.kind, &self.expected, bytes).unwrap_or_default();
-        self.line.stale_frames += search.stale as u64 + u64::from(search.reply.is_some());
-        self.line.foreign_frames += search.foreign as u64;
-    }
-
-    fn drop_bytes(&mut self, count: usize) {
-        self.line.bytes_dropped += count as u64;
-        self.anomaly |= count > 0;
+        Ok(self.reception.drop_strays())
     }
 
     /// Reads from the port; an end of file is an error, so that nobody asks a port that is gone again and again.
-    fn read_port(&mut self, cx: &mut Context<'_>, bytes: &mut [u8]) -> Poll<io::Result<usize>> {
-        let mut buffer = ReadBuf::new(bytes);
+    fn read_port(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<usize>> {
+        let mut bytes = [0; 512];
+        let mut buffer = ReadBuf::new(&mut bytes);
         match Pin::new(&mut self.port).poll_read(cx, &mut buffer) {
             Poll::Ready(Ok(())) if buffer.filled().is_empty() => Poll::Ready(Err(io::Error::new(
                 ErrorKind::BrokenPipe,
                 "the other end closed",
             ))),
             Poll::Ready(Ok(())) => {
-                let count = buffer.filled().len();
-                self.line.bytes_received += count as u64;
-                self.last_activity = now();
-                Poll::Ready(Ok(count))
+                self.reception.push(buffer.filled(), now());
+                Poll::Ready(Ok(buffer.filled().len()))
             }
             Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
             Poll::Pending => Poll::Pending,
         }
-    }
-
-    /// Moves the reply out of what was received, if it is there.
-    fn accept(&mut self) -> io::Result<()> {
-        let found = search(self.kind, &self.expected, &self.received).map_err(|_| {
-            io::Error::new(
-                ErrorKind::ConnectionAborted,
-                "the peer speaks no Modbus TCP",
-            )
-        })?;
-        if let Some((begin, end)) = found.reply {
-            let echo = if found.echo {
-                self.expected.request.len()
-            } else {
-                0
-            };
-            // A reply that cannot be a copy of its request shows whether the line returns requests.
-            let copies = matches!(self.expected.request.get(1), Some(5 | 6 | 8));
-            if found.echo || (self.kind == FrameKind::Rtu && !copies) {
-                self.expected.echoes = found.echo;
-            }
-            self.line.echoes |= found.echo;
-            self.line.stale_frames += found.stale as u64;
-            self.line.foreign_frames += found.foreign as u64;
-            self.line.bytes_accepted += (end - begin) as u64;
-            // What follows the reply answers nothing.
-            let behind = self.received.split_off(end);
-            self.drop_bytes(begin - echo + behind.len());
-            self.line.bytes_dropped += echo as u64;
-            self.reply.clear();
-            self.reply.extend_from_slice(&self.received[begin..end]);
-            self.taken = 0;
-            self.received.clear();
-            self.count(&behind);
-        } else if self.received.len() > LONGEST_WAIT_BYTES && self.kind == FrameKind::Rtu {
-            let excess = self.received.len() - LONGEST_WAIT_BYTES;
-            self.received.drain(..excess);
-            self.drop_bytes(excess);
-        }
-        Ok(())
     }
 }
 
@@ -276,17 +126,18 @@ impl AsyncRead for Guard {
     ) -> Poll<io::Result<()>> {
         let mut inner = self.inner();
         loop {
-            if inner.taken < inner.reply.len() {
-                let count = buffer.remaining().min(inner.reply.len() - inner.taken);
-                buffer.put_slice(&inner.reply[inner.taken..inner.taken + count]);
+            let left = inner.reception.reply.get(inner.taken..).unwrap_or_default();
+            let count = buffer.remaining().min(left.len());
+            if count > 0 {
+                buffer.put_slice(&left[..count]);
                 inner.taken += count;
                 return Poll::Ready(Ok(()));
             }
-            let mut bytes = [0; 512];
-            match inner.read_port(cx, &mut bytes) {
-                Poll::Ready(Ok(count)) => {
-                    inner.received.extend_from_slice(&bytes[..count]);
-                    inner.accept()?;
+            match inner.read_port(cx) {
+                Poll::Ready(Ok(_)) => {
+                    if inner.reception.accept()? {
+                        inner.taken = 0;
+                    }
                 }
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
                 Poll::Pending => return Poll::Pending,
@@ -302,11 +153,15 @@ impl AsyncWrite for Guard {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         let mut inner = self.inner();
+        let at = now();
         match Pin::new(&mut inner.port).poll_write(cx, bytes) {
             Poll::Ready(Ok(count)) => {
-                inner.expected.request.extend_from_slice(&bytes[..count]);
-                inner.line.bytes_sent += count as u64;
-                inner.last_activity = now();
+                let reception = &mut inner.reception;
+                reception
+                    .expected
+                    .request
+                    .extend_from_slice(&bytes[..count]);
+                reception.sent(count, at);
                 Poll::Ready(Ok(count))
             }
             other => other,

@@ -8,8 +8,8 @@ use thiserror::Error;
 use super::burst::Burst;
 use super::clock_map::ClockMap;
 use super::command_times::CommandTimes;
-use super::guard::LineCounts;
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Command, Demand, Sample};
 
 /// What the drive says it is.
@@ -66,8 +66,9 @@ pub struct LinkStatistics {
     pub sent: u64,
     pub ok: u64,
     pub timeout: u64,
+    /// Bytes without a valid frame came.
     pub crc: u64,
-    /// Only replies to something asked before came: late, or twice.
+    /// Only replies to something asked before came, late or twice; or the answer could not be vouched for afterwards.
     pub stale: u64,
     /// A reply to nothing that was asked: wrong unit, function or length.
     pub mismatch: u64,
@@ -86,6 +87,12 @@ impl LinkStatistics {
     pub const fn lost(&self) -> u64 {
         self.sent - self.ok
     }
+
+    /// An answer that was taken turns out to be doubtful.
+    pub(super) const fn withdraw(&mut self) {
+        self.ok -= 1;
+        self.stale += 1;
+    }
 }
 
 /// Why an exchange gave no sample. Transient classes cost one cycle; `Gone` ends the session.
@@ -103,6 +110,9 @@ pub enum LinkError {
     Corrupt { link: String, reason: String },
     #[error("{}: the reply belongs to an earlier request: {reason}", whom(link))]
     Stale { link: String, reason: String },
+    /// Nothing was asked: what comes next might have been the reply to something older.
+    #[error("{}: not asked: {reason}", whom(link))]
+    Unproven { link: String, reason: String },
     #[error("{}: the reply belongs to another request: {reason}", whom(link))]
     Mismatch { link: String, reason: String },
     #[error(
@@ -161,7 +171,7 @@ impl LinkError {
             Self::Corrupt { .. } => {
                 "check baud rate and parity (`drivebench doctor --port PORT --scan` finds them), termination and shielding"
             }
-            Self::Stale { .. } => {
+            Self::Stale { .. } | Self::Unproven { .. } => {
                 "the drive or an adapter answers late: allow it more (link.reply_ms, link.deadline_ms), set the adapter's latency timer to 1 ms"
             }
             Self::Mismatch { .. } => {
@@ -190,6 +200,7 @@ impl LinkError {
                 | Self::Corrupt { .. }
                 | Self::Stale { .. }
                 | Self::Mismatch { .. }
+                | Self::Unproven { .. }
         )
     }
 }
@@ -213,6 +224,15 @@ pub trait DriveLink: Send {
 
     /// Sends one command and returns the sample that the drive took after applying it.
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError>;
+
+    /// From now on every exchange, all that keeps the line in step included, ends within this time, s; infinite: as long as
+    /// it takes. A stop outside an exchange is not bound.
+    fn bound(&mut self, _left_s: f64) {}
+
+    /// Where to say that a stop is wanted: silences, probes and retries of a bounded exchange are then given up at once.
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        None
+    }
 
     /// Asks for zero output and makes sure of it: repeated until confirmed or `attempts` are used up.
     fn stop(&mut self) -> Result<(), LinkError>;

@@ -7,7 +7,8 @@
 //!                  |            |
 //!                  |            |             burst.rs: what the drive records by itself
 //!              guard.rs      port.rs        bytes, silence, hang-up
-//!              reply.rs                     which bytes answer this request
+//!                  |
+//!              transaction/ + reply.rs      which bytes answer this request, and whether the line is in step
 //!                  +-- timing.rs (deadlines, gaps), tally.rs (counts, round trips)
 //!                  +-- tap/ (capture file) <- raw/ (registers of any unit), serial_ports.rs (what is plugged in)
 //!                                              '-- probe/ (read-only: who is it, and is its profile right?)
@@ -48,16 +49,16 @@ mod tally;
 mod tap;
 pub mod timeline;
 mod timing;
+mod transaction;
 #[cfg(test)]
 pub(crate) mod virtual_drive;
 #[cfg(test)]
 mod virtual_line;
 
-pub use budget::{AdapterRate, LineBudget, LoopRates, MeasuredLine};
+pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use command_times::CommandTimes;
-pub use guard::LineCounts;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 pub use modbus::{ModbusBus, ModbusLink, RegisterTable};
 pub use open::{
@@ -76,9 +77,10 @@ pub use raw::{
     Batch, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, RawSettings, Read, ReadRequest,
     WriteFunction, read_batch, registers,
 };
-pub use register_bus::{RegisterBus, RegistersRead};
+pub use register_bus::{Carried, RegisterBus, RegistersRead};
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use stream::StreamLink;
 pub use tally::RoundTrips;
 pub use tap::TapFile;
 pub use timing::standard_gap_s;
+pub use transaction::{CutIn, LineCounts};

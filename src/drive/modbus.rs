@@ -2,12 +2,11 @@
 //!
 //! ```text
 //! exchange: gap, listen -> FC23 { sequence, control, set-point | 16 registers } -> only a reply that echoes the sequence
-//! read:     gap, listen, [suspect? silence, probe], [looks like a recent one? silence] -> FC03 | 04
+//! read:     gap, listen, the steps of transaction/proof.rs -> FC03 | 04
 //! ```
 //!
 //! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read says neither
-//! what was read nor when: only function, unit and length. Two that look alike are kept apart by a silence in which
-//! every copy of the earlier reply would have come.
+//! what was read nor when: only function, unit and length.
 //!
 //! This file owns the clock of the exchanges.
 //! bus.rs shows the link as registers, for drives with a map of their own.
@@ -25,17 +24,20 @@ use firmware_protocol::{DriveCommand, Telemetry};
 use tokio::runtime::Runtime;
 use tokio_modbus::client::{Client, Context, rtu, tcp};
 use tokio_modbus::prelude::ReadCode;
-use tokio_modbus::{Error, ExceptionCode, Request, Response, Slave};
+use tokio_modbus::{Error, Request, Response, Slave};
 
 use super::burst::Burst;
 use super::clock_map::ClockMap;
-use super::guard::{Guard, Leftover, LineCounts, Port, now};
+use super::guard::{Guard, Port, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::raw::registers;
+use super::raw::{ReadRequest, exception_name, registers};
 use super::reply::{Echo, FrameKind};
 use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, identity_error, low_word};
 use super::timing::{LineTiming, wait_until};
+use super::transaction::{
+    Bound, CutIn, End, LineCounts, Method, PATIENCE, Policy, Proof, Step, out_of_step, restless,
+};
 use crate::sample::{Command, Demand, DriveState, Sample};
 
 pub use bus::ModbusBus;
@@ -44,14 +46,13 @@ pub use bus::ModbusBus;
 const READ_ATTEMPTS: usize = 3;
 /// Times that a stop is asked for.
 const STOP_ATTEMPTS: usize = 5;
-/// Probes of one resynchronisation.
-const PROBES: usize = 6;
 /// Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
 const FAILURES_BEFORE_SILENCE: u32 = 2;
 /// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it.
 const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
-/// A line that talks for so many times the silence that is waited for is given up.
-const SILENCE_PATIENCE: u32 = 4;
+/// With less time left nothing is asked any more.
+const SHORTEST_EXCHANGE: Duration = Duration::from_millis(1);
+const NAMES: &str = "the device identification";
 /// RTU frames of a command and of its reply.
 pub(super) const COMMAND_BYTES: usize = 13 + 2 * COMMAND_WORDS;
 pub(super) const TELEMETRY_BYTES: usize = 5 + 2 * TELEMETRY_WORDS;
@@ -77,23 +78,52 @@ pub struct ModbusLink {
     timeline: Timeline,
     epoch: Instant,
     last_seq: u64,
-    nonce: u16,
-    /// Something came in that was not asked for, or did not come: what comes next may be old.
-    suspect: bool,
+    proof: Proof,
+    bound: Bound,
     /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
     capture_period_s: f64,
-    /// Lengths of the replies to the latest plain reads, and when those ended.
-    recent: Vec<(usize, Instant)>,
+    retries: u64,
+    /// Time spent in silences and probes.
+    resync: Duration,
     /// Commands without a sample since the last one that had one.
     failed_in_a_row: u32,
     gone: bool,
 }
 
-/// What an exchange gave, with the host times of its ends, s since the epoch.
+/// What an exchange gave, with its host times, s since the epoch.
 struct Answer<T> {
     value: T,
-    sent_s: f64,
-    received_s: f64,
+    /// First byte of the request out.
+    asked_s: f64,
+    /// First byte of its reply in.
+    answered_s: f64,
+    /// The reply was complete.
+    complete_s: f64,
+}
+
+/// What goes out, as tokio-modbus and as the proof want it.
+struct Question<'a> {
+    request: Request<'a>,
+    pdu: [u8; 5],
+    what: &'a str,
+    allowed: Duration,
+    /// It can be given up at once where a stop is wanted.
+    is_probe: bool,
+    /// Its reply carries its own number.
+    is_numbered: bool,
+}
+
+impl<'a> Question<'a> {
+    const fn plain(request: Request<'a>, pdu: [u8; 5], what: &'a str, allowed: Duration) -> Self {
+        Self {
+            request,
+            pdu,
+            what,
+            allowed,
+            is_probe: false,
+            is_numbered: false,
+        }
+    }
 }
 
 impl ModbusLink {
@@ -108,7 +138,10 @@ impl ModbusLink {
         epoch: Instant,
     ) -> Self {
         let guard = Guard::new(port, kind);
-        let [.., high, low] = std::process::id().to_be_bytes();
+        let policy = match kind {
+            FrameKind::Rtu => Policy::Fixed(Method::Nonce),
+            FrameKind::Tcp => Policy::Numbered,
+        };
         Self {
             context: attach(&guard, kind, unit),
             name,
@@ -121,11 +154,11 @@ impl ModbusLink {
             timeline: Timeline::default(),
             epoch,
             last_seq: 0,
-            nonce: u16::from_be_bytes([high, low]),
-            // A reply to whoever used the line before us may be under way.
-            suspect: kind == FrameKind::Rtu,
+            proof: Proof::new(policy, timing.quiet(), now()).always_apart(),
+            bound: Bound::default(),
             capture_period_s: 0.0,
-            recent: Vec::new(),
+            retries: 0,
+            resync: Duration::ZERO,
             failed_in_a_row: 0,
             gone: false,
         }
@@ -139,35 +172,24 @@ impl ModbusLink {
         count: u16,
     ) -> Result<Vec<u16>, LinkError> {
         let what = format!("read {} at {address}", registers(count.into()));
-        let request = || match table {
-            RegisterTable::Holding => Request::ReadHoldingRegisters(address, count),
-            RegisterTable::Input => Request::ReadInputRegisters(address, count),
+        let read = ReadRequest {
+            table,
+            address,
+            count,
         };
-        let words = usize::from(count);
-        self.read_with_retries(
-            &what,
-            8,
-            5 + 2 * words,
-            request,
-            |response| match response {
-                Response::ReadHoldingRegisters(values) | Response::ReadInputRegisters(values)
-                    if values.len() == words =>
-                {
-                    Ok(values)
-                }
-                other => Err(format!("{other:?}")),
-            },
-        )
-        .map(|answer| answer.value)
+        let allowed = self.timing.allowed(8, read.reply_bytes());
+        let answer = self.read_with_retries(|| question(read, &what, allowed), words(read))?;
+        Ok(answer.value)
     }
 
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
         let what = format!("write {} at {address}", registers(values.len()));
-        let allowed = self.timing.allowed(9 + 2 * values.len(), 8);
-        self.prove_fresh()?;
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
-        self.call(request, &what, allowed, |response| match response {
+        let allowed = self.timing.allowed(9 + 2 * values.len(), 8);
+        let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
+        self.in_step(&question.pdu)?;
+        self.call(question, |response| match response {
             Response::WriteMultipleRegisters(..) => Ok(()),
             other => Err(format!("{other:?}")),
         })
@@ -193,8 +215,14 @@ impl ModbusLink {
             COMMAND_ADDRESS,
             Cow::Borrowed(&words),
         );
+        let [a, b] = TELEMETRY_ADDRESS.to_be_bytes();
+        let [c, d] = quantity(TELEMETRY_WORDS).to_be_bytes();
         let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
-        let answer = self.call(request, "the command", allowed, |response| match response {
+        let question = Question {
+            is_numbered: true,
+            ..Question::plain(request, [23, a, b, c, d], "the command", allowed)
+        };
+        let answer = self.call(question, |response| match response {
             Response::ReadWriteMultipleRegisters(values) => telemetry(&values),
             other => Err(format!("{other:?}")),
         });
@@ -202,163 +230,230 @@ impl ModbusLink {
             Ok(_) => 0,
             Err(_) => self.failed_in_a_row.saturating_add(1),
         };
-        let Answer {
-            value,
-            sent_s,
-            received_s,
-        } = answer?;
-        Ok(self
-            .timeline
-            .sample(&value, command.seq, sent_s, received_s))
+        let answer = answer?;
+        let mut sample = self.timeline.sample(
+            &answer.value,
+            command.seq,
+            answer.asked_s,
+            answer.answered_s,
+        );
+        sample.host_time_s = Some(answer.complete_s);
+        Ok(sample)
     }
 
     /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
     fn note_clock(&mut self) -> Result<(u32, f64), LinkError> {
-        let ask = || Request::ReadHoldingRegisters(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS));
-        let bytes = 5 + 2 * TELEMETRY_WORDS;
-        let answer =
-            self.read_with_retries("the telemetry", 8, bytes, ask, |response| match response {
-                Response::ReadHoldingRegisters(values) => telemetry(&values),
-                other => Err(format!("{other:?}")),
-            })?;
+        let read = ReadRequest {
+            table: RegisterTable::Holding,
+            address: TELEMETRY_ADDRESS,
+            count: quantity(TELEMETRY_WORDS),
+        };
+        let allowed = self.timing.allowed(8, read.reply_bytes());
+        let ask = || question(read, "the telemetry", allowed);
+        let values = words(read);
+        let answer = self.read_with_retries(ask, |response| telemetry(&values(response)?))?;
         let time_us = answer.value.time_us;
         let time_s = self
             .timeline
-            .note(time_us, answer.sent_s, answer.received_s);
+            .note(time_us, answer.asked_s, answer.answered_s);
         Ok((time_us, time_s))
     }
 
     /// A question without effect on the drive may be asked again.
-    fn read_with_retries<T>(
+    fn read_with_retries<'a, T>(
         &mut self,
-        what: &str,
-        request_bytes: usize,
-        reply_bytes: usize,
-        request: impl Fn() -> Request<'static>,
+        question: impl Fn() -> Question<'a>,
         check: impl Fn(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
         let mut attempt = 1;
         loop {
-            let allowed = self.timing.allowed(request_bytes, reply_bytes);
+            let question = question();
             let result = self
-                .prove_fresh()
-                .and_then(|()| self.keep_apart(reply_bytes))
-                .and_then(|()| self.call(request(), what, allowed, &check));
-            self.recent.push((reply_bytes, now()));
+                .in_step(&question.pdu)
+                .and_then(|()| self.call(question, &check));
             match result {
-                Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
+                Err(error) if self.may_retry(&error, attempt) => attempt += 1,
                 result => return result,
             }
         }
+    }
+
+    /// Whether a question that ended so is asked once more: within the time of the exchange, and of nobody who wants a stop.
+    fn may_retry(&mut self, error: &LinkError, attempt: usize) -> bool {
+        let may = error.is_transient()
+            && !matches!(error, LinkError::Unproven { .. })
+            && attempt < READ_ATTEMPTS
+            && !self.bound.is_over(now());
+        self.retries += u64::from(may);
+        may
     }
 
     /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
     fn listen(&mut self) -> Result<(), LinkError> {
         self.live()?;
         if self.kind == FrameKind::Rtu {
-            wait_until(self.guard.last_activity() + self.timing.gap());
+            let last = self.guard.inner().reception.last_activity;
+            wait_until(last + self.timing.gap());
         }
         let strays = self.runtime.block_on(self.guard.begin());
-        self.suspect |= strays.map_err(|error| self.lost(&error))? > 0;
-        Ok(())
+        self.judge(strays).map(drop)
     }
 
-    /// Waits until nothing of an earlier exchange can come any more.
-    fn silence(&mut self) -> Result<(), LinkError> {
-        let quiet = self.timing.quiet();
-        let silence = self.guard.silence(quiet, now() + SILENCE_PATIENCE * quiet);
-        match self.runtime.block_on(silence) {
-            Ok(true) => Ok(()),
-            Ok(false) => Err(LinkError::Corrupt {
-                link: self.name.clone(),
-                reason: "the line is never silent: something talks all the time".to_owned(),
-            }),
-            Err(error) => Err(self.lost(&error)),
+    /// What came while nothing was outstanding.
+    fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize, LinkError> {
+        let count = strays.map_err(|error| self.lost(&error))?;
+        if count > 0 {
+            let heard = self.guard.inner().reception.take_heard();
+            self.proof.disturbed(&heard, now());
         }
+        Ok(count)
     }
 
-    /// Makes sure that what comes next is not a reply to something older: silence for the longest turnaround, then a
-    /// probe with a number of its own that the drive sends back (function code 08).
-    fn prove_fresh(&mut self) -> Result<(), LinkError> {
-        self.listen()?;
-        if self.kind == FrameKind::Tcp {
-            return Ok(());
-        }
-        let mut probes = 0;
-        while self.suspect {
-            self.silence()?;
-            let result = self.probe();
-            probes += 1;
-            match result {
-                // What came during the probe, or comes in the gap behind it, was not asked for either.
-                Ok(()) => self.listen()?,
-                Err(error) if !error.is_transient() || probes == PROBES => return Err(error),
-                Err(_) => {}
+    /// Silence up to this instant, or until something comes (false); an error where the exchange must not take so long.
+    fn keep_silent(&mut self, until: Instant) -> Result<bool, LinkError> {
+        loop {
+            let now = now();
+            if now >= until {
+                return Ok(true);
+            }
+            if self.bound.is_over(now) {
+                return Err(self.unproven());
+            }
+            let look = self.guard.listen_until(self.bound.next_look(now, until));
+            let came = self.runtime.block_on(look);
+            if self.judge(came)? > 0 {
+                return Ok(false);
             }
         }
-        Ok(())
     }
 
-    /// Keeps replies apart that look alike: waits until no copy of an earlier one can come any more.
-    fn keep_apart(&mut self, reply_bytes: usize) -> Result<(), LinkError> {
-        let quiet = self.timing.quiet();
-        self.recent
-            .retain(|(_, ended)| now().saturating_duration_since(*ended) < quiet);
-        let alike = self.recent.iter().any(|(bytes, _)| *bytes == reply_bytes);
-        if alike && self.kind == FrameKind::Rtu {
-            self.silence()?;
+    /// Carries out what has to be done before this request: whatever comes next is then no reply to something older. In a
+    /// bounded exchange one probe is asked, and the next exchange goes on from there.
+    fn in_step(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
+        let begun = now();
+        let result = self.carry_out(pdu);
+        self.resync += now().saturating_duration_since(begun);
+        result
+    }
+
+    fn carry_out(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
+        self.listen()?;
+        let mut probed = false;
+        loop {
+            match self.proof.next(pdu, now()) {
+                Step::Go => return Ok(()),
+                Step::Silence(until) => drop(self.keep_silent(until)?),
+                Step::Probe(_) if probed && self.bound.is_set() => return Err(self.unproven()),
+                Step::Probe(pdu) => {
+                    probed = true;
+                    self.listen()?;
+                    match self.probe(pdu) {
+                        Err(error @ LinkError::Gone { .. }) => return Err(error),
+                        // How it ended is known to the proof.
+                        _ => self.listen()?,
+                    }
+                }
+                Step::Restless => return Err(restless(&self.name)),
+                Step::GiveUp => return Err(out_of_step(&self.name)),
+            }
         }
-        Ok(())
     }
 
     /// One probe. The guard compares all its bytes.
-    fn probe(&mut self) -> Result<(), LinkError> {
-        self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
-        let [high, low] = self.nonce.to_be_bytes();
-        let request = Request::Custom(8, Cow::Owned(vec![0, 0, high, low]));
-        let allowed = self.timing.allowed(8, 8);
-        self.listen()?;
-        self.call(request, "the probe", allowed, |_| Ok(()))
-            .map(drop)
+    fn probe(&mut self, pdu: [u8; 5]) -> Result<(), LinkError> {
+        let [function, data @ ..] = pdu;
+        let [a, b, c, d] = data;
+        let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
+        let (request, words) = match function {
+            3 => (Request::ReadHoldingRegisters(address, count), count),
+            4 => (Request::ReadInputRegisters(address, count), count),
+            _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
+        };
+        let allowed = self.timing.allowed(8, 5 + 2 * usize::from(words));
+        let question = Question {
+            is_probe: true,
+            ..Question::plain(request, pdu, "the probe", allowed)
+        };
+        self.call(question, |_| Ok(())).map(drop)
     }
 
     /// One request and its reply, booked in the statistics; who calls has listened. `check` turns the reply into a
     /// value or says what is wrong with it.
     fn call<T>(
         &mut self,
-        request: Request<'_>,
-        what: &str,
-        allowed: Duration,
+        question: Question<'_>,
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
-        // What came before the request has been judged.
-        self.guard.take_anomaly();
         let sent = now();
-        let deadline = sent + allowed;
+        let deadline = self.bound.earlier(sent + question.allowed);
+        if deadline < sent + SHORTEST_EXCHANGE {
+            return Err(self.unproven());
+        }
+        // What came before the request has been judged.
+        self.guard.inner().reception.take_anomaly();
+        self.proof.asked(&question.pdu, question.is_probe, sent);
+        let Question {
+            request,
+            what,
+            is_probe,
+            ..
+        } = question;
+        let (context, bound) = (&mut self.context, &self.bound);
         let reply = self.runtime.block_on(async {
-            tokio::time::timeout_at(deadline.into(), self.context.call(request)).await
+            let mut call = std::pin::pin!(context.call(request));
+            loop {
+                let now = now();
+                let look = if is_probe {
+                    bound.next_look(now, deadline)
+                } else {
+                    deadline
+                };
+                match tokio::time::timeout_at(look.into(), call.as_mut()).await {
+                    Err(_) if look < deadline && !bound.is_over(look) => {}
+                    reply => break reply,
+                }
+            }
         });
         let received = now();
+        let waited = received.saturating_duration_since(sent);
         let result = match reply {
             Ok(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
-            Ok(Ok(Err(code))) => Err(self.exception(what, code)),
+            Ok(Ok(Err(code))) => Err(self.exception(what, code.into())),
             Ok(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
             Ok(Err(Error::Transport(error))) => Err(self.broken(&error)),
-            Err(_) => Err(self.missing(what, allowed)),
+            // No reply in time: what came instead tells the class.
+            Err(_) => {
+                let left = self.guard.inner().reception.leftover();
+                Err(left.error(&self.name, what, waited))
+            }
         };
-        // A reply that carries its own number ends every doubt about what came before it.
-        self.suspect = self.guard.take_anomaly() || matches!(&result, Err(e) if e.is_transient());
+        let end = match &result {
+            Ok(_) => End::Data,
+            Err(LinkError::Exception { .. }) => End::Refused,
+            Err(_) => End::Missing,
+        };
+        let (asked, answered) = {
+            let reception = &mut self.guard.inner().reception;
+            if end == End::Missing {
+                reception.retire();
+            }
+            let strays = reception.take_anomaly();
+            let heard = reception.take_heard();
+            let is_numbered = question.is_numbered;
+            self.proof.ended(end, &heard, strays, is_numbered, received);
+            (reception.asked, reception.answered)
+        };
         if result.is_err() && self.kind == FrameKind::Rtu {
             // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
             // transaction number, and the guard drops replies to older ones.
             self.context = attach(&self.guard, self.kind, self.unit);
         }
-        self.tally
-            .settle(&result, received.duration_since(sent).as_secs_f64());
+        self.tally.settle(&result, waited.as_secs_f64());
         result.map(|value| Answer {
             value,
-            sent_s: self.host_s(sent),
-            received_s: self.host_s(received),
+            asked_s: self.host_s(asked.unwrap_or(sent)),
+            answered_s: self.host_s(answered.unwrap_or(received)),
+            complete_s: self.host_s(received),
         })
     }
 
@@ -402,34 +497,40 @@ impl ModbusLink {
         }
     }
 
-    fn exception(&self, what: &str, code: ExceptionCode) -> LinkError {
+    fn exception(&self, what: &str, code: u8) -> LinkError {
         LinkError::Exception {
             link: self.name.clone(),
             request: what.to_owned(),
-            code: code.into(),
+            code,
             name: exception_name(code),
         }
     }
 
-    /// No reply in time: what came instead tells the class.
-    fn missing(&self, what: &str, allowed: Duration) -> LinkError {
-        match self.guard.leftover() {
-            Leftover::Nothing => LinkError::Timeout {
-                link: self.name.clone(),
-                deadline_ms: u64::try_from(allowed.as_millis()).unwrap_or(u64::MAX),
-                request: what.to_owned(),
-            },
-            Leftover::Stale => LinkError::Stale {
-                link: self.name.clone(),
-                reason: format!("only late answers came after {what}"),
-            },
-            Leftover::Foreign => {
-                self.mismatch(format!("only frames that do not answer {what} came"))
-            }
-            Leftover::Damaged(bytes) => LinkError::Corrupt {
-                link: self.name.clone(),
-                reason: format!("{bytes} bytes without a valid frame came in reply to {what}"),
-            },
+    /// The time of the exchange is over, or a stop is wanted, before the line was in step.
+    fn unproven(&self) -> LinkError {
+        LinkError::Unproven {
+            link: self.name.clone(),
+            reason:
+                "the line is not proven to be in step yet, and the time of this exchange is over"
+                    .to_owned(),
+        }
+    }
+
+    /// What goes out at once ends after this, s at the most: on a line in doubt nothing that is slower is waited for.
+    fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let allowed = self.timing.allowed(request_bytes, reply_bytes);
+        if self.proof.is_suspect() {
+            allowed.min(self.timing.brief(request_bytes, reply_bytes))
+        } else {
+            allowed
+        }
+    }
+
+    fn line_counts(&self) -> LineCounts {
+        LineCounts {
+            retries: self.retries,
+            resync_ms: u64::try_from(self.resync.as_millis()).unwrap_or(u64::MAX),
+            ..self.guard.inner().reception.line
         }
     }
 }
@@ -453,12 +554,14 @@ impl DriveLink for ModbusLink {
             .map_err(|error| identity_error(&self.name, error))?;
         let mut identity = identity(&block);
         // Names are a comfort that a drive need not offer.
-        let ask = || Request::ReadDeviceIdentification(ReadCode::Regular, 0);
-        let names = self.read_with_retries("the device identification", 7, 256, ask, |response| {
-            match response {
-                Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
-                other => Err(format!("{other:?}")),
-            }
+        let allowed = self.timing.allowed(7, 256);
+        let ask = || {
+            let request = Request::ReadDeviceIdentification(ReadCode::Regular, 0);
+            Question::plain(request, [43, 14, 2, 0, 0], NAMES, allowed)
+        };
+        let names = self.read_with_retries(ask, |response| match response {
+            Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
+            other => Err(format!("{other:?}")),
         });
         match names {
             Ok(names) => {
@@ -490,13 +593,20 @@ impl DriveLink for ModbusLink {
         let waits = self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu;
         // A stop goes out at once, also where the line is never silent.
         if waits && command.demand.energises() {
-            self.silence()?;
+            let quiet = self.timing.quiet();
+            let patience = now() + PATIENCE * quiet;
+            while !self.keep_silent(now() + quiet)? {
+                if now() >= patience {
+                    return Err(restless(&self.name));
+                }
+            }
         }
         self.command(command)
     }
 
     /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
     fn stop(&mut self) -> Result<(), LinkError> {
+        self.bound.set(f64::INFINITY, now());
         let stop = Command {
             seq: self.last_seq.wrapping_add(1),
             demand: Demand::Stop,
@@ -535,7 +645,15 @@ impl DriveLink for ModbusLink {
     }
 
     fn line(&self) -> Option<LineCounts> {
-        Some(self.guard.line())
+        Some(self.line_counts())
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.bound.set(left_s, now());
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        Some(&mut self.bound.cut_in)
     }
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
@@ -566,18 +684,24 @@ fn quantity(words: usize) -> u16 {
     u16::try_from(words).expect("blocks of the register table fit a request")
 }
 
-const fn exception_name(code: ExceptionCode) -> &'static str {
-    match code {
-        ExceptionCode::IllegalFunction => "illegal function",
-        ExceptionCode::IllegalDataAddress => "illegal data address",
-        ExceptionCode::IllegalDataValue => "illegal data value",
-        ExceptionCode::ServerDeviceFailure => "device failure",
-        ExceptionCode::Acknowledge => "acknowledge: it takes long",
-        ExceptionCode::ServerDeviceBusy => "device busy",
-        ExceptionCode::MemoryParityError => "memory parity error",
-        ExceptionCode::GatewayPathUnavailable => "gateway path unavailable",
-        ExceptionCode::GatewayTargetDevice => "the gateway's device does not answer",
-        ExceptionCode::Custom(_) => "a code of the maker",
+/// The question for registers.
+fn question(read: ReadRequest, what: &str, allowed: Duration) -> Question<'_> {
+    let request = match read.table {
+        RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
+        RegisterTable::Input => Request::ReadInputRegisters(read.address, read.count),
+    };
+    Question::plain(request, read.pdu(), what, allowed)
+}
+
+/// The registers that were asked for.
+fn words(read: ReadRequest) -> impl Fn(Response) -> Result<Vec<u16>, String> {
+    move |response| match response {
+        Response::ReadHoldingRegisters(values) | Response::ReadInputRegisters(values)
+            if values.len() == usize::from(read.count) =>
+        {
+            Ok(values)
+        }
+        other => Err(format!("{other:?}")),
     }
 }
 

@@ -8,7 +8,7 @@ use firmware_protocol::registers::{CAPTURE_CONTROL, CAPTURE_STATE};
 use firmware_protocol::{CaptureControl, CaptureState};
 use tokio_modbus::{Request, Response};
 
-use super::{Echo, LinkError, ModbusLink, READ_ATTEMPTS, RegisterTable, quantity};
+use super::{Echo, LinkError, ModbusLink, Question, RegisterTable, quantity};
 use crate::drive::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use crate::drive::clock_map::signed_difference;
 
@@ -35,17 +35,16 @@ impl ModbusLink {
                 WINDOW_ADDRESS,
                 Cow::Borrowed(&words),
             );
-            let window = self.call(
-                request,
-                "captured samples",
-                allowed,
-                |response| match response {
-                    Response::ReadWriteMultipleRegisters(values) => Ok(values),
-                    other => Err(format!("{other:?}")),
-                },
-            );
+            let question = Question {
+                is_numbered: true,
+                ..Question::plain(request, [23, 0, 0, 0, 0], "captured samples", allowed)
+            };
+            let window = self.call(question, |response| match response {
+                Response::ReadWriteMultipleRegisters(values) => Ok(values),
+                other => Err(format!("{other:?}")),
+            });
             match window {
-                Err(error) if error.is_transient() && attempt < READ_ATTEMPTS => attempt += 1,
+                Err(error) if self.may_retry(&error, attempt) => attempt += 1,
                 window => return window.map(|answer| answer.value),
             }
         }

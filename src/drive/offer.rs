@@ -175,7 +175,7 @@ fn no_reference(profile: &DriveProfile) -> String {
     });
     match point {
         Some(point) => format!(
-            "its reference {} is in {}, and what that is as a speed depends on the motor: give the profile a scale in rpm, or pole_pairs for Hz",
+            "its reference {} is in {}, and what that is as a speed depends on the motor: give the profile a scale in rpm, pole_pairs for Hz, or counts_per_turn for counts/s",
             point.name,
             point.numbers.unit.name()
         ),

@@ -9,7 +9,7 @@ const LONGEST_PAUSE_S: f64 = 0.08;
 
 /// Exceptions with which a device says that it cannot answer now: failure, acknowledge, busy, and those of a gateway
 /// (Modbus Application Protocol 1.1b3, 7).
-const fn is_busy(code: u8) -> bool {
+pub(super) const fn is_busy(code: u8) -> bool {
     matches!(code, 0x04..=0x06 | 0x0A | 0x0B)
 }
 

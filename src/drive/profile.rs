@@ -174,8 +174,8 @@ pub struct SignalOrigins {
 impl SignalOrigins {
     pub const fn get(&self, channel: Channel) -> Option<Origin> {
         match channel {
-            // The reference is the host's own.
-            Channel::Reference => None,
+            // The reference and the uncertainty of a stamp are the host's own.
+            Channel::Reference | Channel::TimeHalfWidth => None,
             Channel::VoltageCmd => self.voltage_cmd_v,
             Channel::Voltage => self.voltage_v,
             Channel::Current => self.current_a,

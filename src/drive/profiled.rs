@@ -7,6 +7,7 @@
 //!
 //! Enabling is never repeated by itself: after a fault, a stop or a failed step somebody has to ask for zero first.
 
+mod clock;
 mod connect;
 mod halt;
 mod points;
@@ -16,20 +17,26 @@ mod state;
 
 use std::sync::Arc;
 
+use self::clock::Clock;
 use self::points::Points;
-use self::readings::Readings;
+use self::readings::{Readings, Span};
 use self::sequence::{Next, Sequence};
+use super::budget::{READ_WRITE_BYTES, joint_point};
+use super::clock_map::ClockMap;
 use super::command_times::CommandTimes;
-use super::guard::LineCounts;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
 use super::register_bus::RegisterBus;
 use super::register_map::{Quantity, RegisterMap, Step};
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
 
 /// Set-points that read back otherwise so often in a row are ignored by the drive.
 const MISMATCHES: u32 = 3;
+/// A drive that refuses a step of its enable command for so long, because it is busy, will not take it, s: less than what a
+/// session waits beyond the steps, so that the refusal is what is told.
+const REFUSALS_S: f64 = 0.5;
 /// Bytes of a read request and of a reply beside its registers, RTU.
 const READ_BYTES: usize = 8;
 const REPLY_BYTES: usize = 5;
@@ -70,6 +77,10 @@ pub struct ProfiledLink<B> {
     /// When something went out that the drive's watchdog counts, s.
     kicked_s: f64,
     patience: Patience,
+    /// The drive's own, where the profile maps it.
+    clock: Option<Clock>,
+    /// Since when its fault condition has been seen to hold, s.
+    in_fault_since_s: Option<f64>,
 }
 
 impl<B: RegisterBus> ProfiledLink<B> {
@@ -78,6 +89,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
             readings: Readings::new(Arc::clone(&map)),
             points: Points::new(Arc::clone(&map)),
             watchdog_s: map.watchdog.default_s.filter(|time| *time > 0.0),
+            clock: Clock::of(&map),
+            in_fault_since_s: None,
             map,
             bus,
             mode: Mode::Off,
@@ -144,26 +157,48 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let was_off = self.mode == Mode::Off;
         let period_s = self.last_exchange_s.map_or(0.0, |last_s| began_s - last_s);
         self.last_exchange_s = Some(began_s);
-        self.points.limited = false;
+        self.points.begin();
         if matches!(wanted, Wanted::Run(_)) {
             self.lapse(began_s)?;
         }
         self.decide(wanted, began_s);
-        self.advance()?;
-        let mut applied_s = None;
+        // A drive that refuses a write is asked for its state all the same: a fault, or a keypad, may be why.
+        let mut refused = None;
+        held_back(&mut refused, self.advance())?;
+        let mut put_s = None;
         if self.mode == Mode::On {
-            if let Wanted::Run(Some((name, value))) = wanted {
-                self.points
-                    .put(&mut self.bus, &self.readings, name, *value)?;
-                applied_s = Some(self.bus.now_s());
+            if let Some(reason) = self.points.watch(&mut self.bus)? {
+                return Err(self.ended(reason));
             }
-            self.points.refresh(&mut self.bus, period_s)?;
+            self.points.carried = None;
+            self.points.may_join(self.readings.joinable().is_some());
+            if let Wanted::Run(Some((name, value))) = wanted {
+                let (points, readings) = (&mut self.points, &self.readings);
+                let put = points.put(&mut self.bus, readings, name, *value);
+                held_back(&mut refused, put)?;
+                put_s = Some((self.bus.now_s(), self.points.carried));
+            }
+            let refreshed = self.points.refresh(&mut self.bus, period_s);
+            held_back(&mut refused, refreshed)?;
             if self.points.kicked_s > self.kicked_s {
                 self.kicked_s = self.points.kicked_s;
             }
         }
         let reading_s = self.bus.now_s();
-        self.readings.read_fast(&mut self.bus)?;
+        let joined = self.points.take_joined();
+        let (span, both) = match self.readings.read_fast(&mut self.bus, joined.as_ref()) {
+            Err(error @ LinkError::Exception { .. }) if joined.is_some() => {
+                held_back(&mut refused, Err(error))?;
+                self.readings.read_fast(&mut self.bus, None)?
+            }
+            read => read?,
+        };
+        if let (Some(joined), Some(span)) = (joined, both) {
+            let now_s = self.bus.now_s();
+            self.points.joined_carried(joined, span, now_s);
+            self.kicked_s = now_s;
+            put_s = put_s.map(|(asked_s, _)| (asked_s, Some(span)));
+        }
         let first = self.readings.fast().len() as f64;
         let read_s = self.bus.now_s();
         // Nothing that can wait may make a refresh late.
@@ -175,20 +210,69 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if self.map.watchdog.kicked_by == super::KickedBy::Any {
             self.kicked_s = read_s;
         }
-        self.advance()?;
+        held_back(&mut refused, self.advance())?;
         self.supervise()?;
+        let has_cause = self.state() == DriveState::Fault || self.hindrance().is_some();
+        if let Some(error) = refused.filter(|_| !has_cause) {
+            return Err(error);
+        }
         if let (true, Wanted::Run(_), Some(hindrance)) = (was_off, wanted, self.hindrance()) {
             return Err(self.refused(hindrance.sentence().to_owned()));
         }
-        // Without a clock in the drive: the middle of the first request.
-        let time_s = reading_s + 0.5 * request_s;
+        let (time_s, half_width_s) = self.stamp(span);
         let mut sample = self.sample(time_s, began_s);
+        sample.time_half_width_s = half_width_s;
         sample.seq = Some(seq);
-        sample.applied = applied_s.map(|applied_s| Applied {
-            seq,
-            time_s: applied_s.min(time_s),
+        sample.applied = put_s.map(|(asked_s, carried)| {
+            // What was not written again is what the drive has had since before.
+            let applied_s = self.on_time_axis(carried.map_or(asked_s, Span::middle_s));
+            Applied {
+                seq,
+                time_s: applied_s.min(time_s),
+            }
         });
         Ok(sample)
+    }
+
+    /// When the fast signals were sampled, on the time axis of the samples: by the drive's own clock, else between the first
+    /// request out and the last reply in. Several blocks are of several instants, all of which the half-width covers.
+    fn stamp(&mut self, span: Option<Span>) -> (f64, Option<f64>) {
+        let now_s = self.bus.now_s();
+        let span = span.unwrap_or(Span {
+            asked_s: now_s,
+            answered_s: now_s,
+        });
+        let Some(clock) = &mut self.clock else {
+            return (span.middle_s(), Some(span.half_width_s()));
+        };
+        let time_s = clock.follow(&self.readings);
+        let others_s = if self.readings.fast().len() > 1 {
+            2.0 * span.half_width_s()
+        } else {
+            0.0
+        };
+        (time_s, Some(clock.half_width_s() + others_s))
+    }
+
+    /// A host time on the time axis of the samples, s.
+    fn on_time_axis(&self, host_s: f64) -> f64 {
+        self.clock
+            .as_ref()
+            .map_or(host_s, |clock| clock.of_host_s(host_s))
+    }
+
+    /// Ends a run: the drive gets its stop, and the reason counts more than how that goes.
+    fn ended(&mut self, reason: String) -> LinkError {
+        self.latched = true;
+        self.begin_stop(self.bus.now_s());
+        let _ = self.advance();
+        LinkError::Sequence {
+            link: self.name().0,
+            command: "run",
+            step: 1,
+            steps: 1,
+            reason,
+        }
     }
 
     /// Silence that was longer than the drive's watchdog: an old set-point must not come back with the next write.
@@ -266,80 +350,129 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// Carries the command under way as far as it goes now.
     fn advance(&mut self) -> Result<(), LinkError> {
+        self.points.is_urgent = matches!(self.mode, Mode::Stopping(_));
+        let Some((next, sequence, unheard)) = self.go_on()? else {
+            return Ok(());
+        };
+        match next {
+            // What was not acknowledged goes out again before the stop is over.
+            Next::Done if sequence.is_unheard() => {}
+            Next::Done => {
+                self.mode = match &self.mode {
+                    Mode::Enabling(_) => {
+                        self.unseen_since_s = Some(self.bus.now_s());
+                        Mode::On
+                    }
+                    _ => Mode::Off,
+                };
+            }
+            Next::Failed { step, reason } => return Err(self.failed(&sequence, step, reason)),
+            Next::Wait | Next::Write { .. } => {}
+        }
+        unheard.map_or(Ok(()), Err)
+    }
+
+    /// The same without its end: what is next, where the command is, and the first write of a stop that was not acknowledged.
+    fn go_on(&mut self) -> Result<Option<(Next, Sequence, Option<LinkError>)>, LinkError> {
+        let mode = self.mode.clone();
+        let (Mode::Enabling(mut sequence)
+        | Mode::Stopping(mut sequence)
+        | Mode::Resetting(mut sequence)) = mode
+        else {
+            return Ok(None);
+        };
+        if self.points.is_urgent {
+            let descended = self.descend(&mut sequence);
+            self.mode = Mode::Stopping(sequence.clone());
+            let (next, unheard) = descended?;
+            return Ok(Some((next, sequence, unheard)));
+        }
         loop {
-            let now_s = self.bus.now_s();
-            let faulty = self.told("fault") == Some(true);
-            self.points.is_urgent = matches!(self.mode, Mode::Stopping(_));
             let readings = &self.readings;
             let status = |name: &str| {
                 let reading = readings.get(name)?;
                 Some((reading.pattern?, reading.read_s))
             };
-            let (Mode::Enabling(sequence) | Mode::Stopping(sequence) | Mode::Resetting(sequence)) =
-                &mut self.mode
-            else {
-                return Ok(());
-            };
-            match sequence.next(now_s, status) {
-                Next::Wait => {
-                    // A drive in fault has its output off, whatever its stop command waits for.
-                    if faulty && matches!(self.mode, Mode::Stopping(_)) {
-                        self.mode = Mode::Off;
-                    }
-                    return Ok(());
-                }
-                Next::Write {
-                    set_point,
-                    value,
-                    mask,
-                } => {
-                    self.points
-                        .write(&mut self.bus, &self.readings, &set_point, value, mask)?;
-                    let now_s = self.bus.now_s();
+            let next = sequence.next(self.bus.now_s(), status);
+            let mut written = Ok(());
+            if let Next::Write {
+                set_point,
+                value,
+                mask,
+            } = &next
+            {
+                let (points, readings) = (&mut self.points, &self.readings);
+                written = points.write(&mut self.bus, readings, set_point, *value, *mask);
+            }
+            let now_s = self.bus.now_s();
+            let mut given_up = None;
+            match &written {
+                Ok(()) if matches!(next, Next::Write { .. }) => {
                     self.kicked_s = now_s;
                     sequence.written(now_s);
                 }
-                Next::Done => {
-                    self.mode = match &self.mode {
-                        Mode::Enabling(_) => {
-                            self.unseen_since_s = Some(now_s);
-                            Mode::On
-                        }
-                        _ => Mode::Off,
-                    };
-                    return Ok(());
+                Err(error @ LinkError::Exception { .. }) => {
+                    let since_s = sequence.refused(now_s, error.to_string());
+                    given_up = (since_s > REFUSALS_S).then(|| error.to_string());
                 }
-                Next::Failed { step, reason } => {
-                    let (command, steps) = (sequence.command, sequence.steps());
-                    let error = LinkError::Sequence {
-                        link: self.bus.name().0,
-                        command,
-                        step,
-                        steps,
-                        reason: reason + &self.in_fault_text(now_s),
-                    };
-                    self.latched = true;
-                    self.mode = match &self.mode {
-                        Mode::Enabling(_) => {
-                            self.points.release();
-                            Mode::Stopping(Sequence::new("stop", &self.map.commands.stop, now_s))
-                        }
-                        Mode::Stopping(sequence) if sequence.command == "stop" => {
-                            Mode::Stopping(Sequence::new("coast", &self.map.commands.coast, now_s))
-                        }
-                        _ => Mode::Off,
-                    };
-                    // The way down is begun at once; what it reports matters less than why.
-                    let _ = self.advance();
-                    return Err(error);
-                }
+                _ => {}
+            }
+            match &mut self.mode {
+                Mode::Enabling(at) | Mode::Resetting(at) => *at = sequence.clone(),
+                _ => {}
+            }
+            if let Some(reason) = given_up {
+                let step = sequence.step();
+                return Err(self.failed(&sequence, step, reason));
+            }
+            written?;
+            if !matches!(next, Next::Write { .. }) {
+                return Ok(Some((next, sequence, None)));
             }
         }
     }
 
-    /// What ends a run from the drive's side.
+    /// A command that its drive does not follow: the way down is begun at once.
+    fn failed(&mut self, sequence: &Sequence, step: usize, reason: String) -> LinkError {
+        // A fault is why it does not follow, and its code says which.
+        if self.told("fault") == Some(true) {
+            let _ = self.readings.read_now(&mut self.bus, Quantity::FaultCode);
+        }
+        let now_s = self.bus.now_s();
+        let error = LinkError::Sequence {
+            link: self.bus.name().0,
+            command: sequence.command,
+            step,
+            steps: sequence.steps(),
+            reason: reason + &self.in_fault_text(now_s),
+        };
+        self.latched = true;
+        self.mode = match &self.mode {
+            Mode::Enabling(_) => {
+                self.points.release();
+                Mode::Stopping(Sequence::new("stop", &self.map.commands.stop, now_s))
+            }
+            Mode::Stopping(sequence) if sequence.command == "stop" => {
+                Mode::Stopping(Sequence::new("coast", &self.map.commands.coast, now_s))
+            }
+            _ => Mode::Off,
+        };
+        // What it reports matters less than why.
+        let _ = self.advance();
+        error
+    }
+
+    /// What ends a run from the drive's side. The first cause is what the sample tells: what the way down meets, such as a
+    /// drive in fault that takes no write, is not.
     fn supervise(&mut self) -> Result<(), LinkError> {
         let now_s = self.bus.now_s();
+        let in_fault = self.is_in_fault();
+        let since_s = in_fault.then(|| self.in_fault_since_s.unwrap_or(now_s));
+        if in_fault && std::mem::replace(&mut self.in_fault_since_s, since_s).is_none() {
+            // The code of a fault is often polled slowly, and is wanted now. A lost one comes with the slow signals.
+            gone(self.readings.read_now(&mut self.bus, Quantity::FaultCode))?;
+        }
+        self.in_fault_since_s = since_s;
         if let (Some(least_a), Some(field)) = (
             self.map.field_min_a,
             self.map.of_quantity(Quantity::FieldCurrent),
@@ -351,57 +484,44 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 self.field_lost = true;
                 self.latched = true;
                 self.begin_stop(now_s);
-                return self.advance();
+                return gone(self.advance());
             }
         }
         // Somebody else has it: no set-point goes out any more, and what it was told last is taken back.
         if self.hindrance().is_some() && matches!(self.mode, Mode::On | Mode::Enabling(_)) {
             self.latched = true;
             self.begin_stop(now_s);
-            // The sample says why; how the stop goes matters less.
-            let _ = self.advance();
+            return gone(self.advance());
+        }
+        if self.mode != Mode::On {
             return Ok(());
         }
-        if self.mode == Mode::On {
-            if self.points.mismatches() >= MISMATCHES {
-                let reason = self.points.mismatch_text();
-                self.latched = true;
-                self.begin_stop(now_s);
-                // As above: the reason counts.
-                let _ = self.advance();
-                return Err(LinkError::Sequence {
-                    link: self.name().0,
-                    command: "run",
-                    step: 1,
-                    steps: 1,
-                    reason,
-                });
-            }
-            let runs = self.runs_since_enabled();
-            if runs == Some(true) {
-                self.unseen_since_s = None;
-            }
-            // Perhaps it runs and the profile looks for it at the wrong place: it gets its stop command.
-            if self.unseen_since_s.is_some()
-                && self.state() != DriveState::Fault
-                && runs == Some(false)
-            {
-                let error = self.never_ran();
-                self.latched = true;
-                self.begin_stop(now_s);
-                // As above: the reason counts.
-                let _ = self.advance();
-                return Err(error);
-            }
-            // It stopped by itself: a fault, its watchdog, somebody at its keypad.
-            if self.state() == DriveState::Fault || runs == Some(false) {
-                self.latched = true;
-                self.points.release();
-                self.mode = Mode::Off;
-                self.points.zero(&mut self.bus, &self.readings)?;
-                // The code of a fault is often polled slowly, and is wanted now.
-                self.readings.read_now(&mut self.bus, Quantity::FaultCode)?;
-            }
+        if self.points.mismatches() >= MISMATCHES {
+            let reason = self.points.mismatch_text();
+            return Err(self.ended(reason));
+        }
+        let runs = self.runs_since_enabled();
+        if runs == Some(true) {
+            self.unseen_since_s = None;
+        }
+        let in_fault = self.state() == DriveState::Fault;
+        // Perhaps it runs and the profile looks for it at the wrong place: it gets its stop command.
+        if self.unseen_since_s.is_some() && !in_fault && runs == Some(false) {
+            let error = self.never_ran();
+            self.latched = true;
+            self.begin_stop(now_s);
+            let _ = self.advance();
+            return Err(error);
+        }
+        // It stopped by itself: a fault, its watchdog, somebody at its keypad. It must not be found with a reference and the
+        // word to run when it comes back.
+        if in_fault || runs == Some(false) {
+            self.latched = true;
+            self.points.release();
+            self.points.is_urgent = true;
+            gone(self.points.zero(&mut self.bus, &self.readings))?;
+            self.begin_stop(now_s);
+            return gone(self.advance());
         }
         Ok(())
     }
@@ -411,6 +531,28 @@ impl<B: RegisterBus> ProfiledLink<B> {
             link: self.bus.name().0,
             reason,
         }
+    }
+}
+
+/// Keeps the first refusal until it is known what the drive says of itself.
+fn held_back(
+    first: &mut Option<LinkError>,
+    result: Result<(), LinkError>,
+) -> Result<(), LinkError> {
+    match result {
+        Err(error @ LinkError::Exception { .. }) => {
+            first.get_or_insert(error);
+            Ok(())
+        }
+        result => result,
+    }
+}
+
+/// On the way down only a link that is gone matters: why it is taken is told already.
+fn gone(result: Result<(), LinkError>) -> Result<(), LinkError> {
+    match result {
+        Err(error @ LinkError::Gone { .. }) => Err(error),
+        _ => Ok(()),
     }
 }
 
@@ -457,7 +599,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     fn found(&self) -> Option<Sample> {
         let now_s = self.bus.now_s();
-        Some(self.sample(now_s, now_s))
+        Some(self.sample(self.on_time_axis(now_s), now_s))
     }
 
     fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
@@ -492,29 +634,45 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// Stops, and looks whether the drive says so; where it does not, coasts.
     fn stop(&mut self) -> Result<(), LinkError> {
+        self.bus.bound(f64::INFINITY);
         self.points.release();
         self.mode = Mode::Off;
         self.latched = false;
-        let mut last = None;
+        let (mut first, mut runs) = (None, false);
         for command in ["stop", "stop", "coast"] {
             if command == "coast" && self.map.commands.coast.is_empty() {
                 continue;
             }
-            let result = self.carry_out(command).and_then(|()| self.rests());
+            let carried = self.carry_out(command);
+            // A drive that says that it does not run may have refused a word of its stop, as one in fault does.
+            let refused = matches!(carried, Err(LinkError::Exception { .. }));
+            let result = match carried {
+                Err(error) if !(refused && self.confirms_stop()) => Err(error),
+                carried => self.rests().map(|rests| (rests, carried.err())),
+            };
             match result {
-                Ok(true) => return Ok(()),
-                Ok(false) => {}
+                Ok((true, _)) => return Ok(()),
+                Ok((false, error)) => {
+                    runs = true;
+                    first = first.or(error);
+                }
                 Err(error @ LinkError::Gone { .. }) => return Err(error),
-                Err(error) => last = Some(error),
+                Err(error) => first = first.or(Some(error)),
             }
         }
-        Err(last.unwrap_or_else(|| LinkError::Sequence {
-            link: self.name().0,
-            command: "stop",
-            step: 1,
-            steps: 1,
-            reason: "the drive still reports that it runs".to_owned(),
-        }))
+        match first {
+            Some(error) if !runs => Err(error),
+            first => Err(LinkError::Sequence {
+                link: self.name().0,
+                command: "stop",
+                step: 1,
+                steps: 1,
+                reason: first.map_or_else(
+                    || "the drive still reports that it runs".to_owned(),
+                    |error| format!("the drive still reports that it runs; before that {error}"),
+                ),
+            }),
+        }
     }
 
     /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
@@ -548,14 +706,36 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         self.bus.line()
     }
 
+    fn bound(&mut self, left_s: f64) {
+        self.bus.bound(left_s);
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        self.bus.cut_in()
+    }
+
     /// Fast signals and one set-point.
     fn shortest_cycle_s(&self) -> Option<f64> {
-        let mut cycle_s = self.bus.wire_s(READ_BYTES, READ_BYTES)?;
-        for block in self.readings.fast() {
+        let joined = self.readings.joinable().zip(joint_point(&self.map));
+        let mut cycle_s = match joined {
+            Some(_) => 0.0,
+            None => self.bus.wire_s(READ_BYTES, READ_BYTES)?,
+        };
+        for (at, block) in self.readings.fast().iter().enumerate() {
+            let request = match joined {
+                Some((with, point)) if with == at => {
+                    READ_WRITE_BYTES + 2 * usize::from(point.location.layout.registers())
+                }
+                _ => READ_BYTES,
+            };
             let reply = REPLY_BYTES + 2 * usize::from(block.count);
-            cycle_s += self.bus.wire_s(READ_BYTES, reply)?;
+            cycle_s += self.bus.wire_s(request, reply)?;
         }
         Some(cycle_s)
+    }
+
+    fn clock_map(&self) -> Option<&ClockMap> {
+        self.clock.as_ref().map(Clock::map)
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {

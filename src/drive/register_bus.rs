@@ -1,9 +1,9 @@
 //! Registers at the far end of something: all that a profiled drive needs of a link.
 
 use super::RegisterTable;
-use super::guard::LineCounts;
 use super::link::{LinkError, LinkName, LinkStatistics};
 use super::tally::RoundTrips;
+use super::transaction::{CutIn, LineCounts};
 
 /// Registers as they were read, and the host times between which the drive took their values.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,6 +12,15 @@ pub struct RegistersRead {
     /// First byte of the accepted request out, s.
     pub asked_s: f64,
     /// First byte of its reply in, s.
+    pub answered_s: f64,
+}
+
+/// The host times between which the far end carried out a write that it acknowledged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Carried {
+    /// First byte of the request out, s.
+    pub asked_s: f64,
+    /// First byte of its acknowledgement in, s.
     pub answered_s: f64,
 }
 
@@ -34,16 +43,33 @@ pub trait RegisterBus: Send {
     ) -> Result<RegistersRead, LinkError>;
 
     /// Writes with function code 6 (one register) or 16; never repeated by itself.
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError>;
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError>;
 
     /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
+    ///
+    /// On such a line it waits for one turnaround and no longer, so that the next write can follow where no reply came.
     fn write_at_once(
         &mut self,
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<(), LinkError> {
+    ) -> Result<Carried, LinkError> {
         self.write(function, address, values)
+    }
+
+    /// Writes holding registers and then reads others, in one transaction (function code 23) where the bus has one; never
+    /// repeated by itself. The times are those between which both were done.
+    fn read_write(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let written = self.write(16, to, values)?;
+        let read = self.read(RegisterTable::Holding, from, count)?;
+        Ok(RegistersRead {
+            asked_s: written.asked_s,
+            ..read
+        })
     }
 
     /// An object of function code 43; `None` where the drive does not have it.
@@ -52,6 +78,14 @@ pub trait RegisterBus: Send {
     /// Whether the far end is known to be software.
     fn is_emulated(&self) -> bool {
         false
+    }
+
+    /// As [`DriveLink::bound`](super::DriveLink::bound); [`RegisterBus::write_at_once`] is not bound.
+    fn bound(&mut self, _left_s: f64) {}
+
+    /// As [`DriveLink::cut_in`](super::DriveLink::cut_in).
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        None
     }
 
     /// Lets go of what carries the registers.

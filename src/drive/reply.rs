@@ -1,12 +1,13 @@
 //! Which bytes on the line are the reply to the one outstanding request, and which are not.
 //!
 //! A reply is taken only if unit, function, length, echoed fields and checksum (or transaction) all fit the request:
-//! RTU has no transaction number, and every common client takes a late reply for the next one
-//! (measured: LINKS.md 3.2).
+//! RTU has no transaction number, and common clients take a late reply for the next one.
 
 use std::collections::VecDeque;
 
-use firmware_protocol::modbus::{Length, expected_response_len, response_len, rtu, tcp};
+use firmware_protocol::modbus::{
+    Length, expected_response_len, request_len, response_len, rtu, tcp,
+};
 
 /// How frames are told apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,14 +62,45 @@ impl Expected {
     }
 }
 
+/// What a reply shows of the request that it answers, where it carries no number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Code {
+    /// With the mark of a refusal, if it is one.
+    pub(super) function: u8,
+    /// Bytes of the PDU.
+    pub(super) length: usize,
+}
+
+impl Code {
+    /// Of a whole response frame.
+    pub(super) fn of(kind: FrameKind, frame: &[u8]) -> Option<Self> {
+        let (before, behind) = match kind {
+            FrameKind::Rtu => (1, 2),
+            FrameKind::Tcp => (tcp::HEADER, 0),
+        };
+        Some(Self {
+            function: *frame.get(before)?,
+            length: frame.len().checked_sub(before + behind)?,
+        })
+    }
+
+    /// Of the data that this request asks for.
+    pub(super) fn answering(request: &[u8]) -> Self {
+        Self {
+            function: request.first().copied().unwrap_or_default(),
+            length: expected_response_len(request).unwrap_or_default(),
+        }
+    }
+}
+
 /// What the bytes received so far hold.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Search {
     /// Begin and end of the reply.
     pub(super) reply: Option<(usize, usize)>,
     /// Whole frames that answer an earlier request, or this one with another number.
-    pub(super) stale: usize,
-    /// Whole frames that answer nothing that was asked.
+    pub(super) old: Vec<Code>,
+    /// Whole frames that answer nothing that was asked; on a serial line also those that are requests of somebody else.
     pub(super) foreign: usize,
     /// The line returned the request itself before the reply.
     pub(super) echo: bool,
@@ -94,6 +126,10 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
     let mut found = Search::default();
     let request = &expected.request;
     let (unit, pdu) = unit_and_pdu(request).unwrap_or_default();
+    let request_sent = match expected.earlier.back() {
+        Some(last) if request.is_empty() => last,
+        _ => request,
+    };
     // The reply to these equals the request: without knowing the line a copy cannot be called an echo.
     let reply_is_copy = matches!(pdu.first(), Some(5 | 6 | 8));
     let mut at = 0;
@@ -107,8 +143,12 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
     }
     while at < received.len() {
         let tail = &received[at..];
-        let Some(length) = rtu_frame_len(tail) else {
-            at += 1;
+        let Some(length) = rtu_frame_len(tail, response_len) else {
+            // Only another master sends these; our own came back as an echo.
+            let request = rtu_frame_len(tail, request_len);
+            let own = !request_sent.is_empty() && tail.starts_with(request_sent);
+            found.foreign += usize::from(request.is_some() && !own);
+            at += request.unwrap_or(1);
             continue;
         };
         let response = &tail[1..length - 2];
@@ -121,7 +161,7 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
                 .is_some_and(|(unit, pdu)| tail[0] == unit && answers(pdu, response))
         };
         if is_old(request) || expected.earlier.iter().any(is_old) {
-            found.stale += 1;
+            found.old.extend(Code::of(FrameKind::Rtu, &tail[..length]));
         } else {
             found.foreign += 1;
         }
@@ -137,9 +177,9 @@ fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
     Some((unit, pdu))
 }
 
-/// Length of a whole response frame at the start of `bytes`, if there is one with a right checksum.
-fn rtu_frame_len(bytes: &[u8]) -> Option<usize> {
-    let Length::Known(pdu) = response_len(bytes.get(1..)?) else {
+/// Length of a whole frame at the start of `bytes`, if there is one with a right checksum.
+fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
+    let Length::Known(pdu) = pdu_len(bytes.get(1..)?) else {
         return None;
     };
     let (body, rest) = bytes.split_at_checked(pdu + 1)?;
@@ -190,7 +230,7 @@ fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search, Unframeabl
         // The transaction number says whose answer it is.
         let is_old = |request: &Vec<u8>| request.get(..2) == frame.get(..2);
         if is_old(request) || expected.earlier.iter().any(is_old) {
-            found.stale += 1;
+            found.old.extend(Code::of(FrameKind::Tcp, frame));
         } else {
             found.foreign += 1;
         }
@@ -235,7 +275,7 @@ mod tests {
         });
         let look = |expected: &Expected, bytes: &[u8]| {
             let found = search(FrameKind::Rtu, expected, bytes).unwrap();
-            (found.reply, found.stale, found.foreign)
+            (found.reply, found.old.len(), found.foreign)
         };
         assert_eq!(look(&expected, &reply(7)), (Some((0, 9)), 0, 0));
         assert_eq!(look(&expected, &reply(6)), (None, 1, 0));
@@ -271,7 +311,7 @@ mod tests {
         ] {
             let search = rtu(&request, &[&other], false);
             assert_eq!(
-                (search.reply, search.foreign + search.stale),
+                (search.reply, search.foreign + search.old.len()),
                 (None, 1),
                 "{other:?}"
             );

@@ -13,12 +13,13 @@ use firmware_protocol::{CaptureControl, CaptureState, DriveCommand, Telemetry};
 
 use super::burst::{Burst, Capture};
 use super::clock_map::{ClockMap, signed_difference};
-use super::guard::{LineCounts, now};
+use super::guard::now;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::port::{Closed, TimedPort};
 use super::tally::{RoundTrips, Tally};
 use super::timeline::{Timeline, control, identity, low_word};
 use super::timing::LineTiming;
+use super::transaction::{Bound, LineCounts};
 use crate::sample::{Command, Demand, DriveState, Sample};
 
 /// Bytes of a command and of its telemetry, with COBS and delimiters.
@@ -32,8 +33,10 @@ pub struct StreamLink {
     name: String,
     port: Box<dyn TimedPort>,
     decoder: Decoder,
-    /// Bytes in the decoder: those since the last delimiter.
+    /// Bytes in the decoder: those since the last delimiter, and when the first of them came.
     pending: u64,
+    pending_since: Instant,
+    bound: Bound,
     line: LineCounts,
     timing: LineTiming,
     tally: Tally,
@@ -51,8 +54,10 @@ pub struct StreamLink {
 struct Answer<T> {
     value: T,
     drive_us: u32,
-    sent_s: f64,
-    received_s: f64,
+    /// First byte of the question out, first byte of its answer in, the answer complete; s since the epoch.
+    asked_s: f64,
+    answered_s: f64,
+    complete_s: f64,
 }
 
 /// What came that was no answer.
@@ -76,6 +81,8 @@ impl StreamLink {
             port,
             decoder: Decoder::new(),
             pending: 0,
+            pending_since: now(),
+            bound: Bound::default(),
             line: LineCounts::default(),
             timing,
             tally: Tally::default(),
@@ -155,7 +162,7 @@ impl StreamLink {
         }
         self.drop_leftovers()?;
         let sent = now();
-        let deadline = sent + allowed;
+        let deadline = self.bound.earlier(sent + allowed);
         let mut wreckage = Wreckage::default();
         let result = self
             .send(question, deadline)
@@ -169,11 +176,12 @@ impl StreamLink {
         });
         self.tally
             .settle(&result, received.duration_since(sent).as_secs_f64());
-        result.map(|(value, drive_us)| Answer {
+        result.map(|(value, drive_us, answered)| Answer {
             value,
             drive_us,
-            sent_s: self.host_s(sent),
-            received_s: self.host_s(received),
+            asked_s: self.host_s(sent),
+            answered_s: self.host_s(answered),
+            complete_s: self.host_s(received),
         })
     }
 
@@ -185,8 +193,9 @@ impl StreamLink {
             match self.port.read_within(&mut bytes, Duration::ZERO) {
                 Ok(0) => break,
                 Ok(count) => {
+                    let at = now();
                     for byte in &bytes[..count] {
-                        if let Some((frame, length)) = self.take(*byte) {
+                        if let Some((frame, length, _)) = self.take(*byte, at) {
                             self.line.bytes_dropped += length;
                             self.line.stale_frames += u64::from(frame.is_ok());
                         }
@@ -200,12 +209,15 @@ impl StreamLink {
         Ok(())
     }
 
-    /// Takes a byte; gives the frame that it ends, and its length on the line.
-    fn take(&mut self, byte: u8) -> Option<(Result<Frame, FrameError>, u64)> {
+    /// Takes a byte; gives the frame that it ends, its length on the line, and when its first byte came.
+    fn take(&mut self, byte: u8, at: Instant) -> Option<(Result<Frame, FrameError>, u64, Instant)> {
         self.line.bytes_received += 1;
+        if self.pending == 0 {
+            self.pending_since = at;
+        }
         self.pending += 1;
         let frame = self.decoder.push(byte)?;
-        Some((frame, std::mem::take(&mut self.pending)))
+        Some((frame, std::mem::take(&mut self.pending), self.pending_since))
     }
 
     fn send(&mut self, question: &Frame, deadline: Instant) -> io::Result<()> {
@@ -234,7 +246,7 @@ impl StreamLink {
         deadline: Instant,
         wreckage: &mut Wreckage,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<(T, u32), LinkError> {
+    ) -> Result<(T, u32, Instant), LinkError> {
         let mut bytes = [0; 512];
         loop {
             let left = deadline.saturating_duration_since(now());
@@ -251,8 +263,9 @@ impl StreamLink {
                 .map_err(|error| self.lost(&error))?;
             wreckage.bytes += count;
             let mut answer = None;
+            let at = now();
             for byte in &bytes[..count] {
-                let Some((frame, length)) = self.take(*byte) else {
+                let Some((frame, length, first)) = self.take(*byte, at) else {
                     continue;
                 };
                 let before = self.line.bytes_accepted;
@@ -263,7 +276,7 @@ impl StreamLink {
                             answer = Some(Err(self.refused(what, refusal.code)));
                         } else if let Some(value) = check(&frame.message) {
                             self.line.bytes_accepted += length;
-                            answer = Some(Ok((value, frame.time_us)));
+                            answer = Some(Ok((value, frame.time_us, first)));
                         } else {
                             self.line.foreign_frames += 1;
                             wreckage.foreign += 1;
@@ -358,7 +371,7 @@ impl DriveLink for StreamLink {
                 _ => None,
             })?;
         self.timeline
-            .note(answer.drive_us, answer.sent_s, answer.received_s);
+            .note(answer.drive_us, answer.asked_s, answer.answered_s);
         self.capture_period_s = f64::from(answer.value.capture_period_us) * 1e-6;
         Ok(identity(&answer.value))
     }
@@ -374,12 +387,18 @@ impl DriveLink for StreamLink {
             Message::Telemetry(telemetry) => Some(*telemetry),
             _ => None,
         })?;
-        Ok(self
-            .timeline
-            .sample(&answer.value, command.seq, answer.sent_s, answer.received_s))
+        let mut sample = self.timeline.sample(
+            &answer.value,
+            command.seq,
+            answer.asked_s,
+            answer.answered_s,
+        );
+        sample.host_time_s = Some(answer.complete_s);
+        Ok(sample)
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
+        self.bound.set(f64::INFINITY, now());
         let stop = Command {
             seq: self.last_seq.wrapping_add(1),
             demand: Demand::Stop,
@@ -420,6 +439,10 @@ impl DriveLink for StreamLink {
         Some(&self.tally.round_trips)
     }
 
+    fn bound(&mut self, left_s: f64) {
+        self.bound.set(left_s, now());
+    }
+
     fn line(&self) -> Option<LineCounts> {
         Some(self.line)
     }
@@ -451,7 +474,7 @@ impl Burst for StreamLink {
         let (count, first_us) = (status.value.count, status.value.first_time_us);
         let now_s = self
             .timeline
-            .note(status.drive_us, status.sent_s, status.received_s);
+            .note(status.drive_us, status.asked_s, status.answered_s);
         let age_us = signed_difference(status.drive_us, first_us);
         let mut capture = Capture {
             first_s: now_s - f64::from(age_us) * 1e-6,

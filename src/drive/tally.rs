@@ -90,26 +90,31 @@ pub(super) struct Tally {
 impl Tally {
     /// Books one request that went out, under the one class that its end belongs to.
     pub(super) fn settle<T>(&mut self, result: &Result<T, LinkError>, round_trip_s: f64) {
-        let s = &mut self.statistics;
-        s.sent += 1;
-        match result {
-            Ok(_) => {
-                s.ok += 1;
-                self.round_trips.add(round_trip_s);
-            }
-            Err(LinkError::Timeout { .. }) => s.timeout += 1,
-            Err(LinkError::Corrupt { .. }) => s.crc += 1,
-            Err(LinkError::Stale { .. }) => s.stale += 1,
+        self.statistics.settle(result);
+        if result.is_ok() {
+            self.round_trips.add(round_trip_s);
+        }
+    }
+}
+
+impl LinkStatistics {
+    pub(super) const fn settle<T>(&mut self, result: &Result<T, LinkError>) {
+        self.sent += 1;
+        *match result {
+            Ok(_) => &mut self.ok,
+            Err(LinkError::Timeout { .. }) => &mut self.timeout,
+            Err(LinkError::Corrupt { .. }) => &mut self.crc,
+            Err(LinkError::Stale { .. } | LinkError::Unproven { .. }) => &mut self.stale,
             Err(
                 LinkError::Mismatch { .. }
                 | LinkError::Version { .. }
                 | LinkError::Identity { .. }
                 | LinkError::Refused { .. }
                 | LinkError::Sequence { .. },
-            ) => s.mismatch += 1,
-            Err(LinkError::Exception { .. }) => s.exception += 1,
-            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => s.aborted += 1,
-        }
+            ) => &mut self.mismatch,
+            Err(LinkError::Exception { .. }) => &mut self.exception,
+            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => &mut self.aborted,
+        } += 1;
     }
 }
 

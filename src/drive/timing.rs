@@ -13,8 +13,9 @@ const FIXED_GAP_S: f64 = 0.001_75;
 const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
 /// An adapter hands over bytes this much later than they came (the latency timer of FTDI is 16 ms).
 const ADAPTER_DELAY: Duration = Duration::from_millis(16);
-/// A sleeping thread may wake up this much late without anyone to blame.
-const SLEEP_SLACK: Duration = Duration::from_micros(120);
+/// A thread that sleeps may wake up this much late without anyone to blame; the rest of a wait is watched on the clock,
+/// because a gap that is 0.1 ms too long already costs one request in twenty.
+const SLEEP_SLACK: Duration = Duration::from_micros(300);
 
 /// Silence between frames that the standard asks for, s.
 pub fn standard_gap_s(baud: u32, framing: Framing) -> f64 {
@@ -79,6 +80,12 @@ impl LineTiming {
             .unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
     }
 
+    /// Time for what must not wait: one turnaround, and what an adapter adds.
+    pub(super) fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + self.gap_s;
+        seconds(wire_s) + self.reply + ADAPTER_DELAY
+    }
+
     /// Time for an exchange outside the cycles of a run, whose deadline it does not have to keep.
     pub(super) fn unhurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
@@ -93,7 +100,7 @@ impl LineTiming {
     }
 }
 
-/// Waits until `at`: sleeps most of the time, and watches the clock for the last tenth of a millisecond.
+/// Waits until `at`: sleeps most of the time, and watches the clock for the rest.
 pub(super) fn wait_until(at: Instant) {
     #[cfg(test)]
     if super::virtual_line::skip_to(at) {

@@ -126,11 +126,13 @@ impl Dialogue {
         }
     }
 
-    /// Takes one byte at the drive's present time and appends what it makes the drive answer.
+    /// Takes one byte at the drive's present time and appends what it makes the drive answer. `may_command`: whether this
+    /// host's commands are taken now; asked with each of them.
     pub(super) fn push(
         &mut self,
         byte: u8,
         drive: &mut dyn Answering,
+        may_command: &mut dyn FnMut() -> bool,
         answers: &mut Vec<Vec<u8>>,
     ) -> Result<(), Unframeable> {
         match self {
@@ -143,11 +145,18 @@ impl Dialogue {
                 if let Some(request) = receiver.push(byte).map_err(|_| Unframeable)?
                     && [0, *unit, 255].contains(&request.unit)
                 {
-                    answers.push(drive.tcp(&request));
+                    let pdu = request.pdu();
+                    let writes = pdu.first().is_some_and(|code| WRITES.contains(code));
+                    answers.push(if writes && !may_command() {
+                        busy(&request)
+                    } else {
+                        drive.tcp(&request)
+                    });
                 }
             }
             Self::Stream(decoder) => {
                 if let Some(received) = decoder.push(byte)
+                    && (!is_command(&received) || may_command())
                     && let Some(answer) = drive.stream(&received)
                 {
                     let mut frame = [0; stream::MAX_FRAME];
@@ -166,6 +175,22 @@ impl Dialogue {
             answer_rtu(receiver, drive, answers);
         }
     }
+}
+
+/// Function codes that change something in the drive.
+const WRITES: [u8; 6] = [5, 6, 15, 16, 22, 23];
+
+/// The refusal for a host that is not in command: exception 06, server device busy.
+fn busy(request: &TcpFrame) -> Vec<u8> {
+    let function = request.pdu().first().copied().unwrap_or_default();
+    let pdu = [function | 0x80, 6];
+    let mut frame = [0; tcp::MAX_FRAME];
+    let length = tcp::encode_frame(request.transaction, request.unit, &pdu, &mut frame);
+    frame[..length].to_vec()
+}
+
+fn is_command(received: &Received) -> bool {
+    matches!(received, Ok(frame) if matches!(frame.message, stream::Message::Command(_)))
 }
 
 fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &mut Vec<Vec<u8>>) {
@@ -191,7 +216,10 @@ mod tests {
         let mut dialogue = Dialogue::new(kind, UNIT);
         let mut answers = Vec::new();
         for byte in bytes {
-            if dialogue.push(*byte, &mut drive, &mut answers).is_err() {
+            if dialogue
+                .push(*byte, &mut drive, &mut || true, &mut answers)
+                .is_err()
+            {
                 break;
             }
         }
@@ -294,19 +322,19 @@ mod tests {
                 let mut dialogue = Dialogue::new(kind, UNIT);
                 let mut answers = Vec::new();
                 for byte in &noise {
-                    prop_assert!(dialogue.push(*byte, &mut drive, &mut answers).is_ok());
+                    prop_assert!(dialogue.push(*byte, &mut drive, &mut || true, &mut answers).is_ok());
                 }
                 dialogue.idle(&mut drive, &mut answers);
                 answers.clear();
                 for byte in &request {
-                    prop_assert!(dialogue.push(*byte, &mut drive, &mut answers).is_ok());
+                    prop_assert!(dialogue.push(*byte, &mut drive, &mut || true, &mut answers).is_ok());
                 }
                 prop_assert_eq!(answers.last().map(|answer| answer.len() >= 37), Some(true));
             }
             let mut dialogue = Dialogue::new(LinkKind::ModbusTcp, UNIT);
             for byte in &noise {
                 // A wrong header ends the connection; anything else is served.
-                if dialogue.push(*byte, &mut drive, &mut Vec::new()).is_err() {
+                if dialogue.push(*byte, &mut drive, &mut || true, &mut Vec::new()).is_err() {
                     break;
                 }
             }

@@ -23,7 +23,11 @@ const STOP_ATTEMPTS: usize = 3;
 
 /// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
 #[derive(Clone, Debug, Default)]
-pub struct VirtualClock(Arc<AtomicU64>);
+pub struct VirtualClock {
+    time: Arc<AtomicU64>,
+    /// Part of it in which the host was suspended and only the drive lived.
+    slept: Arc<AtomicU64>,
+}
 
 impl VirtualClock {
     pub fn new() -> Self {
@@ -31,11 +35,23 @@ impl VirtualClock {
     }
 
     pub fn set_time_s(&self, time_s: f64) {
-        self.0.store(time_s.to_bits(), Ordering::Release);
+        self.time.store(time_s.to_bits(), Ordering::Release);
     }
 
     pub fn time_s(&self) -> f64 {
-        f64::from_bits(self.0.load(Ordering::Acquire))
+        f64::from_bits(self.time.load(Ordering::Acquire))
+    }
+
+    /// Suspends the host for so long, as a laptop whose lid is closed: time goes on for the drive, and not for the host.
+    pub fn suspend_s(&self, seconds: f64) {
+        self.set_time_s(self.time_s() + seconds);
+        let slept_s = self.slept_s() + seconds;
+        self.slept.store(slept_s.to_bits(), Ordering::Release);
+    }
+
+    /// For how long the host was suspended so far, s.
+    pub fn slept_s(&self) -> f64 {
+        f64::from_bits(self.slept.load(Ordering::Acquire))
     }
 }
 

@@ -61,6 +61,16 @@ impl Pace {
         self.gap_s
     }
 
+    /// Time of so many bytes, s.
+    pub(super) const fn wire_s(&self, bytes: usize) -> f64 {
+        bytes as f64 * self.char_s
+    }
+
+    /// When a byte that the host hands over at `now_s` begins to travel.
+    pub(super) const fn departure_s(&self, now_s: f64) -> f64 {
+        self.free_from_s.max(now_s)
+    }
+
     /// When the next byte of the host, handed over at `now_s`, has come in as a whole.
     pub(super) const fn arrival_s(&mut self, now_s: f64) -> f64 {
         self.free_from_s = self.free_from_s.max(now_s) + self.char_s;

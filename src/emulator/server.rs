@@ -19,14 +19,20 @@ use super::pace::Pace;
 use super::port::Port;
 #[cfg(target_os = "linux")]
 use super::pty::{Claim, PtyPort};
-use super::session::{Counters, Session};
-use super::tcp::TcpPorts;
+use super::session::{Commander, Counters, FarEnd, Session, Turn};
+use super::tcp::{TcpPort, TcpPorts};
 use super::{EmulatorConfig, ForeignDrive, Guise, SoftDrive};
 
 /// How long a host gets to read the last answer before its pseudo-terminal goes: what is unread then is lost.
 const LAST_ANSWER_S: f64 = 0.05;
 /// Between two looks for a host on the network.
 const ACCEPT_PERIOD: Duration = Duration::from_millis(5);
+/// A host on the network that says nothing for so long is let go, s.
+const IDLE_S: f64 = 60.0;
+/// Hosts on the network at once; one more waits until one goes.
+const MOST_HOSTS: usize = 8;
+/// Between two rounds through several hosts, s.
+const ROUND_S: f64 = 0.001;
 
 /// Where the drive is to be found.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -339,12 +345,45 @@ impl<'a> Server<'a> {
         let ports = TcpPorts::bind(address)?;
         ready(&ports.address()?.to_string());
         let pace = Pace::network(self.line);
-        while !self.stopped() {
-            if let Some(mut port) = ports.accept() {
-                self.session(&mut port, pace.clone());
-            } else {
+        let (start, link, unit) = (self.start, self.link, self.unit);
+        let clock = || start.elapsed().as_secs_f64();
+        let mut commander = Commander::default();
+        let mut far = FarEnd {
+            drive: self.drive.as_mut(),
+            clock: &clock,
+            stop: self.stop,
+            counters: self.counters,
+            commander: &mut commander,
+        };
+        let mut hosts: Vec<(TcpPort, Session)> = Vec::new();
+        while !far.stop.load(Ordering::Relaxed) {
+            if hosts.len() < MOST_HOSTS
+                && let Some(port) = ports.accept()
+            {
+                let session = Session::new(Dialogue::new(link, unit), pace.clone(), &far);
+                hosts.push((port, session));
+            }
+            if hosts.is_empty() {
                 thread::sleep(ACCEPT_PERIOD);
-                self.drive.advance_to(self.start.elapsed().as_secs_f64());
+                far.drive.advance_to(clock());
+            }
+            let is_alone = hosts.len() == 1;
+            hosts.retain_mut(|(port, session)| {
+                if clock() - session.heard_s > IDLE_S {
+                    session.let_go();
+                }
+                match session.turn(port, &mut far) {
+                    Turn::Over(_) => false,
+                    Turn::Until(next_s) => {
+                        // Several are asked in turn, none of them waited for.
+                        let now_s = clock();
+                        session.listen(port, &far, if is_alone { next_s } else { now_s });
+                        true
+                    }
+                }
+            });
+            if hosts.len() > 1 {
+                thread::sleep(Duration::from_secs_f64(ROUND_S));
             }
         }
         Ok(())
@@ -352,15 +391,14 @@ impl<'a> Server<'a> {
 
     fn session(&mut self, port: &mut dyn Port, pace: Pace) -> Option<f64> {
         let start = self.start;
-        Session {
-            dialogue: Dialogue::new(self.link, self.unit),
-            pace,
+        let mut far = FarEnd {
             drive: self.drive.as_mut(),
             clock: &|| start.elapsed().as_secs_f64(),
             stop: self.stop,
             counters: self.counters,
-        }
-        .serve(port)
+            commander: &mut Commander::default(),
+        };
+        Session::new(Dialogue::new(self.link, self.unit), pace, &far).serve(port, &mut far)
     }
 
     fn stopped(&self) -> bool {

@@ -15,6 +15,7 @@ use tokio_modbus::slave::SlaveContext;
 use tokio_modbus::{Slave, prelude};
 
 use super::*;
+use crate::emulator::session::HAND_OVER_S;
 
 fn config(baud: u32) -> EmulatorConfig {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
@@ -279,6 +280,65 @@ fn tokio_modbus_reads_over_tcp_one_host_after_the_other() {
             assert_eq!(words[2], seq);
         });
     }
+}
+
+#[test]
+fn a_host_that_says_nothing_starves_nobody_and_one_of_several_is_in_command() {
+    let address = "127.0.0.1:0".parse().unwrap();
+    let server = spawn(config(0), 1, LinkKind::ModbusTcp, Endpoint::Tcp(address)).unwrap();
+    let address = server.address().parse().unwrap();
+    let _mute: Vec<_> = (0..3)
+        .map(|_| TcpStream::connect(server.address()).unwrap())
+        .collect();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
+    let within = Duration::from_secs(2);
+    runtime.block_on(async {
+        let mut first = prelude::tcp::connect_slave(address, Slave(1))
+            .await
+            .unwrap();
+        let mut second = prelude::tcp::connect_slave(address, Slave(1))
+            .await
+            .unwrap();
+        let command = |seq| volts(seq, 1.0).to_registers();
+        let (one, two) = (command(5), command(6));
+        let write = first.write_multiple_registers(32, &one);
+        tokio::time::timeout(within, write)
+            .await
+            .unwrap()
+            .unwrap()
+            .unwrap();
+        // Whoever reads is served beside it; who writes is told that another one is in command.
+        let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
+        assert_eq!(words[2], 5);
+        let refused = second.write_multiple_registers(32, &two).await.unwrap();
+        assert_eq!(refused, Err(tokio_modbus::ExceptionCode::ServerDeviceBusy));
+        // It is gone: the other one takes over.
+        drop(first);
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        second
+            .write_multiple_registers(32, &two)
+            .await
+            .unwrap()
+            .unwrap();
+        let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
+        assert_eq!(words[2], 6);
+    });
+}
+
+#[test]
+fn the_command_changes_hands_where_its_holder_is_silent_or_gone() {
+    let mut commander = Commander::default();
+    assert!(commander.takes(1, 0.0) && commander.takes(1, 1.0));
+    assert!(!commander.takes(2, 1.0 + 0.99 * HAND_OVER_S));
+    assert!(commander.takes(2, 1.0 + 1.01 * HAND_OVER_S));
+    assert!(!commander.takes(1, 2.0 + HAND_OVER_S));
+    commander.leaves(1);
+    assert!(!commander.takes(1, 2.0 + HAND_OVER_S));
+    commander.leaves(2);
+    assert!(commander.takes(1, 2.0 + HAND_OVER_S));
 }
 
 #[test]

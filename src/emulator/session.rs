@@ -1,4 +1,5 @@
-//! One session with one host in real time: bytes are held back until their wire time has passed.
+//! One session with one host in real time: bytes are held back until their wire time has passed. Of several hosts one is in
+//! command.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,6 +13,9 @@ use super::port::Port;
 const LONGEST_WAIT_S: f64 = 0.01;
 /// Bytes under way on the line; a host that writes more has to wait.
 const LONGEST_QUEUE: usize = 4096;
+/// A host that has commanded nothing for so long is not in command any more, s: longer than the watchdog of the drives that
+/// matter, so that the motor stands when the command changes hands.
+pub(super) const HAND_OVER_S: f64 = 2.0;
 
 /// What a server has done so far.
 #[derive(Debug, Default)]
@@ -21,101 +25,182 @@ pub(super) struct Counters {
     pub(super) bytes_dropped: AtomicU64,
 }
 
-/// What a session works with.
-pub(super) struct Session<'a> {
-    pub(super) dialogue: Dialogue,
-    pub(super) pace: Pace,
+/// The host whose commands the drive takes: of several that are connected one, until it is gone or has commanded nothing for
+/// a while.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Commander {
+    /// Number of its session, and when it commanded last, s.
+    held: Option<(u64, f64)>,
+}
+
+impl Commander {
+    /// Whether this session may command at `now_s`; it is in command from then on.
+    pub(super) fn takes(&mut self, session: u64, now_s: f64) -> bool {
+        let by_another = self
+            .held
+            .is_some_and(|(holder, at_s)| holder != session && now_s - at_s < HAND_OVER_S);
+        if !by_another {
+            self.held = Some((session, now_s));
+        }
+        !by_another
+    }
+
+    /// The session has ended.
+    pub(super) fn leaves(&mut self, session: u64) {
+        self.held = self.held.filter(|(holder, _)| *holder != session);
+    }
+}
+
+/// What all sessions work with.
+pub(super) struct FarEnd<'a> {
     pub(super) drive: &'a mut dyn Answering,
     /// Drive time by the wall clock, s.
     pub(super) clock: &'a dyn Fn() -> f64,
     pub(super) stop: &'a AtomicBool,
     pub(super) counters: &'a Counters,
+    pub(super) commander: &'a mut Commander,
 }
 
-impl Session<'_> {
+/// One host and what is under way to and from it.
+pub(super) struct Session {
+    number: u64,
+    dialogue: Dialogue,
+    pace: Pace,
+    incoming: VecDeque<(f64, u8)>,
+    outgoing: VecDeque<(f64, Vec<u8>)>,
+    answers: Vec<Vec<u8>>,
+    silent_from_s: Option<f64>,
+    last_answer_s: Option<f64>,
+    /// When it said something last, s.
+    pub(super) heard_s: f64,
+    gone: bool,
+    broken: bool,
+}
+
+/// What a session waits for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Turn {
+    /// Something is due then, s; until that it listens.
+    Until(f64),
+    /// The host is gone or spoke something else, or `stop` is set; the time of the last answer, for a host that may still
+    /// want to read it.
+    Over(Option<f64>),
+}
+
+impl Session {
+    pub(super) fn new(dialogue: Dialogue, pace: Pace, far: &FarEnd<'_>) -> Self {
+        Self {
+            number: far.counters.sessions.fetch_add(1, Ordering::Relaxed),
+            dialogue,
+            pace,
+            incoming: VecDeque::new(),
+            outgoing: VecDeque::new(),
+            answers: Vec::new(),
+            silent_from_s: None,
+            last_answer_s: None,
+            heard_s: (far.clock)(),
+            gone: false,
+            broken: false,
+        }
+    }
+
     /// Serves until the host goes, speaks something else, or `stop` is set. Returns the time of the last answer.
-    pub(super) fn serve(&mut self, port: &mut dyn Port) -> Option<f64> {
-        self.counters.sessions.fetch_add(1, Ordering::Relaxed);
-        let mut incoming: VecDeque<(f64, u8)> = VecDeque::new();
-        let mut outgoing: VecDeque<(f64, Vec<u8>)> = VecDeque::new();
-        let mut buffer = [0; 1024];
-        let mut answers = Vec::new();
-        let mut silent_from_s = None;
-        let mut last_answer_s = None;
-        let (mut gone, mut broken) = (false, false);
+    pub(super) fn serve(&mut self, port: &mut dyn Port, far: &mut FarEnd<'_>) -> Option<f64> {
         loop {
-            let now = (self.clock)();
-            // What a host wrote before it went still counts, at its own time: the drive then runs a little ahead.
-            let seen_until = if gone { f64::INFINITY } else { now };
-            while let Some((at, byte)) = due(&mut incoming, seen_until) {
-                self.drive.advance_to(at);
-                broken |= self.dialogue.push(byte, self.drive, &mut answers).is_err();
-                self.send(at, &mut answers, &mut outgoing);
-                silent_from_s = Some(at + self.pace.gap_s());
+            match self.turn(port, far) {
+                Turn::Over(last_answer_s) => return last_answer_s,
+                Turn::Until(next_s) => self.listen(port, far, next_s),
             }
-            self.drive.advance_to(now);
-            if incoming.is_empty() && silent_from_s.is_some_and(|from| from <= now) {
-                silent_from_s = None;
-                self.dialogue.idle(self.drive, &mut answers);
-                self.send(now, &mut answers, &mut outgoing);
-            }
-            if gone {
-                return None;
-            }
-            while let Some((_, answer)) = due(&mut outgoing, now) {
-                self.deliver(port, &answer);
-                last_answer_s = Some(now);
-            }
-            if (broken && outgoing.is_empty()) || self.stop.load(Ordering::Relaxed) {
-                return last_answer_s;
-            }
-            // Bytes of one request are looked at together, each at its own time.
-            let next_s = [
-                incoming.back().map(|(at, _)| *at),
-                outgoing.front().map(|(due, _)| *due),
-                silent_from_s,
-            ]
-            .into_iter()
-            .flatten()
-            .fold(now + LONGEST_WAIT_S, f64::min);
-            let wait = Duration::from_secs_f64((next_s - (self.clock)()).max(0.0));
-            if incoming.len() >= LONGEST_QUEUE {
-                std::thread::sleep(wait);
-                continue;
-            }
-            match port.read_within(&mut buffer, wait) {
-                Ok(count) => {
-                    let now = (self.clock)();
-                    for byte in &buffer[..count] {
-                        incoming.push_back((self.pace.arrival_s(now), *byte));
-                    }
+        }
+    }
+
+    /// Does what is due by now.
+    pub(super) fn turn(&mut self, port: &mut dyn Port, far: &mut FarEnd<'_>) -> Turn {
+        let now = (far.clock)();
+        // What a host wrote before it went still counts, at its own time: the drive then runs a little ahead.
+        let seen_until = if self.gone { f64::INFINITY } else { now };
+        while let Some((at, byte)) = due(&mut self.incoming, seen_until) {
+            far.drive.advance_to(at);
+            let (commander, number) = (&mut *far.commander, self.number);
+            let may_command = &mut || commander.takes(number, at);
+            let pushed = self
+                .dialogue
+                .push(byte, far.drive, may_command, &mut self.answers);
+            self.broken |= pushed.is_err();
+            self.send(at);
+            self.silent_from_s = Some(at + self.pace.gap_s());
+        }
+        far.drive.advance_to(now);
+        if self.incoming.is_empty() && self.silent_from_s.is_some_and(|from| from <= now) {
+            self.silent_from_s = None;
+            self.dialogue.idle(far.drive, &mut self.answers);
+            self.send(now);
+        }
+        if self.gone {
+            far.commander.leaves(self.number);
+            return Turn::Over(None);
+        }
+        while let Some((_, answer)) = due(&mut self.outgoing, now) {
+            deliver(far.counters, port, &answer);
+            self.last_answer_s = Some(now);
+        }
+        if (self.broken && self.outgoing.is_empty()) || far.stop.load(Ordering::Relaxed) {
+            far.commander.leaves(self.number);
+            return Turn::Over(self.last_answer_s);
+        }
+        // Bytes of one request are looked at together, each at its own time.
+        let next_s = [
+            self.incoming.back().map(|(at, _)| *at),
+            self.outgoing.front().map(|(due, _)| *due),
+            self.silent_from_s,
+        ];
+        let next_s = next_s.into_iter().flatten();
+        Turn::Until(next_s.fold(now + LONGEST_WAIT_S, f64::min))
+    }
+
+    /// Takes what comes until `next_s`.
+    pub(super) fn listen(&mut self, port: &mut dyn Port, far: &FarEnd<'_>, next_s: f64) {
+        let mut buffer = [0; 1024];
+        let wait = Duration::from_secs_f64((next_s - (far.clock)()).max(0.0));
+        if self.incoming.len() >= LONGEST_QUEUE {
+            std::thread::sleep(wait);
+            return;
+        }
+        match port.read_within(&mut buffer, wait) {
+            Ok(count) => {
+                let now = (far.clock)();
+                if count > 0 {
+                    self.heard_s = now;
                 }
-                Err(_) => gone = true,
+                for byte in &buffer[..count] {
+                    self.incoming.push_back((self.pace.arrival_s(now), *byte));
+                }
             }
+            Err(_) => self.gone = true,
         }
     }
 
-    fn send(
-        &mut self,
-        end_s: f64,
-        answers: &mut Vec<Vec<u8>>,
-        outgoing: &mut VecDeque<(f64, Vec<u8>)>,
-    ) {
-        for answer in answers.drain(..) {
+    /// Lets the host go at the next turn.
+    pub(super) const fn let_go(&mut self) {
+        self.gone = true;
+    }
+
+    fn send(&mut self, end_s: f64) {
+        for answer in self.answers.drain(..) {
             let due = self.pace.delivery_s(end_s, answer.len());
-            outgoing.push_back((due, answer));
+            self.outgoing.push_back((due, answer));
         }
     }
+}
 
-    fn deliver(&self, port: &mut dyn Port, answer: &[u8]) {
-        // Counted first: who has the answer also finds it counted.
-        self.counters.answers.fetch_add(1, Ordering::Relaxed);
-        let taken = port.write(answer);
-        let dropped = answer.len() - taken;
-        self.counters
-            .bytes_dropped
-            .fetch_add(u64::try_from(dropped).unwrap_or(0), Ordering::Relaxed);
-    }
+fn deliver(counters: &Counters, port: &mut dyn Port, answer: &[u8]) {
+    // Counted first: who has the answer also finds it counted.
+    counters.answers.fetch_add(1, Ordering::Relaxed);
+    let taken = port.write(answer);
+    let dropped = answer.len() - taken;
+    counters
+        .bytes_dropped
+        .fetch_add(u64::try_from(dropped).unwrap_or(0), Ordering::Relaxed);
 }
 
 /// The first entry, if its time has come.

@@ -1,4 +1,4 @@
-//! The drive on the network: one host at a time.
+//! The drive on the network: several hosts, each a port of its own.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -44,28 +44,44 @@ pub(super) struct TcpPort {
     stream: TcpStream,
 }
 
+impl TcpPort {
+    /// What has come by now, without a wait.
+    fn read_now(&mut self, buffer: &mut [u8]) -> Result<usize, Gone> {
+        self.stream.set_nonblocking(true).map_err(|_| Gone)?;
+        let read = taken(self.stream.read(buffer));
+        // Answers wait for room.
+        self.stream.set_nonblocking(false).map_err(|_| Gone)?;
+        read
+    }
+}
+
+/// Bytes that were read; none before a timeout.
+fn taken(read: io::Result<usize>) -> Result<usize, Gone> {
+    match read {
+        Ok(0) => Err(Gone),
+        Ok(count) => Ok(count),
+        Err(error)
+            if matches!(
+                error.kind(),
+                ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+            ) =>
+        {
+            Ok(0)
+        }
+        Err(_) => Err(Gone),
+    }
+}
+
 impl Port for TcpPort {
     fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone> {
         if timeout < SHORTEST_SOCKET_WAIT {
             std::thread::sleep(timeout);
-            return Ok(0);
+            return self.read_now(buffer);
         }
         self.stream
             .set_read_timeout(Some(timeout))
             .map_err(|_| Gone)?;
-        match self.stream.read(buffer) {
-            Ok(0) => Err(Gone),
-            Ok(count) => Ok(count),
-            Err(error)
-                if matches!(
-                    error.kind(),
-                    ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
-                ) =>
-            {
-                Ok(0)
-            }
-            Err(_) => Err(Gone),
-        }
+        taken(self.stream.read(buffer))
     }
 
     fn write(&mut self, bytes: &[u8]) -> usize {

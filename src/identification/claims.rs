@@ -5,6 +5,7 @@
 //! it may be believed.
 
 use super::sanity::Finding;
+use super::stamps;
 use crate::plant::{Input, MotorKey, Scenario};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run, Side, Verdict};
 
@@ -20,6 +21,9 @@ const FEWEST_ROWS: usize = 20;
 
 /// Limits the verdicts to what the origins of the signals allow; returns what the reader has to know.
 pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenario) -> Vec<String> {
+    if let Some(half_width_s) = scenario.typical_half_width_s() {
+        stamps::refuse(parameters, half_width_s);
+    }
     let claims = claims(run, scenario);
     for claim in &claims {
         for parameter in parameters.iter_mut() {

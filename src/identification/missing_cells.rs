@@ -48,6 +48,9 @@ fn without_torn_rows(scenario: &Scenario, whole: &[bool]) -> Scenario {
         sample_time_s: pick(times),
         current_a: pick(&scenario.current_a),
         speed_rad_s: pick(&scenario.speed_rad_s),
+        time_half_width_s: (keep.iter())
+            .filter_map(|k| scenario.time_half_width_s.get(*k).copied())
+            .collect(),
         scored: place(scenario.scored.start)..place(scenario.scored.end),
         ..scenario.clone()
     }

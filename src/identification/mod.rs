@@ -32,6 +32,7 @@ pub mod sanity;
 pub mod scheme;
 pub mod scheme_1;
 pub mod speed_from_angle;
+pub mod stamps;
 pub mod start;
 pub mod step_response;
 pub mod temperature;

@@ -3,6 +3,7 @@
 //! Pure arithmetic on the samples' own stamps: the same sequence gives the same bits.
 
 use super::recursive::{CurrentIntegral, Memory, Scheme2, Scheme3, StartValues};
+use super::stamps;
 use crate::plant::{Model, MotorKey};
 use crate::sample::{Channel, ParameterEstimate, Quality, Sample};
 
@@ -37,7 +38,12 @@ pub struct Online {
     scheme_2: Scheme2,
     scheme_3: Scheme3,
     commanded: bool,
+    /// Largest half-width of a stamp lately, s; zero where the drive stamps its samples itself.
+    half_width_s: f64,
 }
+
+/// Share of a half-width that is left of it one sample later.
+const HALF_WIDTH_MEMORY: f64 = 0.99;
 
 impl Online {
     pub fn new(config: OnlineConfig) -> Self {
@@ -49,6 +55,7 @@ impl Online {
             ),
             scheme_3: Scheme3::new(config.memory, config.torque_n_m_per_a, config.start),
             commanded: false,
+            half_width_s: 0.0,
         }
     }
 
@@ -76,6 +83,10 @@ impl Online {
                 .filter(|_| sample.quality(channel) == Quality::Good)
         };
         if let (Some(current), Some(speed)) = (good(Channel::Current), good(Channel::Speed)) {
+            let half_width_s = sample.time_half_width_s.unwrap_or(0.0).abs();
+            self.half_width_s = half_width_s.max(HALF_WIDTH_MEMORY * self.half_width_s);
+            self.scheme_3.set_limited(sample.limited);
+            self.scheme_3.set_half_width(half_width_s);
             self.scheme_3.push(time_s, current, speed);
             if let Some(noise) = self.scheme_3.speed_noise_rad_s() {
                 self.scheme_2.set_speed_noise(noise);
@@ -86,7 +97,12 @@ impl Online {
 
     /// Scheme 3: R, L, Ke, J, Mc.
     pub fn estimates(&self) -> Vec<ParameterEstimate> {
-        self.scheme_3.estimates()
+        let mut estimates = self.scheme_3.estimates();
+        if self.half_width_s > 0.0 {
+            stamps::widen(&mut estimates, self.half_width_s);
+            stamps::refuse(&mut estimates, self.half_width_s);
+        }
+        estimates
     }
 
     /// Scheme 2: J, Mc from current and speed alone, with the torque constant that was given, else the one that scheme 3

@@ -51,6 +51,7 @@ impl Bench {
             current_a: vec![],
             speed_rad_s: vec![],
             angle: vec![],
+            time_half_width_s: vec![],
         };
         let out = Plant::new(&Model::baseline(motor), Input::Voltage)
             .unwrap()
@@ -326,5 +327,106 @@ fn an_inductance_that_is_gone_between_two_samples_is_not_claimed() {
         let inductance = &estimates[1];
         assert_eq!(inductance.verdict, Verdict::NotObservable, "{inductance:?}");
         assert_eq!((inductance.value, inductance.std), (None, None));
+    }
+}
+
+/// What a settled parameter misses the truth by, in its standard deviations; names of those that miss by more than three.
+fn settled_and_wrong(online: &Online, truth: [f64; 5]) -> Vec<String> {
+    online
+        .estimates()
+        .iter()
+        .zip(truth)
+        .filter(|(estimate, truth)| {
+            estimate.verdict == Verdict::Settled
+                && (estimate.value.unwrap() - truth).abs() > 3.0 * estimate.std.unwrap()
+        })
+        .map(|(estimate, truth)| format!("{truth} {estimate:?}"))
+        .collect()
+}
+
+#[test]
+fn while_a_limit_of_the_drive_holds_its_output_nothing_is_learnt_or_settled() {
+    let bench = Bench::regular(steps(6.0), 0.01, 6.0);
+    for seed in 0..5 {
+        let (current, speed) = bench.noisy(seed);
+        let mut online = Online::new(OnlineConfig::default());
+        let limited = 3.0..5.0;
+        let mut events = bench.events.iter().peekable();
+        let mut before = Vec::new();
+        for (k, &time_s) in bench.times.iter().enumerate() {
+            while let Some(&&(at_s, volts)) = events.peek().filter(|event| event.0 <= time_s) {
+                // The limit leaves the motor another voltage than was commanded.
+                let asked = if limited.contains(&at_s) {
+                    0.6 * volts
+                } else {
+                    volts
+                };
+                online.push(&Sample::at(at_s).with(Channel::VoltageCmd, asked));
+                events.next();
+            }
+            let mut sample = Sample::at(time_s)
+                .with(Channel::Current, current[k])
+                .with(Channel::Speed, speed[k]);
+            sample.limited = (limited.start - 0.02..limited.end + 0.12).contains(&time_s);
+            online.push(&sample);
+            if sample.limited && time_s > limited.start {
+                let verdicts: Vec<Verdict> = online.estimates().iter().map(|e| e.verdict).collect();
+                assert!(
+                    !verdicts.contains(&Verdict::Settled),
+                    "{time_s} {verdicts:?}"
+                );
+            }
+            if (2.95..2.96).contains(&time_s) {
+                before = online.estimates();
+            }
+        }
+        assert_eq!(before[0].verdict, Verdict::Settled);
+        let wrong = settled_and_wrong(&online, TRUTH);
+        assert!(wrong.len() <= 1, "{seed} {wrong:?}");
+        assert_eq!(online.estimates()[0].verdict, Verdict::Settled);
+        let error = online.estimates()[0].value.unwrap() / TRUTH[0] - 1.0;
+        assert!(error.abs() < 0.02, "{seed} {error}");
+    }
+}
+
+#[test]
+fn an_inertia_that_changes_is_never_settled_at_what_lies_between() {
+    let moves = |factor: f64| {
+        let mut motor = Motor::zk_22fc();
+        motor.set(MotorKey::Inertia, factor * TRUTH[3]);
+        let mut events = steps(4.0);
+        events.push((4.0, 0.0));
+        Bench::of(motor, events, every(0.01, 6.0))
+    };
+    for factor in [0.25, 0.5, 2.0, 5.0] {
+        let (first, second) = (moves(1.0), moves(factor));
+        let mut online = Online::new(OnlineConfig::default());
+        let (current, speed) = first.noisy(1);
+        first.feed(&mut online, &current, &speed);
+        let (current, speed) = second.noisy(2);
+        let truth = [TRUTH[0], TRUTH[1], TRUTH[2], factor * TRUTH[3], TRUTH[4]];
+        let mut settled = 0;
+        let mut events = second.events.iter().peekable();
+        for (k, &time_s) in second.times.iter().enumerate() {
+            while let Some(&&(at_s, volts)) = events.peek().filter(|event| event.0 <= time_s) {
+                online.push(&Sample::at(6.0 + at_s).with(Channel::VoltageCmd, volts));
+                events.next();
+            }
+            online.push(
+                &Sample::at(6.0 + time_s)
+                    .with(Channel::Current, current[k])
+                    .with(Channel::Speed, speed[k]),
+            );
+            // Nothing moves, and so nothing can have been noticed, before the first step.
+            if time_s > 0.6 && k % 10 == 0 {
+                let inertia = online.estimates().swap_remove(3);
+                if inertia.verdict == Verdict::Settled {
+                    settled += 1;
+                    let miss = (inertia.value.unwrap() - truth[3]).abs() / inertia.std.unwrap();
+                    assert!(miss < 5.0, "{factor} {time_s} {inertia:?}");
+                }
+            }
+        }
+        assert!(settled > 20, "{factor}: settled {settled} times");
     }
 }

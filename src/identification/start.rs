@@ -224,6 +224,7 @@ mod tests {
                 current_a: vec![],
                 speed_rad_s: vec![],
                 angle: vec![],
+                time_half_width_s: vec![],
                 scored: 0..samples,
             };
             let out = Plant::new(&truth, Input::Voltage)
@@ -281,6 +282,7 @@ mod tests {
             current_a: vec![0.0; 20],
             speed_rad_s: vec![0.0; 20],
             angle: vec![],
+            time_half_width_s: vec![],
             scored: 0..20,
         };
         let mut partial = model.clone();

@@ -1,5 +1,7 @@
 //! Mathematics without physics: filters, least squares (batch, recursive, non-linear) and statistics.
 
+pub mod change_watch;
+mod clustered_spread;
 pub mod count;
 pub mod filter;
 pub mod least_squares;

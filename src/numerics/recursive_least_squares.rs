@@ -4,6 +4,8 @@
 //! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. Wind-up cannot
 //! happen: rows forget only while they bring news, and never beyond the prior variance.
 
+use super::clustered_spread::ClusteredSpread;
+
 /// Rows over which the news is averaged.
 const NEWS_ROWS: f64 = 16.0;
 /// Rows that the parameters still follow freely say nothing about the noise: `psi' P psi` above this.
@@ -49,6 +51,8 @@ pub struct RecursiveLeastSquares<const N: usize> {
     spread: [[f64; N]; N],
     /// Covariance of the scaled parameters with the error of the last sample.
     shared: [f64; N],
+    /// The same where neighbouring rows err together.
+    clustered: Option<Box<ClusteredSpread<N>>>,
     noise_sum: f64,
     noise_weight: f64,
     rows: u64,
@@ -77,6 +81,7 @@ impl<const N: usize> RecursiveLeastSquares<N> {
                 std::array::from_fn(|column| if row == column { prior } else { 0.0 })
             }),
             shared: [0.0; N],
+            clustered: None,
             noise_sum: 0.0,
             noise_weight: 0.0,
             rows: 0,
@@ -84,6 +89,13 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         };
         made.set_forgetting(forgetting);
         made
+    }
+
+    /// With standard deviations that also hold where neighbouring rows err together.
+    #[must_use]
+    pub fn clustered(mut self) -> Self {
+        self.clustered = Some(Box::new(ClusteredSpread::new()));
+        self
     }
 
     /// Takes one row of independent noise and returns the innovation; `None`, and no change, where it is not finite.
@@ -112,6 +124,9 @@ impl<const N: usize> RecursiveLeastSquares<N> {
             *parameter += gain * innovation;
         }
         self.propagate_spread(foreseen, &gain);
+        if let Some(clustered) = &mut self.clustered {
+            clustered.take(&psi, &gain, innovation / (1.0 + news));
+        }
         if news < FREE_ROW {
             let square =
                 innovation * innovation / ((1.0 + news) * (1.0 + noise.carry * noise.carry));
@@ -212,14 +227,29 @@ impl<const N: usize> RecursiveLeastSquares<N> {
     /// Covariance of two parameters under the memory that forgetting leaves; `None` before the noise is known.
     pub fn covariance(&self, row: usize, column: usize) -> Option<f64> {
         let unit = self.spread[row][column] * self.scale[row] * self.scale[column];
-        Some(self.noise_variance()? * unit)
+        let variance = self.noise_variance()?;
+        let widened = self.widening(row, variance) * self.widening(column, variance);
+        Some(variance * unit * widened)
+    }
+
+    /// Factor on the standard deviation of a parameter by which neighbouring rows err together; at least one.
+    fn widening(&self, parameter: usize, noise_variance: f64) -> f64 {
+        let white = noise_variance * self.spread[parameter][parameter];
+        match &self.clustered {
+            Some(clustered) if white > 0.0 => {
+                (clustered.variance(parameter) / white).max(1.0).sqrt()
+            }
+            _ => 1.0,
+        }
     }
 
     /// Standard deviations; `None` before the noise is known.
     pub fn standard_deviations(&self) -> Option<[f64; N]> {
         let variance = self.noise_variance()?;
         Some(std::array::from_fn(|j| {
-            (variance * self.spread[j][j].max(0.0)).sqrt() * self.scale[j]
+            (variance * self.spread[j][j].max(0.0)).sqrt()
+                * self.widening(j, variance)
+                * self.scale[j]
         }))
     }
 

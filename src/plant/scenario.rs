@@ -78,6 +78,8 @@ pub struct Scenario {
     pub speed_rad_s: Vec<f64>,
     /// Measured angle `(time, angle)`, continuous over turns; an exogenous input of effects of position. Empty: the speed is integrated.
     pub angle: Vec<(f64, f64)>,
+    /// Half-widths of the stamps of the samples, s, zero where the drive stamped them itself. Empty: it stamped all.
+    pub time_half_width_s: Vec<f64>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
 }
@@ -85,6 +87,8 @@ pub struct Scenario {
 /// Supply to which a sag is referred, V: in the model file and in the configuration of the emulator.
 pub const REFERENCE_SUPPLY_V: f64 = 110.0;
 
+/// Half-widths of a stamp within which a command of the same host was applied: its own exchange and the reading one.
+const EXCHANGE: f64 = 2.0;
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
 /// Rows below which nothing can be said about a motor.
@@ -104,6 +108,7 @@ impl Scenario {
         let nothing = vec![f64::NAN; run.rows()];
         let current = run.column(Channel::Current).unwrap_or(&nothing);
         let speed = run.column(Channel::Speed).unwrap_or(&nothing);
+        let half_width = run.column(Channel::TimeHalfWidth);
         let mut scenario = Self {
             name: run.name.clone(),
             input,
@@ -116,6 +121,7 @@ impl Scenario {
                 run.points(Channel::Angle).collect(),
                 &run.points(Channel::Speed).collect::<Vec<_>>(),
             ),
+            time_half_width_s: Vec::new(),
             scored: 0..0,
         };
         for (row, &time_s) in run.time_s().iter().enumerate() {
@@ -123,6 +129,10 @@ impl Scenario {
                 scenario.sample_time_s.push(time_s);
                 scenario.current_a.push(current[row]);
                 scenario.speed_rad_s.push(speed[row]);
+                if let Some(half_width) = half_width {
+                    let known = Some(half_width[row]).filter(|s| s.is_finite());
+                    scenario.time_half_width_s.push(known.map_or(0.0, f64::abs));
+                }
             }
         }
         let rows = scenario.sample_time_s.len();
@@ -165,6 +175,49 @@ impl Scenario {
             }),
             None => Ok(()),
         }
+    }
+
+    /// Half of the interval in which a sample may have been taken, s; zero where the drive stamped it itself.
+    pub fn half_width_s(&self, sample: usize) -> f64 {
+        self.time_half_width_s.get(sample).copied().unwrap_or(0.0)
+    }
+
+    /// Half-width that half of the stamps have at least, s; `None` where the drive stamped its samples itself.
+    pub fn typical_half_width_s(&self) -> Option<f64> {
+        let mut present: Vec<f64> = (self.time_half_width_s.iter())
+            .copied()
+            .filter(|half_width_s| *half_width_s > 0.0)
+            .collect();
+        present.sort_by(f64::total_cmp);
+        present.get(present.len() / 2).copied()
+    }
+
+    /// Mean and standard deviation of the time, s, by which the input reached the motor later than its stamps say; `None`
+    /// where the drive itself stamped it. A command of the host was applied some time within its exchange; a voltage
+    /// that was sampled changed some time between two samples.
+    pub fn input_delay_s(&self) -> Option<(f64, f64)> {
+        let half_width_s = self.typical_half_width_s()?;
+        match (self.input, self.input_channel) {
+            (Input::Voltage, Channel::VoltageCmd) => Some((0.0, EXCHANGE * half_width_s)),
+            (Input::Voltage, _) => {
+                let length_s = self.sample_time_s.last()? - self.sample_time_s.first()?;
+                let half_period_s = 0.5 * length_s / (self.samples() - 1) as f64;
+                Some((-half_period_s, half_period_s))
+            }
+            _ => None,
+        }
+    }
+
+    /// The same with every change of the input later by `delay_s`; what held first holds from the same instant.
+    #[must_use]
+    pub fn with_input_delayed(&self, delay_s: f64) -> Self {
+        let mut delayed = self.clone();
+        let mut last_s = self.begin_s();
+        for event in delayed.events.iter_mut().skip(1) {
+            event.0 = (event.0 + delay_s).max(last_s.next_up());
+            last_s = event.0;
+        }
+        delayed
     }
 
     /// When the first input came: the simulation starts there.
@@ -223,6 +276,7 @@ impl Scenario {
         training.sample_time_s.truncate(cut);
         training.current_a.truncate(cut);
         training.speed_rad_s.truncate(cut);
+        training.time_half_width_s.truncate(cut);
         training.scored = 0..cut;
         holdout.name = format!(
             "{} (last {:.0} %)",

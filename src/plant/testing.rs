@@ -30,6 +30,7 @@ pub(crate) fn record(
         current_a: vec![],
         speed_rad_s: vec![],
         angle: vec![],
+        time_half_width_s: vec![],
         scored: 0..samples,
     };
     let out = Plant::new(model, Input::Voltage)

@@ -106,6 +106,7 @@ mod tests {
             current_a: vec![0.0, current],
             speed_rad_s: vec![f64::NAN, speed],
             angle: vec![],
+            time_half_width_s: vec![],
             scored: 0..2,
         };
         let model = Model::baseline(Motor::zk_22fc());

@@ -203,7 +203,7 @@ mod tests {
         assert_eq!(
             Layout::of_drive(&Channel::ALL).header(),
             "time_s,host_time_s,seq,reference_rad_s,voltage_cmd_v,voltage_v,current_a,speed_rad_s,angle_rad,\
-             torque_n_m,bus_v,temperature_c,status,quality\n"
+             torque_n_m,bus_v,temperature_c,time_half_width_s,status,quality\n"
         );
         assert_eq!(
             Layout::plain(&[Channel::Speed, Channel::Current]).header(),

@@ -69,8 +69,12 @@ pub struct RecorderStatus {
     pub repeats: usize,
     /// Commands of which the drive never said when they were applied.
     pub unconfirmed: usize,
+    /// Rows that neither the file nor the memory could keep.
+    pub rows_lost: usize,
     /// The first trouble with the disk; it is over when no bytes wait.
     pub error: Option<String>,
+    /// Sentences for the person at the bench, the newest last: what goes wrong with the record, and what was done about it.
+    pub news: Vec<String>,
 }
 
 /// A byte sink that can be made durable.
@@ -84,51 +88,95 @@ impl Durable for File {
     }
 }
 
-impl Durable for Vec<u8> {
+/// Nowhere: what is kept in memory is all there is.
+impl Durable for io::Sink {
     fn sync(&mut self) -> io::Result<()> {
         Ok(())
     }
 }
 
-/// Lines into a sink: one write call each. What the sink does not take waits and goes first the next time.
+/// Most that a run on disk keeps of its samples in memory, bytes: hours at 50 Hz, half an hour at 1 kHz. From it a folder
+/// that is gone is made again, and a run is analysed whose record is damaged.
+pub(super) const SAMPLES_IN_MEMORY: usize = 256 << 20;
+/// The same for its events.
+pub(super) const EVENTS_IN_MEMORY: usize = 16 << 20;
+/// Sentences that a run has for its reader; a disk that comes and goes has the same ones again and again.
+const MOST_NEWS: usize = 20;
+
+/// Lines into a sink: one write call each. What the sink does not take waits and goes first the next time; what it has
+/// taken is kept as well, as long as there is room.
 pub(super) struct Lines<S> {
     pub(super) sink: S,
-    waiting: Vec<u8>,
+    text: Vec<u8>,
+    /// Bytes of `text` that the sink has taken.
+    written: usize,
+    room: usize,
+    /// Lines of which nothing is in memory any more, and those among them that no sink has taken.
+    forgotten: usize,
+    lost: usize,
 }
 
 impl<S: Durable> Lines<S> {
-    pub(super) fn new(sink: S) -> Self {
+    pub(super) fn new(sink: S, room: usize) -> Self {
         Self {
             sink,
-            waiting: Vec::new(),
+            text: Vec::new(),
+            written: 0,
+            room,
+            forgotten: 0,
+            lost: 0,
         }
     }
 
     pub(super) fn push(&mut self, line: &str) -> io::Result<()> {
-        self.waiting.extend_from_slice(line.as_bytes());
+        if self.text.len() + line.len() > self.room {
+            self.forgotten += lines_in(&self.text[..self.written]);
+            self.text.drain(..self.written);
+            self.written = 0;
+        }
+        if self.text.len() + line.len() > self.room {
+            self.lost += 1;
+        } else {
+            self.text.extend_from_slice(line.as_bytes());
+        }
         self.drain()
     }
 
     pub(super) fn bytes_waiting(&self) -> usize {
-        self.waiting.len()
+        self.text.len() - self.written
+    }
+
+    /// All lines so far; `None` where the memory did not hold them.
+    fn whole(&self) -> Option<&[u8]> {
+        (self.forgotten + self.lost == 0).then_some(&self.text)
+    }
+
+    /// Goes on in a fresh sink, which begins with what the memory still has, after `head` where the first line is gone.
+    fn go_on_in(&mut self, sink: S, head: &str) {
+        self.sink = sink;
+        self.written = 0;
+        if self.forgotten > 0 {
+            self.text.splice(..0, head.bytes());
+            self.lost += self.forgotten;
+            self.forgotten = 0;
+        }
     }
 
     fn drain(&mut self) -> io::Result<()> {
-        let mut done = 0;
-        let result = loop {
-            if done == self.waiting.len() {
-                break Ok(());
-            }
-            match self.sink.write(&self.waiting[done..]) {
-                Ok(0) => break Err(io::ErrorKind::WriteZero.into()),
-                Ok(count) => done += count,
+        while self.written < self.text.len() {
+            match self.sink.write(&self.text[self.written..]) {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(count) => self.written += count,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => break Err(error),
+                Err(error) => return Err(error),
             }
-        };
-        self.waiting.drain(..done);
-        result
+        }
+        Ok(())
     }
+}
+
+fn lines_in(text: &[u8]) -> usize {
+    text.split(|byte| *byte == b'\n').count() - 1
 }
 
 /// Puts rows in order, makes lines of them and writes them; the one path of the threaded and the in-memory recorder.
@@ -139,6 +187,10 @@ pub(super) struct Journal<S> {
     events: Lines<S>,
     sync_every_rows: usize,
     unsynced_rows: usize,
+    /// A sync that has failed once cannot be made good: the system may have dropped what it was for.
+    unsynced: Option<String>,
+    /// The trouble with the disk that goes on.
+    trouble: Option<String>,
     status: RecorderStatus,
     rows: Vec<Row>,
     line: String,
@@ -146,13 +198,20 @@ pub(super) struct Journal<S> {
 
 impl<S: Durable> Journal<S> {
     /// Writes the header at once. The samples are synced every `sync_every_rows` rows.
-    pub(super) fn new(layout: Layout, samples: S, events: S, sync_every_rows: usize) -> Self {
+    pub(super) fn new(
+        layout: Layout,
+        samples: Lines<S>,
+        events: Lines<S>,
+        sync_every_rows: usize,
+    ) -> Self {
         let mut journal = Self {
             order: RowOrder::new(layout.clone()),
-            samples: Lines::new(samples),
-            events: Lines::new(events),
+            samples,
+            events,
             sync_every_rows: sync_every_rows.max(1),
             unsynced_rows: 0,
+            unsynced: None,
+            trouble: None,
             status: RecorderStatus::default(),
             rows: Vec::new(),
             line: String::new(),
@@ -174,23 +233,36 @@ impl<S: Durable> Journal<S> {
 
     pub(super) fn event(&mut self, event: &Event) {
         self.status.events += 1;
-        let result = self
-            .events
-            .push(&event.line())
-            .and_then(|()| self.events.sink.sync());
+        let result = self.events.push(&event.line());
         self.note(result);
+        let synced = self.events.sink.sync();
+        self.note_sync(synced);
     }
 
     /// Writes the commands that still wait, tries once more what could not be written, and syncs.
     pub(super) fn finish(&mut self) {
         self.order.finish(&mut self.rows);
         self.write_rows();
-        for lines in [&mut self.samples, &mut self.events] {
-            let result = lines.drain().and_then(|()| lines.sink.sync());
-            if let Err(error) = result {
-                self.status.error.get_or_insert_with(|| error.to_string());
-            }
+        self.retry();
+        self.sync();
+    }
+
+    /// Tries once more what could not be written.
+    pub(super) fn retry(&mut self) {
+        if self.status().bytes_waiting > 0 {
+            let result = self.samples.drain().and(self.events.drain());
+            self.note(result);
         }
+    }
+
+    /// Goes on in fresh sinks, with all that the memory has.
+    pub(super) fn go_on_in(&mut self, samples: S, events: S) {
+        self.samples.go_on_in(samples, &self.layout.header());
+        self.events.go_on_in(events, "");
+        (self.unsynced, self.trouble) = (None, None);
+        let result = self.samples.drain().and(self.events.drain());
+        self.note(result);
+        self.sync();
     }
 
     pub(super) fn status(&self) -> RecorderStatus {
@@ -198,34 +270,88 @@ impl<S: Durable> Journal<S> {
             bytes_waiting: self.samples.bytes_waiting() + self.events.bytes_waiting(),
             repeats: self.order.repeats(),
             unconfirmed: self.order.unconfirmed(),
+            rows_lost: self.samples.lost,
             ..self.status.clone()
         }
     }
 
-    pub(super) fn sinks(&self) -> (&S, &S) {
-        (&self.samples.sink, &self.events.sink)
+    /// Why what was written is not certain to be on the disk, where that is so.
+    pub(super) fn doubt(&self) -> Option<&str> {
+        self.unsynced.as_deref()
+    }
+
+    /// The text of all rows and of all events so far; `None` where the memory did not hold it.
+    pub(super) fn texts(&self) -> (Option<&[u8]>, Option<&[u8]>) {
+        (self.samples.whole(), self.events.whole())
+    }
+
+    /// A sentence for the person at the bench.
+    pub(super) fn tell(&mut self, text: String) {
+        self.status.error.get_or_insert_with(|| text.clone());
+        if self.status.news.len() < MOST_NEWS {
+            self.status.news.push(text);
+        }
     }
 
     fn write_rows(&mut self) {
         let mut rows = std::mem::take(&mut self.rows);
         for row in rows.drain(..) {
             self.layout.format(&row, &mut self.line);
+            let lost = self.samples.lost;
             let result = self.samples.push(&self.line);
             self.note(result);
+            if lost == 0 && self.samples.lost > 0 {
+                let most = self.samples.room >> 20;
+                self.tell(format!(
+                    "{most} MiB of rows wait in memory and there is no room for more: rows are lost from here on"
+                ));
+            }
             self.status.rows += 1;
             self.unsynced_rows += 1;
         }
         self.rows = rows;
         if self.unsynced_rows >= self.sync_every_rows {
             self.unsynced_rows = 0;
-            let result = self.samples.sink.sync();
-            self.note(result);
+            let synced = self.samples.sink.sync();
+            self.note_sync(synced);
         }
     }
 
+    fn sync(&mut self) {
+        let synced = self.samples.sink.sync();
+        self.note_sync(synced);
+        let synced = self.events.sink.sync();
+        self.note_sync(synced);
+    }
+
+    fn note_sync(&mut self, result: io::Result<()>) {
+        if let Err(error) = result
+            && self.unsynced.is_none()
+        {
+            self.unsynced = Some(error.to_string());
+            self.tell(format!(
+                "the disk does not confirm what was written: {error}; the run goes on"
+            ));
+        }
+    }
+
+    /// Tells when trouble begins and when it is over.
     fn note(&mut self, result: io::Result<()>) {
-        if let Err(error) = result {
-            self.status.error.get_or_insert_with(|| error.to_string());
+        match result {
+            Err(error) => {
+                let reason = error.to_string();
+                if self.trouble.as_ref() != Some(&reason) {
+                    self.tell(format!(
+                        "the record cannot be written: {reason}; the run goes on, and what is not written waits in memory"
+                    ));
+                    self.trouble = Some(reason);
+                }
+            }
+            Ok(()) if self.trouble.is_some() && self.status().bytes_waiting == 0 => {
+                self.trouble = None;
+                self.tell("the record can be written again, and is whole so far".to_owned());
+            }
+            Ok(()) => {}
         }
     }
 }
@@ -270,7 +396,8 @@ mod tests {
             room,
             ..Disk::default()
         };
-        let mut journal = Journal::new(layout.clone(), disk(30), disk(1000), 10);
+        let lines = |room| Lines::new(disk(room), 100_000);
+        let mut journal = Journal::new(layout.clone(), lines(30), lines(1000), 10);
         let mut expected = layout.header();
         for row in 0..20_u32 {
             let value = f64::from(row);
@@ -287,6 +414,49 @@ mod tests {
         journal.finish();
         assert_eq!(journal.status().bytes_waiting, 0);
         assert_eq!(journal.samples.sink.bytes, expected.as_bytes());
+        let news = journal.status().news;
+        assert_eq!(news.len(), 2, "{news:?}");
+        assert!(news[0].contains("No space left"), "{news:?}");
+        assert!(news[1].contains("written again"), "{news:?}");
+        assert_eq!(journal.texts().0, Some(expected.as_bytes()));
+    }
+
+    #[test]
+    fn what_neither_disk_nor_memory_holds_is_counted_and_told() {
+        let layout = Layout::plain(&[Channel::Current]);
+        let lines = |disk_room, room| {
+            let disk = Disk {
+                room: disk_room,
+                ..Disk::default()
+            };
+            Lines::new(disk, room)
+        };
+        let row = |journal: &mut Journal<Disk>, value: f64| {
+            journal.row(&Sample::at(value).with(Channel::Current, value));
+        };
+        // The disk has room: the memory forgets what is written, and nothing is lost.
+        let mut journal = Journal::new(layout.clone(), lines(10_000, 60), lines(0, 0), 10);
+        (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
+        assert_eq!(journal.status().rows_lost, 0);
+        assert!(journal.status().news.is_empty());
+        assert_eq!(journal.texts().0, None);
+        // The disk is full: what does not go into the memory is lost, and that is told once.
+        let mut journal = Journal::new(layout.clone(), lines(20, 60), lines(0, 0), 10);
+        (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
+        let status = journal.status();
+        assert!((80..100).contains(&status.rows_lost), "{status:?}");
+        assert_eq!(status.news.len(), 2, "{status:?}");
+        assert!(status.news[1].contains("rows are lost"), "{status:?}");
+        // Another disk: a header, the rows that are left, and the new ones.
+        let disk = || Disk {
+            room: 10_000,
+            ..Disk::default()
+        };
+        journal.go_on_in(disk(), disk());
+        row(&mut journal, 100.0);
+        let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
+        assert!(text.starts_with(&layout.header()), "{text}");
+        assert!(text.ends_with("\n100,100\n"), "{text}");
     }
 
     #[test]

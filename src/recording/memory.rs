@@ -1,6 +1,8 @@
 //! The recorder of virtual time: the same lines as on disk, in memory.
 
-use super::journal::Journal;
+use std::io::{Sink, sink};
+
+use super::journal::{Journal, Lines};
 use super::{
     CommandRow, Event, Layout, ReadOptions, Record, RecorderStatus, RecordingError, read_csv,
 };
@@ -8,13 +10,14 @@ use crate::sample::{Run, Sample};
 
 /// Records into memory; with the same input it gives the same bytes as [`super::Recorder`] writes.
 pub struct MemoryRecorder {
-    journal: Journal<Vec<u8>>,
+    journal: Journal<Sink>,
 }
 
 impl MemoryRecorder {
     pub fn new(layout: Layout) -> Self {
+        let lines = || Lines::new(sink(), usize::MAX);
         Self {
-            journal: Journal::new(layout, Vec::new(), Vec::new(), usize::MAX),
+            journal: Journal::new(layout, lines(), lines(), usize::MAX),
         }
     }
 
@@ -25,19 +28,23 @@ impl MemoryRecorder {
 
     /// The text of `samples.csv` so far.
     pub fn samples_csv(&self) -> String {
-        String::from_utf8_lossy(self.journal.sinks().0).into_owned()
+        text(self.journal.texts().0)
     }
 
     /// The text of `events.jsonl` so far.
     pub fn events_jsonl(&self) -> String {
-        String::from_utf8_lossy(self.journal.sinks().1).into_owned()
+        text(self.journal.texts().1)
     }
 
     /// The run as it would be read from disk.
     pub fn run(&self, name: &str) -> Result<Run, RecordingError> {
-        let bytes: &[u8] = self.journal.sinks().0;
+        let bytes = self.journal.texts().0.unwrap_or_default();
         read_csv(bytes, name, ReadOptions::default()).map(|(run, _)| run)
     }
+}
+
+fn text(bytes: Option<&[u8]>) -> String {
+    String::from_utf8_lossy(bytes.unwrap_or_default()).into_owned()
 }
 
 impl Record for MemoryRecorder {

@@ -122,6 +122,28 @@ pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Recor
     })
 }
 
+/// The run that a recorder still holds: as [`open_run`] would read it from its folder, were that whole.
+pub fn run_from_memory(
+    folder: &Path,
+    samples: &[u8],
+    manifest: &Manifest,
+) -> Result<LoadedRun, RecordingError> {
+    let name = folder.display().to_string();
+    let options = ReadOptions {
+        map: None,
+        whole_lines_only: true,
+    };
+    let mut rows = CsvRows::new(samples, &name, options)?;
+    let mut run = csv_read::collect(&mut rows, &name, true)?;
+    set_origins(&mut run, manifest);
+    Ok(LoadedRun {
+        run,
+        warnings: rows.warnings().to_vec(),
+        manifest: Some(manifest.clone()),
+        folder: Some(folder.to_owned()),
+    })
+}
+
 /// The folder and manifest that belong to a samples file; a CSV that only lies beside a manifest does not count.
 fn folder_of(
     samples: &Path,

@@ -1,14 +1,22 @@
 //! The recorder of a run on disk: a thread of its own, so that a slow disk never delays a cycle.
 
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::fs::File;
+use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt as _;
+use std::path::Path;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
-use super::journal::{Durable, Journal};
+use super::journal::{Durable, EVENTS_IN_MEMORY, Journal, Lines, SAMPLES_IN_MEMORY};
 use super::{
     CommandRow, Event, Layout, Manifest, Record, RecorderStatus, RecordingError, RunFolder,
 };
 use crate::sample::Sample;
+
+/// Longest time between two looks at the folder while nothing comes.
+const LOOK: Duration = Duration::from_millis(500);
 
 enum Message {
     Sample(Sample),
@@ -18,13 +26,26 @@ enum Message {
 
 /// Writes a run folder. Rows travel over an unbounded channel: none is dropped, none waits for the disk.
 ///
-/// Each row is one write call of a whole line; events are synced one by one, samples every so many rows. Dropped without
-/// [`Recorder::finish`], everything is still written, but the manifest goes on saying that the run is not finished.
+/// Each row is one write call of a whole line; events are synced one by one, samples every so many rows. At least once a
+/// second the folder is looked for: one that is gone is made again with all that the memory still has of the run. Dropped
+/// without [`Recorder::finish`], everything is still written, but the manifest goes on saying that the run is not finished.
 pub struct Recorder {
     folder: RunFolder,
     sender: Option<Sender<Message>>,
-    writer: Option<JoinHandle<()>>,
+    writer: Option<JoinHandle<Writer>>,
     status: Arc<Mutex<RecorderStatus>>,
+}
+
+/// What is left of a run that was recorded.
+#[derive(Clone, Debug)]
+pub struct Kept {
+    /// Where the record is: not where it began, where that is gone.
+    pub folder: RunFolder,
+    pub status: RecorderStatus,
+    /// The text of `samples.csv`; `None` where the memory did not hold it.
+    pub samples: Option<Vec<u8>>,
+    /// Why the record on the disk is not whole, where it is not: its manifest goes on saying that the run is not finished.
+    pub error: Option<RecordingError>,
 }
 
 impl Recorder {
@@ -38,19 +59,40 @@ impl Recorder {
         sync_every_rows: usize,
     ) -> Result<Self, RecordingError> {
         let (samples, events) = folder.create_logs()?;
-        let unfinished = Manifest {
-            finished: false,
-            rows: None,
-            ..manifest.clone()
-        };
-        folder.write_manifest(&unfinished)?;
-        let journal = Journal::new(layout, samples, events, sync_every_rows);
-        let status = Arc::new(Mutex::new(journal.status()));
+        let logs = [Log(Ok(samples)), Log(Ok(events))];
+        let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
+        writer.folder.write_manifest(&writer.unfinished)?;
+        let place = Place::of(&writer.folder);
+        writer.place = Some(
+            place.map_err(|error| RecordingError::io(writer.folder.path(), "look at", &error))?,
+        );
+        Self::start(writer)
+    }
+
+    /// For a run that goes on with what was begun before, where `folder` cannot be made for now: all of it is kept in
+    /// memory, and the folder is made as soon as that is possible.
+    pub fn without_disk(
+        folder: RunFolder,
+        layout: Layout,
+        manifest: &Manifest,
+        sync_every_rows: usize,
+        reason: &RecordingError,
+    ) -> Result<Self, RecordingError> {
+        let reason = reason.to_string();
+        let logs = [Log(Err(reason.clone())), Log(Err(reason.clone()))];
+        let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
+        writer.gone = Some(reason);
+        Self::start(writer)
+    }
+
+    fn start(writer: Writer) -> Result<Self, RecordingError> {
+        let folder = writer.folder.clone();
+        let status = Arc::new(Mutex::new(writer.journal.status()));
         let (sender, receiver) = channel();
         let shared = Arc::clone(&status);
         let writer = std::thread::Builder::new()
             .name("recorder".into())
-            .spawn(move || write_all(journal, &receiver, &shared))
+            .spawn(move || writer.write_all(&receiver, &shared))
             .map_err(|error| {
                 RecordingError::io(folder.path(), "start the writer thread of", &error)
             })?;
@@ -62,41 +104,32 @@ impl Recorder {
         })
     }
 
+    /// Where the record was begun.
     pub fn folder(&self) -> &RunFolder {
         &self.folder
     }
 
-    /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`. Returns
-    /// the last status; an `error` in it was got over.
-    ///
-    /// # Errors
-    /// What could not be written, if anything: then the manifest is left saying that the run is not finished.
-    pub fn finish(mut self, manifest: &Manifest) -> Result<RecorderStatus, RecordingError> {
-        self.close()?;
-        let status = self.status();
-        if status.bytes_waiting > 0 {
-            return Err(RecordingError::Io {
-                path: self.folder.samples().display().to_string(),
-                doing: "write all rows",
-                reason: status.error.unwrap_or_else(|| "unknown".into()),
-            });
-        }
-        self.folder.write_manifest(&Manifest {
-            finished: true,
-            rows: Some(status.rows),
-            ..manifest.clone()
-        })?;
-        Ok(status)
-    }
-
-    fn close(&mut self) -> Result<(), RecordingError> {
+    /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`. An `error`
+    /// in the status of what is returned was got over; the error beside it was not.
+    pub fn finish(mut self, manifest: &Manifest) -> Kept {
         // The thread ends when the channel is closed and empty.
         drop(self.sender.take());
-        match self.writer.take().map(JoinHandle::join) {
-            Some(Err(_)) => Err(RecordingError::WriterGone {
-                path: self.folder.path().display().to_string(),
-            }),
-            _ => Ok(()),
+        let Some(Ok(mut writer)) = self.writer.take().map(JoinHandle::join) else {
+            return Kept {
+                folder: self.folder.clone(),
+                status: self.status(),
+                samples: None,
+                error: Some(RecordingError::WriterGone {
+                    path: self.folder.path().display().to_string(),
+                }),
+            };
+        };
+        let error = writer.close(manifest).err();
+        Kept {
+            folder: writer.folder,
+            status: writer.journal.status(),
+            samples: writer.journal.texts().0.map(<[u8]>::to_vec),
+            error,
         }
     }
 
@@ -105,10 +138,11 @@ impl Recorder {
             Some(sender) => sender.send(message).is_ok(),
             None => false,
         };
-        if !sent {
-            lock(&self.status)
-                .error
-                .get_or_insert_with(|| "the writer thread is gone".into());
+        let mut status = lock(&self.status);
+        if !sent && status.error.is_none() {
+            let text = "the writer thread of the record is gone: nothing is recorded any more";
+            status.error = Some(text.to_owned());
+            status.news.push(text.to_owned());
         }
     }
 }
@@ -133,26 +167,210 @@ impl Record for Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
+        drop(self.sender.take());
         // Nobody is left to tell; the manifest still says that the run is not finished.
-        let _ = self.close();
+        let _ = self.writer.take().map(JoinHandle::join);
     }
 }
 
-fn write_all<S: Durable>(
-    mut journal: Journal<S>,
-    receiver: &Receiver<Message>,
-    status: &Mutex<RecorderStatus>,
-) {
-    for message in receiver {
-        match message {
-            Message::Sample(sample) => journal.row(&sample),
-            Message::Command(command) => journal.command(command),
-            Message::Event(event) => journal.event(&event),
-        }
-        *lock(status) = journal.status();
+/// Device and number of the folder and of its two logs: a folder that was deleted or renamed leaves them open, and what is
+/// written to them is nowhere to be found.
+#[derive(Debug, PartialEq, Eq)]
+struct Place([(u64, u64); 3]);
+
+impl Place {
+    fn of(folder: &RunFolder) -> io::Result<Self> {
+        let number = |path: &Path| {
+            let found = std::fs::metadata(path)?;
+            Ok::<_, io::Error>((found.dev(), found.ino()))
+        };
+        Ok(Self([
+            number(folder.path())?,
+            number(&folder.samples())?,
+            number(&folder.events())?,
+        ]))
     }
-    journal.finish();
-    *lock(status) = journal.status();
+}
+
+/// A log of the folder, as long as there is one.
+struct Log(Result<File, String>);
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.0 {
+            Ok(file) => file.write(bytes),
+            Err(reason) => Err(io::Error::other(reason.clone())),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Durable for Log {
+    fn sync(&mut self) -> io::Result<()> {
+        self.0.as_mut().map_or(Ok(()), Durable::sync)
+    }
+}
+
+/// The thread's own part of a recorder.
+struct Writer {
+    journal: Journal<Log>,
+    folder: RunFolder,
+    /// `None` before there was one.
+    place: Option<Place>,
+    /// Why the folder, which is gone, cannot be made again.
+    gone: Option<String>,
+    unfinished: Manifest,
+    /// Messages between two looks at the folder.
+    look_every: usize,
+}
+
+impl Writer {
+    fn new(
+        folder: RunFolder,
+        layout: Layout,
+        manifest: &Manifest,
+        sync_every_rows: usize,
+        [samples, events]: [Log; 2],
+    ) -> Self {
+        Self {
+            journal: Journal::new(
+                layout,
+                Lines::new(samples, SAMPLES_IN_MEMORY),
+                Lines::new(events, EVENTS_IN_MEMORY),
+                sync_every_rows,
+            ),
+            folder,
+            place: None,
+            gone: None,
+            unfinished: Manifest {
+                finished: false,
+                rows: None,
+                ..manifest.clone()
+            },
+            look_every: sync_every_rows.max(1),
+        }
+    }
+
+    fn write_all(mut self, receiver: &Receiver<Message>, status: &Mutex<RecorderStatus>) -> Self {
+        let mut unlooked = 0;
+        loop {
+            match receiver.recv_timeout(LOOK) {
+                Ok(Message::Sample(sample)) => self.journal.row(&sample),
+                Ok(Message::Command(command)) => self.journal.command(command),
+                Ok(Message::Event(event)) => self.journal.event(&event),
+                Err(RecvTimeoutError::Timeout) => unlooked = self.look_every,
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            unlooked += 1;
+            if unlooked > self.look_every {
+                unlooked = 0;
+                self.look();
+            }
+            *lock(status) = self.journal.status();
+        }
+        self.journal.finish();
+        self.look();
+        *lock(status) = self.journal.status();
+        self
+    }
+
+    /// Whether the folder is where it was; one that is gone is made again.
+    fn look(&mut self) {
+        match Place::of(&self.folder) {
+            Ok(place) if self.place.as_ref() == Some(&place) && self.gone.is_none() => {
+                self.journal.retry();
+            }
+            Ok(_) => self.make_again(),
+            Err(error) if is_gone(&error) || self.gone.is_some() => self.make_again(),
+            // It may be there all the same: what is written tells.
+            Err(_) => self.journal.retry(),
+        }
+    }
+
+    fn make_again(&mut self) {
+        let old = self.folder.path().display().to_string();
+        let lost = self.journal.status().rows_lost;
+        let what = match self.place {
+            Some(_) => "was deleted or renamed",
+            None => "could not be made",
+        };
+        match self.remade() {
+            Ok(()) => {
+                let new = self.folder.path().display();
+                let lost = self.journal.status().rows_lost - lost;
+                let rest = if lost == 0 {
+                    String::new()
+                } else {
+                    format!(
+                        ", without the first {lost} rows, which the memory did not hold any more"
+                    )
+                };
+                self.gone = None;
+                self.journal.tell(format!(
+                    "{old} {what}; the record is made again in {new}{rest}"
+                ));
+            }
+            Err(error) => {
+                let reason = error.to_string();
+                if self.gone.as_ref() != Some(&reason) {
+                    self.journal.tell(format!(
+                        "{old} {what}, and the record cannot be made again: {reason}; the run goes on, and is kept in memory"
+                    ));
+                    self.gone = Some(reason);
+                }
+            }
+        }
+    }
+
+    fn remade(&mut self) -> Result<(), RecordingError> {
+        let folder = self.folder.again()?;
+        let path = folder.path().to_owned();
+        let (samples, events) = folder.create_logs()?;
+        folder.write_manifest(&self.unfinished)?;
+        let place = Place::of(&folder);
+        self.place = Some(place.map_err(|error| RecordingError::io(&path, "look at", &error))?);
+        self.folder = folder;
+        self.journal.go_on_in(Log(Ok(samples)), Log(Ok(events)));
+        Ok(())
+    }
+
+    fn close(&mut self, manifest: &Manifest) -> Result<(), RecordingError> {
+        let status = self.journal.status();
+        let failed = |reason: String| RecordingError::Io {
+            path: self.folder.samples().display().to_string(),
+            doing: "write all rows",
+            reason,
+        };
+        if let Some(reason) = &self.gone {
+            return Err(failed(reason.clone()));
+        }
+        if status.bytes_waiting > 0 {
+            return Err(failed(status.error.unwrap_or_else(|| "unknown".into())));
+        }
+        if status.rows_lost > 0 {
+            return Err(failed(format!("{} rows are lost", status.rows_lost)));
+        }
+        if let Some(reason) = self.journal.doubt() {
+            return Err(failed(reason.to_owned()));
+        }
+        self.folder.write_manifest(&Manifest {
+            finished: true,
+            rows: Some(status.rows),
+            ..manifest.clone()
+        })?;
+        Ok(())
+    }
+}
+
+/// Whether a path leads nowhere any more.
+fn is_gone(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
+    )
 }
 
 /// A status is whole after every assignment, so a panic elsewhere cannot have broken it.

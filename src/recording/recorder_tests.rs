@@ -1,7 +1,7 @@
 use std::fs;
 
 use super::*;
-use crate::recording::{MemoryRecorder, open_run};
+use crate::recording::{MemoryRecorder, open_run, run_from_memory};
 use crate::sample::{Applied, Channel, Command, Demand, Origin};
 
 fn layout() -> Layout {
@@ -56,7 +56,8 @@ fn disk_and_memory_hold_the_same_bytes() {
     let mut disk = recorder(root.path());
     drive(&mut disk, 200);
     let folder = disk.folder().clone();
-    assert_eq!(disk.finish(&manifest()).unwrap().rows, 400);
+    let kept = disk.finish(&manifest());
+    assert_eq!((kept.status.rows, kept.error), (400, None));
     let mut memory = MemoryRecorder::new(layout());
     drive(&mut memory, 200);
     memory.finish();
@@ -99,7 +100,8 @@ fn the_file_grows_by_whole_lines() {
     let root = tempfile::tempdir().unwrap();
     let folder = RunFolder::create(root.path(), "s", "lines").unwrap();
     let (samples, events) = folder.create_logs().unwrap();
-    let mut journal = Journal::new(layout(), samples, events, 50);
+    let lines = |sink| Lines::new(sink, 1 << 20);
+    let mut journal = Journal::new(layout(), lines(samples), lines(events), 50);
     for row in 0..50_usize {
         let sample = Sample::at(row as f64).with(Channel::Current, row as f64 / 3.0);
         journal.row(&sample);
@@ -114,21 +116,91 @@ fn a_folder_that_holds_a_run_is_not_recorded_into_again() {
     let root = tempfile::tempdir().unwrap();
     let first = recorder(root.path());
     let folder = first.folder().clone();
-    first.finish(&manifest()).unwrap();
+    assert_eq!(first.finish(&manifest()).error, None);
     assert!(Recorder::create(folder, layout(), &manifest(), 50).is_err());
 }
 
+/// What a whole run of so many cycles leaves on the disk.
+fn expected(cycles: u32) -> (String, String) {
+    let mut memory = MemoryRecorder::new(layout());
+    drive(&mut memory, cycles);
+    memory.finish();
+    (memory.samples_csv(), memory.events_jsonl())
+}
+
+fn wait_for_news(disk: &Recorder) -> String {
+    for _ in 0..1000 {
+        if let Some(news) = disk.status().news.last() {
+            return news.clone();
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    String::new()
+}
+
 #[test]
-fn a_folder_that_vanishes_is_an_error_at_the_end_and_no_panic() {
+fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
+    for renamed in [false, true] {
+        let root = tempfile::tempdir().unwrap();
+        let mut disk = recorder(root.path());
+        drive(&mut disk, 30);
+        let path = disk.folder().path().to_owned();
+        if renamed {
+            fs::rename(&path, root.path().join("elsewhere")).unwrap();
+        } else {
+            fs::remove_dir_all(&path).unwrap();
+        }
+        // While nothing comes: it is looked for all the same.
+        let news = wait_for_news(&disk);
+        assert!(news.contains("was deleted or renamed"), "{news:?}");
+        assert!(news.contains("made again in"), "{news:?}");
+        let kept = disk.finish(&manifest());
+        assert_eq!(kept.error, None);
+        assert!(kept.status.error.is_some());
+        let loaded = open_run(kept.folder.path(), None).unwrap();
+        assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+        let (samples, events) = expected(30);
+        assert_eq!(fs::read_to_string(kept.folder.samples()).unwrap(), samples);
+        assert_eq!(fs::read_to_string(kept.folder.events()).unwrap(), events);
+        assert_eq!(kept.samples.as_deref(), Some(samples.as_bytes()));
+    }
+}
+
+#[test]
+fn a_folder_that_is_gone_when_the_run_ends_is_made_again_too() {
     let root = tempfile::tempdir().unwrap();
     let mut disk = recorder(root.path());
     drive(&mut disk, 3);
     fs::remove_dir_all(disk.folder().path()).unwrap();
     drive(&mut disk, 3);
-    assert!(matches!(
-        disk.finish(&manifest()),
-        Err(RecordingError::Io { .. })
-    ));
+    let kept = disk.finish(&manifest());
+    assert_eq!(kept.error, None);
+    assert_eq!(
+        open_run(kept.folder.path(), None).unwrap().warnings.len(),
+        0
+    );
+}
+
+#[test]
+fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
+    let root = tempfile::tempdir().unwrap();
+    let runs = root.path().join("runs");
+    let mut disk = recorder(&runs);
+    drive(&mut disk, 30);
+    fs::rename(&runs, root.path().join("elsewhere")).unwrap();
+    fs::write(&runs, "a file stands in the way").unwrap();
+    let news = wait_for_news(&disk);
+    assert!(news.contains("cannot be made again"), "{news:?}");
+    let kept = disk.finish(&manifest());
+    assert!(
+        matches!(kept.error, Some(RecordingError::Io { .. })),
+        "{kept:?}"
+    );
+    let samples = kept.samples.unwrap();
+    assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
+    let run = run_from_memory(kept.folder.path(), &samples, &manifest()).unwrap();
+    assert_eq!(run.run.rows(), 60);
+    assert_eq!(run.run.origin(Channel::Current), Origin::Measured);
 }
 
 const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";

@@ -193,7 +193,9 @@ impl RowOrder {
             match sample.quality(*channel) {
                 Quality::Good => row.set(*channel, sample.get(*channel)),
                 Quality::Stale => row.remark(*channel, "stale"),
-                Quality::Missing if channel.is_commanded() => {}
+                // A stamp without a half-width is the drive's own.
+                Quality::Missing
+                    if channel.is_commanded() || *channel == Channel::TimeHalfWidth => {}
                 Quality::Missing => row.remark(*channel, "missing"),
             }
         }
@@ -243,6 +245,38 @@ mod tests {
                 )
             })
             .collect()
+    }
+
+    #[test]
+    fn a_half_width_has_its_column_where_the_link_gives_it_and_reads_back_to_the_bit() {
+        use crate::recording::{CsvRows, ReadOptions};
+        let layout = Layout::of_drive(&[Channel::Current, Channel::TimeHalfWidth]);
+        let mut order = RowOrder::new(layout.clone());
+        let mut rows = Vec::new();
+        let mut stamped = sample(0.010, None);
+        stamped.time_half_width_s = Some(0.0017_f64.next_up());
+        order.sample(&stamped, &mut rows);
+        order.sample(&sample(0.020, None), &mut rows);
+        let mut text = layout.header();
+        let mut line = String::new();
+        for row in &rows {
+            layout.format(row, &mut line);
+            text.push_str(&line);
+        }
+        assert!(text.contains(",time_half_width_s,status"), "{text}");
+        let mut back = CsvRows::new(text.as_bytes(), "r", ReadOptions::default()).unwrap();
+        for row in &rows {
+            let read = back.next_row().unwrap().unwrap();
+            let width = |row: &Row| row.get(Channel::TimeHalfWidth).map(f64::to_bits);
+            assert_eq!(width(&read), width(row));
+            assert_eq!(read.quality, row.quality);
+        }
+        assert_eq!(
+            rows[1].quality, "",
+            "the drive's own stamp is not missing anything"
+        );
+        let plain = Layout::of_drive(&[Channel::Current]).header();
+        assert!(!plain.contains("half_width"));
     }
 
     #[test]

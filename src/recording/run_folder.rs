@@ -48,12 +48,22 @@ pub fn utc_stamp(timestamp: jiff::Timestamp) -> String {
 impl RunFolder {
     /// Makes `root/<stamp>-<name>`, or the same with `-2`, `-3`, ... where it is there already.
     pub fn create(root: &Path, stamp: &str, name: &str) -> Result<Self, RecordingError> {
+        Self::make(root, &format!("{}-{}", file_safe(stamp), file_safe(name)))
+    }
+
+    /// Makes a folder that is gone once more, under its own name or, where that is taken, with `-2`, `-3`, ...
+    pub(super) fn again(&self) -> Result<Self, RecordingError> {
+        let root = self.path.parent().unwrap_or(Path::new("."));
+        let base = self.path.file_name().unwrap_or_default();
+        Self::make(root, &base.to_string_lossy())
+    }
+
+    fn make(root: &Path, base: &str) -> Result<Self, RecordingError> {
         fs::create_dir_all(root).map_err(|error| RecordingError::io(root, "create", &error))?;
-        let base = format!("{}-{}", file_safe(stamp), file_safe(name));
         let mut count = 1_u32;
         loop {
             let path = root.join(if count == 1 {
-                base.clone()
+                base.to_owned()
             } else {
                 format!("{base}-{count}")
             });
@@ -62,6 +72,13 @@ impl RunFolder {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => count += 1,
                 Err(error) => return Err(RecordingError::io(&path, "create", &error)),
             }
+        }
+    }
+
+    /// A folder that cannot be made for now, under the name that it would have.
+    pub fn unmade(root: &Path, stamp: &str, name: &str) -> Self {
+        Self {
+            path: root.join(format!("{}-{}", file_safe(stamp), file_safe(name))),
         }
     }
 

@@ -12,10 +12,12 @@ pub enum Channel {
     Torque,
     Bus,
     Temperature,
+    /// No signal of the motor but the uncertainty of the row's stamp: see [`super::Sample::time_half_width_s`].
+    TimeHalfWidth,
 }
 
 impl Channel {
-    pub const COUNT: usize = 9;
+    pub const COUNT: usize = 10;
 
     /// Every channel, in the order of the CSV columns.
     pub const ALL: [Self; Self::COUNT] = [
@@ -28,6 +30,7 @@ impl Channel {
         Self::Torque,
         Self::Bus,
         Self::Temperature,
+        Self::TimeHalfWidth,
     ];
 
     /// `(key, name, symbol, unit)`.
@@ -42,6 +45,7 @@ impl Channel {
             Self::Torque => ("torque_n_m", "torque", "T", "N.m"),
             Self::Bus => ("bus_v", "bus voltage", "ubus", "V"),
             Self::Temperature => ("temperature_c", "temperature", "temp", "C"),
+            Self::TimeHalfWidth => ("time_half_width_s", "half-width of the stamp", "dt", "s"),
         }
     }
 

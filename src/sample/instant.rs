@@ -106,11 +106,14 @@ impl Sample {
 
     /// The value of a channel, stale or good; `None` when missing.
     pub fn get(&self, channel: Channel) -> Option<f64> {
-        self.values[channel.index()]
+        match channel {
+            Channel::TimeHalfWidth => self.time_half_width_s,
+            _ => self.values[channel.index()],
+        }
     }
 
     pub fn quality(&self, channel: Channel) -> Quality {
-        match (self.values[channel.index()], self.stale[channel.index()]) {
+        match (self.get(channel), self.stale[channel.index()]) {
             (None, _) => Quality::Missing,
             (Some(_), true) => Quality::Stale,
             (Some(_), false) => Quality::Good,
@@ -119,7 +122,11 @@ impl Sample {
 
     /// Sets a good value; a value that is not finite counts as missing.
     pub fn set(&mut self, channel: Channel, value: f64) {
-        self.values[channel.index()] = value.is_finite().then_some(value);
+        let value = value.is_finite().then_some(value);
+        match channel {
+            Channel::TimeHalfWidth => self.time_half_width_s = value,
+            _ => self.values[channel.index()] = value,
+        }
         self.stale[channel.index()] = false;
     }
 

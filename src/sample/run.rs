@@ -236,6 +236,7 @@ impl Run {
                     sample.set(channel, values[row]);
                 }
             }
+            sample.limited = self.limited_rows.binary_search(&row).is_ok();
             sample
         })
     }

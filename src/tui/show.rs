@@ -56,32 +56,11 @@ pub enum Exit {
 /// Shows the screens on the calling thread until they are left.
 ///
 /// # Errors
-/// Standard output is not a terminal, or the terminal fails; the worker has then been told to stop.
+/// Standard output is not a terminal, or the terminal fails. A bench must not go on under a screen that has failed or
+/// panicked: that is for the caller to see to.
 pub fn show(options: &ShowOptions) -> io::Result<Exit> {
-    let mut guard = StopUnlessLeft {
-        options,
-        left: false,
-    };
     let mut owned = Owned::take()?;
-    let exit = run(&mut owned, options)?;
-    guard.left = true;
-    Ok(exit)
-}
-
-/// A bench must not go on under a screen that has failed.
-struct StopUnlessLeft<'a> {
-    options: &'a ShowOptions,
-    left: bool,
-}
-
-impl Drop for StopUnlessLeft<'_> {
-    fn drop(&mut self) {
-        if !self.left {
-            act(self.options, vec![Effect::RequestStop]);
-            // A worker that has ended reads no intents, and needs none.
-            let _ = self.options.intents.send(Intent::Quit);
-        }
-    }
+    run(&mut owned, options)
 }
 
 /// Waits for a key or for `longest`; whether the terminal has been closed.

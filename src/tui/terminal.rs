@@ -1,6 +1,7 @@
 //! The terminal, given back on every path: end, error, panic here and panic elsewhere.
 
 use std::io::{self, IsTerminal, Stdout, Write};
+use std::mem::ManuallyDrop;
 use std::panic::PanicHookInfo;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -20,7 +21,9 @@ type Hook = dyn Fn(&PanicHookInfo<'_>) + Send + Sync;
 /// `ratatui::init` restores the terminal in the panic hook of whatever thread panics, and the screen would go on drawing
 /// over the shell. Here a panic elsewhere is kept until the screen has left.
 pub(super) struct Owned {
-    pub(super) terminal: Terminal<CrosstermBackend<Stdout>>,
+    /// Never dropped: its drop shows the cursor, and panics where neither the terminal nor standard error takes a word any
+    /// more (`eprintln!` in `ratatui_core::terminal`). What it would do is done by [`give_back`].
+    pub(super) terminal: ManuallyDrop<Terminal<CrosstermBackend<Stdout>>>,
     previous: Arc<Hook>,
     elsewhere: Arc<Mutex<Vec<String>>>,
 }
@@ -54,7 +57,7 @@ impl Owned {
             }
         }));
         Ok(Self {
-            terminal,
+            terminal: ManuallyDrop::new(terminal),
             previous,
             elsewhere,
         })

@@ -98,6 +98,15 @@ impl Session {
         self.child.wait().unwrap().exit_code()
     }
 
+    /// Closes the terminal under the program; its exit status.
+    #[allow(dead_code, reason = "not every test file closes terminals")]
+    pub(crate) fn close(self) -> u32 {
+        let mut child = self.child;
+        // The reader's thread ends with the next frame, for which nobody waits any more.
+        drop((self.output, self.keys, self.master));
+        child.wait().unwrap().exit_code()
+    }
+
     /// The shell gets the terminal as it was: its modes, its own screen, a cursor.
     #[track_caller]
     pub(crate) fn expect_terminal_as_it_was(&self) {

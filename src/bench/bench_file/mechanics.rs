@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::drive::DriveLimits;
-use crate::drive::DriveProfile;
 use crate::drive::register_map::Converter;
+use crate::drive::{DriveProfile, LostReply};
 
 /// Longest that a brake may take, s.
 const SLOWEST_BRAKE_S: f64 = 10.0;
@@ -140,6 +140,8 @@ pub struct DriveFacts {
     pub converter: Option<Converter>,
     /// Field current below which the motor would run away, A.
     pub field_min_a: Option<f64>,
+    /// What a cycle takes in which one reply is lost, s, where that is more than the cycle's own time.
+    pub lost_reply_s: Option<f64>,
 }
 
 impl DriveFacts {
@@ -149,6 +151,7 @@ impl DriveFacts {
             bounds: profile.limits,
             converter: map.and_then(|map| map.converter),
             field_min_a: map.and_then(|map| map.field_min_a),
+            lost_reply_s: LostReply::of(profile).map(|lost| lost.total_s()),
         }
     }
 }

@@ -7,6 +7,7 @@ use super::still::Still;
 use super::watchdog::AT_ZERO_HELP;
 use super::{CheckOptions, Checker, Reached};
 use crate::bench::bench_file::Brake;
+use crate::bench::clock::SUSPENDED_S;
 use crate::bench::guard::{Guard, Trip};
 use crate::bench::limits::{Limits, Nameplate};
 use crate::drive::register_map::{Quantity, RegisterMap};
@@ -213,6 +214,8 @@ struct Mover<'c, 'a, 'f> {
     rest: (f64, f64),
     first: FirstMove<'f>,
     next_s: f64,
+    /// For how long the computer had been suspended before.
+    slept_s: f64,
 }
 
 impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
@@ -248,6 +251,7 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             rest: (mean, share.max(REST_NOISE * std)),
             first,
             next_s: checker.clock.now_s(),
+            slept_s: checker.clock.slept_s(),
             checker,
         }
     }
@@ -374,6 +378,12 @@ impl<'c, 'a, 'f> Mover<'c, 'a, 'f> {
             return Err(Cut::Stopped);
         }
         let clock = &mut self.checker.clock;
+        let slept_s = clock.slept_s() - self.slept_s;
+        if slept_s > SUSPENDED_S
+            && let Some(trip) = self.guard.slept(clock.now_s(), slept_s)
+        {
+            return Err(Cut::Trip(trip.clone()));
+        }
         self.next_s = (self.next_s + self.checker.period_s).max(clock.now_s());
         clock.sleep_until_s(self.next_s);
         let now_s = clock.now_s();

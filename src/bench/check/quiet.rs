@@ -149,8 +149,17 @@ impl Checker<'_> {
         self.report.round_trip_p99_s = tail_s;
         self.report.reachable_rate_hz = reachable_hz;
         let lost = PROBES - samples.len() as u64;
+        let line = self.link.line().unwrap_or_default();
+        let strays = if line.stale_frames + line.foreign_frames > 0 {
+            format!(
+                ", {} late and {} foreign frames on the line so far",
+                line.stale_frames, line.foreign_frames
+            )
+        } else {
+            String::new()
+        };
         let figures = format!(
-            "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, asked {rate_hz} Hz",
+            "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, asked {rate_hz} Hz{strays}",
             1e3 * median_s,
             1e3 * tail_s
         );
@@ -159,7 +168,7 @@ impl Checker<'_> {
             "link",
             fast,
             figures,
-            "lower link.rate_hz, raise the baud rate, or check the latency of the adapter",
+            "lower link.rate_hz, raise the baud rate, or check what adapter and drive take to answer (`drivebench doctor --port PORT`)",
         ) {
             return Ok(false);
         }
@@ -173,6 +182,10 @@ impl Checker<'_> {
                 continue;
             }
             self.report.signals.push(channel);
+            if channel == Channel::TimeHalfWidth {
+                // A column of the record, but no signal that has noise.
+                continue;
+            }
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             let square: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
             self.report.noise.push(NoiseFloor {

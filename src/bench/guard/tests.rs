@@ -92,6 +92,27 @@ fn the_drive_s_own_fault_ends_the_run_at_once_with_its_code() {
 }
 
 #[test]
+fn a_fault_code_of_zero_is_no_code_and_words_without_one_are_told() {
+    let told = |code: Option<u16>, text: Option<&str>| {
+        let (_, trip) = trip_within(3, |sample| {
+            sample.state = Some(DriveState::Fault);
+            sample.fault = code;
+            sample.fault_text = text.map(Into::into);
+        })
+        .unwrap();
+        trip.reason
+    };
+    let lost = "communication loss (comm_loss): the drive's own watchdog has expired";
+    let reason = told(Some(0), Some(lost));
+    assert_eq!(
+        reason,
+        format!("drive fault: the drive reports a fault, {lost}")
+    );
+    assert!(told(Some(0), None).ends_with("no code"));
+    assert!(told(Some(0x81), Some(lost)).ends_with(&format!("code 0x0081: {lost}")));
+}
+
+#[test]
 fn missing_signals_and_a_stuck_clock_end_the_run_after_three() {
     let (cycle, trip) = trip_within(9, |sample| sample.set(Channel::Current, f64::NAN)).unwrap();
     assert_eq!((cycle, trip.kind), (3, TripKind::SignalMissing));

@@ -18,7 +18,9 @@ pub enum TripKind {
     TimeLimit,
     /// No valid reply for longer than the limit.
     LinkSilence,
-    /// The host itself stood still (stopped process, suspended machine): nobody watched the motor meanwhile.
+    /// The computer was suspended, as a laptop whose lid is closed: nobody watched the motor meanwhile.
+    Suspended,
+    /// The host itself stood still (stopped process): nobody watched the motor meanwhile.
     HostGap,
     /// A limited quantity that the drive used to give is missing.
     SignalMissing,
@@ -55,6 +57,7 @@ impl TripKind {
             Self::BusHigh => "bus voltage too high",
             Self::TimeLimit => "time limit",
             Self::LinkSilence => "link silent",
+            Self::Suspended => "computer suspended",
             Self::HostGap => "host stood still",
             Self::SignalMissing => "signal missing",
             Self::ClockStuck => "clock stuck",
@@ -72,7 +75,7 @@ impl TripKind {
 
     /// Whether it was the link that was lost (exit status 3) and not a limit that was crossed (4).
     pub const fn is_link(self) -> bool {
-        matches!(self, Self::LinkSilence | Self::HostGap)
+        matches!(self, Self::LinkSilence | Self::HostGap | Self::Suspended)
     }
 }
 
@@ -124,6 +127,19 @@ impl Trip {
         }
     }
 
+    /// The computer was suspended for so long.
+    pub(super) fn suspended(at_s: f64, slept_s: f64) -> Self {
+        Self {
+            kind: TripKind::Suspended,
+            at_s,
+            value: slept_s,
+            limit: 0.0,
+            reason: format!(
+                "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
+            ),
+        }
+    }
+
     /// Something that was seen too many times in a row.
     pub(super) fn repeated(kind: TripKind, at_s: f64, times: u32, limit: u32, what: &str) -> Self {
         Self {
@@ -155,11 +171,14 @@ impl Trip {
     }
 
     pub(super) fn drive_fault(at_s: f64, code: Option<u16>, text: Option<&str>) -> Self {
-        let mut code_text =
-            code.map_or_else(|| "no code".to_owned(), |code| format!("code {code:#06x}"));
-        if let Some(text) = text {
-            code_text = format!("{code_text}: {text}");
-        }
+        // 0 is no code.
+        let code = code.filter(|code| *code != 0);
+        let code_text = match (code, text) {
+            (Some(code), Some(text)) => format!("code {code:#06x}: {text}"),
+            (Some(code), None) => format!("code {code:#06x}"),
+            (None, Some(text)) => text.to_owned(),
+            (None, None) => "no code".to_owned(),
+        };
         Self {
             kind: TripKind::DriveFault,
             at_s,

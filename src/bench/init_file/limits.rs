@@ -2,6 +2,7 @@
 
 use super::{InitRequest, Reasoned, short};
 use crate::bench::bench_file::{BenchFile, LimitsSection};
+use crate::drive::LostReply;
 use crate::drive::register_map::Quantity;
 use crate::sample::Channel;
 
@@ -169,6 +170,9 @@ fn silence(request: &InitRequest<'_>, bench: &BenchFile) -> Reasoned {
     } else {
         LEAST_SILENCE_S
     };
+    // A lost reply that is asked for again is no lost link.
+    let lost_s = LostReply::of(request.profile).map_or(0.0, |lost| lost.total_s());
+    let least_s = least_s.max((100.0 * lost_s).ceil() * 0.01);
     let cycles_s = (3.0 * bench.period_s()).max(least_s);
     let set_s = request.profile.registers.as_ref();
     let set_s = set_s.and_then(|map| map.watchdog.set_s);

@@ -21,6 +21,7 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
     let is_network = matches!(Port::parse(request.port), Some(Port::Tcp(_)))
         || profile.link.protocol == Protocol::ModbusTcp;
     let budget = (!is_network).then(|| LineBudget::of(profile)).flatten();
+    let reply = budget.as_ref().and_then(LineBudget::reply_text);
     let line_hz = budget.map(|budget| budget.usual_rate_hz());
     let (carried_hz, why) = match (line_hz, &profile.registers) {
         (Some(hz), _) => (
@@ -63,7 +64,7 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
         );
     }
     let rate_hz = nice(rate.0);
-    let mut remarks = Vec::new();
+    let mut remarks: Vec<String> = reply.into_iter().collect();
     if rate_hz < 50.0 && request.motor.is_unknown() {
         remarks.push(format!(
             "at {rate_hz} Hz an unknown motor may not be found from small steps: a faster line, or a whole nameplate, is better"

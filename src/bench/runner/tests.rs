@@ -1,6 +1,7 @@
 //! How the loop goes on a scripted drive, on the software drive, and in real time.
 
 mod foreign;
+mod held;
 mod last_word;
 mod stalls;
 

@@ -18,6 +18,8 @@ pub enum Input {
     Cycle,
     Sample(Box<Sample>),
     Lost(Lost),
+    /// The computer was suspended for so long, s.
+    Suspended(f64),
     /// So many deadlines passed before this cycle began.
     Missed(u64),
     Intent(Intent),

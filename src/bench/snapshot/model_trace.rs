@@ -39,6 +39,7 @@ impl ModelTrace {
                 current_a: vec![f64::NAN],
                 speed_rad_s: vec![f64::NAN],
                 angle: Vec::new(),
+                time_half_width_s: Vec::new(),
                 scored: 0..1,
             },
             out: Trajectory::default(),

@@ -79,6 +79,7 @@ impl Publisher {
     }
 
     pub(in crate::bench) fn notice(&mut self, notice: Notice) {
+        self.cell.tell(&notice);
         if self.snapshot.notices.len() == NOTICES {
             self.snapshot.notices.remove(0);
         }

@@ -149,7 +149,7 @@ impl Findings {
         if !self.names.is_empty() {
             line("unit says", self.names.join(", "));
         }
-        if self.counters.echoes {
+        if self.counters.line.echoes {
             line(
                 "local echo",
                 "the line returns what is sent (two-wire RS-485); it is taken out".to_owned(),
@@ -193,16 +193,17 @@ impl Findings {
         }
         parts.push(self.settings_text());
         let c = &self.counters;
+        let r = &c.requests;
         parts.push(format!(
             "{} sent, {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception",
-            c.sent, c.ok, c.timeout, c.crc, c.stale, c.mismatch, c.exception
+            r.sent, r.ok, r.timeout, r.crc, r.stale, r.mismatch, r.exception
         ));
         parts.push(self.round_trip.as_ref().map_or_else(
             || "no answer".to_owned(),
             |trips| format!("p50 {:.0} us, p99 {:.0} us", trips.p50_us, trips.p99_us),
         ));
         let yes_no = |answer: bool| if answer { "yes" } else { "no" };
-        parts.push(format!("echo {}", yes_no(c.echoes)));
+        parts.push(format!("echo {}", yes_no(c.line.echoes)));
         if let Some(answers) = self.answers_function_8 {
             parts.push(format!("fc08 {}", yes_no(answers)));
         }
@@ -281,7 +282,7 @@ fn scan_text(scan: &Scan, is_serial: bool) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::standard_gap_s;
+    use crate::drive::{LinkStatistics, standard_gap_s};
 
     fn findings() -> Findings {
         let framing = Framing::EightNoneOne;
@@ -320,9 +321,12 @@ mod tests {
             names: vec!["Acme".to_owned(), "VX-1".to_owned()],
             answers_function_8: Some(false),
             counters: RawCounters {
-                sent: 52,
-                ok: 50,
-                timeout: 2,
+                requests: LinkStatistics {
+                    sent: 52,
+                    ok: 50,
+                    timeout: 2,
+                    ..LinkStatistics::default()
+                },
                 ..RawCounters::default()
             },
         }

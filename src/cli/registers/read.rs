@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::super::failure::{Failure, INTERRUPTED, LINK};
 use super::super::wire::{Tap, WireArguments};
-use super::super::{interrupt, output};
+use super::super::{output, signals};
 use super::{failure, number};
 use crate::drive::{Batch, MOST_READ, RawCounters, Read, ReadRequest, RegisterTable, read_batch};
 
@@ -102,7 +102,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             count,
         })
         .collect();
-    let stop = interrupt::flag()?;
+    let stop = signals::flag()?;
     let tap = Tap::create(arguments.wire.tap.as_deref())?;
     let mut client = arguments.wire.open(&tap)?;
     let batch = read_batch(&mut client, &requests, arguments.repeat, &stop);
@@ -164,6 +164,7 @@ fn text(result: &ReadResult) -> String {
         }
     }
     let c = &result.counters;
+    let r = &c.requests;
     if let (true, Some(rate_hz), Some(p50), Some(p99), Some(worst)) = (
         result.asked > result.reads.len() as u64,
         result.rate_hz,
@@ -180,7 +181,7 @@ fn text(result: &ReadResult) -> String {
     // What a probe that the line is in step was refused is no refusal of anything that was asked for.
     let is_clean = result.answered == result.asked
         && result.reads.iter().all(|read| read.error.is_none())
-        && c.timeout + c.crc + c.stale + c.mismatch + c.aborted == 0;
+        && r.timeout + r.crc + r.stale + r.mismatch + r.aborted == 0;
     if !is_clean {
         let probes = match c.probes {
             0 => String::new(),
@@ -190,14 +191,14 @@ fn text(result: &ReadResult) -> String {
         let _ = writeln!(
             text,
             "{} requests{probes}: {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception, {} aborted",
-            c.sent - c.probes,
-            c.ok,
-            c.timeout,
-            c.crc,
-            c.stale,
-            c.mismatch,
-            c.exception,
-            c.aborted
+            r.sent - c.probes,
+            r.ok,
+            r.timeout,
+            r.crc,
+            r.stale,
+            r.mismatch,
+            r.exception,
+            r.aborted
         );
     }
     text

@@ -124,6 +124,7 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
         current_a: vec![0.0; rows],
         speed_rad_s: vec![0.0; rows],
         angle: Vec::new(),
+        time_half_width_s: Vec::new(),
         scored: 0..rows,
         sample_time_s: times,
     })

@@ -3,6 +3,7 @@
 //! In virtual time a hundred thousand exchanges, with `DRIVEBENCH_EVERYTHING` set ten million; over a real
 //! pseudo-terminal two thousand, or a hundred thousand.
 
+mod bounded;
 mod fault;
 mod profiled;
 mod stranger;

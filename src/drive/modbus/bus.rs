@@ -1,10 +1,8 @@
-//! The Modbus link as a bus of registers, resynchronised as a drive's profile allows.
+//! The Modbus link as a bus of registers, proven as a drive's profile allows.
 //!
 //! ```text
-//! suspect? -> silence for the longest turnaround -> fc08: a number of our own comes back
-//!                                                  length: a read of a length that nobody waits for
-//!                                                  none: silence is all there is
-//! read     -> reply -> the time that replies usually take, and the gap -> nothing else came? -> value
+//! in step? (transaction/proof.rs) -> read -> reply -> the time that replies usually take, and the gap
+//!                                                  -> nothing else came? -> value
 //! ```
 //!
 //! A copy of an earlier reply that comes in the place of the true one is followed by it: so a value is handed on only
@@ -17,18 +15,16 @@ use std::time::Duration;
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
-use super::{LinkError, ModbusLink, PROBES, RegisterTable, now};
-use crate::drive::guard::LineCounts;
+use super::{LinkError, ModbusLink, NAMES, Question, RegisterTable, now, question, words};
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
-use crate::drive::raw::registers;
-use crate::drive::register_bus::{RegisterBus, RegistersRead};
+use crate::drive::raw::{ReadRequest, registers};
+use crate::drive::register_bus::{Carried, RegisterBus, RegistersRead};
 use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::drive::reply::FrameKind;
 use crate::drive::tally::RoundTrips;
 use crate::drive::timing::wait_until;
+use crate::drive::transaction::{CutIn, LineCounts, Method};
 
-/// Times that a question without effect is asked before it counts as failed.
-const READ_ATTEMPTS: usize = 3;
 /// Round trips that tell how long replies usually take, and how many of them a busy host may have made too long.
 const REMEMBERED: usize = 32;
 const OUTLIERS: usize = 2;
@@ -36,34 +32,40 @@ const OUTLIERS: usize = 2;
 /// A Modbus link that proves itself fresh in the way that the far end knows.
 pub struct ModbusBus {
     link: ModbusLink,
-    resync: Resync,
     emulated: bool,
-    /// Registers that can be read in any number up to the whole, for the length code.
-    probe: Option<ReadBlock>,
-    /// Lengths of reads that were never answered.
-    unanswered: Vec<u16>,
     /// Of the latest reads.
     round_trips: VecDeque<Duration>,
 }
 
 impl ModbusBus {
-    pub fn new(link: ModbusLink, map: &RegisterMap) -> Self {
+    pub fn new(mut link: ModbusLink, map: &RegisterMap) -> Self {
         let exact = |block: &ReadBlock| {
             map.exact_reads
                 .iter()
                 .any(|(first, count)| (*first, *count) == (block.address, block.count))
         };
-        let blocks = plan_reads(map, PollRate::Fast);
-        let probe = blocks
-            .into_iter()
-            .filter(|block| !exact(block))
-            .max_by_key(|block| block.count);
+        // Registers that can be read in any number up to the whole, for the length code.
+        let blocks = plan_reads(map, PollRate::Fast).into_iter();
+        let place = blocks.filter(|block| !exact(block));
+        let place = place.max_by_key(|block| block.count).map(|block| {
+            let read = ReadRequest {
+                table: block.table,
+                address: block.address,
+                count: block.count,
+            };
+            (read, block.count)
+        });
+        link.proof.set_policy(
+            match map.resync {
+                Resync::Fc08 => Method::Nonce,
+                Resync::Length => Method::Length,
+                Resync::Tid | Resync::None => Method::Silence,
+            },
+            place,
+        );
         Self {
             link,
-            resync: map.resync,
             emulated: false,
-            probe,
-            unanswered: Vec::new(),
             round_trips: VecDeque::with_capacity(REMEMBERED),
         }
     }
@@ -75,76 +77,29 @@ impl ModbusBus {
         self
     }
 
-    fn fresh(&mut self) -> Result<(), LinkError> {
-        if self.link.kind == FrameKind::Tcp || self.resync == Resync::Fc08 {
-            return self.link.prove_fresh();
-        }
-        self.link.listen()?;
-        for _ in 0..PROBES {
-            if !self.link.suspect {
-                return Ok(());
-            }
-            self.link.silence()?;
-            if self.resync == Resync::Length {
-                self.probe_by_length()?;
-            }
-            self.link.suspect = false;
-            self.unanswered.clear();
-            // What came during the probe, or comes in the gap behind it, was not asked for either.
-            self.link.listen()?;
-        }
-        Err(LinkError::Corrupt {
-            link: self.link.name.clone(),
-            reason: format!("something nobody asked for came behind each of {PROBES} probes"),
-        })
-    }
-
-    /// The reply to a read of another length than all that are unanswered can be no old one.
-    fn probe_by_length(&mut self) -> Result<(), LinkError> {
-        let Some(block) = self.probe.clone() else {
-            return Ok(());
-        };
-        let mut last = None;
-        for count in (1..=block.count).rev() {
-            if self.unanswered.contains(&count) {
-                continue;
-            }
-            self.link.listen()?;
-            match self.ask(block.table, block.address, count) {
-                Ok(_) => return Ok(()),
-                Err(error) if error.is_transient() => {
-                    self.unanswered.push(count);
-                    last = Some(error);
-                }
-                Err(error) => return Err(error),
-            }
-        }
-        // Silence was all that could be had; the lengths are used up.
-        last.map_or(Ok(()), Err)
-    }
-
-    /// A line that has once brought an old reply may do so again: from then on reads that look alike are kept apart, as
-    /// they are while nothing is known of the line. On all others that would only cost their rate.
-    fn keep_apart(&mut self, count: u16) -> Result<(), LinkError> {
-        let known = self.round_trips.len() == REMEMBERED;
-        if known && self.link.guard.line().stale_frames == 0 {
-            self.link.recent.clear();
-            return Ok(());
-        }
-        self.link.keep_apart(reply_bytes(count))
-    }
-
     /// A read whose reply is taken only where no other came within the time that one usually takes.
-    fn ask_alone(
+    fn ask_alone(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
+        let what = format!("read {} at {}", registers(read.count.into()), read.address);
+        let allowed = self.link.timing.allowed(8, read.reply_bytes());
+        self.alone(question(read, &what, allowed), words(read))
+    }
+
+    /// A question whose answer is taken only where no other came within the time that one usually takes.
+    fn alone(
         &mut self,
-        table: RegisterTable,
-        address: u16,
-        count: u16,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<Vec<u16>, String>,
     ) -> Result<RegistersRead, LinkError> {
+        let what = question.what;
         let sent = now();
-        let read = self.ask(table, address, count)?;
+        let answer = self.link.call(question, check)?;
+        let answer = RegistersRead {
+            words: answer.value,
+            asked_s: answer.asked_s,
+            answered_s: answer.answered_s,
+        };
         if self.link.kind == FrameKind::Tcp {
-            return Ok(read);
+            return Ok(answer);
         }
         let took = now().saturating_duration_since(sent);
         let usual = self.usual();
@@ -155,18 +110,16 @@ impl ModbusBus {
         if took < usual {
             wait_until(sent + usual);
         }
-        if !self.link.suspect {
+        if !self.link.proof.is_suspect() {
             self.link.listen()?;
         }
-        if self.link.suspect {
+        if self.link.proof.is_suspect() {
             return Err(LinkError::Stale {
                 link: self.link.name.clone(),
-                reason: format!(
-                    "something else came with the reply to {count} registers at {address}"
-                ),
+                reason: format!("something else came with the reply to {what}"),
             });
         }
-        Ok(read)
+        Ok(answer)
     }
 
     /// How long a reply takes at the most, a busy host left out.
@@ -176,56 +129,36 @@ impl ModbusBus {
         longest.get(OUTLIERS).copied().unwrap_or_default()
     }
 
-    fn ask(
+    fn put(
         &mut self,
-        table: RegisterTable,
+        function: u8,
         address: u16,
-        count: u16,
-    ) -> Result<RegistersRead, LinkError> {
-        let allowed = self.link.timing.allowed(8, reply_bytes(count));
-        let what = format!("read {} at {address}", registers(count.into()));
-        let request = match table {
-            RegisterTable::Holding => Request::ReadHoldingRegisters(address, count),
-            RegisterTable::Input => Request::ReadInputRegisters(address, count),
-        };
-        let answer = self
-            .link
-            .call(request, &what, allowed, |response| match response {
-                Response::ReadHoldingRegisters(values) | Response::ReadInputRegisters(values)
-                    if values.len() == usize::from(count) =>
-                {
-                    Ok(values)
-                }
-                other => Err(format!("{other:?}")),
-            });
-        answer.map(|answer| RegistersRead {
-            words: answer.value,
-            asked_s: answer.sent_s,
-            answered_s: answer.received_s,
-        })
-    }
-
-    fn put(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
-        let allowed = self.link.timing.allowed(9 + 2 * values.len(), 8);
+        values: &[u16],
+        allowed: Duration,
+    ) -> Result<Carried, LinkError> {
         let what = format!("write {values:04x?} at {address}");
+        let [high, low] = address.to_be_bytes();
         let request = match (function, values) {
             (6, [value]) => Request::WriteSingleRegister(address, *value),
             _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
         };
-        let answer = self
-            .link
-            .call(request, &what, allowed, |response| match response {
-                Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
-                other => Err(format!("{other:?}")),
-            });
-        answer.map(|answer| answer.value)
+        let question = Question::plain(request, [function, high, low, 0, 0], &what, allowed);
+        let answer = self.link.call(question, |response| match response {
+            Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
+            other => Err(format!("{other:?}")),
+        });
+        answer.map(|answer| Carried {
+            asked_s: answer.asked_s,
+            answered_s: answer.answered_s,
+        })
     }
 }
 
-/// RTU frame of the reply to a read.
-fn reply_bytes(count: u16) -> usize {
-    5 + 2 * usize::from(count)
-}
+/// RTU frames of a write of several registers and of a request of function code 23, beside the registers that they write,
+/// and of the acknowledgement of a write.
+const WRITE_BYTES: usize = 9;
+const READ_WRITE_BYTES: usize = 13;
+const WRITTEN_BYTES: usize = 8;
 
 impl RegisterBus for ModbusBus {
     fn name(&self) -> LinkName {
@@ -248,29 +181,28 @@ impl RegisterBus for ModbusBus {
         address: u16,
         count: u16,
     ) -> Result<RegistersRead, LinkError> {
+        let read = ReadRequest {
+            table,
+            address,
+            count,
+        };
         let mut attempt = 1;
         loop {
-            let result = self
-                .fresh()
-                .and_then(|()| self.keep_apart(count))
-                .and_then(|()| self.ask_alone(table, address, count));
-            self.link.recent.push((reply_bytes(count), now()));
-            match result {
-                Err(error) if error.is_transient() => {
-                    self.unanswered.push(count);
-                    if attempt == READ_ATTEMPTS {
-                        return Err(error);
-                    }
-                    attempt += 1;
-                }
+            let result = self.link.in_step(&read.pdu());
+            match result.and_then(|()| self.ask_alone(read)) {
+                Err(error) if self.link.may_retry(&error, attempt) => attempt += 1,
                 result => return result,
             }
         }
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
-        self.fresh()?;
-        self.put(function, address, values)
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
+        self.link.in_step(&[function])?;
+        let allowed = self
+            .link
+            .timing
+            .allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
+        self.put(function, address, values, allowed)
     }
 
     fn write_at_once(
@@ -278,28 +210,52 @@ impl RegisterBus for ModbusBus {
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<(), LinkError> {
+    ) -> Result<Carried, LinkError> {
         self.link.listen()?;
-        let was_suspect = self.link.suspect;
-        let result = self.put(function, address, values);
-        self.link.suspect |= was_suspect;
+        let allowed = self
+            .link
+            .brief(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
+        // What stops a drive has its own short time, whatever is left of that for reading.
+        let bound = std::mem::take(&mut self.link.bound);
+        let result = self.put(function, address, values, allowed);
+        self.link.bound = bound;
         result
     }
 
+    fn read_write(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let [from_high, from_low] = from.to_be_bytes();
+        let [count_high, count_low] = count.to_be_bytes();
+        let pdu = [23, from_high, from_low, count_high, count_low];
+        self.link.in_step(&pdu)?;
+        let words = usize::from(count);
+        let request_bytes = READ_WRITE_BYTES + 2 * values.len();
+        let allowed = self.link.timing.allowed(request_bytes, 5 + 2 * words);
+        let what = format!(
+            "write {values:04x?} at {to} and read {} at {from}",
+            registers(words)
+        );
+        let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
+        let question = Question::plain(request, pdu, &what, allowed);
+        self.alone(question, |response| match response {
+            Response::ReadWriteMultipleRegisters(values) if values.len() == words => Ok(values),
+            other => Err(format!("{other:?}")),
+        })
+    }
+
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
-        let allowed = self.link.timing.allowed(7, 256);
-        self.fresh()?;
+        let pdu = [43, 14, 4, object, 0];
+        self.link.in_step(&pdu)?;
         let request = Request::ReadDeviceIdentification(ReadCode::Specific, object);
-        let answer =
-            self.link.call(
-                request,
-                "the device identification",
-                allowed,
-                |response| match response {
-                    Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
-                    other => Err(format!("{other:?}")),
-                },
-            );
+        let allowed = self.link.timing.allowed(7, 256);
+        let question = Question::plain(request, pdu, NAMES, allowed);
+        let answer = self.link.call(question, |response| match response {
+            Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
+            other => Err(format!("{other:?}")),
+        });
         match answer {
             Ok(objects) => Ok(objects
                 .value
@@ -329,7 +285,15 @@ impl RegisterBus for ModbusBus {
     }
 
     fn line(&self) -> Option<LineCounts> {
-        Some(self.link.guard.line())
+        Some(self.link.line_counts())
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        DriveLink::bound(&mut self.link, left_s);
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        self.link.cut_in()
     }
 
     fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {

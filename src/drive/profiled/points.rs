@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::readings::{Readings, in_profile};
+use super::readings::{Joined, Readings, Span, in_profile};
+use crate::drive::budget::may_join;
 use crate::drive::link::LinkError;
 use crate::drive::register_bus::RegisterBus;
 use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
@@ -26,9 +27,20 @@ struct Sent {
     /// When it was asked for last; `None` while it is not being held.
     asked_s: Option<f64>,
     writes: u32,
-    /// Times in a row that it read back otherwise, and as what.
+    /// Times in a row that it read back otherwise, and as what; what the drive had confirmed before that.
     mismatches: u32,
     found: Vec<u16>,
+    confirmed: Vec<u16>,
+    /// When it was last looked at, s.
+    looked_s: f64,
+}
+
+/// Whether a reference goes out together with the read of this exchange.
+#[derive(Clone, Debug, PartialEq)]
+enum Joint {
+    Never,
+    May,
+    With(Joined),
 }
 
 /// All of them, by position in the map.
@@ -41,6 +53,9 @@ pub(super) struct Points {
     pub(super) kicked_s: f64,
     /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
     pub(super) is_urgent: bool,
+    joint: Joint,
+    /// When the last write of this exchange was carried out.
+    pub(super) carried: Option<Span>,
     running: bool,
 }
 
@@ -52,8 +67,36 @@ impl Points {
             limited: false,
             kicked_s: f64::NEG_INFINITY,
             is_urgent: false,
+            joint: Joint::Never,
+            carried: None,
             running: false,
         }
+    }
+
+    /// The next exchange begins.
+    pub(super) fn begin(&mut self) {
+        self.limited = false;
+        self.joint = Joint::Never;
+        self.carried = None;
+    }
+
+    /// The reference that goes out with the read of this exchange.
+    pub(super) fn take_joined(&mut self) -> Option<Joined> {
+        match std::mem::replace(&mut self.joint, Joint::Never) {
+            Joint::With(joined) => Some(joined),
+            Joint::Never | Joint::May => None,
+        }
+    }
+
+    /// A reference may go out together with the read of this exchange.
+    pub(super) fn may_join(&mut self, may: bool) {
+        self.joint = if may { Joint::May } else { Joint::Never };
+    }
+
+    /// It was acknowledged.
+    pub(super) fn joined_carried(&mut self, joined: Joined, span: Span, now_s: f64) {
+        self.acknowledged(joined.at, joined.registers, now_s);
+        self.carried = Some(span);
     }
 
     /// Nothing is refreshed any more, and a slew starts at zero again.
@@ -126,11 +169,14 @@ impl Points {
             let Some(refresh_s) = point.refresh_s else {
                 continue;
             };
+            if matches!(&self.joint, Joint::With(joined) if joined.at == at) {
+                continue;
+            }
             let sent = &self.sent[at];
             // Not written before: there is nothing to hold. The next chance is a period away.
             if sent.value.is_some() && bus.now_s() - sent.at_s + period_s >= refresh_s {
                 let registers = sent.registers.clone();
-                self.send(bus, at, point, &registers)?;
+                self.send_or_join(bus, at, point, &registers)?;
             }
         }
         Ok(())
@@ -201,7 +247,9 @@ impl Points {
                 format!("setpoint {name} = {value} {unit} does not fit its register"),
             ));
         };
-        if let Some(sign) = &point.sign {
+        // Zero has no sign, and does not wait for one on its way to bring the drive to rest.
+        let sign = point.sign.as_ref();
+        if let Some(sign) = sign.filter(|_| !(self.is_urgent && value == 0.0)) {
             // Through zero: between the two writes the old magnitude must not stand behind the new sign.
             let turns = self.sent[at].value.is_some_and(|held| held * value < 0.0);
             if let Some(zero) = encoded(0.0).filter(|_| turns) {
@@ -214,8 +262,31 @@ impl Points {
             let before = self.sent[at].registers.first().copied().unwrap_or(0);
             *word = (before & !mask) | (*word & mask);
         }
-        self.send(bus, at, point, &registers)?;
+        self.send_or_join(bus, at, point, &registers)?;
         self.sent[at].value = Some(value);
+        Ok(())
+    }
+
+    /// Sends, or leaves it to the read of this exchange where one transaction takes both.
+    fn send_or_join(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+        registers: &[u16],
+    ) -> Result<(), LinkError> {
+        if self.joint != Joint::May || !may_join(&self.map, point) {
+            return self.send(bus, at, point, registers);
+        }
+        if !self.may_be_written(bus, at, point, registers)? {
+            return Ok(());
+        }
+        self.sent[at].in_doubt = true;
+        self.sent[at].writes += 1;
+        self.joint = Joint::With(Joined {
+            at,
+            registers: registers.to_vec(),
+        });
         Ok(())
     }
 
@@ -244,13 +315,14 @@ impl Points {
         }
     }
 
-    fn send(
-        &mut self,
-        bus: &mut dyn RegisterBus,
+    /// Whether a write may go out at all; `false`: it would change nothing.
+    fn may_be_written(
+        &self,
+        bus: &dyn RegisterBus,
         at: usize,
         point: &SetPoint,
         registers: &[u16],
-    ) -> Result<(), LinkError> {
+    ) -> Result<bool, LinkError> {
         let sent = &self.sent[at];
         if point.stopped_only && self.running {
             let text = format!(
@@ -261,7 +333,7 @@ impl Points {
         }
         if point.nvm {
             if sent.registers == registers && !sent.in_doubt {
-                return Ok(());
+                return Ok(false);
             }
             let most = self
                 .map
@@ -275,6 +347,27 @@ impl Points {
                 return Err(refused(bus, text));
             }
         }
+        Ok(true)
+    }
+
+    fn acknowledged(&mut self, at: usize, registers: Vec<u16>, now_s: f64) {
+        let sent = &mut self.sent[at];
+        sent.at_s = now_s;
+        sent.registers = registers;
+        sent.in_doubt = false;
+        self.kicked_s = now_s;
+    }
+
+    fn send(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+        registers: &[u16],
+    ) -> Result<(), LinkError> {
+        if !self.may_be_written(bus, at, point, registers)? {
+            return Ok(());
+        }
         // Counted and in doubt until it is acknowledged: the drive may have carried it out all the same.
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
@@ -284,27 +377,69 @@ impl Points {
         } else {
             bus.write(function, address, registers)
         };
-        written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
-        let sent = &mut self.sent[at];
-        sent.at_s = bus.now_s();
-        sent.registers = registers.to_vec();
-        self.kicked_s = sent.at_s;
-        // Without a read-back that comes, the value that is held has not been noted either.
-        sent.in_doubt = point.readback;
-        if point.readback {
-            let count = point.location.layout.registers();
-            let found = bus
-                .read(point.location.table, point.location.address, count)?
-                .words;
+        let carried =
+            written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
+        self.carried = Some(Span::from(carried));
+        self.acknowledged(at, registers.to_vec(), bus.now_s());
+        // What brings the drive to rest is followed by a look at its state instead.
+        if point.readback && !self.is_urgent {
+            // Without a read-back that comes, the value that is held has not been noted either.
+            self.sent[at].in_doubt = true;
+            let found = self.read_back(bus, at, point)?;
+            let sent = &mut self.sent[at];
             sent.in_doubt = false;
             if found == registers {
                 sent.mismatches = 0;
+                sent.confirmed = found;
             } else {
                 sent.mismatches += 1;
                 sent.found = found;
             }
         }
         Ok(())
+    }
+
+    fn read_back(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+    ) -> Result<Vec<u16>, LinkError> {
+        let count = point.location.layout.registers();
+        let read = bus.read(point.location.table, point.location.address, count)?;
+        self.sent[at].looked_s = bus.now_s();
+        Ok(read.words)
+    }
+
+    /// Looks now and then whether a set-point that the drive has confirmed is still what was written. One that is another,
+    /// twice in a row and without a write of ours between, was written by somebody else: the words for that.
+    pub(super) fn watch(&mut self, bus: &mut dyn RegisterBus) -> Result<Option<String>, LinkError> {
+        let map = Arc::clone(&self.map);
+        let pause_s = map.rates.slow_hz.recip();
+        for (at, point) in map.set_points.iter().enumerate() {
+            let sent = &self.sent[at];
+            let is_ours = sent.value.is_some()
+                && !sent.in_doubt
+                && !sent.confirmed.is_empty()
+                && sent.confirmed == sent.registers;
+            if !point.readback || !is_ours || bus.now_s() - sent.looked_s < pause_s {
+                continue;
+            }
+            let ours = sent.registers.clone();
+            let first = self.read_back(bus, at, point)?;
+            if first == ours {
+                continue;
+            }
+            let second = self.read_back(bus, at, point)?;
+            if second != ours {
+                return Ok(Some(format!(
+                    "setpoint {} was written as {ours:04x?} and confirmed, and is {second:04x?} now although nothing was \
+                     written to it from here: somebody else writes it (a second master on the line, a gateway, the drive's keypad)",
+                    point.name
+                )));
+            }
+        }
+        Ok(None)
     }
 
     /// The longest row of read-backs that were not what was written.
@@ -323,8 +458,14 @@ impl Points {
             .zip(&self.map.set_points)
             .max_by_key(|(sent, _)| sent.mismatches);
         worst.map_or_else(String::new, |(sent, point)| {
+            let why = if sent.found == sent.confirmed {
+                "the drive keeps the value that it had before, so it ignores what is written from here"
+            } else {
+                "the drive keeps another value, which was never written from here: a limit of its own, the profile's word order \
+                 or scale, or somebody else who writes it at once"
+            };
             format!(
-                "setpoint {} was written as {:04x?} and read back as {:04x?}, {} times in a row",
+                "setpoint {} was written as {:04x?} and read back as {:04x?}, {} times in a row: {why}",
                 point.name, sent.registers, sent.found, sent.mismatches
             )
         })

@@ -1,9 +1,11 @@
 //! What was read of a drive: which registers when, and what they say in units. What cannot be a value is none.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use crate::drive::budget::joint_block;
 use crate::drive::link::LinkError;
-use crate::drive::register_bus::RegisterBus;
+use crate::drive::register_bus::{Carried, RegisterBus, RegistersRead};
 use crate::drive::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
 
 /// One signal as it was last read.
@@ -14,6 +16,67 @@ pub(super) struct Reading {
     pub(super) pattern: Option<u32>,
     /// When its request went out, s.
     pub(super) read_s: f64,
+    /// When the first byte of the reply came in, s.
+    pub(super) answered_s: f64,
+}
+
+/// The host times between which something was done at the far end, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Span {
+    pub(super) asked_s: f64,
+    pub(super) answered_s: f64,
+}
+
+impl Span {
+    pub(super) const fn middle_s(self) -> f64 {
+        f64::midpoint(self.asked_s, self.answered_s)
+    }
+
+    pub(super) const fn half_width_s(self) -> f64 {
+        0.5 * (self.answered_s - self.asked_s)
+    }
+
+    /// From the first request out to the last reply in.
+    fn and(earlier: Option<Self>, later: Self) -> Self {
+        Self {
+            asked_s: earlier.map_or(later.asked_s, |span| span.asked_s),
+            ..later
+        }
+    }
+}
+
+impl From<&RegistersRead> for Span {
+    fn from(read: &RegistersRead) -> Self {
+        Self {
+            asked_s: read.asked_s,
+            answered_s: read.answered_s,
+        }
+    }
+}
+
+impl From<Carried> for Span {
+    fn from(carried: Carried) -> Self {
+        Self {
+            asked_s: carried.asked_s,
+            answered_s: carried.answered_s,
+        }
+    }
+}
+
+/// Where a counting position was last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Position {
+    raw: f64,
+    counts: f64,
+    at_s: f64,
+}
+
+/// A write that goes out together with a read.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Joined {
+    /// Position of the set-point in the map.
+    pub(super) at: usize,
+    pub(super) registers: Vec<u16>,
 }
 
 /// All signals, by position in the map.
@@ -25,6 +88,9 @@ pub(super) struct Readings {
     next_slow: usize,
     slow_due_s: f64,
     last: Vec<Reading>,
+    /// Positions that begin again somewhere, followed over that: by position in the map, the last raw number and how far it
+    /// was when it was read, counts.
+    positions: BTreeMap<usize, Position>,
     /// Values that were no value: an invalid code, out of the valid range, not finite.
     pub(super) rejected: u64,
 }
@@ -37,6 +103,7 @@ impl Readings {
             next_slow: 0,
             slow_due_s: f64::NEG_INFINITY,
             last: vec![Reading::default(); map.signals.len()],
+            positions: BTreeMap::new(),
             rejected: 0,
             map,
         }
@@ -68,15 +135,39 @@ impl Readings {
         for block in self.slow.clone() {
             self.read(bus, &block)?;
         }
-        self.read_fast(bus)
+        self.read_fast(bus, None).map(drop)
     }
 
-    pub(super) fn read_fast(&mut self, bus: &mut dyn RegisterBus) -> Result<(), LinkError> {
-        for at in 0..self.fast.len() {
+    /// Every fast block, the joinable one in one transaction with the write that is given; from the first request to the
+    /// last reply, and the same of the block that took the write along.
+    pub(super) fn read_fast(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        mut joined: Option<&Joined>,
+    ) -> Result<(Option<Span>, Option<Span>), LinkError> {
+        let (mut whole, mut both) = (None, None);
+        for at in self.in_order(joined.is_some()) {
             let block = self.fast[at].clone();
-            self.read(bus, &block)?;
+            let write = joined.take();
+            let span = self.read_with(bus, &block, write)?;
+            if write.is_some() {
+                both = Some(span);
+            }
+            whole = Some(Span::and(whole, span));
         }
-        Ok(())
+        Ok((whole, both))
+    }
+
+    /// The fast block that function code 23 can read: it has holding registers only.
+    pub(super) fn joinable(&self) -> Option<usize> {
+        joint_block(&self.map, &self.fast)
+    }
+
+    /// Positions of the fast blocks as they are read: a write goes out first.
+    fn in_order(&self, is_joined: bool) -> Vec<usize> {
+        let first = self.joinable().filter(|_| is_joined);
+        let rest = (0..self.fast.len()).filter(|at| Some(*at) != first);
+        first.into_iter().chain(rest).collect()
     }
 
     /// One slow block, if it is time for one.
@@ -111,13 +202,32 @@ impl Readings {
     }
 
     fn read(&mut self, bus: &mut dyn RegisterBus, block: &ReadBlock) -> Result<(), LinkError> {
-        let read = bus
-            .read(block.table, block.address, block.count)
-            .map_err(|error| {
-                let signals = block.signals.iter().map(|index| &self.map.signals[*index]);
-                let places: Vec<_> = signals.map(|s| (s.name.as_str(), s.line)).collect();
-                in_profile(error, &self.map, &places)
-            })?;
+        self.read_with(bus, block, None).map(drop)
+    }
+
+    fn read_with(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        block: &ReadBlock,
+        joined: Option<&Joined>,
+    ) -> Result<Span, LinkError> {
+        let point = joined.and_then(|joined| Some((self.map.set_points.get(joined.at)?, joined)));
+        let read = match point {
+            Some((point, joined)) => bus.read_write(
+                (point.location.address, &joined.registers),
+                (block.address, block.count),
+            ),
+            None => bus.read(block.table, block.address, block.count),
+        };
+        let read = read.map_err(|error| {
+            let signals = block.signals.iter().map(|index| &self.map.signals[*index]);
+            let written = point.map(|(point, _)| (point.name.as_str(), point.line));
+            let places: Vec<_> = written
+                .into_iter()
+                .chain(signals.map(|s| (s.name.as_str(), s.line)))
+                .collect();
+            in_profile(error, &self.map, &places)
+        })?;
         for index in &block.signals {
             let location = self.map.signals[*index].location;
             let offset = usize::from(location.address - block.address);
@@ -126,14 +236,19 @@ impl Readings {
                 .get(offset..)
                 .and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));
+            let value = match (value, pattern) {
+                (Some(_), Some(pattern)) => self.unwrapped(*index, pattern, &read).or(value),
+                _ => value,
+            };
             self.rejected += u64::from(value.is_none());
             self.last[*index] = Reading {
                 value,
                 pattern,
                 read_s: read.asked_s,
+                answered_s: read.answered_s,
             };
         }
-        Ok(())
+        Ok(Span::from(&read))
     }
 
     fn value(&self, index: usize, pattern: u32) -> Option<f64> {
@@ -151,6 +266,42 @@ impl Readings {
                 .is_none_or(|[low, high]| (low..=high).contains(value))
         };
         Some(value).filter(|value| value.is_finite()).filter(valid)
+    }
+
+    /// A position over the place where its counter begins again: the nearest to where the speed that was read last has taken
+    /// it since. `None`: it does not begin again.
+    fn unwrapped(&mut self, index: usize, pattern: u32, read: &RegistersRead) -> Option<f64> {
+        let signal = &self.map.signals[index];
+        let span = signal.wraps_at?;
+        let raw = signal.location.layout.number(pattern);
+        let at_s = f64::midpoint(read.asked_s, read.answered_s);
+        let factor = self.factor(&signal.numbers.scale_by)?;
+        let counts = self.positions.get(&index).map_or(raw, |last| {
+            let moved = self
+                .speed_rad_s()
+                .zip(signal.channel)
+                .map(|(speed, (_, si))| {
+                    speed * (at_s - last.at_s) / (si * signal.numbers.scale * factor)
+                });
+            let step = raw - last.raw;
+            let turns = ((step - moved.unwrap_or(0.0)) / span).round();
+            last.counts + step - turns * span
+        });
+        let position = Position { raw, counts, at_s };
+        let value = signal.numbers.value(counts, factor);
+        self.positions.insert(index, position);
+        Some(value)
+    }
+
+    /// Of the shaft, as last read, rad/s.
+    fn speed_rad_s(&self) -> Option<f64> {
+        let at = self
+            .map
+            .signals
+            .iter()
+            .position(|signal| signal.quantity == Quantity::ShaftSpeed)?;
+        let (_, si) = self.map.signals[at].channel?;
+        Some(self.last[at].value? * si)
     }
 
     /// Product of the signals that a value is scaled with; `None` while one is not known.

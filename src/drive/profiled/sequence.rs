@@ -30,6 +30,10 @@ pub(super) struct Sequence {
     at: usize,
     /// When the step began, s.
     since_s: f64,
+    /// The first step whose write went out and was not acknowledged.
+    unheard: Option<usize>,
+    /// What the drive refused first, in words, and since when, s.
+    refused: Option<(String, f64)>,
 }
 
 impl Sequence {
@@ -40,6 +44,8 @@ impl Sequence {
             before: 0,
             at: 0,
             since_s: now_s,
+            unheard: None,
+            refused: None,
         }
     }
 
@@ -88,12 +94,13 @@ impl Sequence {
                             |(bits, _)| format!("is {bits:#06x}"),
                         );
                         return Next::Failed {
-                            step: (self.at + 1).saturating_sub(self.before),
+                            step: self.step(),
                             reason: format!(
-                                "{}: {} {seen} after {within_s} s ({})",
+                                "{}: {} {seen} after {within_s} s ({}){}",
                                 error.as_deref().unwrap_or("the status did not come"),
                                 condition.signal,
-                                condition.expected()
+                                condition.expected(),
+                                self.refusal()
                             ),
                         };
                     } else {
@@ -108,6 +115,54 @@ impl Sequence {
     /// The write of this step has been acknowledged.
     pub(super) fn written(&mut self, now_s: f64) {
         self.go_on(now_s);
+    }
+
+    /// The write of this step went out, and whether the drive has it is not known: what follows goes out all the same.
+    pub(super) fn unheard(&mut self, now_s: f64) {
+        self.unheard.get_or_insert(self.at);
+        self.go_on(now_s);
+    }
+
+    /// Whether a write is still to be sent again.
+    pub(super) const fn is_unheard(&self) -> bool {
+        self.unheard.is_some()
+    }
+
+    /// What is to be sent again, in order: from the first write that was not acknowledged up to where the command is.
+    pub(super) fn again(&mut self) -> Vec<(usize, Step)> {
+        let from = self.unheard.take().unwrap_or(self.at);
+        let passed = self.steps.get(from..self.at).unwrap_or_default();
+        let steps = (from..).zip(passed.iter().cloned());
+        steps
+            .filter(|(_, step)| matches!(step, Step::Write { .. }))
+            .collect()
+    }
+
+    /// One of those was not acknowledged again.
+    pub(super) fn unheard_again(&mut self, step: usize) {
+        self.unheard.get_or_insert(step);
+    }
+
+    /// Goes past a wait whose end does not matter any more.
+    pub(super) const fn skip(&mut self, now_s: f64) {
+        self.go_on(now_s);
+    }
+
+    /// The drive refused a write of this command; returns for how long it has done so, s. The first refusal is kept: it is
+    /// why a status that is waited for later does not come.
+    pub(super) fn refused(&mut self, now_s: f64, why: String) -> f64 {
+        let (_, since_s) = self.refused.get_or_insert((why, now_s));
+        now_s - *since_s
+    }
+
+    /// The step that is at hand, as the profile counts it.
+    pub(super) fn step(&self) -> usize {
+        (self.at + 1).saturating_sub(self.before)
+    }
+
+    fn refusal(&self) -> String {
+        let refused = self.refused.as_ref();
+        refused.map_or_else(String::new, |(why, _)| format!("; before that {why}"))
     }
 
     const fn go_on(&mut self, now_s: f64) {

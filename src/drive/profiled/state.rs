@@ -8,6 +8,14 @@ use crate::drive::register_bus::RegisterBus;
 use crate::drive::register_map::{Condition, Quantity};
 use crate::sample::{Channel, DriveState, Hindrance, Sample};
 
+/// What a drive says whose watchdog has stopped it.
+const COMM_LOSS: &str = "communication loss (comm_loss): the drive's own watchdog has expired";
+
+const fn low_word(pattern: u32) -> u16 {
+    let [.., high, low] = pattern.to_be_bytes();
+    u16::from_be_bytes([high, low])
+}
+
 impl<B: RegisterBus> ProfiledLink<B> {
     /// Whether a state of the profile holds; `None` where no register tells it.
     pub(super) fn told(&self, state: &str) -> Option<bool> {
@@ -23,10 +31,41 @@ impl<B: RegisterBus> ProfiledLink<B> {
             .filter(|_| self.unseen_since_s.is_none_or(|s| reading.read_s >= s))
     }
 
+    /// Whether its fault condition holds, or that of its own watchdog.
+    pub(super) fn is_in_fault(&self) -> bool {
+        self.told("fault") == Some(true) || self.has_lost_host()
+    }
+
+    /// Whether it says that its watchdog has expired.
+    fn has_lost_host(&self) -> bool {
+        self.told("comm_loss") == Some(true)
+    }
+
+    /// The code of its fault, as last read; 0 is none.
+    fn fault_code(&self) -> Option<u16> {
+        let signal = self.map.of_quantity(Quantity::FaultCode)?;
+        let pattern = self.readings.get(&signal.name)?.pattern?;
+        Some(low_word(pattern)).filter(|code| *code != 0)
+    }
+
+    /// What its fault is, in words, where the profile knows.
+    fn fault_words(&self) -> Option<String> {
+        let text = self
+            .fault_code()
+            .and_then(|code| self.map.fault_codes.get(&code));
+        match (self.has_lost_host(), text) {
+            (true, Some(text)) => Some(format!("{COMM_LOSS} ({text})")),
+            (true, None) => Some(COMM_LOSS.to_owned()),
+            (false, text) => text.cloned(),
+        }
+    }
+
     /// Words for a drive whose fault condition holds, and whether its watchdog may be why; else nothing.
     pub(super) fn in_fault_text(&self, now_s: f64) -> String {
-        let fault = self.map.state("fault");
-        let Some(fault) = fault.filter(|_| self.told("fault") == Some(true)) else {
+        let holds = ["fault", "comm_loss"]
+            .into_iter()
+            .find(|state| self.told(state) == Some(true));
+        let Some(fault) = holds.and_then(|state| self.map.state(state)) else {
             return String::new();
         };
         let mut text = format!(
@@ -34,6 +73,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.word_text(fault),
             fault.expected()
         );
+        if let Some(code) = self.fault_code() {
+            let _ = write!(text, ", code {code:#06x}");
+        }
+        if let Some(words) = self.fault_words() {
+            let _ = write!(text, ": {words}");
+        }
         let silence_s = now_s - self.kicked_s;
         if let Some(watchdog_s) = self.watchdog_s.filter(|limit_s| silence_s > *limit_s) {
             let since = if silence_s.is_finite() {
@@ -91,10 +136,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     pub(super) fn state(&self) -> DriveState {
-        if self.field_lost
-            || self.told("fault") == Some(true)
-            || self.told("comm_loss") == Some(true)
-        {
+        if self.field_lost || self.is_in_fault() {
             DriveState::Fault
         } else if self.told("running").unwrap_or(self.mode == Mode::On) {
             // While it is being enabled no set-point is in force yet.
@@ -119,24 +161,13 @@ impl<B: RegisterBus> ProfiledLink<B> {
             .map
             .of_quantity(Quantity::FieldCurrent)
             .and_then(|signal| self.reading(&signal.name));
-        let word = |pattern: u32| {
-            let [.., high, low] = pattern.to_be_bytes();
-            u16::from_be_bytes([high, low])
-        };
         sample.status = ["running", "fault"].into_iter().find_map(|name| {
             let signal = &self.map.state(name)?.signal;
-            self.readings.get(signal)?.pattern.map(word)
+            self.readings.get(signal)?.pattern.map(low_word)
         });
         if sample.state == Some(DriveState::Fault) {
-            sample.fault = self
-                .map
-                .of_quantity(Quantity::FaultCode)
-                .and_then(|signal| self.readings.get(&signal.name)?.pattern)
-                .map(word);
-            let text = sample
-                .fault
-                .and_then(|code| self.map.fault_codes.get(&code));
-            sample.fault_text = text.map(|text| text.as_str().into());
+            sample.fault = self.fault_code();
+            sample.fault_text = self.fault_words().map(Into::into);
         }
         sample.hindrance = self.hindrance();
         for (index, signal) in self.map.signals.iter().enumerate() {

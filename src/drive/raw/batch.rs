@@ -59,8 +59,8 @@ impl Batch {
 /// Reads each request once a round. A round ends early when `stop` is raised or the port is gone.
 ///
 /// RTU cannot tell a late or second reply to an equal request from the right one. So the last round has a proof between
-/// reads that could be confused and one at its end, and what is not vouched for is asked for again, read by read, or
-/// ends as an error.
+/// reads that could be confused and one at its end. What is not vouched for is asked for again, read by read, each behind
+/// a proof of its own that makes its reply unmistakable, whatever lies around it; or it ends as an error.
 pub fn read_batch(
     client: &mut RawClient,
     requests: &[ReadRequest],
@@ -71,6 +71,7 @@ pub fn read_batch(
     let mut round_trips = Vec::new();
     let begun = client.clock();
     let mut proving = Duration::ZERO;
+    let mut vouched = vec![false; requests.len()];
     for round in 0..rounds {
         let anomalies = client.anomalies();
         let is_last = round + 1 == rounds;
@@ -82,6 +83,7 @@ pub fn read_batch(
                 proving += client.clock().duration_since(before);
             }
             let values = client.read(*request);
+            vouched[index] = client.is_vouched();
             batch.asked += 1;
             let is_gone = matches!(values, Err(LinkError::Gone { .. }));
             if values.is_ok() {
@@ -108,7 +110,7 @@ pub fn read_batch(
         batch.is_interrupted = !is_last && stop.load(Ordering::Acquire);
         if is_last || batch.is_interrupted {
             batch.elapsed_s = elapsed_s(client, begun + proving);
-            vouch_for(client, &mut batch, anomalies);
+            vouch_for(client, &mut batch, &vouched, anomalies);
             break;
         }
     }
@@ -147,45 +149,50 @@ fn abandon(batch: &mut Batch, requests: &[ReadRequest]) {
         .collect();
 }
 
-/// Proves that the round was in step, or asks again for what it gave, each read between two proofs.
-fn vouch_for(client: &mut RawClient, batch: &mut Batch, anomalies: u64) {
+/// Proves that the round was in step, or asks again for what it gave and for what only old replies came.
+fn vouch_for(client: &mut RawClient, batch: &mut Batch, vouched: &[bool], anomalies: u64) {
     let is_answer = |read: &Read| matches!(read.values, Ok(_) | Err(LinkError::Exception { .. }));
-    let answers = batch.reads.iter().filter(|read| is_answer(read)).count();
-    if answers == 0 {
-        return;
+    let is_late = |read: &Read| matches!(read.values, Err(LinkError::Stale { .. }));
+    let reads = || batch.reads.iter().zip(vouched);
+    let has_late = reads().any(|(read, _)| is_late(read));
+    let doubtful = reads().any(|(read, vouched)| is_answer(read) && !vouched);
+    if doubtful && !has_late {
+        let proof = client.vouch();
+        if matches!(proof, Ok(true)) && client.anomalies() == anomalies {
+            return;
+        }
     }
-    let proof = client.vouch();
-    if matches!(proof, Ok(true)) && client.anomalies() == anomalies {
-        return;
-    }
-    let taken = batch.reads.iter().filter(|read| read.values.is_ok());
-    client.withdraw(taken.count() as u64);
-    for read in batch.reads.iter_mut().filter(|read| is_answer(read)) {
+    for (read, vouched) in batch.reads.iter_mut().zip(vouched) {
+        let asks = if is_answer(read) {
+            !vouched
+        } else {
+            // A unit that answers one request late has answered this one as well.
+            has_late && matches!(&read.values, Err(error) if error.is_transient())
+        };
+        if !asks {
+            continue;
+        }
+        let was_answered = read.values.is_ok();
+        if was_answered {
+            client.withdraw();
+        }
         read.values = careful(client, read.request);
+        batch.answered += u64::from(!was_answered && read.values.is_ok());
     }
 }
 
 fn careful(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
     let mut last = None;
     for _ in 0..CAREFUL_ATTEMPTS {
-        if !client.vouch()? {
-            continue;
-        }
-        let anomalies = client.anomalies();
-        let values = client.read(request);
+        let values = client
+            .prove_for(request)
+            .and_then(|()| client.read(request));
         match &values {
-            Ok(_) | Err(LinkError::Exception { .. }) => {}
-            Err(error) if error.is_transient() => {
-                last = values.err();
-                continue;
-            }
+            Ok(_) | Err(LinkError::Exception { .. }) if client.is_vouched() => return values,
+            Ok(_) => client.withdraw(),
+            Err(LinkError::Exception { .. }) => {}
+            Err(error) if error.is_transient() => last = values.err(),
             Err(_) => return values,
-        }
-        if client.vouch()? && client.anomalies() == anomalies {
-            return values;
-        }
-        if values.is_ok() {
-            client.withdraw(1);
         }
     }
     Err(last.unwrap_or_else(|| LinkError::Corrupt {

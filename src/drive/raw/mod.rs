@@ -3,17 +3,16 @@
 //! ```text
 //! batch.rs  reads, again and again -> values that are vouched for
 //!    |
-//! client.rs  drain -> [suspect? proof.rs] -> gap -> write -> ppoll, read until reply.rs finds the one reply
-//!    |                                                 |
-//! wire.rs   serial port or TCP, non-blocking        counters.rs   every request in exactly one class
-//!                                                   request.rs    bytes of the PDU
+//! client.rs  drain -> steps of transaction/proof.rs -> gap -> write -> ppoll, read until the one reply is there
+//!    |                                                    |
+//! wire.rs   serial port or TCP, non-blocking           counters.rs   every request in exactly one class
+//!                                                      request.rs    bytes of the PDU
 //! who.rs    what a unit says about itself
 //! ```
 
 mod batch;
 mod client;
 mod counters;
-mod proof;
 mod request;
 #[cfg(test)]
 mod tests;
@@ -25,6 +24,7 @@ use std::time::Duration;
 pub use batch::{Batch, Read, read_batch};
 pub use client::RawClient;
 pub use counters::RawCounters;
+pub(super) use request::exception_name;
 pub use request::{MOST_READ, MOST_WRITTEN, ReadRequest, WriteFunction, registers};
 
 use super::link::{Identity, LinkError};

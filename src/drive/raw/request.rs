@@ -24,7 +24,12 @@ impl ReadRequest {
         }
     }
 
-    pub(super) fn pdu(self) -> [u8; 5] {
+    /// RTU frame of the reply.
+    pub(in crate::drive) fn reply_bytes(self) -> usize {
+        5 + 2 * usize::from(self.count)
+    }
+
+    pub(in crate::drive) fn pdu(self) -> [u8; 5] {
         let [a, b] = self.address.to_be_bytes();
         let [c, d] = self.count.to_be_bytes();
         [self.function(), a, b, c, d]
@@ -67,7 +72,7 @@ pub fn registers(count: usize) -> String {
     format!("{count} register{}", if count == 1 { "" } else { "s" })
 }
 
-pub(super) fn exception_name(code: u8) -> &'static str {
+pub(in crate::drive) const fn exception_name(code: u8) -> &'static str {
     match code {
         1 => "illegal function",
         2 => "illegal data address",

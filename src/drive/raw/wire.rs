@@ -31,7 +31,7 @@ pub(super) struct Wire {
 impl Wire {
     /// Opens a serial port for ourselves alone.
     ///
-    /// Root ignores the exclusive mark, so the port is locked as well (measured: LINKS.md 4.3).
+    /// Root ignores the exclusive mark, so the port is locked as well.
     pub(super) fn serial(path: &str, baud: u32, framing: Framing) -> Result<Self, LinkError> {
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let cannot = |error: Errno| open_error(path, &error.into());

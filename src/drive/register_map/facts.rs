@@ -37,6 +37,8 @@ pub struct Device {
     pub trust: Trust,
     /// Shown wherever the profile is used.
     pub note: Option<String>,
+    /// Counts of the encoder in one turn of the shaft, all edges counted, for values in counts.
+    pub counts_per_turn: Option<u32>,
 }
 
 /// `[converter]` of a thyristor drive.
@@ -90,6 +92,8 @@ pub enum Quantity {
     FieldCurrent,
     Temperature,
     Angle,
+    /// A counter that runs with the drive's time.
+    Clock,
     Status,
     FaultCode,
     /// Nameplate values that other signals are scaled with.
@@ -129,6 +133,17 @@ pub enum Unit {
     Celsius,
     #[serde(rename = "rad")]
     Rad,
+    /// Of an encoder; `counts_per_turn` makes them an angle or a speed.
+    #[serde(rename = "counts")]
+    Counts,
+    #[serde(rename = "counts/s")]
+    CountsPerSecond,
+    #[serde(rename = "us")]
+    Microsecond,
+    #[serde(rename = "ms")]
+    Millisecond,
+    #[serde(rename = "s")]
+    Second,
 }
 
 impl Unit {
@@ -145,8 +160,25 @@ impl Unit {
             Self::KiloWatt => "kW",
             Self::Celsius => "C",
             Self::Rad => "rad",
+            Self::Counts => "counts",
+            Self::CountsPerSecond => "counts/s",
+            Self::Microsecond => "us",
+            Self::Millisecond => "ms",
+            Self::Second => "s",
         }
     }
+
+    /// Whether it counts edges of an encoder.
+    pub const fn is_counts(self) -> bool {
+        matches!(self, Self::Counts | Self::CountsPerSecond)
+    }
+}
+
+/// What turns an electrical frequency or an encoder's counts into those of the shaft.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct PerTurn {
+    pub(super) pole_pairs: Option<u8>,
+    pub(super) counts: Option<u32>,
 }
 
 /// Where a value lies.
@@ -209,6 +241,21 @@ pub struct Signal {
     pub traits: Traits,
     /// The channel that it fills, and what one unit is in SI.
     pub channel: Option<(Channel, f64)>,
+    /// Raw counts after which a position begins again; `None`: it never does.
+    pub wraps_at: Option<f64>,
+}
+
+impl Signal {
+    /// What one count of a clock is, s; `None` for what is none.
+    pub fn clock_count_s(&self) -> Option<f64> {
+        let unit_s = match self.numbers.unit {
+            Unit::Microsecond => 1e-6,
+            Unit::Millisecond => 1e-3,
+            Unit::Second => 1.0,
+            _ => return None,
+        };
+        (self.quantity == Quantity::Clock).then_some(self.numbers.scale * unit_s)
+    }
 }
 
 /// Sign of a set-point as bits of another one.
@@ -504,37 +551,46 @@ impl RegisterMap {
 pub(super) fn channel_of(
     quantity: Quantity,
     unit: Unit,
-    pole_pairs: Option<u8>,
+    per_turn: PerTurn,
 ) -> Option<(Channel, f64)> {
     Some(match (quantity, unit) {
         (Quantity::Current, Unit::A) => (Channel::Current, 1.0),
         (Quantity::Voltage, Unit::V) => (Channel::Voltage, 1.0),
         (Quantity::BusVoltage, Unit::V) => (Channel::Bus, 1.0),
         (Quantity::ShaftSpeed | Quantity::OutputSpeed, _) => {
-            (Channel::Speed, speed_si(unit, pole_pairs)?)
+            (Channel::Speed, speed_si(unit, per_turn)?)
         }
         (Quantity::Torque, Unit::NewtonMetre) => (Channel::Torque, 1.0),
         (Quantity::Temperature, Unit::Celsius) => (Channel::Temperature, 1.0),
         (Quantity::Angle, Unit::Rad) => (Channel::Angle, 1.0),
+        (Quantity::Angle, Unit::Counts) => (Channel::Angle, per_turn.count_rad()?),
         _ => return None,
     })
 }
 
 /// What one unit of a set-point is in SI, if the bench may command it.
-pub(super) fn demand_si(quantity: Quantity, unit: Unit, pole_pairs: Option<u8>) -> Option<f64> {
+pub(super) fn demand_si(quantity: Quantity, unit: Unit, per_turn: PerTurn) -> Option<f64> {
     match (quantity, unit) {
-        (Quantity::Speed, _) => speed_si(unit, pole_pairs),
+        (Quantity::Speed, _) => speed_si(unit, per_turn),
         (Quantity::Current, Unit::A) | (Quantity::Voltage, Unit::V) => Some(1.0),
         _ => None,
     }
 }
 
-fn speed_si(unit: Unit, pole_pairs: Option<u8>) -> Option<f64> {
+impl PerTurn {
+    /// Angle of one count, rad.
+    fn count_rad(self) -> Option<f64> {
+        self.counts.map(|counts| TAU / f64::from(counts))
+    }
+}
+
+fn speed_si(unit: Unit, per_turn: PerTurn) -> Option<f64> {
     match unit {
         Unit::Rpm => Some(rad_s_from_rpm(1.0)),
         Unit::RadS => Some(1.0),
         // Electrical to mechanical.
-        Unit::Hertz => pole_pairs.map(|pairs| TAU / f64::from(pairs)),
+        Unit::Hertz => per_turn.pole_pairs.map(|pairs| TAU / f64::from(pairs)),
+        Unit::CountsPerSecond => per_turn.count_rad(),
         _ => None,
     }
 }

@@ -19,6 +19,7 @@ impl Quantity {
             Self::FieldCurrent => "field_current",
             Self::Temperature => "temperature",
             Self::Angle => "angle",
+            Self::Clock => "clock",
             Self::Status => "status",
             Self::FaultCode => "fault_code",
             Self::RatedCurrent => "rated_current",
@@ -43,14 +44,19 @@ impl Quantity {
             | Self::LineVoltage
             | Self::RatedVoltage
             | Self::VoltageLimit => &[Unit::V, Unit::Percent],
-            Self::ShaftSpeed | Self::OutputSpeed | Self::RatedSpeed | Self::Speed => {
-                &[Unit::Rpm, Unit::RadS, Unit::Hertz, Unit::Percent]
-            }
+            Self::ShaftSpeed | Self::OutputSpeed | Self::RatedSpeed | Self::Speed => &[
+                Unit::Rpm,
+                Unit::RadS,
+                Unit::Hertz,
+                Unit::CountsPerSecond,
+                Unit::Percent,
+            ],
             Self::Torque => &[Unit::NewtonMetre, Unit::Percent],
             Self::Power => &[Unit::KiloWatt, Unit::Percent],
             Self::Duty => &[Unit::Percent],
             Self::Temperature => &[Unit::Celsius],
-            Self::Angle => &[Unit::Rad],
+            Self::Angle => &[Unit::Rad, Unit::Counts],
+            Self::Clock => &[Unit::Microsecond, Unit::Millisecond, Unit::Second],
             Self::Status | Self::FaultCode | Self::Word => &[Unit::None],
             Self::Other => return None,
         })

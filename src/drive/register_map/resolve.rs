@@ -18,6 +18,7 @@ use super::schema::ProfileFile;
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::drive::profile::DriveProfile;
 use crate::sample::Channel;
+use crate::units::rad_s_from_rpm;
 
 const HELP: &str = "see docs/adding-a-drive.md for every key, its unit and its default";
 /// The schema that this program reads.
@@ -32,6 +33,7 @@ pub(super) fn read(file: &str, text: &str) -> Result<(RegisterMap, DriveProfile)
         base: Base::Zero,
         formula: None,
         functions: Vec::new(),
+        counts_per_turn: keys.device.counts_per_turn,
     };
     reader.map(&keys)
 }
@@ -42,6 +44,8 @@ struct Reader<'a> {
     base: Base,
     formula: Option<Formula>,
     functions: Vec<u8>,
+    /// Of the device's encoder.
+    counts_per_turn: Option<u32>,
 }
 
 impl Reader<'_> {
@@ -335,6 +339,15 @@ impl Reader<'_> {
                 )?;
             }
         }
+        let mut clocks = map.signals.iter().filter(|s| s.quantity == Quantity::Clock);
+        if let (Some(first), Some(second)) = (clocks.next(), clocks.next()) {
+            let message = format!(
+                "signals {} and {} are both clocks (expected one)",
+                first.name, second.name
+            );
+            return Err(self.at(&file.signals[&second.name].span(), "quantity", message));
+        }
+        self.position_is_followed(file, map)?;
         let thyristor = map.device.kind == DeviceKind::ThyristorDc;
         if thyristor != map.converter.is_some() {
             let message = "a drive of kind \"thyristor_dc\", and no other, needs [converter] with dead_time_ms and quadrants";
@@ -361,6 +374,37 @@ impl Reader<'_> {
             ));
         }
         Ok(())
+    }
+
+    /// A position that may go half of its way round between two readings cannot be followed without a speed.
+    fn position_is_followed(
+        &self,
+        file: &ProfileFile,
+        map: &RegisterMap,
+    ) -> Result<(), ConfigError> {
+        let Some(position) = map.of_channel(Channel::Angle) else {
+            return Ok(());
+        };
+        let (Some(wraps_at), Some((_, count_rad)), Some(most_rpm), None) = (
+            position.wraps_at,
+            position.channel,
+            file.limits.speed_rpm,
+            map.of_channel(Channel::Speed),
+        ) else {
+            return Ok(());
+        };
+        let a_cycle_rad = rad_s_from_rpm(most_rpm) / map.rates.fast_hz;
+        let half_way_rad = 0.5 * wraps_at * (count_rad * position.numbers.scale).abs();
+        if a_cycle_rad < half_way_rad {
+            return Ok(());
+        }
+        let message = format!(
+            "signal {} begins again after {wraps_at} counts, and at limits.speed_rpm {most_rpm} the shaft turns by {:.0} % of that between two readings at {} Hz: which way cannot be told (expected less than 50 %, or a speed signal beside it)",
+            position.name,
+            50.0 * a_cycle_rad / half_way_rad,
+            map.rates.fast_hz
+        );
+        Err(self.at(&file.signals[&position.name].span(), "unit", message))
     }
 
     fn knows(&self, function: u8) -> Result<(), String> {

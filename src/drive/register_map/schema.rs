@@ -130,6 +130,9 @@ pub(super) struct SignalKeys {
     pub(super) basis: Option<Basis>,
     pub(super) side: Option<Side>,
     pub(super) pole_pairs: Option<u8>,
+    pub(super) counts_per_turn: Option<u32>,
+    /// Counts after which a position begins again; default: all that its bits hold.
+    pub(super) wraps_at: Option<u32>,
     pub(super) trust: Option<Trust>,
     pub(super) note: Option<String>,
 }
@@ -163,6 +166,7 @@ pub(super) struct SetPointKeys {
     pub(super) unit: Unit,
     pub(super) quantity: Quantity,
     pub(super) pole_pairs: Option<u8>,
+    pub(super) counts_per_turn: Option<u32>,
     pub(super) limits: Option<[f64; 2]>,
     pub(super) slew_per_s: Option<f64>,
     pub(super) refresh_ms: Option<f64>,

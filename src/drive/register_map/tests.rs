@@ -339,7 +339,7 @@ const DEFECTS: [(&str, &str, &str, &str, &str); 32] = [
         "epulse50-dc",
         "unit = \"rpm\"",
         "unit = \"V\"",
-        "unit \"V\" does not fit quantity \"shaft_speed\" (expected rpm, rad/s, Hz or %)",
+        "unit \"V\" does not fit quantity \"shaft_speed\" (expected rpm, rad/s, Hz, counts/s or %)",
         "unit = \"V\"",
     ),
     (

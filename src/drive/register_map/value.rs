@@ -98,6 +98,15 @@ impl Layout {
         }))
     }
 
+    /// How many bits its pattern has.
+    pub const fn width(&self) -> u16 {
+        match (self.bits, self.byte) {
+            (Some((first, last)), _) => (last - first) as u16 + 1,
+            (None, Some(_)) => 8,
+            (None, None) => 16 * self.registers(),
+        }
+    }
+
     /// The raw number; not finite where a float register says so.
     pub fn number(&self, pattern: u32) -> f64 {
         if self.bits.is_some() {

@@ -19,13 +19,17 @@ impl ForeignDrive {
         if let Some(code) = self.refusing {
             return vec![function | 0x80, code];
         }
+        let writes = matches!(function, 6 | 16 | 22 | 23);
+        if let Some(code) = self.refusing_writes.filter(|_| writes) {
+            return vec![function | 0x80, code];
+        }
         let answer = if self.map.functions.contains(&function) {
             self.execute(function, data, request)
         } else {
             Err(Exception::IllegalFunction)
         };
         if answer.is_ok() {
-            let by = if matches!(function, 6 | 16 | 22 | 23) {
+            let by = if writes {
                 KickedBy::Write
             } else {
                 KickedBy::Any

@@ -2,13 +2,16 @@
 
 use super::{ForeignDrive, Guise};
 use crate::drive::{
-    LinkError, LinkName, LinkStatistics, RegisterBus, RegisterTable, RegistersRead,
+    Carried, LinkError, LinkName, LinkStatistics, RegisterBus, RegisterTable, RegistersRead,
 };
 use crate::emulator::VirtualClock;
 use crate::emulator::pace::Pace;
 
 /// Bytes of a frame beside its PDU.
 const FRAME_BYTES: usize = 3;
+/// Time that a reply is given, ms.
+const DEADLINE_MS: u64 = 100;
+const DEADLINE_S: f64 = 1e-3 * DEADLINE_MS as f64;
 
 /// A foreign drive without a wire, but with the wire's time.
 pub struct ForeignBus {
@@ -22,6 +25,10 @@ pub struct ForeignBus {
     /// So many requests from now on get no reply.
     deaf: u32,
     mute: u32,
+    /// Silence that is kept before each read, as on a line where old replies may come, s.
+    silence_s: f64,
+    /// The last request got no reply: what must not wait for one does not wait for the next either.
+    in_doubt: bool,
 }
 
 impl ForeignBus {
@@ -35,7 +42,14 @@ impl ForeignBus {
             statistics: LinkStatistics::default(),
             deaf: 0,
             mute: 0,
+            silence_s: 0.0,
+            in_doubt: false,
         }
+    }
+
+    /// A silence before each read from now on, s.
+    pub const fn keep_silence(&mut self, silence_s: f64) {
+        self.silence_s = silence_s;
     }
 
     pub const fn drive(&self) -> &ForeignDrive {
@@ -56,7 +70,13 @@ impl ForeignBus {
         self.deaf = requests;
     }
 
-    fn ask(&mut self, request: &[u8], what: impl Fn() -> String) -> Result<Vec<u8>, LinkError> {
+    /// The answer and when its first byte came, s. `patience_s`: how long a reply is waited for beyond its usual time.
+    fn ask(
+        &mut self,
+        request: &[u8],
+        patience_s: f64,
+        what: impl Fn() -> String,
+    ) -> Result<(Vec<u8>, f64), LinkError> {
         self.statistics.sent += 1;
         self.now_s = RegisterBus::now_s(self);
         let mut arrived_s = self.now_s;
@@ -69,13 +89,13 @@ impl ForeignBus {
         let is_mute = !is_lost && self.mute > 0;
         self.deaf -= u32::from(is_lost);
         self.mute -= u32::from(is_mute);
+        self.in_doubt = is_lost || is_mute;
         let Some(answer) = answer.filter(|_| !is_mute) else {
             self.statistics.timeout += 1;
-            let waited_s = 0.1;
-            self.now_s = arrived_s + waited_s;
+            self.now_s = self.pace.delivery_s(arrived_s, FRAME_BYTES) + patience_s;
             return Err(LinkError::Timeout {
                 link: self.name().0,
-                deadline_ms: 100,
+                deadline_ms: DEADLINE_MS,
                 request: what(),
             });
         };
@@ -97,8 +117,52 @@ impl ForeignBus {
             });
         }
         self.statistics.ok += 1;
-        Ok(answer)
+        let rest_s = self.pace.wire_s(answer.len() + FRAME_BYTES - 1);
+        Ok((answer, self.now_s - rest_s))
     }
+
+    /// When the first byte of a request goes out that is asked for now, s.
+    fn departure_s(&self) -> f64 {
+        self.pace.departure_s(RegisterBus::now_s(self))
+    }
+
+    fn put(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+        patience_s: f64,
+    ) -> Result<Carried, LinkError> {
+        let mut request = vec![function];
+        request.extend(address.to_be_bytes());
+        if function != 6 {
+            request.extend(counted(values));
+        }
+        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        let asked_s = self.departure_s();
+        let what = || format!("write {values:04x?} at {address}");
+        let (_, answered_s) = self.ask(&request, patience_s, what)?;
+        Ok(Carried {
+            asked_s,
+            answered_s,
+        })
+    }
+}
+
+/// Number of registers and of their bytes, as function codes 16 and 23 have them.
+fn counted(values: &[u16]) -> [u8; 3] {
+    let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
+    let [high, low] = count.to_be_bytes();
+    let bytes = u8::try_from(2 * values.len()).unwrap_or(u8::MAX);
+    [high, low, bytes]
+}
+
+/// The registers of an answer.
+fn words(answer: &[u8]) -> Vec<u16> {
+    let pairs = answer.get(2..).unwrap_or_default().chunks_exact(2);
+    pairs
+        .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+        .collect()
 }
 
 impl RegisterBus for ForeignBus {
@@ -129,40 +193,60 @@ impl RegisterBus for ForeignBus {
         request.extend(address.to_be_bytes());
         request.extend(count.to_be_bytes());
         let what = || format!("read {count} registers at {address}");
-        let asked_s = RegisterBus::now_s(self);
-        let answer = self.ask(&request, what)?;
-        let words = answer.get(2..).unwrap_or_default().chunks_exact(2);
+        self.now_s = RegisterBus::now_s(self) + self.silence_s;
+        let asked_s = self.departure_s();
+        let (answer, answered_s) = self.ask(&request, DEADLINE_S, what)?;
         Ok(RegistersRead {
-            words: words
-                .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
-                .collect(),
+            words: words(&answer),
             asked_s,
-            answered_s: self.now_s,
+            answered_s,
         })
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<(), LinkError> {
-        let mut request = vec![function];
-        request.extend(address.to_be_bytes());
-        if function != 6 {
-            let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
-            request.extend(count.to_be_bytes());
-            request.push(u8::try_from(2 * values.len()).unwrap_or(u8::MAX));
-        }
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
+        self.put(function, address, values, DEADLINE_S)
+    }
+
+    fn write_at_once(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+    ) -> Result<Carried, LinkError> {
+        let patience_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
+        self.put(function, address, values, patience_s)
+    }
+
+    fn read_write(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let mut request = vec![23];
+        request.extend(from.to_be_bytes());
+        request.extend(count.to_be_bytes());
+        request.extend(to.to_be_bytes());
+        request.extend(counted(values));
         request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
-        self.ask(&request, || format!("write {values:04x?} at {address}"))
-            .map(drop)
+        let asked_s = self.departure_s();
+        let what = || format!("write {values:04x?} at {to} and read {count} registers at {from}");
+        let (answer, answered_s) = self.ask(&request, DEADLINE_S, what)?;
+        Ok(RegistersRead {
+            words: words(&answer),
+            asked_s,
+            answered_s,
+        })
     }
 
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
         if !self.functions.contains(&43) {
             return Ok(None);
         }
-        let answer = self.ask(&[43, 14, 4, object], || {
+        let answer = self.ask(&[43, 14, 4, object], DEADLINE_S, || {
             "the device identification".to_owned()
         });
         match answer {
-            Ok(answer) => Ok(answer
+            Ok((answer, _)) => Ok(answer
                 .get(9..)
                 .and_then(|text| std::str::from_utf8(text).ok())
                 .map(str::to_owned)),

@@ -86,8 +86,9 @@ pub struct ForeignDrive {
     lapsed: bool,
     /// Why it does not follow the bus.
     hindrance: Option<Hindrance>,
-    /// Every request is refused with this exception.
+    /// Every request is refused with this exception, and every write.
     refusing: Option<u8>,
+    refusing_writes: Option<u8>,
     switched_on_s: f64,
     as_set_s: f64,
     seq: u16,
@@ -128,6 +129,7 @@ impl ForeignDrive {
             lapsed: false,
             hindrance: None,
             refusing: None,
+            refusing_writes: None,
             switched_on_s: 0.0,
             seq: 0,
         }
@@ -184,6 +186,18 @@ impl ForeignDrive {
     /// Refuses every request with this exception; `None`: answers again.
     pub const fn refuse(&mut self, code: Option<u8>) {
         self.refusing = code;
+    }
+
+    /// Refuses every write with this exception, and answers reads; `None`: takes them again.
+    pub const fn refuse_writes(&mut self, code: Option<u8>) {
+        self.refusing_writes = code;
+    }
+
+    /// Another master writes a set-point, raw: of this request the host knows nothing.
+    pub fn overwrite(&mut self, set_point: &str, raw: u16) {
+        if let Some(point) = self.map.set_point(set_point) {
+            self.written.insert(point.location.address, raw);
+        }
     }
 
     /// Supply off and on again: what was written is forgotten, a fault as well.

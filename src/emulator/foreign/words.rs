@@ -68,6 +68,17 @@ pub(super) fn bits(kind: Kind, raw: f64) -> u32 {
     }
 }
 
+/// The bits of a counter that begins again after `span` counts.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "less than the span, which fits 32 bits"
+)]
+fn count(raw: f64, span: f64) -> u32 {
+    // Close below the span a remainder may round up to it.
+    raw.floor().rem_euclid(span).min(span - 1.0) as u32
+}
+
 /// The raw number in the bits of a type.
 pub(super) fn number_of(kind: Kind, bits: u32) -> f64 {
     let [b3, b2, b1, b0] = bits.to_be_bytes();
@@ -176,7 +187,13 @@ impl ForeignDrive {
                 let factor = self.factor(&signal.numbers.scale_by);
                 let value = self.truth(signal);
                 let raw = (value - signal.numbers.offset) / (signal.numbers.scale * factor);
-                bits(signal.location.layout.kind, raw)
+                match (signal.quantity, signal.wraps_at) {
+                    (Quantity::Clock, _) => {
+                        count(raw, 2.0_f64.powi(i32::from(signal.location.layout.width())))
+                    }
+                    (_, Some(span)) => count(raw, span),
+                    _ => bits(signal.location.layout.kind, raw),
+                }
             }
         };
         self.as_asked(signal, natural)
@@ -258,7 +275,12 @@ impl ForeignDrive {
             Quantity::Duty => 100.0 * sensed.voltage_cmd_v / limit_v,
             Quantity::FieldCurrent if self.has_no_field() => 0.0,
             Quantity::FieldCurrent => FIELD_A,
-            Quantity::Angle => sensed.angle_rad,
+            Quantity::Angle => sensed.angle_rad / si.unwrap_or(1.0),
+            Quantity::Clock => match unit {
+                Unit::Microsecond => 1e6 * self.soft.time_s(),
+                Unit::Millisecond => 1e3 * self.soft.time_s(),
+                _ => self.soft.time_s(),
+            },
             Quantity::Temperature => 25.0,
             Quantity::RatedCurrent => plate.rated_current_a,
             Quantity::RatedVoltage => plate.rated_voltage_v,

@@ -167,6 +167,24 @@ impl Escalation {
         }
     }
 
+    /// What may follow the first stage, in sentences: how large each will be is decided by what the one before has shown.
+    pub fn outlook() -> Vec<String> {
+        vec![
+            format!(
+                "feel: as long as neither current nor motion shows, the same {GROWTH} times larger, up to {SAFE_VOLTAGE} of the rated voltage"
+            ),
+            format!(
+                "break away: slowly up to {BREAK_AWAY} rated currents, until the shaft leaves its rest"
+            ),
+            format!(
+                "turn: steps both ways, through the least resistance that the data allow, to at most {CURRENT_SHARE} of the current limit and {SPEED_SHARE} of the speed limit; {ROUNDS} rounds at most"
+            ),
+            format!(
+                "sweep: to {SWEEP_SHARE} of the speed limit, as fast as the current allows; then the sequence is fitted to the motor that was found. {MOST_STAGES} stages at most"
+            ),
+        ]
+    }
+
     /// The stage to run next; `None` once it is over.
     pub const fn stage(&self) -> Option<&Stage> {
         match &self.next {

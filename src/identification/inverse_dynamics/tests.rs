@@ -130,6 +130,7 @@ fn bench(seed: u64, times: Vec<f64>) -> Run {
         current_a: vec![],
         speed_rad_s: vec![],
         angle: vec![],
+        time_half_width_s: vec![],
         scored: 0..samples,
     };
     let out = Plant::new(&Model::baseline(Motor::zk_22fc()), Input::Voltage)

@@ -83,6 +83,7 @@ impl Record {
             current_a: vec![],
             speed_rad_s: vec![],
             angle: vec![],
+            time_half_width_s: vec![],
         };
         let out = Plant::new(model, Input::Voltage)
             .unwrap()

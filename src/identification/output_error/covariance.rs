@@ -12,7 +12,9 @@ use crate::plant::Scenario;
 /// Length of one block, s.
 pub const BLOCK_S: f64 = 0.25;
 
-/// Block-clustered covariance at a minimum; NaN on the diagonal where the data leave a parameter undetermined.
+/// Block-clustered covariance at a minimum; NaN on the diagonal where the data leave a parameter undetermined. A variance
+/// from some ten blocks is itself uncertain by a quarter: none counts that is below what white residuals of this size
+/// would make.
 pub(super) fn at_minimum(
     minimum: &Minimum,
     rows: &[(usize, bool)],
@@ -27,7 +29,15 @@ pub(super) fn at_minimum(
         .map(|row| whole((scenario.sample_time_s[row.0] - begin_s) / BLOCK_S))
         .collect();
     let residual = DVector::from_column_slice(&minimum.residual);
-    clustered(&minimum.jacobian, &residual, &blocks, bread, &determined)
+    let spare = residual.len().saturating_sub(bread.ncols()).max(1) as f64;
+    let white = bread.diagonal() * (residual.norm_squared() / spare);
+    let mut covariance = clustered(&minimum.jacobian, &residual, &blocks, bread, &determined);
+    for (index, least) in white.iter().enumerate() {
+        if covariance[(index, index)] < *least {
+            covariance[(index, index)] = *least;
+        }
+    }
+    covariance
 }
 
 /// What standard deviations are multiplied by where more than noise is left over (DISCOVERY.md 2.12).

@@ -4,6 +4,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::FitError;
 use crate::identification::noise::NoiseFloor;
+use crate::identification::stamps;
 use crate::numerics::levenberg_marquardt::Problem;
 use crate::numerics::statistics;
 use crate::plant::{Model, MotorKey, Plant, Scenario, Slot, State, Trajectory, typical_size};
@@ -311,18 +312,25 @@ impl<'a> FreeRun<'a> {
     }
 }
 
-/// What a simulation misses a measurement by, in units of the noise; `row` is `(sample, is_speed)`.
+/// What a simulation misses a measurement by, in units of the noise; `row` is `(sample, is_speed)`. The noise of a sample
+/// that was stamped vaguely is that of its sensor and what its signal does within the stamp's interval.
 pub fn weighted_residual(
     (sample, is_speed): (usize, bool),
     simulated: &Trajectory,
     scenario: &Scenario,
     noise: &NoiseFloor,
 ) -> f64 {
-    if is_speed {
-        (simulated.speed_rad_s[sample] - scenario.speed_rad_s[sample]) / noise.speed_rad_s
+    let (simulated, measured, level) = if is_speed {
+        (
+            &simulated.speed_rad_s,
+            &scenario.speed_rad_s,
+            noise.speed_rad_s,
+        )
     } else {
-        (simulated.current_a[sample] - scenario.current_a[sample]) / noise.current_a
-    }
+        (&simulated.current_a, &scenario.current_a, noise.current_a)
+    };
+    let miss = simulated[sample] - measured[sample];
+    miss / level.hypot(stamps::spread(scenario, measured, sample))
 }
 
 impl Problem for FreeRun<'_> {

@@ -9,6 +9,7 @@
 //! run does not start at rest. The residual is `[(i - i^)/sigma_i ; (w - w^)/sigma_w]` over the scored samples.
 
 mod covariance;
+mod delayed;
 mod free_run;
 
 use thiserror::Error;
@@ -18,6 +19,7 @@ use crate::plant::{Model, ModelError, ParameterRole, Scenario, Slot, State, Traj
 use crate::sample::{ParameterEstimate, Verdict};
 
 pub use covariance::BLOCK_S;
+pub use delayed::fit_delayed;
 pub use free_run::{FreeRun, weighted_residual};
 
 use super::noise::NoiseFloor;
@@ -133,7 +135,7 @@ fn fit_from(
     })?;
     let model = problem.model_at(&minimum.x);
     let interval_factor = covariance::interval_factor(&minimum, problem.rows(), noise);
-    let parameters = estimates(&model, &problem, &minimum, scenario, interval_factor);
+    let parameters = estimates(&problem, &minimum, scenario, interval_factor, &[]);
     Ok(Fit {
         nrms: nrms(&minimum, problem.rows()),
         start: problem.initial_state(&minimum.x),
@@ -162,14 +164,16 @@ fn nrms(minimum: &Minimum, rows: &[(usize, bool)]) -> f64 {
     (sum / f64::max(signals, 1.0)).sqrt()
 }
 
-/// Estimates of every slot of `model`, free and fixed.
+/// Estimates of every slot of the model, free and fixed; `shared` is what a common unknown of the record adds to the
+/// deviation of each coordinate.
 fn estimates(
-    model: &Model,
     problem: &FreeRun<'_>,
     minimum: &Minimum,
     scenario: &Scenario,
     interval_factor: f64,
+    shared: &[f64],
 ) -> Vec<ParameterEstimate> {
+    let model = &problem.model_at(&minimum.x);
     let covariance = covariance::at_minimum(minimum, problem.rows(), scenario);
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
@@ -200,9 +204,10 @@ fn estimates(
                 return ParameterEstimate::not_observable(&key, slot.unit(), reason.clone());
             }
             let variance = covariance[(index, index)];
-            let std = variance
-                .is_finite()
-                .then(|| interval_factor * variance.max(0.0).sqrt() * slopes[index].abs());
+            let std = variance.is_finite().then(|| {
+                let own = interval_factor * variance.max(0.0).sqrt();
+                own.hypot(shared.get(index).copied().unwrap_or(0.0)) * slopes[index].abs()
+            });
             let mut judged = judge(slot, value.unwrap_or(f64::NAN), std, period_s);
             if !minimum.converged && judged.verdict == Verdict::Settled {
                 judged.verdict = Verdict::Searching;

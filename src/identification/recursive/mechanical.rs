@@ -1,6 +1,7 @@
 //! Mechanical balance over one block: `w_b - w_a = (Kt/J) int i - (Mc/J) s h`.
 
 use crate::identification::verdict;
+use crate::numerics::change_watch::ChangeWatch;
 use crate::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 use crate::plant::{MotorKey, Slot};
 use crate::sample::{ParameterEstimate, Verdict};
@@ -10,6 +11,18 @@ const SCALE: [f64; 2] = [100.0, 100.0];
 const PRIOR: f64 = 1e8;
 /// Rows below which nothing is said.
 const FEWEST_ROWS: u64 = 4;
+
+/// Rows that must have spoken before a change is told, and rows after it before anything is settled again.
+const BELIEVED_ROWS: u64 = 40;
+const REOPENED_ROWS: u64 = 60;
+/// Share of the moves of the last rows that their misses add up to where inertia or load have changed: more than what a
+/// missing effect makes of them.
+const CHANGE_SHARE: f64 = 0.15;
+
+/// Share by which the load may change where a friction that grows with the speed is allowed beside it, at most, and the
+/// standard deviations of that which count.
+const MOST_SLOPE_DOUBT: f64 = 0.06;
+const TWO_SIDED: f64 = 2.0;
 
 /// Move by leaving out every second sample over the error at the full rate. A rule of second order would give 3, but the
 /// current has a corner at each step of the voltage, and where L/R is not resolved the order falls to the first.
@@ -27,6 +40,14 @@ pub(super) struct MechanicalBalance {
     last_end_s: f64,
     innovation_rad_s: Option<f64>,
     blocked_rows: u64,
+    watch: ChangeWatch,
+    /// The estimate as it was begun, and how often it was begun again because inertia or load had changed.
+    fresh: RecursiveLeastSquares<2>,
+    changes: u32,
+    /// Beside Kt/J and Mc/J a friction in proportion to the speed, over J: whether the load is as constant as it is
+    /// taken for.
+    sloping: RecursiveLeastSquares<3>,
+    forgetting: f64,
 }
 
 /// One block between two samples.
@@ -40,6 +61,8 @@ pub(super) struct MechanicalRow {
     pub(super) doubtful_integral_a_s: f64,
     /// Sign of the speed over the whole block; zero where it has none: the row is dropped.
     pub(super) direction: i8,
+    /// Mean of the speeds at its ends, rad/s.
+    pub(super) speed_rad_s: f64,
     /// Share of the noise of the begin in that of the row, see [`carry`].
     pub(super) carry: f64,
 }
@@ -56,15 +79,25 @@ pub(super) fn carry(charge_noise: f64, n: f64) -> f64 {
     2.0 * k / (1.0 + (1.0 - 4.0 * k * k).max(0.0).sqrt())
 }
 
+fn sloping(forgetting: f64) -> RecursiveLeastSquares<3> {
+    let [a, b] = SCALE;
+    RecursiveLeastSquares::new([0.0; 3], [a, b, 1.0], PRIOR, forgetting).clustered()
+}
+
 impl MechanicalBalance {
     pub(super) fn new(forgetting: f64) -> Self {
-        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting);
+        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting).clustered();
         Self {
             doubtful: estimator.clone(),
+            fresh: estimator.clone(),
             estimator,
             last_end_s: f64::NAN,
             innovation_rad_s: None,
             blocked_rows: 0,
+            watch: ChangeWatch::new(CHANGE_SHARE, 0.0),
+            changes: 0,
+            sloping: sloping(forgetting),
+            forgetting,
         }
     }
 
@@ -72,6 +105,7 @@ impl MechanicalBalance {
         self.innovation_rad_s = None;
         if row.direction == 0 {
             self.blocked_rows += 1;
+            self.watch.interrupt();
             return;
         }
         let held = -f64::from(row.direction) * (row.end_s - row.begin_s);
@@ -81,10 +115,56 @@ impl MechanicalBalance {
         };
         let step = row.speed_step_rad_s;
         let regressor = [row.current_integral_a_s, held];
+        if !noise.continues {
+            self.watch.interrupt();
+        }
+        let known = self.estimator.parameters();
+        let foreseen = known[0] * regressor[0] + known[1] * regressor[1];
+        let believed = self.estimator.rows() >= BELIEVED_ROWS;
+        if self.watch.take(foreseen, step, believed) {
+            self.reopen();
+        }
+        let along = [regressor[0], held, held * row.speed_rad_s.abs()];
+        self.sloping.update_row(&along, step, noise);
         self.innovation_rad_s = self.estimator.update_row(&regressor, step, noise);
         self.doubtful
             .update_row(&[row.doubtful_integral_a_s, held], step, noise);
         self.last_end_s = row.end_s;
+    }
+
+    /// Inertia or load are not what they were: what was known of them is dropped.
+    fn reopen(&mut self) {
+        self.estimator = self.fresh.clone();
+        self.doubtful = self.fresh.clone();
+        self.watch.interrupt();
+        self.changes += 1;
+        self.sloping = sloping(self.forgetting);
+    }
+
+    /// Why nothing may be settled now although the rows agree.
+    fn reopened(&self) -> Option<String> {
+        (self.changes > 0 && self.estimator.rows() < REOPENED_ROWS).then(|| {
+            format!(
+                "inertia or load have changed: begun again, {} of {REOPENED_ROWS} rows so far",
+                self.estimator.rows()
+            )
+        })
+    }
+
+    /// Why the load may not be settled although the rows agree: with a friction that grows with the speed it would be
+    /// another, and the rows do not rule such a friction out. `ratio` is Mc/Kt.
+    fn not_constant(&self, ratio: f64) -> Option<String> {
+        let [a, b, _] = self.sloping.parameters();
+        let std = self.sloping.standard_deviations()?[1];
+        let doubt = (b / (a * ratio) - 1.0).abs() + TWO_SIDED * std / (a * ratio).abs();
+        // A comparison that is false for NaN as well.
+        let sure = doubt <= MOST_SLOPE_DOUBT;
+        (!sure).then(|| {
+            format!(
+                "a friction that grows with the speed, of which these speeds do not tell, would change it by up to {:.0} %",
+                (100.0 * doubt).min(100.0)
+            )
+        })
     }
 
     pub(super) fn innovation_rad_s(&self) -> Option<f64> {
@@ -114,6 +194,9 @@ impl MechanicalBalance {
     pub(super) fn set_forgetting(&mut self, forgetting: f64) {
         self.estimator.set_forgetting(forgetting);
         self.doubtful.set_forgetting(forgetting);
+        self.fresh.set_forgetting(forgetting);
+        self.sloping.set_forgetting(forgetting);
+        self.forgetting = forgetting;
     }
 
     pub(super) fn ignorance(&self) -> [f64; 2] {
@@ -192,6 +275,15 @@ impl MechanicalBalance {
                         1e3 * period_s,
                         100.0 * doubt
                     ));
+                }
+                let why_open = self.reopened().or_else(|| {
+                    (key == MotorKey::LoadTorque)
+                        .then(|| self.not_constant(b / a))
+                        .flatten()
+                });
+                if let (Verdict::Settled, Some(reason)) = (judged.verdict, why_open) {
+                    judged.verdict = Verdict::Searching;
+                    judged.reason = Some(reason);
                 }
                 judged
             })

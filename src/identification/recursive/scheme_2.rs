@@ -172,6 +172,7 @@ impl Rows {
                 current_integral_a_s: block.charge,
                 doubtful_integral_a_s: block.charge,
                 direction: block.direction,
+                speed_rad_s: 0.5 * (block.begin_speed + fresh.begin_speed),
                 carry: 1.0,
             });
             self.block = Some(fresh);

@@ -109,6 +109,8 @@ struct Reading {
     current_a: f64,
     speed_rad_s: f64,
     direction: i8,
+    /// A limit of the drive held its output: the voltage was another than the one that was commanded.
+    limited: bool,
 }
 
 /// The estimator: [`Self::voltage_applied`] and [`Self::push`] in the order of time.
@@ -137,6 +139,10 @@ pub struct Scheme3 {
     last_end_s: f64,
     current_innovation_a: Option<f64>,
     period_s: f64,
+    /// Whether the samples that come now were taken while a limit of the drive held its output.
+    limited: bool,
+    /// Half-width of the stamps of the samples that come now, s.
+    half_width_s: f64,
 }
 
 impl Scheme3 {
@@ -165,7 +171,20 @@ impl Scheme3 {
             last_end_s: f64::NAN,
             current_innovation_a: None,
             period_s: f64::NAN,
+            limited: false,
+            half_width_s: 0.0,
         }
+    }
+
+    /// Half-width of the stamp of the next sample, s; zero where the drive stamped it.
+    pub fn set_half_width(&mut self, half_width_s: f64) {
+        self.half_width_s = half_width_s;
+    }
+
+    /// Whether a limit of the drive held its output at the samples that come from now on. Between such samples, and on
+    /// both sides of them, the voltage is not the one that was commanded, and nothing is learnt.
+    pub fn set_limited(&mut self, limited: bool) {
+        self.limited = limited;
     }
 
     /// The voltage that holds from `time_s` on. Must be told before the first sample after that instant.
@@ -211,6 +230,7 @@ impl Scheme3 {
             current_a,
             speed_rad_s,
             direction: self.direction.of(speed_rad_s),
+            limited: self.limited,
         };
         self.readings.push(reading);
         let begin_s = self.readings[0].time_s;
@@ -289,7 +309,8 @@ impl Scheme3 {
         let continues = begin_s.total_cmp(&self.last_end_s).is_eq();
         self.current_innovation_a = None;
         let stuck = self.may_have_stuck();
-        let taken = !self.is_at_rest() && !stuck;
+        let limited = self.readings.iter().any(|reading| reading.limited);
+        let taken = !self.is_at_rest() && !stuck && !limited;
         if taken {
             self.take_start_row(end_s - begin_s);
             self.take_prediction_error(end_s - begin_s, continues);
@@ -298,7 +319,7 @@ impl Scheme3 {
         }
         self.last_end_s = end_s;
         let mut row = self.mechanical_row(begin_s, end_s);
-        if stuck {
+        if stuck || limited {
             row.direction = 0;
         }
         self.balance.take(&row);
@@ -366,6 +387,7 @@ impl Scheme3 {
                     .unwrap_or(NOISE_SHARE * self.direction.largest_rad_s()),
                 self.direction.largest_rad_s(),
             ),
+            by_stamp: 1.0,
         }
     }
 
@@ -421,8 +443,24 @@ impl Scheme3 {
             .collect();
     }
 
-    fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
+    /// Noise of a sample of this block: that of its sensor and what the signal does within the stamp's interval.
+    fn stamped_noise(&self, length_s: f64) -> SampleNoise {
         let noise = self.noise();
+        let share = self.half_width_s / (3f64.sqrt() * length_s);
+        let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
+        let current_a = noise
+            .current_a
+            .hypot(share * (last.current_a - first.current_a));
+        let speed_step_rad_s = last.speed_rad_s - first.speed_rad_s;
+        SampleNoise {
+            current_a,
+            speed_rad_s: noise.speed_rad_s.hypot(share * speed_step_rad_s),
+            by_stamp: current_a / noise.current_a,
+        }
+    }
+
+    fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
+        let noise = self.stamped_noise(length_s);
         let mut tracks = std::mem::take(&mut self.tracks);
         let block = Block {
             predict: |winding: &Winding, begin_a, speed_errors| {
@@ -512,6 +550,7 @@ impl Scheme3 {
             current_integral_a_s: charge(winding),
             doubtful_integral_a_s: charge(winding.map(|w| self.with_doubtful_inductance(w))),
             direction: if same { first.direction } else { 0 },
+            speed_rad_s: 0.5 * (first.speed_rad_s + last.speed_rad_s),
             carry: mechanical::carry(
                 self.acceleration.unwrap_or(0.0) * noise.current_a * (end_s - begin_s)
                     / noise.speed_rad_s,

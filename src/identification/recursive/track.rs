@@ -29,6 +29,9 @@ const CONTEST_ROWS: f64 = 40.0;
 pub(super) struct SampleNoise {
     pub(super) current_a: f64,
     pub(super) speed_rad_s: f64,
+    /// Factor by which the stamp of this sample makes the noise of its current larger than the sensor's; rows weigh less
+    /// by it.
+    pub(super) by_stamp: f64,
 }
 
 /// One block.
@@ -85,7 +88,7 @@ impl Track {
     pub(super) fn new(start: Winding, noise: SampleNoise, forgetting: f64, certain: bool) -> Self {
         let prior = (PRIOR / noise.current_a).powi(2);
         Self {
-            estimator: RecursiveLeastSquares::new(start, start, prior, forgetting),
+            estimator: RecursiveLeastSquares::new(start, start, prior, forgetting).clustered(),
             start,
             anchor: start,
             forgetting,
@@ -178,7 +181,7 @@ impl Track {
                 psi[j]
             }
         });
-        let weight = (power / total).sqrt();
+        let weight = (power / total).sqrt() / noise.by_stamp;
         let row = gated.map(|g| weight * g);
         let value = surprise + (0..3).map(|j| gated[j] * winding[j]).sum::<f64>();
         let age = f64::from(u32::try_from(self.estimator.rows()).unwrap_or(u32::MAX));

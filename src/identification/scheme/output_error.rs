@@ -2,7 +2,7 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::identification::output_error::{Fit, FitError, fit};
+use crate::identification::output_error::{Fit, FitError, fit_delayed};
 use crate::identification::{effect_start, start};
 use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
@@ -49,7 +49,7 @@ type Found = (Fit, Vec<(String, Option<String>)>);
 /// From one set of motor values, with the grids of effects tried.
 fn from(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Found, FitError> {
     let starts = effect_start::scan(model, scenario, noise)?;
-    Ok((fit(&starts.models, scenario, noise)?, starts.chosen))
+    Ok((fit_delayed(&starts.models, scenario, noise)?, starts.chosen))
 }
 
 /// What was chosen out of a grid is found, not given: no fit moved it, so it has no scatter.

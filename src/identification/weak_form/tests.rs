@@ -21,6 +21,7 @@ fn scenario(input: Input, events: Vec<(f64, f64)>, period_s: f64, until_s: f64) 
         current_a: vec![f64::NAN; samples],
         speed_rad_s: vec![f64::NAN; samples],
         angle: vec![],
+        time_half_width_s: vec![],
         scored: 0..samples,
     }
 }

@@ -139,6 +139,7 @@ pub(super) fn thinned(scenario: &Scenario) -> Scenario {
     thin.sample_time_s = every_second(&scenario.sample_time_s);
     thin.current_a = every_second(&scenario.current_a);
     thin.speed_rad_s = every_second(&scenario.speed_rad_s);
+    thin.time_half_width_s = every_second(&scenario.time_half_width_s);
     thin.scored = 0..thin.sample_time_s.len();
     thin
 }

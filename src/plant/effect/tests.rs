@@ -148,6 +148,7 @@ fn scenario() -> Scenario {
         sample_time_s,
         speed_rad_s,
         angle: vec![],
+        time_half_width_s: vec![],
         scored: 0..1000,
     }
 }

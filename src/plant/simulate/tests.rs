@@ -11,6 +11,7 @@ pub(super) fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -
         current_a: vec![f64::NAN; samples],
         speed_rad_s: vec![f64::NAN; samples],
         angle: Vec::new(),
+        time_half_width_s: Vec::new(),
         scored: 0..samples,
     }
 }

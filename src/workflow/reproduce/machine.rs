@@ -153,6 +153,7 @@ mod tests {
                 current_a: vec![],
                 speed_rad_s: vec![],
                 angle: vec![],
+                time_half_width_s: vec![],
                 scored: 0..200,
             };
             let truth = Plant::new(&Model::baseline(motor.clone()), Input::Voltage)

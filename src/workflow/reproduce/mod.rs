@@ -5,6 +5,7 @@
 //!                                       schemes (one record, every scheme) -> sampling, noise
 //! loops (machines, regulators, trials) -> adaptive: Figures 5 to 7 of paper A
 //!                                      -> paper_b: Figures 4 and 5 of paper B, convergence, noise, Hall edges
+//! lines (a drive behind a line, every kind) -> LineStudy: error and coverage against stamps, late and lost replies
 //!                                  all of them -> PaperA, PaperB -> pages -> report (HTML, SVG, CSV, text)
 //! ```
 //!
@@ -16,6 +17,7 @@ pub mod discovery;
 mod figure_2;
 mod figure_3;
 mod figure_4;
+pub mod lines;
 mod loops;
 mod machine;
 mod noise;

@@ -105,6 +105,7 @@ pub(super) fn record(
         current_a: vec![],
         speed_rad_s: vec![],
         angle: vec![],
+        time_half_width_s: vec![],
         scored: 0..samples,
     };
     let clean = Plant::new(&Model::baseline(motor.clone()), Input::Voltage)

@@ -58,6 +58,7 @@ fn record(truth: &Model, seed: u64, mess: f64) -> Scenario {
         current_a: vec![f64::NAN; samples],
         speed_rad_s: vec![],
         angle: vec![],
+        time_half_width_s: vec![],
         scored: 0..samples,
         sample_time_s,
     };

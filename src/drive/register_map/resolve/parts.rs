@@ -4,8 +4,8 @@ use toml::Spanned;
 
 use super::super::address::resolve;
 use super::super::facts::{
-    Location, Numbers, Quantity, SetPoint, Sign, Signal, Supervision, Traits, Unit, channel_of,
-    demand_si,
+    Location, Numbers, PerTurn, PollRate, Quantity, SetPoint, Sign, Signal, Supervision, Traits,
+    Unit, channel_of, demand_si,
 };
 use super::super::schema::{SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
 use super::super::value::{Kind, Layout};
@@ -67,26 +67,34 @@ impl Reader<'_> {
                 format!("valid {valid:?} is not allowed (expected [lowest, highest])"),
             ));
         }
-        let channel = channel_of(keys.quantity, keys.unit, keys.pole_pairs);
+        let per_turn = self
+            .per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn)
+            .map_err(|(key, message)| wrong(key, message))?;
+        let channel = channel_of(keys.quantity, keys.unit, per_turn);
         if channel.is_some() && keys.origin.is_none() {
             return Err(wrong(
                 "quantity",
                 "origin is missing (expected measured, estimated or commanded)".to_owned(),
             ));
         }
+        let layout = Layout {
+            kind: keys.kind,
+            words: keys.word_order,
+            bytes: keys.byte_order,
+            byte: keys.byte,
+            bits,
+        };
+        if keys.quantity == Quantity::Clock {
+            clock_fits(keys, layout).map_err(|(key, message)| wrong(key, message))?;
+        }
+        let wraps_at = wraps_at(keys, layout).map_err(|m| wrong("wraps_at", m))?;
         Ok(Signal {
             name: name.to_owned(),
             line: self.line(&span),
             location: Location {
                 table,
                 address: found.address,
-                layout: Layout {
-                    kind: keys.kind,
-                    words: keys.word_order,
-                    bytes: keys.byte_order,
-                    byte: keys.byte,
-                    bits,
-                },
+                layout,
             },
             numbers: Self::numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit, |m| {
                 wrong("scale", m)
@@ -107,7 +115,39 @@ impl Reader<'_> {
                 note: keys.note.clone(),
             },
             channel,
+            wraps_at,
         })
+    }
+
+    /// What a shaft's turn is in the unit; the encoder may be that of the device.
+    fn per_turn(
+        &self,
+        unit: Unit,
+        pole_pairs: Option<u8>,
+        counts: Option<u32>,
+    ) -> Result<PerTurn, (&'static str, String)> {
+        if counts.is_some() && !unit.is_counts() {
+            let message = format!(
+                "counts_per_turn does not fit unit \"{}\" (expected \"counts\" or \"counts/s\")",
+                unit.name()
+            );
+            return Err(("counts_per_turn", message));
+        }
+        let counts = counts.or(self.counts_per_turn);
+        match counts {
+            None if unit.is_counts() => Err((
+                "unit",
+                format!(
+                    "unit \"{}\" needs counts_per_turn, here or in [device] (expected the edges that are counted in one turn: four times the lines of an incremental encoder)",
+                    unit.name()
+                ),
+            )),
+            Some(0) => Err((
+                "counts_per_turn",
+                "counts_per_turn 0 is not allowed (expected 1 or more)".to_owned(),
+            )),
+            counts => Ok(PerTurn { pole_pairs, counts }),
+        }
     }
 
     pub(super) fn numbers(
@@ -145,6 +185,9 @@ impl Reader<'_> {
         if let Some((key, reason)) = keys.quantity.misfit(keys.unit) {
             return Err(wrong(key, reason));
         }
+        let per_turn = self
+            .per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn)
+            .map_err(|(key, message)| wrong(key, message))?;
         let found =
             resolve(keys.written(), self.base, self.formula).map_err(|r| wrong("address", r))?;
         if found.is_input == Some(true) {
@@ -212,7 +255,7 @@ impl Reader<'_> {
                 layout,
             },
             function,
-            si: demand_si(keys.quantity, keys.unit, keys.pole_pairs),
+            si: demand_si(keys.quantity, keys.unit, per_turn),
             numbers,
             quantity: keys.quantity,
             limits: keys.limits,
@@ -288,6 +331,73 @@ impl Reader<'_> {
             proof: keys.proof.clone(),
             note: keys.note.clone(),
         })
+    }
+}
+
+/// Shortest time in which a clock may come round, s: from one look to the next it must be known how often it did, also where
+/// a reply was lost.
+const SHORTEST_TURN_S: f64 = 2.0;
+
+/// Whether a counter can be the time axis of the samples.
+fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, String)> {
+    if !matches!(keys.kind, Kind::U16 | Kind::U32) || keys.byte.is_some() || keys.bits.is_some() {
+        return Err((
+            "type",
+            "a clock is a whole counter (expected type u16 or u32 without byte and bits)"
+                .to_owned(),
+        ));
+    }
+    if keys.poll != PollRate::Fast {
+        return Err((
+            "poll",
+            "a clock stamps every sample (expected poll = \"fast\")".to_owned(),
+        ));
+    }
+    for (key, is_there) in [
+        ("valid", keys.valid.is_some()),
+        ("invalid", !keys.invalid.is_empty()),
+        ("scale_by", !keys.scale_by.is_empty()),
+        ("offset", keys.offset.is_some()),
+    ] {
+        if is_there {
+            return Err((
+                key,
+                format!("a clock has no {key}: each of its counts is a time"),
+            ));
+        }
+    }
+    let unit_s = match keys.unit {
+        Unit::Microsecond => 1e-6,
+        Unit::Millisecond => 1e-3,
+        _ => 1.0,
+    };
+    let count_s = keys.scale.unwrap_or(1.0) * unit_s;
+    let turn_s = count_s * 2.0_f64.powi(i32::from(layout.width()));
+    if turn_s.is_nan() || turn_s < SHORTEST_TURN_S {
+        return Err((
+            "type",
+            format!(
+                "a clock of {} bits that counts {count_s} s comes round every {turn_s:.3} s (expected {SHORTEST_TURN_S} s or more: how often it did so between two readings would not be known)",
+                layout.width()
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Raw counts after which a position begins again.
+fn wraps_at(keys: &SignalKeys, layout: Layout) -> Result<Option<f64>, String> {
+    let is_position = keys.quantity == Quantity::Angle && keys.unit == Unit::Counts;
+    let whole = keys.kind != Kind::F32;
+    match keys.wraps_at {
+        None => Ok((is_position && whole).then(|| 2.0_f64.powi(i32::from(layout.width())))),
+        Some(_) if !is_position => Err(
+            "wraps_at is for a position (expected quantity \"angle\", unit \"counts\")".to_owned(),
+        ),
+        Some(counts) if counts < 2 => Err(format!(
+            "wraps_at {counts} is not allowed (expected 2 or more)"
+        )),
+        Some(counts) => Ok(Some(f64::from(counts))),
     }
 }
 

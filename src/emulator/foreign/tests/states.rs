@@ -225,3 +225,154 @@ fn a_slew_counts_from_the_last_cycle_and_not_from_the_last_change() {
     let speed = table.far().speed_rad_s();
     assert!(speed < 20.0, "{speed} rad/s after 1 s at 100 rpm/s");
 }
+
+/// The servo amplifier whose watchdog trips it and says so on a bit of its status word.
+fn telling_comm_loss() -> DriveProfile {
+    profile_with(
+        "epulse50-dc",
+        &[(
+            RUNNING,
+            "[signals.fault_code]\naddress = 0x1300\ntype = \"u16\"\nquantity = \"fault_code\"\npoll = \"slow\"\n\n[state]\ncomm_loss = { signal = \"enabled\", mask = 0x08, equals = 0x08 }\n",
+        )],
+    )
+}
+
+#[test]
+fn an_expired_watchdog_is_named_and_a_fault_code_of_zero_is_none() {
+    let mut table = Table::of(&telling_comm_loss(), Some(0.3));
+    table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 0.5);
+    table.far().force("enabled", Some(0x08));
+    let sample = table.run(REFERENCE).unwrap();
+    assert_eq!(sample.state, Some(DriveState::Fault));
+    assert_eq!(sample.fault, None);
+    assert_eq!(
+        sample.fault_text.as_deref(),
+        Some("communication loss (comm_loss): the drive's own watchdog has expired")
+    );
+}
+
+#[test]
+fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
+    let mut table = Table::of(&profile_with("schneider-atv312", &[]), None);
+    table.link.identify().unwrap();
+    let reference = Some(("speed_ref", 900.0));
+    table.enable(reference);
+    table.far().trip();
+    table.far().refuse_writes(Some(4));
+    let sample = table.run(reference).unwrap();
+    assert_eq!(sample.state, Some(DriveState::Fault));
+    assert_eq!(
+        sample.fault,
+        Some(5),
+        "read with the first sight of the fault"
+    );
+}
+
+#[test]
+fn a_busy_drive_that_takes_no_word_of_its_enable_command_is_the_reason_that_is_told() {
+    let mut table = table();
+    table.link.identify().unwrap();
+    table.demand(Demand::Disable).unwrap();
+    table.far().refuse_writes(Some(6));
+    let mut errors = (0..200).filter_map(|_| table.run(REFERENCE).err());
+    let last = errors.find(|error| matches!(error, LinkError::Sequence { .. }));
+    let text = last.unwrap().to_string();
+    assert!(text.contains("enable, step"), "{text}");
+    assert!(text.contains("exception 0x06"), "{text}");
+}
+
+/// The converter whose stop ends with a word behind a wait.
+const WORD_BEHIND_A_WAIT: (&str, &str) = (
+    "stop = [",
+    "stop = [\n  { write = \"speed_ref\", value = 0 },\n  { wait = \"status\", mask = 0x0027, equals = 0x0021, within_ms = 5000 },\n",
+);
+
+#[test]
+fn a_faulted_drive_gets_every_word_of_its_stop_without_a_wait() {
+    let profile = profile_with("schneider-atv312", &[WORD_BEHIND_A_WAIT]);
+    let mut table = Table::of(&profile, None);
+    table.link.identify().unwrap();
+    let reference = Some(("speed_ref", 900.0));
+    table.enable(reference);
+    let running = table.far().told_last("control_word");
+    table.far().trip();
+    table.run(reference).unwrap();
+    let word = table.far().told_last("control_word");
+    assert_ne!(word, running, "the word to run is taken back");
+    assert_eq!(table.far().told_last("speed_ref"), Some(0));
+    // The same without a session: a stop of a drive that went into fault before.
+    let mut table = Table::of(&profile, None);
+    table.link.identify().unwrap();
+    table.enable(reference);
+    table.far().trip();
+    table.link.stop().unwrap();
+    assert_eq!(table.far().told_last("control_word"), word);
+}
+
+#[test]
+fn a_lost_acknowledgement_of_zero_keeps_the_disable_word_back_no_more() {
+    for lost in 1..=2 {
+        let mut table = Table::of(&profile_with("epulse50-dc", &[NO_REFRESH]), None);
+        table.link.identify().unwrap();
+        table.enable(REFERENCE);
+        table.hold(REFERENCE, 0.5);
+        table.next_cycle();
+        let began_s = table.link.bus().now_s();
+        table.link.bus_mut().lose_replies(lost);
+        let seq = table.seq;
+        let demand = Demand::Stop;
+        let error = table.link.exchange(Command { seq, demand }).unwrap_err();
+        assert!(error.is_transient(), "{error}");
+        assert_eq!(table.far().told_last("speed_ref"), Some(0));
+        assert_eq!(table.far().told_last("enable_word"), Some(0), "{lost}");
+        // Both writes and one deadline of 100 ms.
+        let took_s = table.link.bus().now_s() - began_s;
+        let write_s = table.link.bus().wire_s(11, 8).unwrap();
+        assert!(took_s < 0.1 + 2.0 * write_s, "{lost}: {took_s}");
+        // Nothing was heard: it goes out again.
+        let sample = table.demand(Demand::Stop).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+    }
+}
+
+#[test]
+fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over() {
+    let mut table = Table::of(&profile_with("epulse50-dc", &[NO_REFRESH]), None);
+    table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 0.5);
+    table.link.bus_mut().lose(1);
+    assert!(table.demand(Demand::Stop).unwrap_err().is_transient());
+    // The first of both was lost, the second has come.
+    table.demand(Demand::Stop).unwrap();
+    assert_eq!(table.far().told_last("speed_ref"), Some(0));
+    assert_eq!(table.far().told_last("enable_word"), Some(0));
+}
+
+#[test]
+fn a_set_point_that_somebody_else_writes_is_told_from_one_that_is_ignored() {
+    let readback = ("refresh_ms = 100.0", "readback = true");
+    let mut table = Table::of(&profile_with("epulse50-dc", &[readback]), None);
+    table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 3.0);
+    let ours = table.far().told_last("speed_ref").unwrap();
+    table.far().overwrite("speed_ref", ours / 2);
+    let error = (0..200).find_map(|_| table.run(REFERENCE).err()).unwrap();
+    let text = error.to_string();
+    assert!(text.contains("somebody else writes it"), "{text}");
+    assert!(!text.contains("ignores"), "{text}");
+    assert_eq!(table.far().told_last("enable_word"), Some(0));
+    // One that takes nothing keeps what it had.
+    let mut table = Table::of(&profile_with("epulse50-dc", &[readback]), None);
+    table.link.identify().unwrap();
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 0.5);
+    table.far().ignore(Some("speed_ref"));
+    let mut speeds = (1..20).map(|k| 100.0 + f64::from(k));
+    let error = speeds.find_map(|rpm| table.run(Some(("speed_ref", rpm))).err());
+    let text = error.unwrap().to_string();
+    assert!(text.contains("so it ignores what is written"), "{text}");
+}

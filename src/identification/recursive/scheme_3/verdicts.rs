@@ -60,13 +60,20 @@ impl Scheme3 {
             self.period_s,
             [0.0; 2],
         ));
-        if let Some(times) = self.misfit() {
-            for parameter in out.iter_mut().filter(|p| p.verdict == Verdict::Settled) {
-                parameter.verdict = Verdict::Searching;
-                parameter.reason = Some(format!(
+        let doubt = if self.limited {
+            Some("stands still: a limit of the drive holds its output, so that the motor has another voltage than was commanded".to_owned())
+        } else {
+            self.misfit().map(|times| {
+                format!(
                     "the measured current misses the prediction by {times:.1} times its noise: \
                      an effect is missing, a signal is wrong, or the estimate went astray"
-                ));
+                )
+            })
+        };
+        if let Some(reason) = doubt {
+            for parameter in out.iter_mut().filter(|p| p.verdict == Verdict::Settled) {
+                parameter.verdict = Verdict::Searching;
+                parameter.reason = Some(reason.clone());
             }
         }
         out

@@ -44,6 +44,7 @@ impl Auxiliary {
             current_a: Vec::new(),
             speed_rad_s: Vec::new(),
             angle: Vec::new(),
+            time_half_width_s: Vec::new(),
             scored: 0..samples,
         };
         let speed = Plant::new(&Model::baseline(motor), Input::Voltage)

@@ -68,6 +68,7 @@ impl Record {
             current_a: vec![],
             speed_rad_s: vec![],
             angle: vec![],
+            time_half_width_s: vec![],
             scored: 0..samples,
         };
         let out = Plant::new(&Model::baseline(motor), Input::Voltage)

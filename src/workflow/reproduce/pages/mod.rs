@@ -13,6 +13,7 @@ mod comparison;
 mod discovery;
 mod figure_2;
 mod figure_3;
+mod lines;
 mod live;
 mod paper_b;
 mod paper_b_beyond;

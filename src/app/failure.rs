@@ -6,23 +6,23 @@ use crate::identification::scheme::IdentifyError;
 use crate::plant::{ModelError, ScenarioError};
 use crate::recording::RecordingError;
 
-pub(super) const REFUSED: u8 = 1;
-pub(super) const USAGE: u8 = 2;
-pub(super) const LINK: u8 = 3;
-pub(super) const TRIP: u8 = 4;
-pub(super) const NOT_IDENTIFIABLE: u8 = 5;
-pub(super) const INTERNAL: u8 = 6;
-pub(super) const INTERRUPTED: u8 = 130;
+pub(crate) const REFUSED: u8 = 1;
+pub(crate) const USAGE: u8 = 2;
+pub(crate) const LINK: u8 = 3;
+pub(crate) const TRIP: u8 = 4;
+pub(crate) const NOT_IDENTIFIABLE: u8 = 5;
+pub(crate) const INTERNAL: u8 = 6;
+pub(crate) const INTERRUPTED: u8 = 130;
 
 #[derive(Debug)]
-pub(super) struct Failure {
-    pub(super) status: u8,
+pub struct Failure {
+    pub status: u8,
     headline: String,
     help: Option<String>,
 }
 
 impl Failure {
-    pub(super) fn new(status: u8, headline: impl Into<String>) -> Self {
+    pub fn new(status: u8, headline: impl Into<String>) -> Self {
         Self {
             status,
             headline: headline.into(),
@@ -30,11 +30,7 @@ impl Failure {
         }
     }
 
-    pub(super) fn with_help(
-        status: u8,
-        headline: impl Into<String>,
-        help: impl Into<String>,
-    ) -> Self {
+    pub fn with_help(status: u8, headline: impl Into<String>, help: impl Into<String>) -> Self {
         Self {
             status,
             headline: headline.into(),
@@ -42,12 +38,12 @@ impl Failure {
         }
     }
 
-    pub(super) fn headline(&self) -> &str {
+    pub fn headline(&self) -> &str {
         &self.headline
     }
 
     /// Two lines on stderr; where stderr is gone there is nobody left to tell.
-    pub(super) fn print(&self) {
+    pub(crate) fn print(&self) {
         use std::io::Write;
         super::progress::above(|| {
             let mut stderr = std::io::stderr().lock();

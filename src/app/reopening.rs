@@ -3,50 +3,62 @@
 use std::path::Path;
 use std::time::Instant;
 
-use super::live::{Rig, Strings};
 use super::output;
+use super::rig::Rig;
+use super::strings::Strings;
 use crate::bench::{ReopenBench, ReopenOptions, Reopened, RunSummary, reopen};
-use crate::drive::{Anchor, Target, open_tapped};
+use crate::drive::{Anchor, DriveLink, DriveProfile, LinkError, TapFile, Target, open_tapped};
 use crate::recording::Recorder;
 
 /// Beside the time in which the drive's own watchdog stops it, s: a plug pulled and put back.
 const PATIENCE_S: f64 = 10.0;
-/// Longest time that may be asked for, s: a day.
-const MOST_S: f64 = 86_400.0;
+
+/// How a link is opened once more.
+type Open = dyn Fn(&DriveProfile, Option<&TapFile>) -> Result<Box<dyn DriveLink>, LinkError> + Send;
 
 /// What it takes to open a link again.
-pub(super) struct Reopener {
-    anchor: Anchor,
-    epoch: Instant,
+pub struct Reopener {
+    link: String,
     limit_s: Option<f64>,
+    open: Box<Open>,
 }
 
 impl Reopener {
     /// To be made when the link has just been opened.
-    pub(super) fn of(target: &Target, epoch: Instant, limit_s: Option<f64>) -> Self {
+    pub(crate) fn of(target: &Target, epoch: Instant, limit_s: Option<f64>) -> Self {
+        let anchor = Anchor::of(Path::new("/"), target);
         Self {
-            anchor: Anchor::of(Path::new("/"), target),
-            epoch,
+            link: anchor.target().to_string(),
             limit_s,
+            open: Box::new(move |profile, tap| {
+                if let Some(reason) = anchor.stranger(Path::new("/")) {
+                    return Err(LinkError::Identity {
+                        link: anchor.target().to_string(),
+                        reason,
+                    });
+                }
+                open_tapped(anchor.target(), profile, epoch, tap)
+            }),
         }
     }
-}
 
-/// The time of `--reopen-s`.
-pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    let seconds: f64 = text
-        .parse()
-        .map_err(|_| "expected a number of seconds".to_owned())?;
-    if (0.0..=MOST_S).contains(&seconds) {
-        Ok(seconds)
-    } else {
-        Err(format!("allowed: 0 (off) to {MOST_S} s"))
+    /// Over a link that is opened by `open`, for at most `limit_s`; `None`: as long as seems right.
+    pub fn with(
+        link: &str,
+        limit_s: Option<f64>,
+        open: impl Fn() -> Result<Box<dyn DriveLink>, LinkError> + Send + 'static,
+    ) -> Self {
+        Self {
+            link: link.to_owned(),
+            limit_s,
+            open: Box::new(move |_, _| open()),
+        }
     }
 }
 
 impl Rig {
     /// Looks for the drive again, brings it to rest and says what was found; the run stays lost.
-    pub(super) fn get_back(
+    pub(crate) fn get_back(
         &mut self,
         summary: &mut RunSummary,
         recorder: &mut Recorder,
@@ -64,7 +76,7 @@ impl Rig {
             return;
         }
         self.link.close();
-        let link = reopener.anchor.target().to_string();
+        let link = reopener.link.as_str();
         if self.headless {
             let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
             output::message(&format!(
@@ -72,7 +84,7 @@ impl Rig {
             ));
         }
         let options = ReopenOptions {
-            link: &link,
+            link,
             before: &check.identity,
             end: summary.end,
             seq: self.last_seq,
@@ -89,15 +101,7 @@ impl Rig {
                 snapshots: &strings.snapshots,
             },
             &options,
-            &mut || {
-                if let Some(reason) = reopener.anchor.stranger(Path::new("/")) {
-                    return Err(crate::drive::LinkError::Identity {
-                        link: reopener.anchor.target().to_string(),
-                        reason,
-                    });
-                }
-                open_tapped(reopener.anchor.target(), profile, reopener.epoch, tap)
-            },
+            &mut || (reopener.open)(profile, tap),
         );
         if let Some(link) = link {
             self.link = link;

@@ -4,10 +4,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::data::read_text;
 use super::failure::{Failure, LINK, USAGE};
+use super::files::read_text;
 use super::output;
-use super::wire::Tap;
+use super::tap::Tap;
 use crate::bench::{
     BenchFile, BenchFileError, CheckError, DriveFacts, Port, Protocol, check_signals,
 };
@@ -21,7 +21,7 @@ use crate::emulator::{
 };
 
 /// A drive profile by its built-in name, else from a file; with its text.
-pub(super) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
+pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
     let path = Path::new(name);
     refuse_missing(path)?;
     let read = if DriveProfile::names().any(|known| known == name) || !path.exists() {
@@ -65,7 +65,7 @@ fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failur
 }
 
 /// Refuses what the drive's signals cannot carry; says which profile is used and what to know about it.
-pub(super) fn suited(
+pub(crate) fn suited(
     profile: &DriveProfile,
     purpose: offer::Purpose,
     headless: bool,
@@ -88,7 +88,7 @@ pub(super) fn suited(
 }
 
 /// How far the profile may be believed, and what to know before the drive is used.
-pub(super) fn announce(profile: &DriveProfile) {
+pub(crate) fn announce(profile: &DriveProfile) {
     output::message(&profile.provenance());
     for (channel, text) in offer::carried(profile) {
         output::message(&format!("  {:<14} {text}", channel.key()));
@@ -99,7 +99,7 @@ pub(super) fn announce(profile: &DriveProfile) {
 }
 
 /// An embedded emulator by name, else a file.
-pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
+pub(crate) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
     let path = Path::new(name);
     refuse_missing(path)?;
     let config = if EmulatorConfig::embedded_names().any(|known| known == name) || !path.exists() {
@@ -111,7 +111,7 @@ pub(super) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
 }
 
 /// The software drive in memory, in the guise of another where the profile is one.
-pub(super) fn in_memory(
+pub(crate) fn in_memory(
     config: &EmulatorConfig,
     bench: &BenchFile,
     guise: Option<&Guise>,
@@ -139,7 +139,7 @@ fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
 }
 
 /// Serves the emulator from a thread of this process, over the protocol that the bench file names.
-pub(super) fn serve(
+pub(crate) fn serve(
     config: &EmulatorConfig,
     bench: &BenchFile,
     guise: Option<Guise>,
@@ -160,7 +160,7 @@ pub(super) fn serve(
 }
 
 /// The drive's profile, wired up as the bench file says, with its text: the profile only knows what is usual.
-pub(super) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
+pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
     let (mut profile, text) = drive_profile(bench)?;
     profile.link.protocol = match bench.link.protocol {
         Protocol::ModbusRtu => crate::drive::Protocol::ModbusRtu,
@@ -186,7 +186,7 @@ pub(super) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
 }
 
 /// The capture of a run. Where no wire is involved there is nothing to tap.
-pub(super) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
+pub(crate) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
     if path.is_some() && *port == Port::Sim {
         return Err(Failure::with_help(
             USAGE,
@@ -198,7 +198,7 @@ pub(super) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
 }
 
 /// The link of the bench file's protocol to this address.
-pub(super) fn open(
+pub(crate) fn open(
     address: &str,
     bench: &BenchFile,
     profile: &DriveProfile,
@@ -210,7 +210,7 @@ pub(super) fn open(
 }
 
 /// The far end of the wire with the bench file's baud rate and unit.
-pub(super) fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
+pub(crate) fn target(address: &str, bench: &BenchFile) -> Result<LinkTarget, Failure> {
     let target: LinkTarget = address
         .parse()
         .map_err(|error: TargetError| Failure::with_help(USAGE, error.to_string(), error.help()))?;

@@ -1,23 +1,14 @@
 //! An unknown motor on a live drive: stage after stage, each into a run folder of its own.
 
-use super::data;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, NOT_IDENTIFIABLE, USAGE};
-use super::live::{Rig, Strings};
+use super::rig::Rig;
+use super::strings::Strings;
 use crate::identification::escalation::Ending;
 use crate::workflow::{Escalate, EscalationResult, scaled_sentence};
 
-/// For commands that find a motor of which nothing is known.
-#[derive(clap::Args, Clone, Copy, Debug)]
-pub(super) struct UnknownMotor {
-    /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the
-    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead)
-    #[arg(long)]
-    pub(super) escalate: bool,
-}
-
 /// Runs the stages until the motor is found or the reason why not is named. With a motor the rig goes on with its values
 /// as nameplate. `tell` gets a line for each stage.
-pub(super) fn escalate(
+pub(crate) fn escalate(
     rig: &mut Rig,
     strings: &Strings,
     mut tell: impl FnMut(&str),
@@ -39,15 +30,13 @@ pub(super) fn escalate(
             stage.reason
         ));
         let name = format!("{}-escalation-{number:02}", rig.bench.name);
-        let recorded = rig.record_stage(&name, &stage, number > 1, strings)?;
-        if let Some(failure) = recorded.failure() {
+        let mut recorded = rig.record_stage(&name, &stage, number > 1, strings)?;
+        if let Some(failure) = recorded.run_failure() {
             return Err(failure);
         }
-        let folder = recorded.folder.path();
-        // Read back from the disk: what decides on the next amplitude is what anyone can replay.
-        let loaded = data::load(folder, None)?;
-        let record = workflow.ran(&loaded.run, Some(folder.display().to_string()))?;
-        recorded.write_result(&record)?;
+        let folder = recorded.folder.path().display().to_string();
+        let record = workflow.ran(&recorded.load()?.run, Some(folder))?;
+        recorded.write_result(&record);
         tell(&record.stage.line);
     }
     let mut result = workflow.result();
@@ -90,7 +79,7 @@ pub(super) fn escalate(
 }
 
 /// The failure for what stands in the way of a motor: it is the device.
-pub(super) fn failure(result: &EscalationResult) -> Option<Failure> {
+pub fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
     let ending = result.ending.as_ref()?;
     let status = match ending {
         Ending::NotIdentified { .. } => NOT_IDENTIFIABLE,

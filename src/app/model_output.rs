@@ -6,7 +6,7 @@ use crate::plant::FittedValue;
 use crate::sample::ParameterEstimate;
 
 /// The standard deviations that a model file keeps beside its values.
-pub(super) fn fitted(parameters: &[ParameterEstimate]) -> Vec<FittedValue> {
+pub(crate) fn fitted(parameters: &[ParameterEstimate]) -> Vec<FittedValue> {
     parameters
         .iter()
         .filter_map(|p| {
@@ -19,7 +19,7 @@ pub(super) fn fitted(parameters: &[ParameterEstimate]) -> Vec<FittedValue> {
 }
 
 /// One line of a model file's ladder.
-pub(super) fn rung(rung: &Rung, floor: FloorSource) -> String {
+pub(crate) fn rung(rung: &Rung, floor: FloorSource) -> String {
     let effects = if rung.effects.is_empty() {
         "baseline".to_owned()
     } else {

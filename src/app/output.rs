@@ -3,14 +3,17 @@
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use rustix::fs::{FileType, fstat};
+use rustix::io::Errno;
 use serde::Serialize;
 
 use super::failure::{Failure, INTERNAL, USAGE};
-use super::{interrupt, progress};
+use super::{progress, signals};
 
 /// Prints a result as one JSON document, or as the text that `text` makes of it.
-pub(super) fn result<T: Serialize>(
+pub(crate) fn result<T: Serialize>(
     value: &T,
     json: bool,
     text: impl FnOnce(&T) -> String,
@@ -26,11 +29,11 @@ pub(super) fn result<T: Serialize>(
 }
 
 /// One line (or block) on stdout, flushed. A reader that went away is not an error of ours.
-pub(super) fn line(text: &str) -> Result<(), Failure> {
-    let _whole = interrupt::writing();
+pub(crate) fn line(text: &str) -> Result<(), Failure> {
+    let _whole = signals::writing();
     let mut stdout = std::io::stdout().lock();
     match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(Failure::new(
+        Err(error) if !is_gone(&error) => Err(Failure::new(
             INTERNAL,
             format!("cannot write the result: {error}"),
         )),
@@ -38,8 +41,19 @@ pub(super) fn line(text: &str) -> Result<(), Failure> {
     }
 }
 
+/// Whether the reader has gone: of a pipe, or of a terminal that was closed.
+fn is_gone(error: &std::io::Error) -> bool {
+    let of_terminal = || {
+        // A terminal that was hung up is none any more, but still a device of characters.
+        fstat(std::io::stdout())
+            .is_ok_and(|found| FileType::from_raw_mode(found.st_mode) == FileType::CharacterDevice)
+    };
+    error.kind() == std::io::ErrorKind::BrokenPipe
+        || error.raw_os_error() == Some(Errno::IO.raw_os_error()) && of_terminal()
+}
+
 /// Results are never overwritten; to be asked before the work, with the option that named the file.
-pub(super) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> {
+pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> {
     if path.exists() {
         let headline = format!(
             "{}: exists already, and nothing is overwritten",
@@ -52,8 +66,8 @@ pub(super) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> 
 }
 
 /// A new file, whole or not at all as far as a signal is concerned.
-pub(super) fn file(path: &Path, text: &str) -> Result<(), Failure> {
-    let _whole = interrupt::writing();
+pub(crate) fn file(path: &Path, text: &str) -> Result<(), Failure> {
+    let _whole = signals::writing();
     let written = File::create_new(path).and_then(|mut file| file.write_all(text.as_bytes()));
     written.map_err(|error| {
         Failure::with_help(
@@ -64,14 +78,42 @@ pub(super) fn file(path: &Path, text: &str) -> Result<(), Failure> {
     })
 }
 
+/// Messages that wait until the screen is left; `None` where there is no screen.
+static HELD: Mutex<Option<Vec<String>>> = Mutex::new(None);
+
+fn held() -> MutexGuard<'static, Option<Vec<String>>> {
+    HELD.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// While it lives messages wait; then they are printed.
+pub(crate) struct Held(());
+
+/// From here on a screen has the terminal.
+pub(crate) fn hold() -> Held {
+    held().get_or_insert_default();
+    Held(())
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        let waiting = held().take();
+        for text in waiting.into_iter().flatten() {
+            message(&text);
+        }
+    }
+}
+
 /// A message for the person at the terminal, above the progress line.
-pub(super) fn message(text: &str) {
+pub(crate) fn message(text: &str) {
+    if let Some(waiting) = held().as_mut() {
+        return waiting.push(text.to_owned());
+    }
     progress::above(|| {
         let _ = writeln!(std::io::stderr().lock(), "{text}");
     });
 }
 
-pub(super) fn warn(warnings: &[String]) {
+pub(crate) fn warn(warnings: &[String]) {
     for warning in warnings {
         message(&format!("warning: {warning}"));
     }

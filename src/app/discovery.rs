@@ -2,14 +2,16 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use super::failure::{Failure, INTERNAL};
-use super::{interrupt, model_output, output};
+use super::ending::said;
+use super::failure::{Failure, INTERNAL, INTERRUPTED};
+use super::{model_output, output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
 use crate::plant::{FileHistory, Model, ModelFile};
 use crate::tui::{DiscoveryScreen, Exit, show_discovery};
@@ -19,25 +21,25 @@ use crate::workflow::{Discovery, News, Order};
 const MODEL: &str = "model.toml";
 
 /// What the screen and the model file say of the runs.
-pub(super) struct Shown {
-    pub(super) title: String,
-    pub(super) guess_first: bool,
+pub(crate) struct Shown {
+    pub(crate) title: String,
+    pub(crate) guess_first: bool,
     /// Run that the model is fitted on.
-    pub(super) fitted_on: String,
+    pub(crate) fitted_on: String,
     /// Of the model that the diagnosis began with.
-    pub(super) history: FileHistory,
-    pub(super) output: Option<PathBuf>,
+    pub(crate) history: FileHistory,
+    pub(crate) output: Option<PathBuf>,
 }
 
 /// How things stand with the model.
 #[derive(Clone, Debug)]
-pub(super) struct Standing {
+pub(crate) struct Standing {
     /// The model before any fit that the answer is about.
-    pub(super) original: Model,
+    pub(crate) original: Model,
     /// The latest answer; none before the first.
-    pub(super) diagnosis: Option<Diagnosis>,
+    pub(crate) diagnosis: Option<Diagnosis>,
     /// The run that was recommended with it; none where there is none, or it was not waited for.
-    pub(super) next: Option<NextExperiment>,
+    pub(crate) next: Option<NextExperiment>,
     /// What was changed by hand, each with the held-out error after it.
     changes: Vec<String>,
     /// The model after them, until there is an answer to it.
@@ -92,7 +94,7 @@ impl Standing {
     }
 
     /// What was changed by hand, and whether the answer below it knows of that; nothing where nothing was changed.
-    pub(super) fn heading(&self) -> String {
+    pub(crate) fn heading(&self) -> String {
         let mut text = String::new();
         for change in &self.changes {
             let _ = writeln!(text, "by hand: {change}");
@@ -114,22 +116,22 @@ impl Standing {
 }
 
 /// How the screen was left.
-pub(super) struct Left {
+pub(crate) struct Left {
     exit: Exit,
     hang_up: Arc<AtomicBool>,
-    pub(super) standing: Standing,
+    pub(crate) standing: Standing,
 }
 
 impl Left {
     /// Ctrl-C or a signal, which may come until the very end.
-    pub(super) fn is_interrupted(&self) -> bool {
+    pub(crate) fn is_interrupted(&self) -> bool {
         self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire)
     }
 }
 
 /// Shows the screen until it is left.
-pub(super) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> {
-    let hang_up = interrupt::flag()?;
+pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> {
+    let hang_up = signals::flag()?;
     let (orders, ordered) = channel();
     let (told, news) = channel();
     let screen = DiscoveryScreen {
@@ -148,23 +150,40 @@ pub(super) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
         .name("diagnosis".to_owned())
         .spawn(move || work(discovery, &shown, &ordered, &told, &heard, &is_left))
         .map_err(|error| Failure::new(INTERNAL, format!("cannot start a thread: {error}")))?;
-    let exit = show_discovery(screen);
+    let held = output::hold();
+    let exit = catch_unwind(AssertUnwindSafe(|| show_discovery(screen)));
     {
         // A model that is being written is finished; one that was not begun is not begun any more.
-        let _whole = interrupt::writing();
+        let _whole = signals::writing();
         gone.store(true, Ordering::Release);
     }
-    let exit =
-        exit.map_err(|error| Failure::new(INTERNAL, format!("the screen has failed: {error}")))?;
-    if exit == Exit::WorkerPanicked {
-        return Err(Failure::new(INTERNAL, "the analysis has panicked"));
-    }
+    drop(held);
     let standing = standing.lock();
     let standing = standing.unwrap_or_else(PoisonError::into_inner).clone();
     // The screen that said so is gone.
     for text in &standing.written {
         output::message(text);
     }
+    let exit = match exit {
+        Ok(Ok(Exit::WorkerPanicked)) => {
+            return Err(Failure::new(INTERNAL, "the analysis has panicked"));
+        }
+        Ok(Ok(exit)) => exit,
+        // Closed, most likely: nothing is energised, and a model that was written is there.
+        Ok(Err(error)) => {
+            return Err(Failure::new(
+                INTERRUPTED,
+                format!("the screen has failed: {error}"),
+            ));
+        }
+        Err(panic) => {
+            let said = said(panic.as_ref());
+            return Err(Failure::new(
+                INTERNAL,
+                format!("the screen has panicked ({said})"),
+            ));
+        }
+    };
     Ok(Left {
         exit,
         hang_up,
@@ -230,7 +249,7 @@ const MOST_COPIES: u32 = 1000;
 /// Writes under `wanted`, or where that is taken under the next free name: `model-2.toml`, `model-3.toml`, ... Once the
 /// screen is `gone`, nothing: the program may end in the middle of it.
 fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, String> {
-    let _whole = interrupt::writing();
+    let _whole = signals::writing();
     if gone.load(Ordering::Acquire) {
         return Err("the screen was left".to_owned());
     }

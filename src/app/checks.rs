@@ -3,53 +3,25 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use clap::Args;
-
 use super::failure::{Failure, INTERRUPTED, LINK, USAGE};
-use super::live::{Rig, Strings};
-use super::output;
+use super::rig::Rig;
+use super::strings::Strings;
 use crate::bench::{CheckOptions, CheckReport, FirstMove, RATE_CHECK, Waivers, check};
 
-/// Checks that may be gone without, each by its own word. What is waived stands in the manifest, the log and the messages.
-#[derive(Args, Clone, Copy, Debug)]
-#[expect(clippy::struct_field_names, reason = "the words of the command line")]
-pub(super) struct Waive {
-    /// Go on although the drive's watchdog is not proven: if this computer or the cable fails, perhaps nothing stops the
-    /// motor; the waiver is recorded
-    #[arg(long)]
-    waive_watchdog: bool,
-    /// Make no pulse before the first run: directions and nameplate stay unproven; the waiver is recorded
-    #[arg(long)]
-    waive_direction: bool,
-    /// Go on although the pulse does not fit the nameplate; the waiver is recorded
-    #[arg(long)]
-    waive_plausibility: bool,
-}
-
-impl Waive {
-    pub(super) const fn waivers(self) -> Waivers {
-        Waivers {
-            watchdog: self.waive_watchdog,
-            direction: self.waive_direction,
-            plausibility: self.waive_plausibility,
-        }
-    }
-}
-
 /// What the user has allowed on the command line.
-pub(super) struct Consent {
+pub(crate) struct Consent {
     /// Real hardware may be there.
-    pub(super) hardware: bool,
+    pub(crate) hardware: bool,
     /// Real hardware may move, in so many words.
-    pub(super) hardware_said: bool,
-    pub(super) waivers: Waivers,
+    pub(crate) hardware_said: bool,
+    pub(crate) waivers: Waivers,
     /// Once: taken back when it has been done.
-    pub(super) reset_fault: bool,
+    pub(crate) reset_fault: bool,
 }
 
 impl Rig {
     /// Identity, limits, link probe, watchdog proof, direction pulse; the refusal is the first check that failed.
-    pub(super) fn check(&mut self, strings: &Strings) -> Result<CheckReport, Failure> {
+    pub(crate) fn check(&mut self, strings: &Strings) -> Result<CheckReport, Failure> {
         if self.escalates && self.bench.load.vertical {
             return Err(Failure::with_help(
                 USAGE,
@@ -57,6 +29,7 @@ impl Rig {
                 "give the motor's data in [motor], or take the load off",
             ));
         }
+        self.energises(strings, 0.0);
         let plate = self.bench.nameplate().filter(|_| !self.escalates);
         let interrupted = Arc::clone(&strings.interrupted);
         let requested = Arc::clone(&strings.stop_requested);
@@ -80,7 +53,9 @@ impl Rig {
             self.clock.as_mut(),
             &self.bench.limits(),
             options,
-        )?;
+        );
+        self.rests();
+        let report = report?;
         if strings.is_stopped() {
             return Err(Failure::new(
                 INTERRUPTED,
@@ -95,11 +70,6 @@ impl Rig {
                 Some(help) => Failure::with_help(status, headline, help),
                 None => Failure::new(status, headline),
             });
-        }
-        if self.is_headless() {
-            for name in &report.waived {
-                output::message(&format!("waived: {name}"));
-            }
         }
         self.last_seq = report.last_seq;
         self.check = Some(report.clone());

@@ -5,7 +5,7 @@ use crate::report::SpeedLoop;
 use crate::report::number::{fixed, significant};
 use crate::report::page::{Cell, Table};
 
-pub(super) fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
+pub(crate) fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
     let cycles = |delay: Option<&LoopDelay>| match delay {
         Some(delay) => format!(
             "{:.2} cycles ({:.2} ms), 99 % within {:.2}",

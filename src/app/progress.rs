@@ -101,14 +101,14 @@ fn left_s(stage_s: f64, done: usize, of: usize) -> Option<f64> {
 }
 
 /// The progress of one command; the line goes when it is dropped.
-pub(super) struct Shown(Option<JoinHandle<()>>);
+pub(crate) struct Shown(Option<JoinHandle<()>>);
 
 /// Shows the progress of `command` from now on, where stderr is a terminal.
 #[expect(
     clippy::disallowed_methods,
     reason = "the clock of the progress line: nothing that is computed depends on it"
 )]
-pub(super) fn begin(command: &'static str) -> Shown {
+pub(crate) fn begin(command: &'static str) -> Shown {
     if !std::io::stderr().is_terminal() {
         return Shown(None);
     }
@@ -152,7 +152,7 @@ impl Drop for Shown {
     clippy::disallowed_methods,
     reason = "the clock of the progress line: nothing that is computed depends on it"
 )]
-pub(super) fn stage(text: &str, of: usize) {
+pub(crate) fn stage(text: &str, of: usize) {
     if let Some(work) = &mut lock().work {
         text.clone_into(&mut work.stage);
         work.stage_begun = Instant::now();
@@ -161,14 +161,14 @@ pub(super) fn stage(text: &str, of: usize) {
 }
 
 /// `done` pieces of the part are done.
-pub(super) fn at(done: usize) {
+pub(crate) fn at(done: usize) {
     if let Some(work) = &mut lock().work {
         work.done = done;
     }
 }
 
 /// What a diagnosis tells.
-pub(super) fn diagnosis(event: Event) {
+pub(crate) fn diagnosis(event: Event) {
     let (text, of) = match event {
         Event::Begun { stage, of } => match stage {
             Stage::Baseline => ("fits the model as it is", of),
@@ -188,7 +188,7 @@ pub(super) fn diagnosis(event: Event) {
 }
 
 /// Does something to stderr with the line out of the way.
-pub(super) fn above<T>(write: impl FnOnce() -> T) -> T {
+pub(crate) fn above<T>(write: impl FnOnce() -> T) -> T {
     let mut line = lock();
     line.wipe();
     write()

@@ -1,0 +1,284 @@
+//! The one owner of the end: whatever ends the work, or the screen that shows it, the drive is told to stop, its word is
+//! waited for, and only then the program goes on.
+//!
+//! ```text
+//! headless: work on this thread ---------------------------+-- returns, panics --> what it came to
+//! screen:   work on a thread "bench"; screen on this one --'
+//!             '-- left, failed, panicked, terminal closed --> hang up -> zero, disable, confirmed? -> what it came to
+//! ```
+
+use std::any::Any;
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
+use super::strings::{DriveWord, Ends, Strings};
+use super::{output, signals};
+use crate::bench::{Level, Notice, SnapshotCell};
+use crate::tui::{Exit, ShowOptions, WorkerCell, show};
+use crate::workflow::ProgressCell;
+
+/// How often it is looked whether the work is over.
+const LOOK: Duration = Duration::from_millis(50);
+/// How long a worker that was left by force is given, s.
+const FORCED_S: f64 = 5.0;
+/// How long it is given for its record after the drive has stopped, s.
+const RECORD_S: f64 = 30.0;
+
+/// Who looks at the work.
+pub enum Audience {
+    /// Nobody: progress on stderr.
+    Headless,
+    /// Somebody at the screen, with the steps of a workflow where there is one.
+    Screen(Option<ProgressCell>),
+}
+
+/// Work that is over, with how its screen was left.
+pub struct Ended<T> {
+    pub work: T,
+    pub left: Left,
+}
+
+/// How the work was left to itself.
+#[derive(Debug)]
+pub enum Left {
+    /// There was no screen.
+    Headless,
+    /// By its own ways out.
+    Screen(Exit),
+    /// The terminal was closed, or failed.
+    Gone(Failure),
+    /// The screen has panicked.
+    Panicked(Failure),
+}
+
+impl Left {
+    /// What the command ends with, where the run itself ended with `run`: a trip or a lost drive is said before anything
+    /// that happened to the screen, a fault of this program before an interruption.
+    pub fn conclude(self, run: Option<Failure>) -> Result<(), Failure> {
+        let of_screen = match self {
+            Self::Headless | Self::Screen(_) => None,
+            Self::Gone(failure) | Self::Panicked(failure) => Some(failure),
+        };
+        match (run, of_screen) {
+            (Some(run), Some(screen)) if run.status == INTERRUPTED => Err(screen),
+            (Some(run), Some(screen)) if screen.status == INTERNAL && !ends_run(&run) => {
+                Err(screen)
+            }
+            (Some(failure), _) | (None, Some(failure)) => Err(failure),
+            (None, None) => Ok(()),
+        }
+    }
+}
+
+const fn ends_run(failure: &Failure) -> bool {
+    matches!(failure.status, LINK | TRIP)
+}
+
+/// Does the work, shown on a screen or not, and sees to its end.
+///
+/// # Errors
+/// The work's own failure; else that of a panic, after the drive was told to stop.
+pub fn conduct<T: Send + 'static>(
+    audience: Audience,
+    work: impl FnOnce(&Strings) -> Result<T, Failure> + Send + 'static,
+) -> Result<Ended<T>, Failure> {
+    match audience {
+        Audience::Headless => {
+            let (listener, notices) = channel();
+            let (strings, ends) = Strings::new(SnapshotCell::heard_by(listener));
+            signals::pull(ends)?;
+            let work = alone(strings, notices, work)?;
+            Ok(Ended {
+                work,
+                left: Left::Headless,
+            })
+        }
+        Audience::Screen(progress) => {
+            let (strings, ends) = Strings::new(SnapshotCell::default());
+            signals::pull(ends.clone())?;
+            beside_screen(strings, &ends, progress, show, work)
+        }
+    }
+}
+
+/// Without a screen: what has to be known at once is told on stderr, by a thread that may wait for it.
+fn alone<T>(
+    strings: Strings,
+    notices: Receiver<Notice>,
+    work: impl FnOnce(&Strings) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    let drive = strings.drive.clone();
+    let teller = thread::Builder::new()
+        .name("notices".to_owned())
+        .spawn(move || {
+            let mut told: Vec<String> = Vec::new();
+            for notice in notices {
+                if notice.level != Level::Info && !told.contains(&notice.text) {
+                    output::message(&format!("warning: {}", notice.text));
+                    told.push(notice.text);
+                }
+            }
+        })
+        .map_err(|error| cannot_start(&error))?;
+    let done = catch_unwind(AssertUnwindSafe(|| work(&strings)));
+    drop(strings);
+    let done = done.unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
+    // What was told stands above the result.
+    let _ = teller.join();
+    done
+}
+
+/// The work on a thread of its own while `show` has this one.
+///
+/// # Errors
+/// As [`conduct`]; and where the work does not come to its end in time.
+pub fn beside_screen<T: Send + 'static>(
+    strings: Strings,
+    ends: &Ends,
+    progress: Option<ProgressCell>,
+    show: impl FnOnce(&ShowOptions) -> io::Result<Exit>,
+    work: impl FnOnce(&Strings) -> Result<T, Failure> + Send + 'static,
+) -> Result<Ended<T>, Failure> {
+    let worker = WorkerCell::default();
+    let options = ShowOptions {
+        snapshots: ends.snapshots.clone(),
+        workflow: progress,
+        intents: ends.intents.clone(),
+        worker: worker.clone(),
+        stop_requested: Arc::clone(&ends.stop_requested),
+        hang_up: Arc::clone(&ends.leaving),
+    };
+    // A message in the middle of the screen would be in nobody's way but the screen's.
+    let held = output::hold();
+    let thread = thread::Builder::new()
+        .name("bench".to_owned())
+        .spawn(move || {
+            let _finish = worker.finish_on_drop();
+            work(&strings)
+        })
+        .map_err(|error| cannot_start(&error))?;
+    let shown = catch_unwind(AssertUnwindSafe(|| show(&options)));
+    let left = match shown {
+        Ok(Ok(exit)) => Left::Screen(exit),
+        Ok(Err(error)) => {
+            ends.hang_up();
+            Left::Gone(Failure::with_help(
+                INTERRUPTED,
+                format!("the screen has failed: {error}"),
+                "the drive was told to stop; start the command again to repeat the run",
+            ))
+        }
+        Err(panic) => {
+            ends.hang_up();
+            let said = said(panic.as_ref());
+            Left::Panicked(Failure::new(
+                INTERNAL,
+                format!("the screen has panicked ({said}); the run was ended"),
+            ))
+        }
+    };
+    drop(held);
+    let over = match &left {
+        Left::Screen(Exit::Forced) => is_over_within(&thread, FORCED_S),
+        Left::Screen(_) | Left::Headless => true,
+        Left::Gone(_) | Left::Panicked(_) => is_over_after_stop(&thread, ends),
+    };
+    if !over {
+        return Err(unfinished(left, &ends.drive.get()));
+    }
+    let drive = ends.drive.clone();
+    let done = thread
+        .join()
+        .unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
+    match done {
+        Ok(work) => Ok(Ended { work, left }),
+        Err(failure) => Err(left.conclude(Some(failure)).err().unwrap_or_else(|| {
+            Failure::new(INTERNAL, "the work failed and nothing was said of it")
+        })),
+    }
+}
+
+/// Whether the thread ends within so many seconds.
+fn is_over_within<T>(thread: &JoinHandle<T>, seconds: f64) -> bool {
+    let mut waited_s = 0.0;
+    while !thread.is_finished() && waited_s < seconds {
+        thread::sleep(LOOK);
+        waited_s += LOOK.as_secs_f64();
+    }
+    thread.is_finished()
+}
+
+/// Waits for the drive's confirmed stop as long as that may take, then for the record. Work with nothing energised and
+/// nothing half written, as a diagnosis, is left where it is.
+fn is_over_after_stop<T>(thread: &JoinHandle<T>, ends: &Ends) -> bool {
+    let mut on_s = 0.0;
+    while let (DriveWord::MayBeOn { end_s }, false) = (ends.drive.get(), thread.is_finished()) {
+        if on_s > end_s {
+            return false;
+        }
+        thread::sleep(LOOK);
+        on_s += LOOK.as_secs_f64();
+    }
+    let mut waited_s = 0.0;
+    while !thread.is_finished() && !signals::is_endable() && waited_s < RECORD_S {
+        thread::sleep(LOOK);
+        waited_s += LOOK.as_secs_f64();
+    }
+    thread.is_finished()
+}
+
+/// What is said of work that did not come to its end.
+fn unfinished(left: Left, drive: &DriveWord) -> Failure {
+    let is_on = matches!(drive, DriveWord::MayBeOn { .. });
+    match left {
+        Left::Gone(failure) | Left::Panicked(failure) if !is_on => failure,
+        left => Failure::with_help(
+            match left {
+                Left::Panicked(_) => INTERNAL,
+                _ => INTERRUPTED,
+            },
+            "left by force: the bench did not confirm that it has stopped",
+            "see that the motor stands still; the drive's watchdog stops it",
+        ),
+    }
+}
+
+/// A panic of the work, with what came of the stop that was sent on its way out.
+fn bench_panicked(panic: &(dyn Any + Send), drive: &DriveWord) -> Failure {
+    let stopped = match drive {
+        DriveWord::Panicked(Ok(())) => "the drive was told to stop and took it".to_owned(),
+        DriveWord::Panicked(Err(error)) => {
+            format!("the drive did NOT confirm its stop: {error}; see that the motor stands still")
+        }
+        DriveWord::Off => "nothing was energised".to_owned(),
+        DriveWord::MayBeOn { .. } => {
+            "the drive was told to stop; see that the motor stands still".to_owned()
+        }
+    };
+    Failure::new(
+        INTERNAL,
+        format!("the bench has panicked ({}); {stopped}", said(panic)),
+    )
+}
+
+/// The words of a panic.
+pub(super) fn said(panic: &(dyn Any + Send)) -> &str {
+    panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("without a word")
+}
+
+fn cannot_start(error: &io::Error) -> Failure {
+    Failure::new(INTERNAL, format!("cannot start a thread: {error}"))
+}
+
+#[cfg(test)]
+#[path = "ending_tests.rs"]
+mod tests;

@@ -1,0 +1,379 @@
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
+
+use super::*;
+use crate::app::{OpenRig, Recorded, Rig, RigOptions, RunDone, RunRequest, run};
+use crate::bench::{BenchFile, Outcome, VirtualClock, Waivers};
+use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
+use crate::recording::open_run;
+use crate::sample::{Command, Demand, DriveState, Sample};
+
+const SEQUENCE: &str = "\
+[[sequence]]
+standstill = { seconds = 0.3 }
+[[sequence]]
+steps = { levels_v = [40.0, 0.0], hold_s = 1.0 }
+";
+
+/// What the drive is asked with the motor at speed, before it is asked.
+type Hook = Box<dyn FnMut() + Send>;
+
+/// The drive in memory, with a list of what it was asked and something that happens while its motor turns.
+struct Witness {
+    drive: Arc<Mutex<MemoryLink>>,
+    asked: Arc<Mutex<Vec<Demand>>>,
+    at_speed: Option<Hook>,
+    /// Exchanges at speed that are left before it happens.
+    before: u32,
+}
+
+impl DriveLink for Witness {
+    fn name(&self) -> LinkName {
+        self.drive.lock().unwrap().name()
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.drive.lock().unwrap().identify()
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        if matches!(command.demand, Demand::Voltage(volts) if volts > 30.0) {
+            self.before = self.before.saturating_sub(1);
+            if self.before == 0
+                && let Some(mut hook) = self.at_speed.take()
+            {
+                hook();
+            }
+        }
+        self.asked.lock().unwrap().push(command.demand);
+        self.drive.lock().unwrap().exchange(command)
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.asked.lock().unwrap().push(Demand::Stop);
+        self.drive.lock().unwrap().stop()
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.drive.lock().unwrap().statistics()
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// A bench in virtual time with a drive that is asked afterwards what became of it.
+struct Lab {
+    out: tempfile::TempDir,
+    drive: Arc<Mutex<MemoryLink>>,
+    asked: Arc<Mutex<Vec<Demand>>>,
+    clock: VirtualClock,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+        let clock = VirtualClock::new();
+        let drive = MemoryLink::new(
+            SoftDrive::new(&config, 1),
+            clock.clone(),
+            Latency::default(),
+        );
+        Self {
+            out: tempfile::tempdir().unwrap(),
+            drive: Arc::new(Mutex::new(drive)),
+            asked: Arc::default(),
+            clock,
+        }
+    }
+
+    fn runs(&self) -> std::path::PathBuf {
+        self.out.path().join("runs")
+    }
+
+    fn options(&self) -> RigOptions {
+        let text = include_str!("../../bench-configs/benches/zk-22fc-emulated.toml");
+        let (head, _) = text.split_once("[[sequence]]").unwrap();
+        let bench = BenchFile::parse("bench.toml", &format!("{head}{SEQUENCE}")).unwrap();
+        RigOptions {
+            bench,
+            out: self.runs(),
+            headless: true,
+            hardware: false,
+            escalate: false,
+            waivers: Waivers::default(),
+            reset_fault: false,
+            reopen_s: None,
+            tap: None,
+            mystery: false,
+        }
+    }
+
+    fn opener(&self, hook: impl FnMut() + Send + 'static) -> OpenRig {
+        let link = Witness {
+            drive: Arc::clone(&self.drive),
+            asked: Arc::clone(&self.asked),
+            at_speed: Some(Box::new(hook)),
+            before: 5,
+        };
+        let clock = self.clock.clone();
+        Box::new(move |options, _, purpose| {
+            Rig::with_link(options, purpose, Box::new(link), Box::new(clock), None)
+        })
+    }
+
+    fn work(
+        &self,
+        hook: impl FnMut() + Send + 'static,
+    ) -> impl FnOnce(&Strings) -> Result<RunDone, Failure> + Send + 'static {
+        let request = RunRequest {
+            rig: self.options(),
+            run_seed: None,
+        };
+        let open = self.opener(hook);
+        move |strings| run(request, open, strings)
+    }
+
+    /// By the drive's own word: off, without a fault, and not by its watchdog.
+    #[track_caller]
+    fn expect_stopped(&self) {
+        let last = self.asked.lock().unwrap().last().copied();
+        assert_eq!(last, Some(Demand::Stop));
+        let mut drive = self.drive.lock().unwrap();
+        let command = Command {
+            seq: 1 << 20,
+            demand: Demand::Disable,
+        };
+        let sample = drive.exchange(command).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+        assert_eq!(sample.fault.unwrap_or(0), 0, "{:?}", sample.fault_text);
+    }
+}
+
+fn headless<T>(work: impl FnOnce(&Strings) -> Result<T, Failure>) -> Result<T, Failure> {
+    let (listener, notices) = channel();
+    let (strings, _ends) = Strings::new(SnapshotCell::heard_by(listener));
+    alone(strings, notices, work)
+}
+
+fn recorded(done: RunDone) -> Recorded {
+    match done {
+        RunDone::Run(whole) => whole.recorded,
+        RunDone::Named(ending) => panic!("{ending:?}"),
+    }
+}
+
+#[test]
+fn a_bench_that_panics_stops_its_drive_and_is_status_6() {
+    let lab = Lab::new();
+    let work = lab.work(|| panic!("on purpose"));
+    let failure = headless(work).map(|_| ()).unwrap_err();
+    assert_eq!(failure.status, INTERNAL);
+    let headline = failure.headline();
+    assert!(headline.contains("(on purpose)"), "{headline}");
+    assert!(headline.contains("told to stop and took it"), "{headline}");
+    lab.expect_stopped();
+}
+
+#[test]
+fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
+    let lab = Lab::new();
+    let (strings, _ends) = Strings::new(SnapshotCell::default());
+    let mut rig =
+        lab.opener(|| ())(lab.options(), None, crate::drive::offer::Purpose::Voltages).unwrap();
+    rig.energises(&strings, 0.0);
+    let unwound = catch_unwind(AssertUnwindSafe(move || {
+        let command = Command {
+            seq: 1,
+            demand: Demand::Voltage(5.0),
+        };
+        rig.link.exchange(command).unwrap();
+        panic!("on purpose");
+    }));
+    assert!(unwound.is_err());
+    assert_eq!(strings.drive.get(), DriveWord::Panicked(Ok(())));
+    lab.expect_stopped();
+}
+
+/// The screen panics, or fails, while the motor turns; the drive is told to stop by a ramp, and only then it is over.
+fn left_at_speed(
+    show: impl FnOnce() -> io::Result<Exit>,
+) -> (Lab, Result<Ended<RunDone>, Failure>) {
+    let lab = Lab::new();
+    let (at_speed, is_at_speed) = channel();
+    let (strings, ends) = Strings::new(SnapshotCell::default());
+    let asked = Arc::clone(&strings.interrupted);
+    let work = lab.work(move || {
+        at_speed.send(()).unwrap();
+        // Virtual time stands until the screen is gone.
+        while !asked.load(Ordering::Acquire) {
+            thread::yield_now();
+        }
+    });
+    let ended = beside_screen(
+        strings,
+        &ends,
+        None,
+        |_| {
+            is_at_speed.recv().unwrap();
+            show()
+        },
+        work,
+    );
+    (lab, ended)
+}
+
+#[test]
+fn a_screen_that_panics_ends_the_run_with_status_6() {
+    let (lab, ended) = left_at_speed(|| panic!("on purpose"));
+    lab.expect_stopped();
+    let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
+    let recorded = recorded(ended.work);
+    assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
+    let failure = ended.left.conclude(recorded.failure()).unwrap_err();
+    assert_eq!(failure.status, INTERNAL);
+    assert!(
+        failure
+            .headline()
+            .contains("screen has panicked (on purpose)")
+    );
+    // Down a ramp, and not at once: somebody is asked once, however often that shows.
+    let asked = lab.asked.lock().unwrap();
+    let falling = |volts: f64| volts > 0.0 && volts < 39.0;
+    let fast = asked
+        .iter()
+        .rposition(|demand| matches!(demand, Demand::Voltage(volts) if *volts > 39.0));
+    let ramp = asked[fast.unwrap_or_default()..].iter();
+    let ramp = ramp.filter(|demand| matches!(demand, Demand::Voltage(volts) if falling(*volts)));
+    assert!(ramp.count() > 3, "{asked:?}");
+}
+
+#[test]
+fn a_terminal_that_is_gone_ends_the_run_with_status_130() {
+    let (lab, ended) = left_at_speed(|| Err(io::Error::from_raw_os_error(5)));
+    lab.expect_stopped();
+    let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
+    let recorded = recorded(ended.work);
+    assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
+    let failure = ended.left.conclude(recorded.failure()).unwrap_err();
+    assert_eq!(failure.status, INTERRUPTED);
+}
+
+#[test]
+fn how_a_run_ended_is_said_before_what_happened_to_its_screen() {
+    let failure = |status| Failure::new(status, "a headline");
+    let status =
+        |left: Left, run: Option<u8>| left.conclude(run.map(failure)).map_err(|f| f.status);
+    let panicked = || Left::Panicked(failure(INTERNAL));
+    let gone = || Left::Gone(failure(INTERRUPTED));
+    let closed = || Left::Screen(Exit::Interrupted);
+    for run in [LINK, TRIP] {
+        assert_eq!(status(panicked(), Some(run)), Err(run));
+        assert_eq!(status(gone(), Some(run)), Err(run));
+    }
+    assert_eq!(status(panicked(), Some(INTERRUPTED)), Err(INTERNAL));
+    assert_eq!(status(panicked(), None), Err(INTERNAL));
+    assert_eq!(status(gone(), Some(INTERRUPTED)), Err(INTERRUPTED));
+    assert_eq!(status(gone(), Some(INTERNAL)), Err(INTERNAL));
+    assert_eq!(status(gone(), None), Err(INTERRUPTED));
+    assert_eq!(status(closed(), Some(INTERRUPTED)), Err(INTERRUPTED));
+    assert_eq!(status(closed(), None), Ok(()));
+}
+
+#[test]
+fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
+    let lab = Lab::new();
+    let clock = lab.clock.clone();
+    let asked = Arc::clone(&lab.asked);
+    let before = Arc::new(Mutex::new(0));
+    let mark = Arc::clone(&before);
+    let done = headless(lab.work(move || {
+        clock.suspend_s(30.0);
+        *mark.lock().unwrap() = asked.lock().unwrap().len();
+    }))
+    .unwrap_or_else(|failure| panic!("{failure:?}"));
+    let recorded = recorded(done);
+    let failure = recorded.failure().unwrap();
+    assert_eq!(failure.status, LINK);
+    let headline = failure.headline();
+    assert!(
+        headline.contains("this computer was suspended for 30.0 s"),
+        "{headline}"
+    );
+    // The command that was on its way, then nothing but stop.
+    let asked = lab.asked.lock().unwrap();
+    let after = &asked[*before.lock().unwrap() + 1..];
+    assert!(
+        !after.is_empty() && after.iter().all(|demand| *demand == Demand::Stop),
+        "{after:?}"
+    );
+    let told = format!("{:?}", recorded.summary.notices);
+    let events = std::fs::read_to_string(recorded.folder.events()).unwrap();
+    for text in [&told, &events] {
+        assert!(
+            !text.contains("stood still") && !text.contains("silent"),
+            "{text}"
+        );
+        assert!(text.contains("suspended for 30.0 s"), "{text}");
+    }
+}
+
+#[track_caller]
+fn expect_whole(folder: &Path, rows: u64) {
+    let loaded = open_run(folder, None).unwrap();
+    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    assert_eq!(loaded.run.rows() as u64, rows);
+    for file in ["result.json", "model.toml", "report.html", "events.jsonl"] {
+        assert!(folder.join(file).exists(), "{file}");
+    }
+}
+
+#[test]
+fn a_run_whose_folder_is_deleted_goes_on_and_its_record_is_made_again() {
+    let lab = Lab::new();
+    let runs = lab.runs();
+    let done = headless(lab.work(move || std::fs::remove_dir_all(&runs).unwrap()));
+    let recorded = recorded(done.unwrap_or_else(|failure| panic!("{failure:?}")));
+    assert_eq!(recorded.summary.outcome, Outcome::Done);
+    assert!(recorded.failure().is_none(), "{:?}", recorded.failure());
+    let error = recorded
+        .summary
+        .recorder_error
+        .as_deref()
+        .unwrap_or_default();
+    assert!(error.contains("was deleted or renamed"), "{error}");
+    expect_whole(recorded.folder.path(), recorded.summary.rows);
+}
+
+#[test]
+fn a_run_that_follows_others_goes_on_without_a_disk_and_is_analysed_from_memory() {
+    let lab = Lab::new();
+    let (strings, _ends) = Strings::new(SnapshotCell::default());
+    let mut rig =
+        lab.opener(|| ())(lab.options(), None, crate::drive::offer::Purpose::Voltages).unwrap();
+    rig.check(&strings).unwrap();
+    let first = rig.record("one", 1, &strings).unwrap();
+    assert!(first.failure().is_none());
+    std::fs::remove_dir_all(lab.runs()).unwrap();
+    std::fs::write(lab.runs(), "a file stands in the way").unwrap();
+    let mut second = rig.record("two", 2, &strings).unwrap();
+    assert_eq!(second.summary.outcome, Outcome::Done);
+    assert!(second.run_failure().is_none());
+    let failure = second.failure().unwrap();
+    assert_eq!(failure.status, INTERNAL);
+    assert!(
+        failure.headline().contains("record could not be kept"),
+        "{failure:?}"
+    );
+    let loaded = second.load().unwrap();
+    assert_eq!(loaded.run.rows() as u64, second.summary.rows);
+    assert!(loaded.run.rows() > 100);
+    // The first is gone as well since then.
+    assert_eq!(first.load().unwrap().run.rows() as u64, first.summary.rows);
+    second.forget();
+    assert!(second.load().is_err());
+}

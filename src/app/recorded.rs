@@ -1,0 +1,200 @@
+//! A run that has been recorded: its files, what ended it early, and what could not be kept of it.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
+use super::{files, output};
+use crate::bench::{OnlineResult, Outcome, RunSummary};
+use crate::plant::Scenario;
+use crate::recording::{
+    Kept, LoadedRun, Manifest, RecordingError, RunFile, RunFolder, run_from_memory, write_run,
+};
+
+/// A run that was recorded, to its end or not.
+pub struct Recorded {
+    pub folder: RunFolder,
+    pub summary: RunSummary,
+    /// What the on-line estimators said at the end; `replay` compares itself with it.
+    pub(crate) online: OnlineResult,
+    pub(crate) manifest: Manifest,
+    /// Where the burst of the drive's own recorder is.
+    pub(crate) capture: Option<PathBuf>,
+    /// The text of `samples.csv`, as far as the memory held it.
+    samples: Option<Vec<u8>>,
+    /// Why the record on the disk is not whole.
+    unkept: Option<String>,
+}
+
+/// `result.json`: what a command has to say, and what the live estimators said.
+#[derive(Serialize)]
+struct KeptResult<'a, T> {
+    #[serde(flatten)]
+    result: &'a T,
+    online: &'a OnlineResult,
+}
+
+impl Recorded {
+    pub(crate) fn new(
+        kept: Kept,
+        manifest: Manifest,
+        summary: RunSummary,
+        online: OnlineResult,
+    ) -> Self {
+        let mut recorded = Self {
+            folder: kept.folder,
+            summary,
+            online,
+            manifest,
+            capture: None,
+            samples: kept.samples,
+            unkept: None,
+        };
+        if let Some(error) = &kept.error {
+            recorded.note(&error.to_string());
+        }
+        recorded
+    }
+
+    /// The run as anyone can replay it, read back from the disk; where the record there is damaged, as the memory has it.
+    pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
+        let path = self.folder.path();
+        let from_disk = match &self.unkept {
+            None => files::load(path, None),
+            Some(reason) => Err(Failure::new(INTERNAL, reason.clone())),
+        };
+        match (from_disk, &self.samples) {
+            (Err(failure), Some(samples)) => {
+                output::message(&format!(
+                    "{}: {}; what is in memory is used",
+                    path.display(),
+                    failure.headline()
+                ));
+                files::complete(run_from_memory(path, samples, &self.manifest)?)
+            }
+            (loaded, _) => loaded,
+        }
+    }
+
+    /// The burst as it is kept on the disk, with its path.
+    pub(crate) fn burst(&self) -> Option<(&Path, Result<Scenario, Failure>)> {
+        let path = self.capture.as_deref()?;
+        let loaded = files::load(path, None);
+        let burst = loaded.and_then(|loaded| Ok(Scenario::from_run(&loaded.run)?));
+        Some((path, burst))
+    }
+
+    /// The rows are not needed any more; what they were for is done.
+    pub(crate) fn forget(&mut self) {
+        self.samples = None;
+    }
+
+    /// Writes `result.json`; a disk that does not take it is told of and no end.
+    pub(crate) fn write_result<T: Serialize>(&mut self, result: &T) {
+        let kept = KeptResult {
+            result,
+            online: &self.online,
+        };
+        match serde_json::to_string_pretty(&kept) {
+            Ok(text) => drop(self.write(RunFile::Result, &text)),
+            Err(error) => self.note(&format!("the result has no JSON form: {error}")),
+        }
+    }
+
+    /// Writes one file of the folder; where that is not possible it is told, and the result is there all the same.
+    pub(crate) fn write(&mut self, file: RunFile, text: &str) -> Option<PathBuf> {
+        let written = self.folder.write(file, text);
+        self.kept(written)
+    }
+
+    /// Keeps what the drive recorded in a burst beside the samples, as a run that every command takes.
+    pub(crate) fn keep_capture(&mut self, name: &str) {
+        let Some(capture) = &self.summary.capture else {
+            return;
+        };
+        let run = match capture.run(name) {
+            Ok(run) => run,
+            Err(error) => return output::message(&format!("burst not used: {error}")),
+        };
+        let (rows, rate_hz) = (run.rows(), 1.0 / capture.period_s);
+        let written = self.folder.write_capture(&write_run(&run));
+        self.capture = self.kept(written);
+        if let Some(path) = &self.capture {
+            let path = path.display();
+            output::message(&format!(
+                "burst capture: {rows} samples at {rate_hz:.0} Hz in {path}"
+            ));
+        }
+    }
+
+    fn kept(&mut self, written: Result<PathBuf, RecordingError>) -> Option<PathBuf> {
+        written.map_err(|error| self.note(&error.to_string())).ok()
+    }
+
+    /// Told at once; the first reason is the one that stays.
+    fn note(&mut self, reason: &str) {
+        if self.unkept.is_none() {
+            output::message(&format!("warning: the record is not whole: {reason}"));
+            self.unkept = Some(reason.to_owned());
+        }
+    }
+
+    /// The failure of a record that could not be kept, for a command whose result is printed.
+    pub(crate) fn record_failure(&self) -> Option<Failure> {
+        let reason = self.unkept.as_ref()?;
+        let folder = self.folder.path().display();
+        Some(Failure::with_help(
+            INTERNAL,
+            format!("the record could not be kept: {reason}"),
+            format!(
+                "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
+            ),
+        ))
+    }
+
+    /// The failure that ended the run early, else that of its record, if any.
+    pub fn failure(&self) -> Option<Failure> {
+        self.run_failure().or_else(|| self.record_failure())
+    }
+
+    /// The failure that ended the run early, if any.
+    pub(crate) fn run_failure(&self) -> Option<Failure> {
+        let mut kept = match &self.unkept {
+            None => format!("the record is kept in {}", self.folder.path().display()),
+            Some(reason) => format!("the record could not be kept: {reason}"),
+        };
+        if let Some(reopened) = &self.summary.reopened {
+            kept = format!("{}; {kept}", reopened.text);
+        }
+        match &self.summary.outcome {
+            Outcome::Done => self.summary.stop_error.as_ref().map(|error| {
+                Failure::with_help(
+                    LINK,
+                    format!("the last stop did not reach the drive: {error}"),
+                    kept,
+                )
+            }),
+            Outcome::Stopped | Outcome::Interrupted => Some(Failure::with_help(
+                INTERRUPTED,
+                "stopped before the end of the sequence",
+                kept,
+            )),
+            Outcome::Tripped(trip) => Some(Failure::with_help(
+                TRIP,
+                format!("safety trip: {}", trip.reason),
+                kept,
+            )),
+            Outcome::NotStarted { reason } => Some(Failure::with_help(
+                LINK,
+                format!("not started: {reason}"),
+                kept,
+            )),
+            Outcome::LinkLost { reason } => Some(Failure::with_help(
+                LINK,
+                format!("link lost: {reason}"),
+                kept,
+            )),
+        }
+    }
+}

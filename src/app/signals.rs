@@ -1,0 +1,128 @@
+//! The signals that ask for an end. While nothing is energised there is nothing to put down, so the program ends at once,
+//! and tidily; work that must end in its own way asks for a flag, and a run on a live drive is told of every one.
+//!
+//! ```text
+//! signal -> thread -> work may be left? a file that is being written is finished -> the progress line is wiped -> exit 130
+//!                  '-> a run: the output ramps down, the drive confirms its stop -> exit 130
+//! ```
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
+use std::time::Duration;
+
+use signal_hook::consts::{
+    SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPIPE, SIGPROF, SIGQUIT, SIGTERM, SIGTSTP, SIGUSR1, SIGUSR2,
+    SIGVTALRM, SIGXCPU, SIGXFSZ,
+};
+use signal_hook::iterator::Signals;
+
+use super::failure::{Failure, INTERNAL, INTERRUPTED};
+use super::progress;
+use super::strings::Ends;
+
+/// Parts of the program that may be ended at any moment; a signal at another time is for those who asked for it.
+static AT_ONCE: AtomicUsize = AtomicUsize::new(0);
+static WRITING: Mutex<()> = Mutex::new(());
+static WATCH: Once = Once::new();
+
+/// Signals that ask for an end.
+const ENDINGS: [i32; 7] = [SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGALRM];
+/// What would end or halt the program in the middle of a run without a word, and a pipe that nobody reads any more.
+const LIVE: [i32; 6] = [SIGPIPE, SIGTSTP, SIGVTALRM, SIGPROF, SIGXCPU, SIGIO];
+
+/// Longest time that a write may take before it is left.
+const LOOKS: u32 = 200;
+const LOOK: Duration = Duration::from_millis(10);
+
+/// While it lives a signal ends the program at once with status 130.
+pub(crate) struct Endable(());
+
+impl Drop for Endable {
+    fn drop(&mut self) {
+        AT_ONCE.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// From here on a signal ends the program at once.
+pub(crate) fn endable() -> Result<Endable, Failure> {
+    let mut watched = Ok(());
+    WATCH.call_once(|| {
+        watched = spawn(&ENDINGS, |_| {
+            if is_endable() {
+                end();
+            }
+        });
+    });
+    watched?;
+    Ok(leavable())
+}
+
+/// From here on whoever owns the end may leave without waiting for this thread. Signals are theirs.
+pub(crate) fn leavable() -> Endable {
+    AT_ONCE.fetch_add(1, Ordering::AcqRel);
+    Endable(())
+}
+
+/// Whether the work may be left where it is: nothing is energised, and nothing is half written.
+pub(crate) fn is_endable() -> bool {
+    AT_ONCE.load(Ordering::Acquire) > 0
+}
+
+/// Raised by the first signal that asks for an end, for work that has to put something down first.
+pub(crate) fn flag() -> Result<Arc<AtomicBool>, Failure> {
+    let raised = Arc::new(AtomicBool::new(false));
+    for signal in ENDINGS {
+        signal_hook::flag::register(signal, Arc::clone(&raised))
+            .map_err(|error| cannot_watch(&error))?;
+    }
+    Ok(raised)
+}
+
+/// Tells a run on a live drive of every signal that would otherwise end, or halt, the program with its motor on.
+pub(crate) fn pull(ends: Ends) -> Result<(), Failure> {
+    // A file that may not grow any more is an error of the write, and no reason to die.
+    signal_hook::flag::register(SIGXFSZ, Arc::default()).map_err(|error| cannot_watch(&error))?;
+    let all: Vec<i32> = ENDINGS.iter().chain(&LIVE).copied().collect();
+    spawn(&all, move |signal| match signal {
+        SIGHUP | SIGPIPE => ends.hang_up(),
+        _ => ends.interrupt(),
+    })
+}
+
+/// A thread that is told of these signals for as long as the program runs.
+fn spawn(signals: &[i32], told: impl Fn(i32) + Send + 'static) -> Result<(), Failure> {
+    let mut signals = Signals::new(signals).map_err(|error| cannot_watch(&error))?;
+    std::thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(move || signals.forever().for_each(told))
+        .map_err(|error| cannot_watch(&error))?;
+    Ok(())
+}
+
+fn cannot_watch(error: &std::io::Error) -> Failure {
+    Failure::new(INTERNAL, format!("cannot watch for signals: {error}"))
+}
+
+fn end() -> ! {
+    let mut whole = WRITING.try_lock();
+    for _ in 0..LOOKS {
+        if whole.is_ok() {
+            break;
+        }
+        std::thread::sleep(LOOK);
+        whole = WRITING.try_lock();
+    }
+    Failure::with_help(
+        INTERRUPTED,
+        "interrupted: there is no answer",
+        "start the command again; nothing was left half done",
+    )
+    .print();
+    // Nobody draws the line again: its lock is held to the end.
+    progress::above(|| std::process::exit(i32::from(INTERRUPTED)))
+}
+
+/// Held while something is written that is of no use in part.
+pub(crate) fn writing() -> MutexGuard<'static, ()> {
+    WRITING.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,347 @@
+//! The order of work of a speed loop: checks, the delay at rest, gains, the loop, its record.
+//!
+//! ```text
+//! bench file, model -> refused? -> link, checks -> delay measured at rest -> gains -> loop -> run folder, figures
+//! ```
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use serde_json::json;
+
+use super::failure::{Failure, USAGE};
+use super::opening::wired_profile;
+use super::recorded::Recorded;
+use super::rig::{OpenRig, RigOptions, SpeedAbout, nameplate};
+use super::speed_page::speed_loop;
+use super::strings::Strings;
+use super::{files, output, pages};
+use crate::bench::{
+    BenchFile, CheckReport, ControllerKind, Design, ForwardUse, Limits, LoopDelay, Nameplate,
+    PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot, SpeedSection,
+    loop_timing,
+};
+use crate::control::Actuator;
+use crate::control::tuning::Rule;
+use crate::drive::offer::Purpose;
+use crate::plant::{Model, ModelFile};
+use crate::recording::RunFile;
+use crate::sample::Channel;
+
+/// Standard deviation of a speed sample below which a sensor is not believed to be quieter, rad/s.
+const LEAST_NOISE_RAD_S: f64 = 0.02;
+
+/// What is asked of a speed loop.
+pub struct SpeedRequest {
+    pub rig: RigOptions,
+    /// Name and text of the bench file, for what is wrong in it.
+    pub source: (String, String),
+    /// Model that the loop is tuned on; `None`: the nameplate.
+    pub model: Option<PathBuf>,
+    pub controller: Option<ControllerKind>,
+    pub feed_forward: Option<ForwardUse>,
+    pub actuator: Option<Actuator>,
+}
+
+/// The result as JSON.
+#[derive(Serialize)]
+pub struct SpeedResult<'a> {
+    pub(crate) folder: String,
+    rule: Rule,
+    /// The model's file, or `nameplate`.
+    model: String,
+    /// At rest, before the loop was tuned; null where the drive does not say when a command was applied.
+    delay_at_rest: Option<LoopDelay>,
+    #[serde(flatten)]
+    pub(crate) summary: &'a RunSummary,
+}
+
+/// A loop that was recorded.
+pub struct SpeedDone {
+    pub recorded: Recorded,
+    rule: Rule,
+    model: String,
+    delay: Option<LoopDelay>,
+}
+
+/// What a loop is made from, all of it known before the link is opened.
+struct LoopParts {
+    section: SpeedSection,
+    actuator: Actuator,
+    reference: Reference,
+    motor: Nameplate,
+    limits: Limits,
+    model: ModelFile,
+    period_s: f64,
+}
+
+impl LoopParts {
+    fn new(request: &SpeedRequest, bench: &mut BenchFile) -> Result<Self, Failure> {
+        let (profile, _) = wired_profile(bench)?;
+        let Some(section) = &mut bench.speed else {
+            return Err(Failure::with_help(
+                USAGE,
+                format!(
+                    "the bench {:?} has no [speed]: there is no reference to follow",
+                    bench.name
+                ),
+                "see [speed] in bench-configs/benches/zk-22fc-emulated.toml",
+            ));
+        };
+        section.controller = request.controller.unwrap_or(section.controller);
+        section.feed_forward = request.feed_forward.unwrap_or(section.feed_forward);
+        section.actuator = request.actuator.or(section.actuator);
+        let section = section.clone();
+        let (file, text) = &request.source;
+        bench.check_speed(file, text)?;
+        let actuator = section.actuator(&profile.capabilities).ok_or_else(|| {
+            let wanted = section.actuator.map_or("", Actuator::name);
+            Failure::with_help(
+                USAGE,
+                format!(
+                    "the drive {:?} takes no {wanted} command that a speed loop could act with",
+                    bench.drive.profile
+                )
+                .replace("  ", " "),
+                if profile.registers.is_some() {
+                    "see quantity and unit of the [setpoints] in the drive's profile, and speed.actuator of the bench file"
+                } else {
+                    "see [capabilities] of the drive's profile, and speed.actuator of the bench file"
+                },
+            )
+        })?;
+        let motor = nameplate(bench)?;
+        let reference = bench.reference(&section).map_err(|error| {
+            Failure::with_help(USAGE, error.to_string(), "see [speed] of the bench file")
+        })?;
+        let model = match &request.model {
+            Some(path) => files::read_model(path)?,
+            None => ModelFile {
+                model: Model::baseline(motor.motor()),
+                ..ModelFile::default()
+            },
+        };
+        let limits = bench.limits();
+        if limits.quadrants < 4
+            && let Some(speed) = reference.reverse_rad_s()
+        {
+            return Err(Failure::with_help(
+                USAGE,
+                format!(
+                    "the reference asks for {speed} rad/s, and the drive's converter has {} of 4 quadrants: it goes one way only",
+                    limits.quadrants
+                ),
+                "use references that are not negative; see [converter] of the drive's profile",
+            ));
+        }
+        Ok(Self {
+            section,
+            actuator,
+            reference,
+            limits,
+            motor,
+            model,
+            period_s: bench.period_s(),
+        })
+    }
+
+    /// The loop for a delay of the link.
+    fn regulator(&self, delay_s: f64, noise_rad_s: f64) -> Result<Regulator, RegulatorError> {
+        Design {
+            model: &self.model.model,
+            motor: &self.motor,
+            limits: &self.limits,
+            section: &self.section,
+            actuator: self.actuator,
+            // A bridge that has just fired takes a command with its next firing only.
+            timing: loop_timing(
+                &self.model.model,
+                self.period_s,
+                delay_s + self.limits.dead_time_s,
+            ),
+            noise_rad_s,
+            peak_reference_rad_s: self.reference.peak_rad_s(),
+        }
+        .regulator()
+    }
+}
+
+/// Regulates the speed over the rig that `open` gives.
+///
+/// # Errors
+/// What stood in the way of a run; how a run that began went is in its record.
+pub fn speed(asked: SpeedRequest, open: OpenRig, strings: &Strings) -> Result<SpeedDone, Failure> {
+    let mut bench = asked.rig.bench.clone();
+    let request = LoopParts::new(&asked, &mut bench)?;
+    // With the least delay that an exchange can have: what is refused now is refused before anything is opened.
+    request.regulator(request.period_s, LEAST_NOISE_RAD_S)?;
+    let mut rig = open(asked.rig, None, Purpose::SpeedLoop)?;
+    rig.bench.speed = Some(request.section.clone());
+    let report = rig.check(strings)?;
+    let delay = rig.measure_delay(strings)?;
+    let noise_rad_s = noise(&report);
+    let mut regulator = request.regulator(
+        delay.map_or(request.period_s, |delay| delay.median_s),
+        noise_rad_s,
+    )?;
+    regulator
+        .reasons
+        .extend(unwatched(&report, request.actuator));
+    regulator.reasons.extend(converter(&request.limits));
+    let model = match &asked.model {
+        Some(path) => path.display().to_string(),
+        None => "nameplate".to_owned(),
+    };
+    if rig.is_headless() {
+        tell(&report, delay.as_ref(), &regulator, asked.model.is_none());
+    }
+    let about = SpeedAbout {
+        model: request.model.to_toml(),
+        manifest: json!({
+            "controller": request.section.controller,
+            "actuator": request.actuator,
+            "rule": request.section.rule(request.actuator),
+            "feed_forward": request.section.feed_forward,
+            "model": model,
+            "delay_at_rest": delay,
+            "timing": regulator.timing,
+            "reasons": regulator.reasons,
+            "limiter": regulator.limiter,
+        }),
+    };
+    let settings = PilotSettings {
+        slew_v_per_s: request.section.slew_v_per_s(
+            &request.motor,
+            &request.limits,
+            request.period_s,
+        ),
+        silence_s: request.limits.link_silence_s,
+        speed_limit_rad_s: request.limits.speed_rad_s,
+        is_noisy: noise_rad_s > LEAST_NOISE_RAD_S,
+        hold: hold(&request),
+    };
+    let rule = request.section.rule(request.actuator);
+    let pilot = SpeedPilot::new(
+        regulator,
+        request.reference,
+        &request.model.model,
+        &request.motor,
+        settings,
+    );
+    let name = format!("{}-speed", rig.bench.name);
+    let mut whole = SpeedDone {
+        recorded: rig.record_loop(&name, pilot, about, strings)?,
+        rule,
+        model,
+        delay,
+    };
+    whole
+        .recorded
+        .write(RunFile::Model, &request.model.to_toml());
+    let result = serde_json::to_value(speed_result(&whole)).unwrap_or_default();
+    whole.recorded.write_result(&result);
+    if let Some(report) = &whole.recorded.summary.speed {
+        let page = speed_loop(report, whole.delay.as_ref());
+        let plate = request.motor.motor();
+        match pages::run(&whole.recorded, None, &plate, Some(&page)) {
+            Ok(page) => drop(whole.recorded.write(RunFile::Report, &page)),
+            Err(failure) => output::message(&format!("no report: {}", failure.headline())),
+        }
+    }
+    Ok(whole)
+}
+
+/// Why the speed sensor cannot be held against voltage and current, where that is so.
+fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
+    let missing = |channel| !report.signals.contains(&channel);
+    let because = match actuator {
+        _ if missing(Channel::Current) => "the drive measures no current",
+        Actuator::Current if missing(Channel::Voltage) => "the drive measures no voltage",
+        Actuator::Speed => "the drive's own speed loop sets the voltage",
+        Actuator::Voltage | Actuator::Current => return None,
+    };
+    Some(format!(
+        "a broken encoder is noticed by a runaway and the speed limit only: {because}"
+    ))
+}
+
+/// What the converter does to the loop.
+fn converter(limits: &Limits) -> Option<String> {
+    (limits.dead_time_s > 0.0).then(|| {
+        format!(
+            "thyristor bridge: {:.1} ms of dead time are in the delay that the loop is tuned for",
+            1e3 * limits.dead_time_s
+        )
+    })
+}
+
+/// What holds a load at rest, in the unit of the command.
+fn hold(request: &LoopParts) -> f64 {
+    let brake = request.limits.load.brake();
+    let hold_a = brake.map_or(0.0, |brake| brake.hold_current_a);
+    match request.actuator {
+        Actuator::Voltage => request.motor.resistance_ohm * hold_a,
+        Actuator::Current => hold_a,
+        Actuator::Speed => 0.0,
+    }
+}
+
+/// Noise of the speed sensor, as the checks have found it at rest.
+fn noise(report: &CheckReport) -> f64 {
+    let of_speed = report
+        .noise
+        .iter()
+        .find(|floor| floor.channel == Channel::Speed);
+    of_speed.map_or(LEAST_NOISE_RAD_S, |floor| floor.std.max(LEAST_NOISE_RAD_S))
+}
+
+/// Checks, delay and gains, for who reads along.
+fn tell(
+    report: &CheckReport,
+    delay: Option<&LoopDelay>,
+    regulator: &Regulator,
+    by_nameplate: bool,
+) {
+    for item in &report.items {
+        output::message(&format!("{:<18} {}", item.name, item.text));
+    }
+    if by_nameplate {
+        output::message("no --model: the loop is tuned on the nameplate of the bench file");
+    }
+    output::message(&match delay {
+        Some(delay) => format!(
+            "{:<18} {:.2} cycles ({:.2} ms), 99 % within {:.2}; measured at rest on {} commands",
+            "loop delay",
+            delay.median_cycles,
+            1e3 * delay.median_s,
+            delay.p99_cycles,
+            delay.measured
+        ),
+        None => format!(
+            "{:<18} 1 cycle is taken: the drive does not say when a command was applied",
+            "loop delay"
+        ),
+    });
+    let controller = regulator.passes.first().map_or("", |(_, first)| first.id());
+    for reason in &regulator.reasons {
+        output::message(&format!("{controller:<18} {reason}"));
+    }
+}
+
+/// What a loop has to say, for its folder and for whoever asked for it.
+pub(crate) fn speed_result(whole: &SpeedDone) -> SpeedResult<'_> {
+    SpeedResult {
+        folder: whole.recorded.folder.path().display().to_string(),
+        rule: whole.rule,
+        model: whole.model.clone(),
+        delay_at_rest: whole.delay,
+        summary: &whole.recorded.summary,
+    }
+}
+
+impl From<RegulatorError> for Failure {
+    fn from(error: RegulatorError) -> Self {
+        let help = error.help();
+        Self::with_help(USAGE, error.to_string(), help)
+    }
+}

@@ -1,0 +1,330 @@
+//! When a sample was taken: silences of the line, several blocks, the drive's own clock, one transaction a cycle, counts.
+
+use super::*;
+
+const REFERENCE: Option<(&str, f64)> = Some(("speed_ref", 900.0));
+const CHANGED: [f64; 2] = [400.0, 401.0];
+/// All of its fast signals in one request.
+const ONE_BLOCK: (&str, &str) = (
+    "max_read = 16\nmax_write = 16\nmax_hole = 7",
+    "max_read = 64\nmax_write = 16\nmax_hole = 64",
+);
+/// The servo amplifier's first signal.
+const FIRST: &str = "[signals.enabled]";
+
+fn servo(changes: &[(&str, &str)]) -> Table {
+    let mut table = Table::of(&profile_with("epulse50-dc", changes), None);
+    table.link.identify().unwrap();
+    table
+}
+
+/// What its own clock shows, in front of the first signal.
+fn with_clock(kind: &str, unit: &str, scale: &str) -> String {
+    format!(
+        "[signals.uptime]\naddress = 0x1219\ntype = \"{kind}\"\nunit = \"{unit}\"\nscale = {scale}\nquantity = \"clock\"\npoll = \"fast\"\n\n{FIRST}"
+    )
+}
+
+#[test]
+fn a_silence_before_a_read_moves_no_stamp_and_the_half_width_holds_the_truth() {
+    for silence_s in [0.0, 0.02, 0.3] {
+        let mut table = servo(&[]);
+        table.enable(REFERENCE);
+        table.link.bus_mut().keep_silence(silence_s);
+        for _ in 0..20 {
+            let sample = table.run(REFERENCE).unwrap();
+            // The last of the fast blocks ends the exchange.
+            let true_s = table.far().time_s();
+            let half_s = sample.time_half_width_s.unwrap();
+            assert!(
+                (sample.time_s - true_s).abs() <= half_s,
+                "{silence_s}: {} +- {half_s}, {true_s}",
+                sample.time_s
+            );
+        }
+    }
+}
+
+#[test]
+fn one_block_is_stamped_as_well_behind_a_silence_as_without_one() {
+    let half_width_s = |silence_s: f64| {
+        let mut table = servo(&[ONE_BLOCK]);
+        table.enable(REFERENCE);
+        table.hold(REFERENCE, 0.2);
+        table.link.bus_mut().keep_silence(silence_s);
+        let sample = table.run(REFERENCE).unwrap();
+        let offset_s = (sample.time_s - table.far().time_s()).abs();
+        let half_s = sample.time_half_width_s.unwrap();
+        assert!(offset_s <= half_s, "{offset_s} {half_s}");
+        half_s
+    };
+    let (without, behind) = (half_width_s(0.0), half_width_s(0.08));
+    assert!((without - behind).abs() < 1e-9, "{without} {behind}");
+    assert!(without < 0.01, "{without}");
+}
+
+#[test]
+fn a_set_point_is_applied_within_its_own_write_whatever_the_read_behind_it_waits_for() {
+    let mut table = servo(&[]);
+    table.enable(REFERENCE);
+    table.hold(REFERENCE, 0.2);
+    table.link.bus_mut().keep_silence(0.2);
+    let sample = table.run(Some(("speed_ref", CHANGED[0]))).unwrap();
+    let applied_s = sample.applied.unwrap().time_s;
+    let write_s = table.link.bus().wire_s(8, 8).unwrap();
+    let since_s = applied_s - table.time_s;
+    assert!((0.0..=write_s).contains(&since_s), "{since_s} {write_s}");
+    assert!(sample.time_s - applied_s > 0.19, "the silence lies between");
+}
+
+#[test]
+fn the_drive_s_clock_stamps_the_samples_over_its_turns() {
+    for (kind, unit, scale, count_s, pauses) in [
+        ("u16", "ms", "1.0", 1e-3, 8),
+        ("u16", "us", "100.0", 1e-4, 2),
+        ("u32", "us", "1.0", 1e-6, 1),
+        ("u32", "s", "0.001", 1e-3, 1),
+    ] {
+        let clock = with_clock(kind, unit, scale);
+        let mut table = servo(&[ONE_BLOCK, (FIRST, &clock)]);
+        let first = table.demand(Demand::Disable).unwrap();
+        let began_s = table.far().time_s() - first.time_s;
+        // A u16 of 0.1 ms comes round every 6.6 s, one of 1 ms every 65.5 s.
+        for _ in 0..pauses {
+            table.pass(9.3);
+            for _ in 0..3 {
+                let sample = table.demand(Demand::Disable).unwrap();
+                let off_s = sample.time_s + began_s - table.far().time_s();
+                // The count is cut off in both.
+                assert!(off_s.abs() < 1.01 * count_s, "{kind} {unit}: {off_s}");
+                let half_s = sample.time_half_width_s.unwrap();
+                assert!((half_s - 0.5 * count_s).abs() < 1e-12, "{unit}: {half_s}");
+            }
+        }
+        assert!(table.link.clock_map().unwrap().offset_s(0.0).is_some());
+    }
+}
+
+#[test]
+fn a_silence_does_not_move_what_the_drive_stamps_and_a_command_is_on_the_same_clock() {
+    let clock = with_clock("u32", "us", "1.0");
+    let mut table = servo(&[ONE_BLOCK, (FIRST, &clock)]);
+    let first = table.demand(Demand::Disable).unwrap();
+    let began_s = table.far().time_s() - first.time_s;
+    table.enable(REFERENCE);
+    table.link.bus_mut().keep_silence(0.05);
+    for k in 0..40 {
+        let rpm = CHANGED[k % 2];
+        let sample = table.run(Some(("speed_ref", rpm))).unwrap();
+        let off_s = sample.time_s + began_s - table.far().time_s();
+        assert!(off_s.abs() < 2e-6, "{off_s}");
+        let before_s = sample.time_s - sample.applied.unwrap().time_s;
+        assert!((0.05..0.08).contains(&before_s), "{before_s}");
+    }
+}
+
+#[test]
+fn a_clock_that_cannot_be_followed_is_refused_with_its_turn() {
+    let parse = |part: &str| {
+        let text = DriveProfile::text("epulse50-dc")
+            .unwrap()
+            .replacen(FIRST, part, 1);
+        DriveProfile::parse("x", &text)
+            .map(drop)
+            .unwrap_err()
+            .to_string()
+    };
+    let error = parse(&with_clock("u16", "us", "1.0"));
+    assert!(
+        error.contains("comes round every 0.066 s (expected 2 s or more"),
+        "{error}"
+    );
+    let error = parse(&with_clock("i16", "ms", "1.0"));
+    assert!(error.contains("expected type u16 or u32"), "{error}");
+    let error = parse(&with_clock("u32", "rpm", "1.0"));
+    assert!(
+        error.contains("does not fit quantity \"clock\" (expected us, ms or s)"),
+        "{error}"
+    );
+    let error = parse(&with_clock("u32", "us", "1.0").replace("\"fast\"", "\"slow\""));
+    assert!(error.contains("a clock stamps every sample"), "{error}");
+    let twice = with_clock("u32", "us", "1.0")
+        .replace("uptime", "second")
+        .replace("0x1219", "0x1240")
+        .replace(FIRST, &with_clock("u32", "us", "1.0"));
+    let error = parse(&twice);
+    assert!(error.contains("are both clocks"), "{error}");
+}
+
+/// The servo amplifier at 19200 baud, with or without function code 23.
+fn at_19200(functions: &str) -> Table {
+    let mut table = servo(&[
+        ("functions = [3, 6, 16]", functions),
+        ("baud = 115200", "baud = 19200"),
+        ONE_BLOCK,
+    ]);
+    table.enable(REFERENCE);
+    table
+}
+
+/// Cycles a second where each begins when the last has ended, and each has a new reference.
+fn cycles_hz(table: &mut Table) -> f64 {
+    table.period_s = 0.0;
+    let (began_s, cycles) = (table.link.bus().now_s(), 200);
+    for k in 0..cycles {
+        table.run(Some(("speed_ref", CHANGED[k % 2]))).unwrap();
+    }
+    cycles as f64 / (table.link.bus().now_s() - began_s)
+}
+
+#[test]
+fn one_transaction_a_cycle_is_faster_than_two_and_applies_before_it_reads() {
+    let mut two = at_19200("functions = [3, 6, 16]");
+    let mut one = at_19200("functions = [3, 6, 16, 23]");
+    let predicted = |table: &Table| table.link.shortest_cycle_s().unwrap().recip();
+    let (promised_two, promised_one) = (predicted(&two), predicted(&one));
+    let (by_two, by_one) = (cycles_hz(&mut two), cycles_hz(&mut one));
+    println!("write and read {by_two:.1} Hz, both in one {by_one:.1} Hz");
+    assert!(by_one > 1.15 * by_two, "{by_one} {by_two}");
+    for (promised, found) in [(promised_two, by_two), (promised_one, by_one)] {
+        assert!(
+            (promised - found).abs() < 0.05 * found,
+            "{promised} {found}"
+        );
+    }
+    // The drive writes first and reads then, at one instant of its own.
+    let sample = one.run(Some(("speed_ref", 700.0))).unwrap();
+    assert_eq!(one.far().told_last("speed_ref"), Some(700));
+    assert_eq!(
+        sample.applied.unwrap().time_s.to_bits(),
+        sample.time_s.to_bits()
+    );
+}
+
+#[test]
+fn a_lost_reply_of_both_in_one_leaves_the_set_point_in_doubt_and_a_stop_does_not_wait_for_it() {
+    let mut table = at_19200("functions = [3, 6, 16, 23]");
+    table.link.bus_mut().lose_replies(1);
+    assert!(
+        table
+            .run(Some(("speed_ref", 700.0)))
+            .unwrap_err()
+            .is_transient()
+    );
+    assert_eq!(table.far().told_last("speed_ref"), Some(700));
+    // The value before it has to be written again.
+    table.run(REFERENCE).unwrap();
+    assert_eq!(table.far().told_last("speed_ref"), Some(900));
+    table.demand(Demand::Stop).unwrap();
+    assert_eq!(table.far().told_last("speed_ref"), Some(0));
+    assert_eq!(table.far().told_last("enable_word"), Some(0));
+}
+
+#[test]
+fn counts_of_an_encoder_are_an_angle_and_a_speed_over_the_turns_of_the_counter() {
+    let device = (
+        "kind = \"servo\"",
+        "kind = \"servo\"\ncounts_per_turn = 4096",
+    );
+    let text = DriveProfile::text("epulse50-dc").unwrap();
+    let device = if text.contains(device.0) {
+        device
+    } else {
+        ("kind = \"dc\"", "kind = \"dc\"\ncounts_per_turn = 4096")
+    };
+    let speed = (
+        "type = \"i16\"\nunit = \"rpm\"\nquantity = \"shaft_speed\"",
+        "type = \"i32\"\nunit = \"counts/s\"\nquantity = \"shaft_speed\"",
+    );
+    for (kind, wraps) in [
+        ("u16", ""),
+        ("i16", ""),
+        ("u32", ""),
+        ("u16", "wraps_at = 4096\n"),
+    ] {
+        let position = format!(
+            "[signals.position]\naddress = 0x1240\ntype = \"{kind}\"\nunit = \"counts\"\n{wraps}quantity = \"angle\"\norigin = \"measured\"\npoll = \"fast\"\n\n{FIRST}"
+        );
+        let mut table = servo(&[device, speed, (FIRST, &position)]);
+        table.enable(REFERENCE);
+        let mut last = table.hold(REFERENCE, 0.1);
+        for k in 0..400 {
+            // Both ways, some twenty turns of a u16 and three hundred of the shaft.
+            let rpm = if k < 150 { 900.0 } else { -900.0 };
+            let sample = table.run(Some(("speed_ref", rpm))).unwrap();
+            let angle = sample.get(Channel::Angle).unwrap();
+            let true_rad_s = table.far().speed_rad_s();
+            let speed_rad_s = sample.get(Channel::Speed).unwrap();
+            let is_steady = k == 149 || k == 399;
+            assert!(
+                !is_steady || (speed_rad_s - true_rad_s).abs() < 3.0,
+                "{speed_rad_s} {true_rad_s}"
+            );
+            let step_s = sample.time_s - last.time_s;
+            let mean = 0.5 * (speed_rad_s + last.get(Channel::Speed).unwrap());
+            let step = angle - last.get(Channel::Angle).unwrap();
+            assert!(
+                (step - mean * step_s).abs() < 0.8,
+                "{kind} {wraps}: {step} {}",
+                mean * step_s
+            );
+            last = sample;
+        }
+    }
+}
+
+#[test]
+fn counts_without_a_turn_and_positions_that_go_round_too_fast_are_refused() {
+    let position = |keys: &str| {
+        format!(
+            "[signals.position]\naddress = 0x1240\ntype = \"u16\"\nunit = \"counts\"\n{keys}quantity = \"angle\"\norigin = \"measured\"\npoll = \"fast\"\n\n{FIRST}"
+        )
+    };
+    let parse = |changes: &[(&str, &str)]| {
+        let mut text = DriveProfile::text("epulse50-dc").unwrap().to_owned();
+        for (from, to) in changes {
+            assert!(text.contains(from), "{from}");
+            text = text.replacen(from, to, 1);
+        }
+        DriveProfile::parse("x", &text)
+            .map(drop)
+            .unwrap_err()
+            .to_string()
+    };
+    let error = parse(&[(FIRST, &position(""))]);
+    assert!(
+        error.contains("unit \"counts\" needs counts_per_turn, here or in [device]"),
+        "{error}"
+    );
+    let error = parse(&[(FIRST, &position("counts_per_turn = 0\n"))]);
+    assert!(
+        error.contains("counts_per_turn 0 is not allowed"),
+        "{error}"
+    );
+    let rpm = "unit = \"rpm\"\nquantity = \"shaft_speed\"";
+    let error = parse(&[(rpm, &format!("counts_per_turn = 4096\n{rpm}"))]);
+    assert!(
+        error.contains("counts_per_turn does not fit unit \"rpm\""),
+        "{error}"
+    );
+    let error = parse(&[
+        (
+            FIRST,
+            &position("counts_per_turn = 4096\nwraps_at = 4096\n"),
+        ),
+        (
+            "quantity = \"shaft_speed\"\norigin = \"measured\"",
+            "quantity = \"other\"",
+        ),
+        ("unit = \"rpm\"", "unit = \"\""),
+        (
+            "[missing]",
+            "[missing]\nspeed_rad_s = \"only the position\"",
+        ),
+        ("[rates]", "[limits]\nspeed_rpm = 3000\n\n[rates]"),
+    ]);
+    assert!(
+        error.contains("which way cannot be told (expected less than 50 %"),
+        "{error}"
+    );
+}

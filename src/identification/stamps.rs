@@ -1,0 +1,134 @@
+//! What is not known of the time of a sample: what it does to a value, and where it is too much.
+//!
+//! A sample that the host stamped was taken anywhere within plus or minus its half-width: uniform, so that a signal of
+//! slope y' carries the further variance (y' half-width)^2 / 3. The stamp is one for all signals of a sample: their errors
+//! go together, which the blocks of the fits' covariances keep.
+
+use super::verdict::judge;
+use crate::plant::{MotorKey, Scenario, Slot};
+use crate::sample::{ParameterEstimate, Verdict};
+
+/// Half-width over the time constant that carries a parameter, above which it is refused.
+const TOO_VAGUE: f64 = 0.25;
+
+/// Standard deviation that the stamp gives to one sample of a signal; zero where the drive stamped it.
+pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
+    let half_width_s = scenario.half_width_s(sample);
+    if half_width_s <= 0.0 {
+        return 0.0;
+    }
+    let times = &scenario.sample_time_s;
+    let slope = |a: usize, b: usize| (values[b] - values[a]) / (times[b] - times[a]);
+    let before = sample.checked_sub(1).map(|before| slope(before, sample));
+    let after = (sample + 1 < times.len()).then(|| slope(sample, sample + 1));
+    // Between two samples of which one lies behind a step, only the steeper side tells; a missing neighbour tells nothing.
+    let steepest = before
+        .into_iter()
+        .chain(after)
+        .filter(|slope| slope.is_finite())
+        .fold(0.0, |most, slope| f64::max(most, slope.abs()));
+    steepest * half_width_s / 3f64.sqrt()
+}
+
+/// Refuses what the stamps are too vague for: a transient is not told from samples that may have been taken anywhere in
+/// a good part of it.
+pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
+    let of = |key: MotorKey| {
+        let found = parameters.iter().find(|p| p.key == key.key())?;
+        found.value
+    };
+    let ratio = |above: Option<f64>, below: Option<f64>| Some(above? / below?);
+    let electrical_s = ratio(of(MotorKey::Inductance), of(MotorKey::Resistance));
+    let mechanical_s = (|| {
+        let (r, ke) = (of(MotorKey::Resistance)?, of(MotorKey::BackEmf)?);
+        Some(r * of(MotorKey::Inertia)? / (ke * ke))
+    })();
+    for (key, name, constant_s) in [
+        (MotorKey::Inductance, "L/R", electrical_s),
+        (MotorKey::Inertia, "R J/Ke^2", mechanical_s),
+    ] {
+        let Some(constant_s) = constant_s.filter(|s| half_width_s > TOO_VAGUE * s.abs()) else {
+            continue;
+        };
+        let reason = format!(
+            "the samples are stamped to within +-{:.1} ms, and {name} is about {:.1} ms: use a drive's own clock, or a faster line",
+            1e3 * half_width_s,
+            1e3 * constant_s
+        );
+        for parameter in parameters.iter_mut().filter(|p| p.key == key.key()) {
+            *parameter =
+                ParameterEstimate::not_observable(&parameter.key, parameter.unit, reason.clone());
+        }
+    }
+}
+
+/// Widens the inductance of a method that takes the stamps of the voltage for true: a delay of the voltage against the
+/// current passes for R times itself of inductance.
+pub fn widen(parameters: &mut [ParameterEstimate], half_width_s: f64) {
+    let resistance = MotorKey::Resistance.key();
+    let Some(resistance_ohm) = parameters
+        .iter()
+        .find(|p| p.key == resistance)
+        .and_then(|p| p.value)
+    else {
+        return;
+    };
+    let doubt_h = resistance_ohm * half_width_s / 3f64.sqrt();
+    for parameter in parameters
+        .iter_mut()
+        .filter(|p| p.key == MotorKey::Inductance.key())
+    {
+        if let (Some(value), Some(std)) = (parameter.value, parameter.std) {
+            let slot = Slot::Motor(MotorKey::Inductance);
+            let judged = judge(&slot, value, Some(std.hypot(doubt_h)), half_width_s);
+            if parameter.verdict == Verdict::Settled || judged.value.is_none() {
+                *parameter = judged;
+            } else {
+                parameter.std = Some(std.hypot(doubt_h));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(half_width_s: f64) -> Vec<ParameterEstimate> {
+        let mut parameters: Vec<ParameterEstimate> = [
+            (MotorKey::Resistance, 1.1),
+            (MotorKey::Inductance, 0.0099),
+            (MotorKey::BackEmf, 0.3538),
+            (MotorKey::Inertia, 0.0045),
+        ]
+        .into_iter()
+        .map(|(key, value)| judge(&Slot::Motor(key), value, Some(1e-3 * value), 0.01))
+        .collect();
+        refuse(&mut parameters, half_width_s);
+        parameters
+    }
+
+    #[test]
+    fn an_inductance_is_refused_where_the_stamps_are_as_vague_as_its_time_constant() {
+        let sharp = found(1e-3);
+        assert!(sharp.iter().all(|p| p.verdict == Verdict::Settled));
+        let vague = found(10e-3);
+        assert_eq!(vague[1].verdict, Verdict::NotObservable);
+        let reason = vague[1].reason.as_deref().unwrap();
+        assert!(
+            reason.contains("10.0 ms") && reason.contains("9.0 ms"),
+            "{reason}"
+        );
+        assert_eq!(vague[1].value, None);
+        assert!(vague[0].value.is_some());
+    }
+
+    #[test]
+    fn a_vague_stamp_widens_the_inductance_by_what_a_delay_makes_of_it() {
+        let mut parameters = found(0.0);
+        widen(&mut parameters, 2e-3);
+        let std = parameters[1].std.unwrap();
+        assert!((std - 1.1 * 2e-3 / 3f64.sqrt()).abs() < 1e-4, "{std}");
+        assert_eq!(parameters[1].verdict, Verdict::Searching);
+    }
+}

@@ -1,0 +1,261 @@
+//! Every way out of a run with its motor on, over real pseudo-terminals: the drive in a process of its own is the witness.
+//! It was told to stop, and its watchdog did not have to act.
+#![cfg(target_os = "linux")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of an integration test are test code"
+)]
+
+mod process;
+#[expect(dead_code, reason = "these tests read messages, not documents")]
+mod program;
+#[expect(dead_code, reason = "no key is pressed here")]
+mod terminal;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use process::{Emulator, Process, wait_for};
+use program::{BINARY, Done, line, only_folder};
+use terminal::Session;
+use tokio_modbus::client::rtu::attach_slave;
+use tokio_modbus::prelude::{Reader, Slave};
+
+const STATE: u16 = 0b111;
+const RUNNING: u16 = 2;
+const WATCHDOG_TRIPPED: u16 = 1 << 6;
+
+/// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
+struct Lab {
+    /// One run after the other: each wants its deadlines kept.
+    _turn: MutexGuard<'static, ()>,
+    folder: tempfile::TempDir,
+    drive: Emulator,
+}
+
+impl Lab {
+    fn new() -> Self {
+        Self::with("levels_v = [40.0], hold_s = 50.0")
+    }
+
+    fn with(steps: &str) -> Self {
+        static TURN: Mutex<()> = Mutex::new(());
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let folder = tempfile::tempdir().unwrap();
+        let bench = include_str!("../bench-configs/benches/zk-22fc-emulated.toml")
+            .replace("link_silence_s = 0.45", "link_silence_s = 0.95")
+            .replace("time_s = 30.0", "time_s = 60.0");
+        let (head, _) = bench.split_once("[[sequence]]").unwrap();
+        let sequence = format!(
+            "{head}[[sequence]]\nstandstill = {{ seconds = 0.3 }}\n[[sequence]]\nsteps = {{ {steps} }}\n"
+        );
+        fs::write(folder.path().join("bench.toml"), sequence).unwrap();
+        let drive = include_str!("../bench-configs/emulators/zk-22fc-plain.toml")
+            .replace("watchdog_ms = 500", "watchdog_ms = 1000");
+        let config = folder.path().join("drive.toml");
+        fs::write(&config, drive).unwrap();
+        let drive = Emulator::on("modbus-rtu", &folder.path().join("drive"), "{}", &[&config]);
+        Self {
+            _turn: turn,
+            folder,
+            drive,
+        }
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn arguments(&self, command: &str) -> [String; 4] {
+        [
+            command.to_owned(),
+            "bench.toml".to_owned(),
+            "--port".to_owned(),
+            self.drive.port(),
+        ]
+    }
+
+    fn on_screen(&self, command: &str) -> Session {
+        let arguments = self.arguments(command);
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        let mut session = Session::start(&arguments, self.path(), (120, 40));
+        session.wait_for(" SIM  RUNNING");
+        session.wait("a motor that turns", |_| self.turns());
+        session
+    }
+
+    fn headless(&self) -> Process {
+        let mut command = Command::new(BINARY);
+        command.args(self.arguments("run")).arg("--headless");
+        self.spawn(command)
+    }
+
+    fn spawn(&self, mut command: Command) -> Process {
+        command.current_dir(self.path()).stdin(Stdio::null());
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        Process(command.spawn().unwrap())
+    }
+
+    fn turns(&self) -> bool {
+        let newest = || {
+            let runs = fs::read_dir(self.path().join("runs")).ok()?;
+            let newest = runs.filter_map(|run| Some(run.ok()?.path())).max()?;
+            fs::read_to_string(newest.join("samples.csv")).ok()
+        };
+        newest().is_some_and(|text| column(&text, "speed_rad_s").any(|speed| speed > 60.0))
+    }
+
+    /// By the drive's own word, some time after its watchdog would have acted.
+    #[track_caller]
+    fn expect_stopped(&self, by: &str) {
+        std::thread::sleep(Duration::from_millis(1200));
+        let words = wait_for("an answer", || telemetry(&self.drive.port()));
+        assert_ne!(words[0] & STATE, RUNNING, "{by}: status {:#x}", words[0]);
+        assert_eq!(
+            words[0] & WATCHDOG_TRIPPED,
+            0,
+            "{by}: the watchdog stopped it"
+        );
+        assert_eq!(words[1], 0, "{by}: fault");
+    }
+}
+
+fn column<'a>(csv: &'a str, name: &str) -> impl Iterator<Item = f64> + 'a {
+    let mut lines = csv.lines();
+    let names = lines.next().unwrap_or_default();
+    let place = names.split(',').position(|cell| cell == name);
+    lines.filter_map(move |row| row.split(',').nth(place?)?.parse().ok())
+}
+
+/// Another program reads the drive's registers, which does not kick its watchdog.
+fn telemetry(port: &str) -> Option<Vec<u16>> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
+    let talk = async {
+        let serial = tokio_serial::SerialStream::open(&tokio_serial::new(port, 115_200)).ok()?;
+        let mut client = attach_slave(serial, Slave(1));
+        client.read_holding_registers(0, 16).await.ok()?.ok()
+    };
+    let talk = async { tokio::time::timeout(Duration::from_secs(2), talk).await };
+    runtime.block_on(talk).ok()?
+}
+
+#[test]
+fn a_terminal_that_is_closed_stops_the_motor_first_and_is_status_130() {
+    for command in ["run", "commission", "speed"] {
+        let lab = Lab::new();
+        let session = lab.on_screen(command);
+        let status = session.close();
+        assert_eq!(status, 130, "{command}");
+        lab.expect_stopped(command);
+        if command == "run" {
+            let run = only_folder(&lab.path().join("runs"));
+            let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+            assert!(manifest.contains("\"interrupted\""), "{manifest}");
+            assert!(manifest.contains("\"finished\": true"), "{manifest}");
+        }
+    }
+}
+
+#[test]
+fn signals_on_the_screen_stop_the_motor_first_and_are_status_130() {
+    for signal in [Signal::SIGQUIT, Signal::SIGHUP, Signal::SIGUSR1] {
+        let lab = Lab::new();
+        let mut session = lab.on_screen("run");
+        let id = session.child.process_id().unwrap().cast_signed();
+        kill(Pid::from_raw(id), signal).unwrap();
+        assert_eq!(session.end(), 130, "{signal}: {}", session.text());
+        session.expect_terminal_as_it_was();
+        lab.expect_stopped(signal.as_str());
+    }
+}
+
+#[test]
+fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
+    let lab = Lab::new();
+    for signal in [
+        Signal::SIGQUIT,
+        Signal::SIGUSR1,
+        Signal::SIGUSR2,
+        Signal::SIGALRM,
+        Signal::SIGPIPE,
+        Signal::SIGTSTP,
+    ] {
+        let run = lab.headless();
+        wait_for("a motor that turns", || lab.turns().then_some(()));
+        run.signal(signal);
+        let done = run.end().expect(130);
+        assert!(done.error().contains("stopped before"), "{}", done.stderr);
+        lab.expect_stopped(signal.as_str());
+        fs::remove_dir_all(lab.path().join("runs")).unwrap();
+    }
+}
+
+/// Whatever it would like to say: nobody reads it any more, and that neither ends the program nor holds it up.
+#[test]
+fn a_run_that_nobody_reads_any_more_ends_its_motor_all_the_same() {
+    let lab = Lab::new();
+    let mut run = lab.headless();
+    wait_for("a motor that turns", || lab.turns().then_some(()));
+    drop((run.0.stdout.take(), run.0.stderr.take()));
+    run.signal(Signal::SIGTERM);
+    let status = wait_for("the end", || run.0.try_wait().unwrap());
+    assert_eq!(status.code(), Some(130));
+    lab.expect_stopped("closed pipes");
+}
+
+/// A limit on the size of files is a disk that is full in the middle of a run.
+#[test]
+fn a_run_goes_on_when_the_disk_takes_no_more_and_prints_its_result() {
+    let lab = Lab::with("levels_v = [40.0, -40.0, 0.0], hold_s = 4.0");
+    let mut command = Command::new("sh");
+    // Blocks of 512 bytes: the samples outgrow them.
+    command.args(["-c", "ulimit -f 64; exec \"$0\" \"$@\"", BINARY]);
+    command.args(lab.arguments("run")).arg("--headless");
+    let done: Done = lab.spawn(command).end().expect(6);
+    let error = done.error();
+    assert!(error.contains("record could not be kept"), "{error}");
+    assert!(done.stderr.contains("the run goes on"), "{}", done.stderr);
+    assert!(done.stdout.contains("done: "), "{}", done.stdout);
+    assert!(done.stdout.contains("back_emf"), "{}", done.stdout);
+    lab.expect_stopped("a full disk");
+    let run: PathBuf = only_folder(&lab.path().join("runs"));
+    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+    assert!(manifest.contains("\"finished\": false"), "{manifest}");
+    // What there was room for is there, row by row.
+    let opened = program::drivebench(line("identify {} --json", &[&run]));
+    assert!(
+        opened.status == 0 || opened.status == 5,
+        "{}",
+        opened.stderr
+    );
+}
+
+#[test]
+fn a_folder_that_is_deleted_is_told_of_while_the_run_goes_on_and_made_again() {
+    let lab = Lab::with("levels_v = [40.0, 0.0], hold_s = 3.0");
+    let run = lab.headless();
+    wait_for("a motor that turns", || lab.turns().then_some(()));
+    fs::remove_dir_all(only_folder(&lab.path().join("runs"))).unwrap();
+    let done = run.end().expect(0);
+    assert!(
+        done.stderr.contains("was deleted or renamed"),
+        "{}",
+        done.stderr
+    );
+    let run = only_folder(&lab.path().join("runs"));
+    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+    assert!(manifest.contains("\"finished\": true"), "{manifest}");
+    let events = fs::read_to_string(run.join("events.jsonl")).unwrap();
+    assert!(events.contains("\"event\":\"record\""), "{events}");
+    assert!(events.contains("\"to\":\"armed\""), "{events}");
+    lab.expect_stopped("a folder that is gone");
+}
