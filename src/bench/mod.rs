@@ -15,6 +15,8 @@ mod clock;
 mod describe;
 mod difference;
 mod escalate;
+#[cfg(test)]
+mod fault_trials;
 mod guard;
 mod init_file;
 mod limits;
