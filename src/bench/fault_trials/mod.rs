@@ -173,12 +173,10 @@ fn speed_session(bench: &BenchFile, guard: Guard) -> Session {
     let settings = PilotSettings {
         slew_v_per_s: section.slew_v_per_s(&motor, &limits, period_s),
         silence_s: limits.link_silence_s,
-        speed_limit_rad_s: limits.speed_rad_s,
-        is_noisy: false,
         hold: 0.0,
     };
     let regulator = design.regulator().unwrap();
-    let pilot = SpeedPilot::new(regulator, reference, &model, &motor, settings);
+    let pilot = SpeedPilot::new(regulator, reference, settings);
     Session::with_pilot(Box::new(pilot), guard)
 }
 
