@@ -104,11 +104,9 @@ fn session(bench: &BenchFile) -> Session {
     let settings = PilotSettings {
         slew_v_per_s: section.slew_v_per_s(&motor, &limits, PERIOD_S),
         silence_s: limits.link_silence_s,
-        speed_limit_rad_s: limits.speed_rad_s,
-        is_noisy: false,
         hold: 0.0,
     };
-    let pilot = SpeedPilot::new(regulator, reference, &model, &motor, settings);
+    let pilot = SpeedPilot::new(regulator, reference, settings);
     Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)))
 }
 

@@ -2,14 +2,13 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use super::ending::said;
+use super::ending::{Shown as How, watched};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::{model_output, output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
@@ -151,7 +150,12 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
         .spawn(move || work(discovery, &shown, &ordered, &told, &heard, &is_left))
         .map_err(|error| Failure::new(INTERNAL, format!("cannot start a thread: {error}")))?;
     let held = output::hold();
-    let exit = catch_unwind(AssertUnwindSafe(|| show_discovery(screen)));
+    let closed = AtomicBool::new(false);
+    let exit = watched(
+        move || show_discovery(screen),
+        || closed.store(true, Ordering::Release),
+        || closed.load(Ordering::Acquire) || hang_up.load(Ordering::Acquire),
+    );
     {
         // A model that is being written is finished; one that was not begun is not begun any more.
         let _whole = signals::writing();
@@ -164,20 +168,19 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
     for text in &standing.written {
         output::message(text);
     }
-    let exit = match exit {
-        Ok(Ok(Exit::WorkerPanicked)) => {
+    let exit = match exit? {
+        How::Left(Exit::WorkerPanicked) => {
             return Err(Failure::new(INTERNAL, "the analysis has panicked"));
         }
-        Ok(Ok(exit)) => exit,
+        How::Left(exit) => exit,
         // Closed, most likely: nothing is energised, and a model that was written is there.
-        Ok(Err(error)) => {
+        How::Failed(reason) => {
             return Err(Failure::new(
                 INTERRUPTED,
-                format!("the screen has failed: {error}"),
+                format!("the screen has failed: {reason}"),
             ));
         }
-        Err(panic) => {
-            let said = said(panic.as_ref());
+        How::Panicked(said) => {
             return Err(Failure::new(
                 INTERNAL,
                 format!("the screen has panicked ({said})"),

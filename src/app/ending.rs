@@ -3,14 +3,15 @@
 //!
 //! ```text
 //! headless: work on this thread ---------------------------+-- returns, panics --> what it came to
-//! screen:   work on a thread "bench"; screen on this one --'
+//! screen:   threads "bench" and "screen"; this one waits --'
 //!             '-- left, failed, panicked, terminal closed --> hang up -> zero, disable, confirmed? -> what it came to
 //! ```
 
 use std::any::Any;
-use std::io;
+use std::io::{self, IsTerminal as _};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -19,14 +20,16 @@ use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use super::strings::{DriveWord, Ends, Strings};
 use super::{output, signals};
 use crate::bench::{Level, Notice, SnapshotCell};
-use crate::tui::{Exit, ShowOptions, WorkerCell, show};
+use crate::tui::{Exit, ShowOptions, WorkerCell, is_gone, show};
 use crate::workflow::ProgressCell;
 
 /// How often it is looked whether the work is over.
 const LOOK: Duration = Duration::from_millis(50);
 /// How long a worker that was left by force is given, s.
 const FORCED_S: f64 = 5.0;
-/// How long it is given for its record after the drive has stopped, s.
+/// How long a screen is given to leave when there is nothing more to show, s.
+const SCREEN_S: f64 = 2.0;
+/// How long the work is given for its record after the drive has stopped, s.
 const RECORD_S: f64 = 30.0;
 
 /// Who looks at the work.
@@ -141,7 +144,7 @@ pub fn beside_screen<T: Send + 'static>(
     strings: Strings,
     ends: &Ends,
     progress: Option<ProgressCell>,
-    show: impl FnOnce(&ShowOptions) -> io::Result<Exit>,
+    show: impl FnOnce(&ShowOptions) -> io::Result<Exit> + Send + 'static,
     work: impl FnOnce(&Strings) -> Result<T, Failure> + Send + 'static,
 ) -> Result<Ended<T>, Failure> {
     let worker = WorkerCell::default();
@@ -162,26 +165,26 @@ pub fn beside_screen<T: Send + 'static>(
             work(&strings)
         })
         .map_err(|error| cannot_start(&error))?;
-    let shown = catch_unwind(AssertUnwindSafe(|| show(&options)));
+    let shown = watched(
+        move || show(&options),
+        || ends.hang_up(),
+        || thread.is_finished() && ends.leaving.load(Ordering::Acquire),
+    )?;
     let left = match shown {
-        Ok(Ok(exit)) => Left::Screen(exit),
-        Ok(Err(error)) => {
-            ends.hang_up();
-            Left::Gone(Failure::with_help(
-                INTERRUPTED,
-                format!("the screen has failed: {error}"),
-                "the drive was told to stop; start the command again to repeat the run",
-            ))
-        }
-        Err(panic) => {
-            ends.hang_up();
-            let said = said(panic.as_ref());
-            Left::Panicked(Failure::new(
-                INTERNAL,
-                format!("the screen has panicked ({said}); the run was ended"),
-            ))
-        }
+        Shown::Left(exit) => Left::Screen(exit),
+        Shown::Failed(reason) => Left::Gone(Failure::with_help(
+            INTERRUPTED,
+            format!("the screen has failed: {reason}"),
+            "the drive was told to stop; start the command again to repeat the run",
+        )),
+        Shown::Panicked(said) => Left::Panicked(Failure::new(
+            INTERNAL,
+            format!("the screen has panicked ({said}); the run was ended"),
+        )),
     };
+    if !matches!(left, Left::Screen(_)) {
+        ends.hang_up();
+    }
     drop(held);
     let over = match &left {
         Left::Screen(Exit::Forced) => is_over_within(&thread, FORCED_S),
@@ -201,6 +204,59 @@ pub fn beside_screen<T: Send + 'static>(
             Failure::new(INTERNAL, "the work failed and nothing was said of it")
         })),
     }
+}
+
+/// How a screen was left.
+pub(super) enum Shown {
+    Left(Exit),
+    /// Why there is none any more.
+    Failed(String),
+    /// With these words.
+    Panicked(String),
+}
+
+/// Has a screen shown on a thread of its own, so that nothing that becomes of it or of its terminal keeps this one: whoever
+/// reads keys from a terminal that is just being closed may do so for ever. `gone` is called, once or more often, when the
+/// terminal is closed; a screen that does not come back when it `must_leave` is left alone.
+pub(super) fn watched(
+    show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
+    gone: impl Fn(),
+    must_leave: impl Fn() -> bool,
+) -> Result<Shown, Failure> {
+    let has_terminal = io::stdout().is_terminal();
+    let screen = thread::Builder::new()
+        .name("screen".to_owned())
+        .spawn(show)
+        .map_err(|error| cannot_start(&error))?;
+    let (mut closed, mut waited_s) = (false, 0.0);
+    while !screen.is_finished() {
+        if has_terminal && !closed && is_closed() {
+            closed = true;
+            gone();
+        }
+        if must_leave() {
+            waited_s += LOOK.as_secs_f64();
+        }
+        if waited_s > SCREEN_S {
+            let reason = if closed {
+                "the terminal is gone"
+            } else {
+                "the terminal takes nothing any more"
+            };
+            return Ok(Shown::Failed(reason.to_owned()));
+        }
+        thread::sleep(LOOK);
+    }
+    Ok(match screen.join() {
+        Ok(Ok(exit)) => Shown::Left(exit),
+        Ok(Err(error)) => Shown::Failed(error.to_string()),
+        Err(panic) => Shown::Panicked(said(panic.as_ref()).to_owned()),
+    })
+}
+
+/// Whether the terminal on standard output has been closed at its other end.
+fn is_closed() -> bool {
+    is_gone(Duration::ZERO).unwrap_or(true)
 }
 
 /// Whether the thread ends within so many seconds.
@@ -267,7 +323,7 @@ fn bench_panicked(panic: &(dyn Any + Send), drive: &DriveWord) -> Failure {
 }
 
 /// The words of a panic.
-pub(super) fn said(panic: &(dyn Any + Send)) -> &str {
+fn said(panic: &(dyn Any + Send)) -> &str {
     panic
         .downcast_ref::<&str>()
         .copied()

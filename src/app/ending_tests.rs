@@ -201,7 +201,7 @@ fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
 
 /// The screen panics, or fails, while the motor turns; the drive is told to stop by a ramp, and only then it is over.
 fn left_at_speed(
-    show: impl FnOnce() -> io::Result<Exit>,
+    show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
 ) -> (Lab, Result<Ended<RunDone>, Failure>) {
     let lab = Lab::new();
     let (at_speed, is_at_speed) = channel();
@@ -218,7 +218,7 @@ fn left_at_speed(
         strings,
         &ends,
         None,
-        |_| {
+        move |_| {
             is_at_speed.recv().unwrap();
             show()
         },
@@ -261,6 +261,18 @@ fn a_terminal_that_is_gone_ends_the_run_with_status_130() {
     assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
     let failure = ended.left.conclude(recorded.failure()).unwrap_err();
     assert_eq!(failure.status, INTERRUPTED);
+}
+
+/// As one that reads keys from a terminal that is just being closed: the work is over, and the screen is not.
+#[test]
+fn a_screen_that_does_not_come_back_is_left_alone() {
+    let stuck = || -> io::Result<Exit> {
+        loop {
+            thread::sleep(Duration::from_secs(1));
+        }
+    };
+    let shown = watched(stuck, || (), || true);
+    assert!(matches!(shown, Ok(Shown::Failed(_))));
 }
 
 #[test]

@@ -216,18 +216,10 @@ pub fn speed(asked: SpeedRequest, open: OpenRig, strings: &Strings) -> Result<Sp
             request.period_s,
         ),
         silence_s: request.limits.link_silence_s,
-        speed_limit_rad_s: request.limits.speed_rad_s,
-        is_noisy: noise_rad_s > LEAST_NOISE_RAD_S,
         hold: hold(&request),
     };
     let rule = request.section.rule(request.actuator);
-    let pilot = SpeedPilot::new(
-        regulator,
-        request.reference,
-        &request.model.model,
-        &request.motor,
-        settings,
-    );
+    let pilot = SpeedPilot::new(regulator, request.reference, settings);
     let name = format!("{}-speed", rig.bench.name);
     let mut whole = SpeedDone {
         recorded: rig.record_loop(&name, pilot, about, strings)?,

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! wanted demand -> shape (slew, voltage, winding) -> demand to the drive      every change of a demand is reported
-//! sample        -> watch (limits, signals, clocks, drive state) -> Trip       latched until `rearm` in a safe state
+//! sample        -> watch (limits, signals, clocks, drive state, plausibility) -> Trip
+//!                                                                             latched until `rearm` in a safe state
 //! ```
 //!
 //! After a trip `shape` returns zero output for whatever it is asked. It is a second line behind the drive's own limits
@@ -19,8 +20,9 @@ pub use trip::{Trip, TripKind};
 use thiserror::Error;
 
 use super::limits::{Limits, Nameplate};
+use super::plausibility::Plausibility;
 use crate::drive::CommandTimes;
-use crate::sample::{Channel, Demand, DriveState, Sample};
+use crate::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends (LINKS.md 5.3: 38).
 const ALLOWED_IN_A_ROW: u32 = 3;
@@ -87,6 +89,9 @@ pub struct Guard {
     /// Time that the drive may take from the command to run until it reports that it does, s.
     enable_time_s: f64,
     angle_origin_rad: Option<f64>,
+    plausibility: Plausibility,
+    /// Longest time of braking at the bound of the winding, s.
+    braking_s: f64,
 }
 
 impl Guard {
@@ -103,7 +108,15 @@ impl Guard {
             .with_load_v(
                 motor.resistance_ohm * motor.load_torque_n_m.abs() / motor.back_emf_v_s_per_rad,
             );
-        Self::with_shaper(limits, shaper)
+        let plausibility = Plausibility::of(&limits, motor, drive_current_limit_a);
+        let torque = motor.back_emf_v_s_per_rad * limits.current_a;
+        let braking_s = winding_v.map_or(0.0, |_| {
+            (motor.inertia_kg_m2 * limits.speed_rad_s / torque).min(LONGEST_COAST_S)
+        });
+        Self {
+            braking_s,
+            ..Self::with_shaper(limits, shaper, plausibility)
+        }
     }
 
     /// A guard for a motor that is not known: `winding_v` bounds the voltage across the winding, as far as the resistance
@@ -115,7 +128,8 @@ impl Guard {
         back_emf_v_s_per_rad: f64,
     ) -> Self {
         let shaper = shape::Shaper::new(&limits, back_emf_v_s_per_rad, winding_v);
-        Self::with_shaper(limits, shaper)
+        let plausibility = Plausibility::of_unknown(&limits);
+        Self::with_shaper(limits, shaper, plausibility)
     }
 
     /// Asked for an output once in `period_s`: of a shaft that was not seen for longer it is only known that it followed
@@ -133,8 +147,10 @@ impl Guard {
         self
     }
 
-    fn with_shaper(limits: Limits, shaper: shape::Shaper) -> Self {
+    fn with_shaper(limits: Limits, shaper: shape::Shaper, plausibility: Plausibility) -> Self {
         Self {
+            plausibility,
+            braking_s: 0.0,
             shaper,
             limits,
             trip: None,
@@ -154,15 +170,37 @@ impl Guard {
         }
     }
 
-    /// Longest time from full speed to rest under the slew limit and what the supply takes back, s; the shaft's own time
-    /// under braking comes on top.
+    /// Longest time in which a ramp down from full speed brings the output to zero, s: the slew limit's, and on top of it
+    /// what the supply takes back or the current limit brakes, whichever is longer. The shaft's own time comes on top.
     pub fn ramp_down_s(&self) -> f64 {
-        let ramp_s = self.limits.voltage_v / self.limits.slew_v_per_s;
-        ramp_s
-            + self
-                .shaper
-                .coast_s(self.limits.speed_rad_s)
-                .min(LONGEST_COAST_S)
+        let coast_s = self.shaper.coast_s(self.limits.speed_rad_s);
+        self.shaper.ramp_s(self.limits.voltage_v) + coast_s.min(LONGEST_COAST_S).max(self.braking_s)
+    }
+
+    /// From here on the output goes down, with the bench's slew limit, and never up again.
+    pub fn begin_stop(&mut self, now_s: f64) {
+        self.set_slew(None);
+        self.shaper.stop_by(now_s + self.ramp_down_s());
+    }
+
+    /// What is watched for plausibility, and what is not.
+    pub const fn plausibility(&self) -> &Plausibility {
+        &self.plausibility
+    }
+
+    /// Gives up what needs a nameplate that fits: the user has waived it.
+    pub const fn waive_plausibility(&mut self) {
+        self.plausibility.waive();
+    }
+
+    /// A command that left, so that what comes back can be held against it.
+    pub fn sent(&mut self, command: &Command) {
+        self.plausibility.sent(command);
+    }
+
+    /// The speed reference that a loop follows now, rad/s; `None`: no loop is closed.
+    pub const fn follow(&mut self, reference_rad_s: Option<f64>) {
+        self.plausibility.follow(reference_rad_s);
     }
 
     pub const fn limits(&self) -> &Limits {
@@ -199,6 +237,7 @@ impl Guard {
         self.angle_origin_rad = sample.get(Channel::Angle);
         self.last_valid_s = Some(now_s);
         self.shaper.rest(now_s);
+        self.plausibility.begin();
     }
 
     /// To be called first in every step: ends the run when the host or the link was silent for too long.
@@ -283,19 +322,26 @@ impl Guard {
     /// signals there are and that the link lives.
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
         self.last_valid_s = Some(now_s);
+        self.shaper.hear(now_s);
         for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {
             *seen |= sample.get(channel).is_some();
         }
         if let Some(speed) = sample.get(Channel::Speed) {
             self.shaper.see_speed(now_s, speed);
         }
+        let doubt = self.plausibility.look(now_s, sample, armed);
         let found = if armed && self.trip.is_none() {
             // The field first: a drive that sees its loss too reports no more than a fault.
             self.field(now_s, sample)
                 .or_else(|| self.drive_state(now_s, sample))
-                .or_else(|| self.beyond_limit(now_s, sample))
+                .or_else(|| {
+                    let beyond = self.beyond_limit(now_s, sample)?;
+                    // What is read wrong is often beyond a limit before it is anything else.
+                    Some(self.plausibility.explained(now_s, beyond))
+                })
                 .or_else(|| self.lost_signal(now_s, sample))
                 .or_else(|| self.stuck_clock(now_s, sample))
+                .or(doubt)
         } else {
             None
         };
@@ -320,7 +366,8 @@ impl Guard {
             self.shaper.rest(now_s);
             return Shaped::unchanged(Demand::Stop);
         }
-        let shaped = self.shaper.shape(now_s, wanted, &self.limits);
+        let is_believed = self.plausibility.believes_speed();
+        let shaped = self.shaper.shape(now_s, wanted, &self.limits, is_believed);
         self.switch(now_s, shaped.demand.energises());
         shaped
     }

@@ -15,6 +15,8 @@ mod clock;
 mod describe;
 mod difference;
 mod escalate;
+#[cfg(test)]
+mod fault_trials;
 mod guard;
 mod init_file;
 mod limits;
@@ -23,6 +25,7 @@ mod live_online;
 mod next_bench;
 mod pilot;
 mod plan;
+mod plausibility;
 mod program;
 mod reopen;
 mod runner;
@@ -57,6 +60,7 @@ pub use live_online::{
 pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use pilot::Pilot;
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
+pub use plausibility::Plausibility;
 pub use program::Program;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, reopen};
 pub use runner::{Bench, Excitation, LiveEstimator, RunEnd, RunOptions, RunSummary, run};

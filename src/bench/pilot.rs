@@ -32,10 +32,9 @@ pub trait Pilot: Send {
 
     fn sent(&mut self, _command: &Command) {}
 
-    /// A sample that came while it runs; a trip where it cannot be trusted.
-    fn sample(&mut self, _now_s: f64, _elapsed_s: f64, _sample: &Sample) -> Option<Trip> {
-        None
-    }
+    /// A sample that came while it runs, and nothing speaks against it; `encoder_proven`: the encoder has been seen to turn
+    /// in the right direction.
+    fn sample(&mut self, _now_s: f64, _elapsed_s: f64, _sample: &Sample, _encoder_proven: bool) {}
 
     /// The speed reference in force, rad/s.
     fn reference_rad_s(&self) -> Option<f64> {

@@ -24,6 +24,7 @@ use self::ending::DriveWord;
 use super::bench_file::Brake;
 use super::guard::{Causes, Guard, Trip};
 use super::pilot::{OpenLoop, Pilot};
+use super::plausibility::PLAUSIBILITY;
 use super::program::Program;
 use super::speed::SpeedReport;
 use crate::drive::CommandTimes;
@@ -121,6 +122,8 @@ pub struct Session {
     brake: Option<BrakeOrder>,
     /// What the user waived, to be said once.
     waived: Vec<String>,
+    /// It has been said what is not watched.
+    told_unwatched: bool,
 }
 
 impl Session {
@@ -157,6 +160,7 @@ impl Session {
             burst_at: None,
             brake: None,
             waived: Vec::new(),
+            told_unwatched: false,
         }
     }
 
@@ -167,9 +171,12 @@ impl Session {
         self
     }
 
-    /// Says in log and notices which checks the user waived.
+    /// Says in log and notices which checks the user waived, and goes on without them.
     #[must_use]
     pub fn with_waivers(mut self, waived: Vec<String>) -> Self {
+        if waived.iter().any(|check| check == PLAUSIBILITY) {
+            self.guard.waive_plausibility();
+        }
         self.waived = waived;
         self
     }
@@ -328,6 +335,10 @@ impl Session {
             && self.is_ramped_down(now_s)
             && self.is_brake_shut(now_s, actions)
         {
+            if !self.is_at_rest() {
+                let text = "the ramp down is over and the shaft is not known to stand still: the output goes off all the same; see that it does";
+                notice(actions, Level::Warning, text.to_owned());
+            }
             self.stop_now(now_s, actions);
         }
     }
@@ -371,16 +382,20 @@ impl Session {
             seq: self.seq,
             demand,
         };
+        self.guard.sent(&command);
         actions.push(Action::Send(command));
         command
     }
 
     fn sample(&mut self, now_s: f64, sample: Sample, actions: &mut Vec<Action>) {
         let armed = self.phase.is_energised();
-        let mut trip = self.guard.watch(now_s, &sample, armed).cloned();
+        self.guard.follow(self.reference_rad_s());
+        let trip = self.guard.watch(now_s, &sample, armed).cloned();
         if trip.is_none() && self.phase == Phase::Running {
-            let found = self.pilot.sample(now_s, self.elapsed_s(now_s), &sample);
-            trip = found.and_then(|trip| self.guard.latch(trip).cloned());
+            let proven = self.guard.plausibility().has_seen_direction();
+            self.pilot
+                .sample(now_s, self.elapsed_s(now_s), &sample, proven);
+            self.tell_unwatched(actions);
         }
         if self.phase.is_recorded() {
             actions.push(Action::Row(Box::new(sample.clone())));
@@ -416,6 +431,17 @@ impl Session {
             }
             (Phase::Stopping, _) => self.finish(true, now_s, actions),
             _ => {}
+        }
+    }
+
+    /// Says once what the drive does not give enough of to be watched.
+    fn tell_unwatched(&mut self, actions: &mut Vec<Action>) {
+        if self.told_unwatched {
+            return;
+        }
+        self.told_unwatched = true;
+        if let Some(text) = self.guard.plausibility().unwatched() {
+            notice(actions, Level::Info, format!("not watched: {text}"));
         }
     }
 

@@ -63,7 +63,7 @@ pub(super) enum Fault {
     IgnoresStop,
 }
 
-/// A drive with a first-order shaft: no physics, only states, stamps and faults.
+/// A drive with a first-order shaft and the current that goes with it: no physics, only states, stamps and faults.
 pub(super) struct ScriptedDrive {
     pub(super) period_s: f64,
     pub(super) faults: VecDeque<(u64, u64, Fault)>,
@@ -79,6 +79,7 @@ pub(super) struct ScriptedDrive {
     time_s: f64,
     voltage_v: f64,
     speed_rad_s: f64,
+    angle_rad: f64,
     statistics: LinkStatistics,
 }
 
@@ -98,6 +99,7 @@ impl ScriptedDrive {
             time_s: 0.0,
             voltage_v: 0.0,
             speed_rad_s: 0.0,
+            angle_rad: 0.0,
             statistics: LinkStatistics::default(),
         }
     }
@@ -177,13 +179,16 @@ impl DriveLink for ScriptedDrive {
             _ if deaf && self.state == DriveState::Running => DriveState::Running,
             _ => DriveState::Disabled,
         };
+        let before_rad_s = self.speed_rad_s;
         self.speed_rad_s += 0.2 * (self.voltage_v / 0.3538 - self.speed_rad_s);
+        self.angle_rad += 0.5 * (before_rad_s + self.speed_rad_s) * self.period_s;
+        let current_a = 0.1 + (self.voltage_v - 0.3538 * self.speed_rad_s) / 1.1;
         let mut sample = Sample::at(self.time_s)
-            .with(Channel::Current, 0.1)
+            .with(Channel::Current, current_a)
             .with(Channel::Speed, self.speed_rad_s)
             .with(Channel::Voltage, self.voltage_v)
             .with(Channel::Bus, 140.0)
-            .with(Channel::Angle, 0.0);
+            .with(Channel::Angle, self.angle_rad);
         sample.seq = Some(command.seq);
         sample.state = Some(self.state);
         sample.applied = Some(Applied {

@@ -35,5 +35,5 @@ mod worker;
 mod tests;
 
 pub use diagnosis::{DiscoveryScreen, show_discovery};
-pub use show::{Exit, ShowOptions, show};
+pub use show::{Exit, ShowOptions, is_gone, show};
 pub use worker::{FinishOnDrop, WorkerCell};

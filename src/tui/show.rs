@@ -63,8 +63,8 @@ pub fn show(options: &ShowOptions) -> io::Result<Exit> {
     run(&mut owned, options)
 }
 
-/// Waits for a key or for `longest`; whether the terminal has been closed.
-pub(super) fn is_gone(longest: Duration) -> io::Result<bool> {
+/// Waits for a key, for `longest` at most; whether the terminal has been closed.
+pub fn is_gone(longest: Duration) -> io::Result<bool> {
     let stdout = io::stdout();
     let mut terminal = [PollFd::new(stdout.as_fd(), PollFlags::POLLIN)];
     let timeout = PollTimeout::try_from(longest).unwrap_or(PollTimeout::ZERO);

@@ -10,6 +10,7 @@ use crate::bench::bench_file::Brake;
 use crate::bench::clock::SUSPENDED_S;
 use crate::bench::guard::{Guard, Trip};
 use crate::bench::limits::{Limits, Nameplate};
+use crate::bench::plausibility::PLAUSIBILITY;
 use crate::drive::register_map::{Quantity, RegisterMap};
 use crate::drive::{DriveProfile, LinkError};
 use crate::sample::{Channel, Demand, DriveState, Sample};
@@ -26,7 +27,6 @@ const REST_SAMPLES: u32 = 3;
 const REST_S: f64 = 8.0;
 
 const DIRECTION: &str = "direction";
-const PLAUSIBILITY: &str = "plausibility";
 
 /// What the pulse is made for and judged by.
 #[derive(Clone, Copy)]

@@ -1,4 +1,10 @@
-//! Command shaping: slew, voltage and winding limits.
+//! Command shaping: slew, voltage and winding limits, and the way down to zero.
+//!
+//! While stopping the output goes towards what is wanted and never away from it. The bound of the winding and the one of
+//! the supply may slow it, as long as they rest on a speed that is fresh, believed and falling, and a silent link holds it;
+//! both until the planned time of the ramp is over: neither a broken encoder nor a lost reply keeps the motor on.
+
+use std::collections::VecDeque;
 
 use serde::Serialize;
 
@@ -10,6 +16,11 @@ use crate::sample::Demand;
 const LONGEST_SLEW_TIME_S: f64 = 0.05;
 /// Periods for which a measured speed stands for the shaft. On a link that answers it is one period old at most.
 const FRESH_PERIODS: f64 = 1.5;
+
+/// While stopping, a speed that is older than this is not believed whatever the period, s.
+const FRESH_STOP_S: f64 = 0.3;
+/// Readings over which a speed has to have fallen to be believed while stopping.
+const FALLING: usize = 6;
 
 /// Why a demand was changed; more than one may hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -64,8 +75,14 @@ pub(super) struct Shaper {
     speed_rad_s: f64,
     /// When it came; `None`: the drive gives none.
     speed_at_s: Option<f64>,
+    /// The last of them, the newest at the end.
+    speeds: VecDeque<f64>,
     /// Time for which it stands for the shaft, s.
     fresh_s: f64,
+    /// Host time of the last valid reply, with a speed or without.
+    heard_s: f64,
+    /// Host time at which a ramp down has reached what is wanted, whatever is measured; `None`: not stopping.
+    stop_by_s: Option<f64>,
     /// What the load's torque takes of the voltage in rest and motion alike, V.
     load_v: f64,
     /// Lowest and highest back-EMF that the voltages sent while the speed was older lead to, V.
@@ -87,7 +104,10 @@ impl Shaper {
             winding_v,
             speed_rad_s: 0.0,
             speed_at_s: None,
+            speeds: VecDeque::with_capacity(FALLING + 1),
             fresh_s: f64::INFINITY,
+            heard_s: 0.0,
+            stop_by_s: None,
             load_v: 0.0,
             unseen_v: None,
             braking: None,
@@ -113,6 +133,22 @@ impl Shaper {
         self
     }
 
+    /// Time in which the slew limit takes a voltage back, s.
+    pub(super) fn ramp_s(&self, volts: f64) -> f64 {
+        // Of a longer period only a part is counted in each cycle.
+        let period_s = if self.fresh_s.is_finite() {
+            self.fresh_s / FRESH_PERIODS
+        } else {
+            0.0
+        };
+        volts / self.slew_v_per_s * (period_s / LONGEST_SLEW_TIME_S).max(1.0)
+    }
+
+    /// From here on the output only goes towards what is wanted, and is there at this time.
+    pub(super) const fn stop_by(&mut self, at_s: f64) {
+        self.stop_by_s = Some(at_s);
+    }
+
     /// Longest time from a speed to rest where the supply takes nothing back, s.
     pub(super) fn coast_s(&self, speed_rad_s: f64) -> f64 {
         self.braking
@@ -124,16 +160,47 @@ impl Shaper {
         self.asked_rad_s = 0.0;
         self.last_s = now_s;
         self.was_off = true;
+        self.stop_by_s = None;
     }
 
     pub(super) const fn set_slew(&mut self, v_per_s: f64) {
         self.slew_v_per_s = v_per_s;
     }
 
+    pub(super) const fn hear(&mut self, now_s: f64) {
+        self.heard_s = now_s;
+    }
+
     pub(super) fn see_speed(&mut self, now_s: f64, speed_rad_s: f64) {
         self.speed_rad_s = speed_rad_s;
         self.speed_at_s = Some(now_s);
         self.unseen_v = None;
+        if self.speeds.len() == FALLING {
+            self.speeds.pop_front();
+        }
+        self.speeds.push_back(speed_rad_s);
+    }
+
+    /// Whether the measured speed may slow a ramp down: it is fresh, nothing speaks against it, and it falls.
+    fn may_slow(&self, now_s: f64, is_believed: bool) -> bool {
+        let fresh_s = self.fresh_s.min(FRESH_STOP_S);
+        let is_fresh = self.speed_at_s.is_some_and(|at_s| now_s - at_s <= fresh_s);
+        let falls = self
+            .speeds
+            .front()
+            .zip(self.speeds.back())
+            .is_some_and(|(old, new)| new.abs() < old.abs() && new * old > 0.0);
+        is_believed && is_fresh && falls
+    }
+
+    /// The next output while stopping: between the one before and the wanted one, and there in time.
+    fn towards(&self, now_s: f64, next: f64, before: f64, wanted: f64, fall_per_s: f64) -> f64 {
+        let Some(by_s) = self.stop_by_s else {
+            return next;
+        };
+        let left = fall_per_s * (by_s - now_s).max(0.0);
+        next.clamp(wanted - left, wanted + left)
+            .clamp(before.min(wanted), before.max(wanted))
     }
 
     /// Where the back-EMF may be, lowest and highest. Unseen for some periods it has moved from where it was towards
@@ -150,7 +217,14 @@ impl Shaper {
         self.unseen_v.unwrap_or((back_emf_v, back_emf_v))
     }
 
-    pub(super) fn shape(&mut self, now_s: f64, wanted: Demand, limits: &Limits) -> Shaped {
+    /// `is_believed`: nothing speaks against the measured speed.
+    pub(super) fn shape(
+        &mut self,
+        now_s: f64,
+        wanted: Demand,
+        limits: &Limits,
+        is_believed: bool,
+    ) -> Shaped {
         // With one quadrant nothing is negative, with two no current is.
         let bounded = |value: f64, limit: f64, quadrants: u8| {
             let mut causes = Causes::default();
@@ -164,7 +238,8 @@ impl Shaper {
         match wanted {
             Demand::Voltage(volts) => {
                 let (volts, mut causes) = bounded(volts, limits.voltage_v, 2);
-                let volts = self.voltage(now_s, volts, limits.voltage_v, &mut causes);
+                let bound = self.stop_by_s.is_none() || self.may_slow(now_s, is_believed);
+                let volts = self.voltage(now_s, volts, limits.voltage_v, bound, &mut causes);
                 Shaped {
                     demand: Demand::Voltage(volts),
                     causes,
@@ -196,15 +271,34 @@ impl Shaper {
         }
     }
 
-    fn voltage(&mut self, now_s: f64, wanted_v: f64, limit_v: f64, causes: &mut Causes) -> f64 {
+    /// `bound`: winding and supply have a say.
+    fn voltage(
+        &mut self,
+        now_s: f64,
+        wanted_v: f64,
+        limit_v: f64,
+        bound: bool,
+        causes: &mut Causes,
+    ) -> f64 {
         let back_emf_v = (self.back_emf_v_s_per_rad * self.speed_rad_s).clamp(-limit_v, limit_v);
         if self.was_off {
-            // The terminals of a coasting motor stand at its back-EMF: from there no current flows.
-            self.output_v = back_emf_v;
+            // The terminals of a coasting motor stand at its back-EMF: from there no current flows. Nothing is switched
+            // on to stop.
+            self.output_v = if self.stop_by_s.is_none() {
+                back_emf_v
+            } else {
+                0.0
+            };
             self.was_off = false;
         }
         let mut target_v = wanted_v;
-        if let Some(winding_v) = self.winding_v {
+        let is_unheard = now_s - self.heard_s > self.fresh_s;
+        if self.stop_by_s.is_some() && self.winding_v.is_some() && is_unheard {
+            // What was sent since may not have arrived: the drive would see the whole way down as one step.
+            target_v = self.output_v;
+            causes.winding = true;
+        }
+        if let Some(winding_v) = self.winding_v.filter(|_| bound) {
             let (low_v, high_v) = self.back_emf_range_v(now_s, back_emf_v);
             let (least_v, most_v) = (high_v - winding_v, low_v + winding_v);
             // Still within the voltage limit: the back-EMF is, and so was the target.
@@ -216,7 +310,7 @@ impl Shaper {
             causes.winding = (inside - target_v).abs() > 0.0;
             target_v = inside;
         }
-        if let Some(braking) = self.braking {
+        if let Some(braking) = self.braking.filter(|_| bound) {
             let inside = braking
                 .voltage(self.speed_rad_s, target_v)
                 .clamp(-limit_v, limit_v);
@@ -225,6 +319,7 @@ impl Shaper {
         }
         let step_v = self.slew_v_per_s * (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
         let next_v = target_v.clamp(self.output_v - step_v, self.output_v + step_v);
+        let next_v = self.towards(now_s, next_v, self.output_v, wanted_v, self.slew_v_per_s);
         // Rounding of a designed ramp at exactly the limit is not a limitation.
         causes.slew = (next_v - target_v).abs() > 1e-9 * limit_v;
         self.output_v = next_v;
@@ -245,6 +340,7 @@ impl Shaper {
             if next * self.asked_rad_s.signum() < least {
                 next = least.copysign(self.asked_rad_s);
             }
+            next = self.towards(now_s, next, self.asked_rad_s, wanted, fall);
         }
         causes.supply = (next - wanted).abs() > 1e-9 * limit;
         self.asked_rad_s = next;

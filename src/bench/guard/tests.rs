@@ -388,6 +388,93 @@ proptest! {
     }
 }
 
+proptest! {
+    /// Whatever speed is told while stopping, old, absurd or none: the output only falls, and is zero when its time is over.
+    #[test]
+    fn no_speed_holds_the_output_up_while_stopping(
+        volts in -100.0..100.0f64,
+        speeds in prop::collection::vec(prop_oneof![
+            4 => (-400.0..400.0f64).prop_map(Some),
+            1 => Just(Some(f64::NAN)),
+            1 => Just(Some(1e300)),
+            1 => Just(None),
+        ], 1..40),
+        braking_w in prop_oneof![Just(None), Just(Some(0.0)), Just(Some(60.0))],
+        falls in any::<bool>(),
+    ) {
+        let limits = Limits { braking_w, speed_rad_s: 1e9, ..limits() };
+        let mut guard = Guard::new(limits, &Nameplate::zk_22fc(), None).with_period(PERIOD_S);
+        guard.begin(0.0, &sample(0.0));
+        let mut now_s = 0.0;
+        let mut output_v = 0.0;
+        for n in 0..100 {
+            now_s += PERIOD_S;
+            guard.tick(now_s);
+            output_v = guard.shape(now_s, Demand::Voltage(volts)).demand.voltage_v().unwrap();
+            let speed = if n < 99 { output_v / 0.3538 } else { 250.0 };
+            guard.watch(now_s, &sample(now_s).with(Channel::Speed, speed), true);
+        }
+        guard.begin_stop(now_s);
+        let by_s = now_s + guard.ramp_down_s();
+        let mut told = speeds.iter().cycle();
+        let mut fall = 300.0_f64;
+        while now_s < by_s {
+            now_s += PERIOD_S;
+            guard.tick(now_s);
+            let next_v = guard.shape(now_s, Demand::Voltage(0.0)).demand.voltage_v().unwrap();
+            prop_assert!(next_v.abs() <= output_v.abs() + 1e-12 && next_v * output_v >= 0.0, "{output_v} {next_v}");
+            output_v = next_v;
+            fall -= 0.1;
+            let speed = if falls { Some(fall) } else { *told.next().unwrap() };
+            let mut sample = sample(now_s).with(Channel::Speed, f64::NAN);
+            if let Some(speed) = speed {
+                sample.set(Channel::Speed, speed);
+            }
+            guard.watch(now_s, &sample, false);
+        }
+        prop_assert!(output_v.abs() < 1e-9, "{output_v} V are left");
+    }
+}
+
+#[test]
+fn a_heavy_load_is_braked_no_harder_than_the_limit_allows_while_it_is_seen_to_slow_down() {
+    let motor = Nameplate::zk_22fc();
+    let limits = Limits {
+        current_a: 10.0,
+        slew_v_per_s: 400.0,
+        ..limits()
+    };
+    let mut guard = Guard::new(limits, &motor, None).with_period(PERIOD_S);
+    guard.begin(0.0, &sample(0.0));
+    let (mut now_s, mut speed) = (0.0, 150.0);
+    let mut most_a: f64 = 0.0;
+    // Running at 150 rad/s with what friction takes.
+    for _ in 0..50 {
+        now_s += PERIOD_S;
+        guard.tick(now_s);
+        guard.shape(now_s, Demand::Voltage(0.3538 * speed + 1.4));
+        guard.watch(now_s, &sample(now_s).with(Channel::Speed, speed), false);
+    }
+    guard.begin_stop(now_s);
+    let by_s = now_s + guard.ramp_down_s();
+    while now_s < by_s {
+        now_s += PERIOD_S;
+        guard.tick(now_s);
+        let volts = guard
+            .shape(now_s, Demand::Voltage(0.0))
+            .demand
+            .voltage_v()
+            .unwrap();
+        let amps = (volts - 0.3538 * speed) / 1.1;
+        most_a = most_a.max(amps.abs());
+        // Twice the inertia of the nameplate.
+        speed = (speed + (0.3538 * amps - 0.455) / 0.009 * PERIOD_S).max(0.0);
+        guard.watch(now_s, &sample(now_s).with(Channel::Speed, speed), false);
+    }
+    assert!(speed < 1.0, "{speed}");
+    assert!((9.0..10.5).contains(&most_a), "{most_a}");
+}
+
 /// A guard that runs at this speed, with limits of its own.
 fn at_speed(limits: Limits, speed_rad_s: f64) -> Guard {
     let mut guard = Guard::new(limits, &Nameplate::zk_22fc(), Some(0.0));

@@ -40,6 +40,24 @@ pub enum TripKind {
     EncoderReversed,
     /// The measured speed is far from what voltage and current say.
     SpeedImplausible,
+    /// The shaft stands under a current that should turn it: it is held, or the encoder stands still.
+    ShaftHeld,
+    /// The measured angle does not go with the measured speed.
+    AngleImplausible,
+    /// The measured current stays where it is while voltage and speed say that it changes.
+    CurrentStuck,
+    /// The measured current has the opposite sign of what voltage and speed say.
+    CurrentReversed,
+    /// The measured current is far from what voltage and speed say.
+    CurrentImplausible,
+    /// No current flows although there is a voltage.
+    OpenCircuit,
+    /// The drive does not do what it is asked.
+    SetPointIgnored,
+    /// The measured voltage is not the one that the motor answers to.
+    VoltageImplausible,
+    /// Two measured quantities stand in each other's place.
+    SignalsSwapped,
     /// The field current is below the least: a motor without a field runs away.
     FieldLost,
     /// The speed grows beyond its reference although the torque is against it.
@@ -68,6 +86,15 @@ impl TripKind {
             Self::EncoderFrozen => "encoder frozen",
             Self::EncoderReversed => "encoder reversed",
             Self::SpeedImplausible => "speed implausible",
+            Self::ShaftHeld => "shaft held",
+            Self::AngleImplausible => "angle implausible",
+            Self::CurrentStuck => "current stuck",
+            Self::CurrentReversed => "current reversed",
+            Self::CurrentImplausible => "current implausible",
+            Self::OpenCircuit => "open circuit",
+            Self::SetPointIgnored => "set-point not followed",
+            Self::VoltageImplausible => "voltage implausible",
+            Self::SignalsSwapped => "signals swapped",
             Self::FieldLost => "field lost",
             Self::Runaway => "runaway",
         }
@@ -220,23 +247,19 @@ impl Trip {
         }
     }
 
-    /// A speed that cannot be: by the encoder, by voltage and current, and the difference that would be believed, rad/s.
-    pub(in crate::bench) fn of_speed(
+    /// Something measured that cannot be: the value, what it should be, and the sentence after the name.
+    pub(in crate::bench) fn implausible(
         kind: TripKind,
         at_s: f64,
-        (by_encoder, by_voltage, doubt): (f64, f64, f64),
+        (value, expected): (f64, f64),
         what: &str,
     ) -> Self {
         Self {
             kind,
             at_s,
-            value: by_encoder,
-            limit: by_voltage,
-            reason: format!(
-                "{}: the measured speed {what} {by_encoder:.1} rad/s, by voltage and current it is {by_voltage:.1} rad/s, \
-                 {doubt:.1} rad/s of difference are allowed",
-                kind.name()
-            ),
+            value,
+            limit: expected,
+            reason: format!("{}: {what}", kind.name()),
         }
     }
 

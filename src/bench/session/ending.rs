@@ -38,7 +38,7 @@ impl Session {
     pub(super) fn end(&mut self, outcome: Outcome, now_s: f64, actions: &mut Vec<Action>) {
         self.ending = Some(outcome);
         self.ramp_since_s = now_s;
-        self.guard.set_slew(None);
+        self.guard.begin_stop(now_s);
         self.enter(Phase::RampDown, now_s, actions);
     }
 

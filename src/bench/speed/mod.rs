@@ -4,13 +4,10 @@
 //! [speed] section --> Reference (refused beyond the limits) ---------------------------\
 //! model + measured delay (delay.rs) --> Design --> Regulator (controller, limiter) -----+-> SpeedPilot --> session
 //!                                          \--> refused: not physical, another motor,  /        |
-//!                                               a loop that would swing                 EncoderWatch: trip
-//!                                                                                       report: figures of each step
+//!                                               a loop that would swing                 report: figures of each step
 //! ```
 
 mod delay;
-mod encoder_watch;
-mod hindsight;
 mod pilot;
 mod reference;
 mod refusal;

@@ -1,18 +1,12 @@
 //! The speed loop as a pilot: reference, controller and limiter, answering to samples.
 
-use std::collections::VecDeque;
-
 use super::delay::DelayMeter;
-use super::encoder_watch::{EncoderWatch, Seen};
-use super::hindsight::Hindsight;
 use super::reference::Reference;
 use super::regulator::Regulator;
 use super::report::{Cycle, GainChange, SpeedReport, figures, tracking};
 use crate::bench::guard::Trip;
-use crate::bench::limits::Nameplate;
 use crate::bench::pilot::Pilot;
-use crate::control::{Actuator, Measured, SpeedController};
-use crate::plant::Model;
+use crate::control::{Measured, SpeedController};
 use crate::sample::{Channel, Command, Demand, Sample};
 
 /// Cycles that are kept for the figures: at 100 Hz nearly three hours.
@@ -26,17 +20,12 @@ const LONGEST_PERIODS: f64 = 20.0;
 /// longer than so many seconds: a shaft that needs more to break away has to get it.
 const FIRST_MOVE: f64 = 0.4;
 const FIRST_MOVE_S: f64 = 0.3;
-/// Commands that may be on their way.
-const WAITING_MAX: usize = 64;
 
 /// The loop's settings beside the regulator.
 pub struct PilotSettings {
     pub slew_v_per_s: f64,
     /// Longest time for which the last output is held without a speed, s.
     pub silence_s: f64,
-    pub speed_limit_rad_s: f64,
-    /// The speed sensor was noisy at rest: the same reading again and again is then a sensor that is stuck.
-    pub is_noisy: bool,
     /// What holds a load at rest, in the unit of the command.
     pub hold: f64,
 }
@@ -48,7 +37,8 @@ pub struct SpeedPilot {
     pass: usize,
     reference: Reference,
     settings: PilotSettings,
-    watch: EncoderWatch,
+    /// The encoder has been seen to turn in the right direction.
+    encoder_proven: bool,
     meter: DelayMeter,
     reference_rad_s: Option<f64>,
     /// The sample that the next output answers to.
@@ -61,9 +51,6 @@ pub struct SpeedPilot {
     stepped: bool,
     wanted: f64,
     output: f64,
-    /// Commands that may be in force, with their outputs.
-    on_their_way: VecDeque<(u64, f64)>,
-    hindsight: Hindsight,
     elapsed_s: f64,
     held_cycles: u64,
     changes: Vec<GainChange>,
@@ -71,22 +58,9 @@ pub struct SpeedPilot {
 }
 
 impl SpeedPilot {
-    pub fn new(
-        regulator: Regulator,
-        reference: Reference,
-        model: &Model,
-        motor: &Nameplate,
-        settings: PilotSettings,
-    ) -> Self {
-        let period_s = regulator.timing.period_s;
+    pub fn new(regulator: Regulator, reference: Reference, settings: PilotSettings) -> Self {
         Self {
-            watch: EncoderWatch::new(
-                model,
-                motor,
-                settings.speed_limit_rad_s,
-                period_s,
-                settings.is_noisy,
-            ),
+            encoder_proven: false,
             regulator,
             pass: 0,
             reference,
@@ -99,8 +73,6 @@ impl SpeedPilot {
             stepped: false,
             wanted: 0.0,
             output: 0.0,
-            on_their_way: VecDeque::new(),
-            hindsight: Hindsight::new(motor),
             elapsed_s: 0.0,
             held_cycles: 0,
             changes: Vec::new(),
@@ -135,7 +107,7 @@ impl SpeedPilot {
         self.turn_to_pass(elapsed_s, &now);
         self.wanted = self.controller().step(reference, &now, period_s);
         let mut limiter = self.regulator.limiter;
-        let unproven = !self.watch.has_seen_direction() && elapsed_s < FIRST_MOVE_S;
+        let unproven = !self.encoder_proven && elapsed_s < FIRST_MOVE_S;
         if let Some(current) = limiter.current.as_mut().filter(|_| unproven) {
             current.current_a *= FIRST_MOVE;
         }
@@ -158,17 +130,6 @@ impl SpeedPilot {
             let output = self.output;
             self.controller().reset(now, output);
         }
-    }
-
-    /// The voltage in force from this sample on; a drive that limits puts out what it measures. Behind a drive's own loop:
-    /// what was measured.
-    fn voltage_in_force(&self, sample: &Sample) -> Option<f64> {
-        if sample.limited || self.regulator.actuator != Actuator::Voltage {
-            return sample.get(Channel::Voltage);
-        }
-        let seq = sample.applied.map(|applied| applied.seq).or(sample.seq)?;
-        let known = self.on_their_way.iter().find(|(sent, _)| *sent == seq);
-        known.map(|(_, volts)| *volts)
     }
 }
 
@@ -204,9 +165,7 @@ impl Pilot for SpeedPilot {
         let output = self.regulator.holding.output(speed_rad_s) + self.settings.hold;
         self.pass = 0;
         self.controller().reset(&now, output);
-        self.hindsight.reset();
-        self.watch.begin();
-        self.on_their_way.clear();
+        self.encoder_proven = false;
         self.fresh = sample.cloned();
         self.answered = None;
         self.heard_s = now_s;
@@ -246,54 +205,26 @@ impl Pilot for SpeedPilot {
                 self.meter.sent(command.seq, time_s);
             }
         }
-        if self.on_their_way.len() == WAITING_MAX {
-            self.on_their_way.pop_front();
-        }
-        self.on_their_way.push_back((command.seq, output));
     }
 
-    fn sample(&mut self, now_s: f64, elapsed_s: f64, sample: &Sample) -> Option<Trip> {
+    fn sample(&mut self, now_s: f64, elapsed_s: f64, sample: &Sample, encoder_proven: bool) {
         self.meter.sample(sample);
-        let speed_rad_s = sample.get(Channel::Speed);
-        let voltage_v = self.voltage_in_force(sample);
-        let seen = speed_rad_s
-            .zip(sample.get(Channel::Current))
-            .map(|(speed_rad_s, current_a)| Seen {
-                time_s: sample.time_s,
+        self.encoder_proven = encoder_proven;
+        let Some(speed_rad_s) = sample.get(Channel::Speed) else {
+            return;
+        };
+        self.heard_s = now_s;
+        self.fresh = Some(sample.clone());
+        if self.record.len() < RECORD_MAX {
+            self.record.push(Cycle {
+                time_s: elapsed_s,
+                reference_rad_s: self.reference.value_at(elapsed_s),
                 speed_rad_s,
-                current_a,
-                voltage_v,
-                reference_rad_s: self.reference_rad_s.unwrap_or(speed_rad_s),
+                output: self.output,
+                limited: sample.limited
+                    || (self.wanted - self.output).abs() > 1e-9 * self.wanted.abs().max(1.0),
             });
-        if let Some(speed_rad_s) = speed_rad_s {
-            self.heard_s = now_s;
-            self.fresh = Some(sample.clone());
-            if self.record.len() < RECORD_MAX {
-                self.record.push(Cycle {
-                    time_s: elapsed_s,
-                    reference_rad_s: self.reference.value_at(elapsed_s),
-                    speed_rad_s,
-                    output: self.output,
-                    limited: sample.limited
-                        || (self.wanted - self.output).abs() > 1e-9 * self.wanted.abs().max(1.0),
-                });
-            }
         }
-        let Some(seen) = seen else {
-            self.watch.reset();
-            self.hindsight.reset();
-            return None;
-        };
-        let seen = match self.regulator.actuator {
-            Actuator::Voltage => seen,
-            Actuator::Current => self.hindsight.look_back(seen, self.output)?,
-            // The drive's own loop does with the voltage what it likes: what is left is the watch for a runaway.
-            Actuator::Speed => Seen {
-                voltage_v: None,
-                ..seen
-            },
-        };
-        self.watch.look(now_s, seen)
     }
 
     fn reference_rad_s(&self) -> Option<f64> {

@@ -65,12 +65,10 @@ fn session_on(bench: &BenchFile, model: &Model) -> Session {
     let settings = PilotSettings {
         slew_v_per_s: section.slew_v_per_s(&motor, &limits, PERIOD_S),
         silence_s: limits.link_silence_s,
-        speed_limit_rad_s: limits.speed_rad_s,
-        is_noisy: true,
         hold: 0.0,
     };
     let reference = bench.reference(section).unwrap();
-    let pilot = SpeedPilot::new(regulator, reference, model, &motor, settings);
+    let pilot = SpeedPilot::new(regulator, reference, settings);
     Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)))
 }
 
@@ -324,6 +322,55 @@ fn a_frozen_encoder_is_stopped_wherever_it_freezes() {
             "{from_s}: {after} cycles, {reason}"
         );
     }
+}
+
+#[test]
+fn a_loop_whose_signals_are_broken_under_way_is_stopped_with_the_signal_s_name() {
+    // At the 150th exchange it follows 110 rad/s; the next step comes at 2 s.
+    let spoilt = |change: fn(&mut Sample)| {
+        let mut lab = lab(FaultsConfig::default(), move |n, mut sample| {
+            if n >= 150 {
+                change(&mut sample);
+            }
+            Some(sample)
+        });
+        lab.start();
+        lab.cycles(400);
+        let energised = lab.sent.iter().filter(|command| command.demand.energises());
+        (lab.trip().0, energised.count())
+    };
+    let (kind, cycles) = spoilt(|sample| sample.set(Channel::Current, 0.0));
+    assert!(
+        kind == TripKind::CurrentStuck && cycles < 235,
+        "{kind:?} {cycles}"
+    );
+    let (kind, cycles) = spoilt(|sample| {
+        let speed = sample.get(Channel::Speed).unwrap();
+        sample.set(Channel::Angle, f64::NAN);
+        sample.set(Channel::Speed, 0.3 * speed);
+    });
+    assert!(
+        kind == TripKind::SpeedImplausible && cycles < 172,
+        "{kind:?} {cycles}"
+    );
+    let (kind, cycles) = spoilt(|sample| {
+        let speed = sample.get(Channel::Speed).unwrap();
+        sample.set(Channel::Angle, f64::NAN);
+        sample.set(Channel::Speed, -speed);
+    });
+    assert!(
+        kind == TripKind::EncoderReversed && cycles < 172,
+        "{kind:?} {cycles}"
+    );
+    let (kind, cycles) = spoilt(|sample| {
+        let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
+        sample.set(Channel::Speed, current.unwrap());
+        sample.set(Channel::Current, speed.unwrap());
+    });
+    assert!(
+        kind == TripKind::SignalsSwapped && cycles < 172,
+        "{kind:?} {cycles}"
+    );
 }
 
 #[test]

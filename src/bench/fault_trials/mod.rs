@@ -1,0 +1,437 @@
+//! Every fault in every way of running with ten seeds, in virtual time, against a drive that this program does not know.
+//!
+//! ```text
+//! witness (tests/witness: codec, motor, log, faults) <- bytes -> line in memory -> [ link, checks, session, runner ]
+//!        '-- judge: what was wrong, by its own log
+//! ```
+//!
+//! What only happens to a process (a signal that kills it, a file that cannot be written) has its trials in real time.
+
+#[path = "../../../tests/witness/mod.rs"]
+mod witness;
+
+use std::fmt::Write as _;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
+
+use super::bench_file::{BenchFile, DriveFacts};
+use super::check::{CheckOptions, CheckReport, FirstMove, Waivers, check};
+use super::clock::Clock;
+use super::guard::Guard;
+use super::live_online::LiveOnline;
+use super::runner::{Bench, RunOptions, RunSummary, run};
+use super::session::{Intent, Outcome, Session};
+use super::snapshot::{SnapshotCell, Target};
+use super::speed::{Design, PilotSettings, SpeedPilot, timing};
+use crate::bench::describe::layout;
+use crate::control::Actuator;
+use crate::drive::virtual_drive::{FarEnd, LineTime, on_a_line};
+use crate::drive::{DriveLink, DriveProfile};
+use crate::identification::online::OnlineConfig;
+use crate::plant::Model;
+use crate::recording::MemoryRecorder;
+use witness::drive::{BENCH, Drive, PROFILE};
+use witness::fault::{Act, Class, FAULTS, Fault, Host, Way};
+use witness::judge::judge;
+
+/// Seeds of each trial: when the fault comes, which replies it hits, what the sensors' noise is.
+const SEEDS: u64 = 10;
+/// Between two signals of a person, s.
+const AGAIN_S: f64 = 0.05;
+/// For so long the process does nothing when it is stopped, s.
+const STOPPED_S: f64 = 1.0;
+/// The drive is watched for so long after the end, s.
+const AFTER_S: f64 = 0.7;
+/// Standard deviations within which a parameter has to be, of some thousand.
+const SIGMAS: f64 = 4.5;
+
+/// The witness on the line, and what reaches the program by other ways than the line.
+struct Surroundings {
+    drive: Drive,
+    host: Option<Host>,
+    interrupted: Arc<AtomicBool>,
+    intents: Option<Sender<Intent>>,
+    /// When it was done, s.
+    done_s: Option<f64>,
+    again: bool,
+    /// The process is stopped from its next wait on.
+    stops: bool,
+}
+
+impl FarEnd for Surroundings {
+    fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
+        let sent = self.drive.hear(now_s, bytes);
+        self.look(now_s);
+        sent
+    }
+}
+
+impl Surroundings {
+    fn look(&mut self, now_s: f64) {
+        self.drive.advance(now_s);
+        let Some(host) = self.host else {
+            return;
+        };
+        if let Some(done_s) = self.done_s {
+            if host == Host::InterruptTwice
+                && now_s >= done_s + AGAIN_S
+                && !std::mem::replace(&mut self.again, true)
+            {
+                self.interrupted.store(true, Ordering::Release);
+            }
+            return;
+        }
+        if self.drive.from_s.is_none_or(|from_s| now_s < from_s) {
+            return;
+        }
+        self.done_s = Some(now_s);
+        match host {
+            Host::Interrupt
+            | Host::InterruptTwice
+            | Host::Terminate
+            | Host::HangUp
+            | Host::Quit
+            | Host::User1 => self.interrupted.store(true, Ordering::Release),
+            Host::StopKey => self.tell(Intent::Stop),
+            Host::InterruptKey => self.tell(Intent::Quit),
+            Host::CloseTerminal => {
+                self.tell(Intent::Quit);
+                self.intents = None;
+            }
+            Host::Suspend => self.stops = true,
+            Host::Kill | Host::CloseOutput | Host::QuitKey | Host::FolderGone | Host::DiskFull => {}
+        }
+    }
+
+    fn tell(&self, intent: Intent) {
+        if let Some(intents) = &self.intents {
+            let _ = intents.send(intent);
+        }
+    }
+}
+
+/// The bench's clock is that of the line.
+struct LineClock(LineTime, Arc<Mutex<Surroundings>>);
+
+impl Clock for LineClock {
+    fn now_s(&self) -> f64 {
+        self.0.now_s()
+    }
+
+    fn sleep_until_s(&mut self, until_s: f64) {
+        self.0.skip_to_s(until_s);
+        let mut there = self.1.lock().unwrap();
+        let now_s = self.0.now_s();
+        there.look(now_s);
+        if std::mem::take(&mut there.stops) {
+            drop(there);
+            self.0.skip_to_s(now_s + STOPPED_S);
+        }
+    }
+
+    fn is_real(&self) -> bool {
+        true
+    }
+}
+
+/// What came of a trial.
+struct Trial {
+    status: i32,
+    said: String,
+    parameters: Vec<(String, f64, f64, String)>,
+    drive: Surroundings,
+}
+
+/// Whether it can be done without a process.
+fn is_virtual(fault: &Fault) -> bool {
+    !matches!(
+        fault.act,
+        Act::Host(
+            Host::Kill | Host::CloseOutput | Host::QuitKey | Host::FolderGone | Host::DiskFull
+        )
+    )
+}
+
+/// Loop of the bench file for a delay of one cycle, as `speed` makes it of the nameplate.
+fn speed_session(bench: &BenchFile, guard: Guard) -> Session {
+    let (motor, limits) = (bench.nameplate().unwrap(), bench.limits());
+    let section = bench.speed.as_ref().unwrap();
+    let model = Model::baseline(motor.motor());
+    let period_s = bench.period_s();
+    let reference = bench.reference(section).unwrap();
+    let design = Design {
+        model: &model,
+        motor: &motor,
+        limits: &limits,
+        section,
+        actuator: Actuator::Voltage,
+        timing: timing(&model, period_s, period_s),
+        noise_rad_s: 0.05,
+        peak_reference_rad_s: reference.peak_rad_s(),
+    };
+    let settings = PilotSettings {
+        slew_v_per_s: section.slew_v_per_s(&motor, &limits, period_s),
+        silence_s: limits.link_silence_s,
+        hold: 0.0,
+    };
+    let regulator = design.regulator().unwrap();
+    let pilot = SpeedPilot::new(regulator, reference, settings);
+    Session::with_pilot(Box::new(pilot), guard)
+}
+
+/// The order of work of a command: checks, then one run or, for `commission`, three.
+fn work(
+    way: Way,
+    bench: &BenchFile,
+    profile: &DriveProfile,
+    link: &mut dyn DriveLink,
+    clock: &mut dyn Clock,
+    (interrupted, intents): (&AtomicBool, &Receiver<Intent>),
+    trial: &mut Trial,
+) {
+    let plate = bench.nameplate().unwrap();
+    let stopped = || interrupted.load(Ordering::Acquire);
+    let options = CheckOptions {
+        rate_hz: bench.link.rate_hz,
+        hardware_allowed: true,
+        hardware_said: true,
+        waivers: Waivers::default(),
+        first_move: Some(FirstMove {
+            plate: &plate,
+            profile,
+            stopped: &stopped,
+        }),
+        reset_fault: false,
+    };
+    let report = match check(link, clock, &bench.limits(), options) {
+        Ok(report) => report,
+        Err(error) => {
+            trial.say(3, &error.to_string());
+            return;
+        }
+    };
+    if let Some(item) = report.refusal() {
+        trial.say(3, &format!("{}: {}", item.name, item.text));
+        return;
+    }
+    let runs = if way == Way::Commission { 3 } else { 1 };
+    let mut last_seq = report.last_seq;
+    for run_seed in 1..=runs {
+        let guard = Guard::new(bench.limits(), &plate, None).with_period(bench.period_s());
+        let session = match way {
+            Way::Speed | Way::SpeedScreen => speed_session(bench, guard),
+            _ => Session::new(Box::new(bench.program(run_seed).unwrap()), guard),
+        };
+        let sent = link.statistics().sent;
+        let session = session.after_seq(last_seq);
+        let summary = one_run(session, bench, &report, link, clock, (interrupted, intents));
+        last_seq += summary.link.sent - sent + 1;
+        trial.note(&summary);
+        if summary.outcome != Outcome::Done {
+            return;
+        }
+    }
+}
+
+fn one_run(
+    session: Session,
+    bench: &BenchFile,
+    report: &CheckReport,
+    link: &mut dyn DriveLink,
+    clock: &mut dyn Clock,
+    (interrupted, intents): (&AtomicBool, &Receiver<Intent>),
+) -> RunSummary {
+    let layout = layout(&report.signals);
+    let mut recorder = MemoryRecorder::new(layout.clone());
+    let config = OnlineConfig::from_model(&Model::baseline(bench.motor.motor()));
+    let mut online = LiveOnline::new(layout, config);
+    run(
+        session,
+        Bench {
+            link,
+            clock,
+            recorder: &mut recorder,
+            estimator: Some(&mut online),
+            intents,
+            interrupted,
+            snapshots: &SnapshotCell::default(),
+        },
+        &RunOptions {
+            name: "trial".to_owned(),
+            target: Target::Hardware,
+            rate_hz: bench.link.rate_hz,
+            motor: bench.nameplate(),
+            auto_start: true,
+        },
+    )
+}
+
+impl Trial {
+    fn say(&mut self, status: i32, text: &str) {
+        self.status = status;
+        let _ = writeln!(self.said, "{text}");
+    }
+
+    fn note(&mut self, summary: &RunSummary) {
+        let (status, text) = match &summary.outcome {
+            Outcome::Done => (0, "done"),
+            Outcome::Stopped | Outcome::Interrupted => (130, "stopped"),
+            Outcome::Tripped(trip) => (4, trip.reason.as_str()),
+            Outcome::LinkLost { reason } | Outcome::NotStarted { reason } => (3, reason.as_str()),
+        };
+        self.say(status, text);
+        if let Some(error) = &summary.stop_error {
+            let status = if status == 0 { 3 } else { status };
+            self.say(status, &format!("the stop is not confirmed: {error}"));
+        }
+        for notice in &summary.notices {
+            let _ = writeln!(self.said, "{}", notice.text);
+        }
+        for estimate in &summary.estimates {
+            if let (Some(value), Some(std)) = (estimate.value, estimate.std) {
+                let verdict = estimate.verdict.name().to_owned();
+                self.parameters
+                    .push((estimate.key.clone(), value, std, verdict));
+            }
+        }
+    }
+}
+
+fn trial(fault: &Fault, way: Way, seed: u64) -> Trial {
+    let profile = DriveProfile::parse("drive.toml", PROFILE).unwrap();
+    let mut bench = BenchFile::parse("bench.toml", BENCH).unwrap();
+    bench.drive_facts = DriveFacts::of(&profile);
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let (sender, intents) = channel();
+    let there = Arc::new(Mutex::new(Surroundings {
+        drive: Drive::new(fault.act, seed),
+        host: fault.host(),
+        interrupted: Arc::clone(&interrupted),
+        intents: Some(sender),
+        done_s: None,
+        again: false,
+        stops: false,
+    }));
+    let mut trial = Trial {
+        status: -9,
+        said: String::new(),
+        parameters: Vec::new(),
+        drive: Surroundings {
+            drive: Drive::new(Act::Nothing, 0),
+            host: None,
+            interrupted: Arc::clone(&interrupted),
+            intents: None,
+            done_s: None,
+            again: false,
+            stops: false,
+        },
+    };
+    let ends = (&*interrupted, &intents);
+    on_a_line(&profile, Arc::clone(&there), |link, time| {
+        let mut clock = LineClock(time, Arc::clone(&there));
+        work(way, &bench, &profile, link, &mut clock, ends, &mut trial);
+        let end_s = time.now_s();
+        there.lock().unwrap().drive.advance(end_s + AFTER_S);
+    });
+    std::mem::swap(&mut trial.drive, &mut there.lock().unwrap());
+    trial
+}
+
+/// What was wrong with a trial.
+fn wrong(fault: &Fault, way: Way, seed: u64) -> Vec<String> {
+    let trial = trial(fault, way, seed);
+    let there = &trial.drive;
+    let from_s = match fault.act {
+        Act::Host(_) | Act::StopIgnored(_) => there.done_s,
+        _ => there.drive.seen_s(),
+    };
+    let mut wrong = judge(&there.drive, fault.act, fault.class, from_s);
+    if !fault.statuses.contains(&trial.status) {
+        wrong.push(format!(
+            "status {} instead of {:?}",
+            trial.status, fault.statuses
+        ));
+    }
+    wrong.extend(fault.untold(&trial.said));
+    if fault.class == Class::GoesOn && matches!(way, Way::Run | Way::RunScreen) {
+        for (key, truth) in witness::motor::TRUTHS {
+            for (found, value, std, verdict) in &trial.parameters {
+                let off = (value - truth) / std;
+                if found == key && verdict == "settled" && off.abs() > SIGMAS {
+                    wrong.push(format!(
+                        "{key} settled at {value} +- {std}, {off:+.1} sigma from {truth}"
+                    ));
+                }
+            }
+        }
+    }
+    if !wrong.is_empty() {
+        wrong.push(format!("said: {}", trial.said.trim().replace('\n', " | ")));
+    }
+    wrong
+}
+
+/// All seeds of these faults in every way, on every core.
+fn expect(wanted: impl Fn(&Fault) -> bool) {
+    let picked = std::env::var("DRIVEBENCH_TRIAL").ok();
+    let mut cases = Vec::new();
+    for fault in FAULTS {
+        if !wanted(fault) || !is_virtual(fault) || picked.as_ref().is_some_and(|p| p != fault.name)
+        {
+            continue;
+        }
+        for way in Way::ALL.into_iter().filter(|way| fault.happens(*way)) {
+            cases.extend((0..SEEDS).map(|seed| (fault, way, seed)));
+        }
+    }
+    let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..cores {
+            scope.spawn(|| {
+                while let Some((fault, way, seed)) = cases.get(next.fetch_add(1, Ordering::Relaxed))
+                {
+                    let wrong = wrong(fault, *way, *seed);
+                    if !wrong.is_empty() {
+                        let text =
+                            format!("{fault} x {way:?}, seed {seed}:\n  ") + &wrong.join("\n  ");
+                        failed.lock().unwrap().push(text);
+                    }
+                }
+            });
+        }
+    });
+    let mut failed = failed.into_inner().unwrap();
+    failed.sort();
+    assert!(
+        failed.is_empty(),
+        "{} of {} trials failed:\n{}",
+        failed.len(),
+        cases.len(),
+        failed.join("\n")
+    );
+}
+
+fn is_about_the_line(fault: &Fault) -> bool {
+    fault.class == Class::GoesOn
+}
+
+fn is_about_the_host(fault: &Fault) -> bool {
+    matches!(fault.act, Act::Host(_))
+}
+
+#[test]
+fn a_disturbed_line_bends_no_result() {
+    expect(is_about_the_line);
+}
+
+#[test]
+fn every_way_out_ends_at_zero() {
+    expect(is_about_the_host);
+}
+
+#[test]
+fn whatever_the_drive_does_it_ends_at_zero() {
+    expect(|fault| !is_about_the_line(fault) && !is_about_the_host(fault));
+}

@@ -1,0 +1,830 @@
+//! Plausibility of what is measured while the output is on, for every way of running: one watch that holds commands,
+//! voltage, current, speed and angle against each other.
+//!
+//! ```text
+//! commands, samples --history.rs--> rows --+-- u = R i + L di/dt + Ke w, no factor of 0.5 to 2 makes it fit (balance.rs)
+//!                                          +-- measured voltage, current or speed against the set-points   (set_point.rs)
+//!                                          +-- the same to the bit, while things change                   (repeats.rs)
+//!                                          +-- current by two balances                                    (scale.rs)
+//!                                          +-- angle against speed; speed beyond its reference             (motion.rs)
+//! ```
+//!
+//! Every quantity is a range: what was in force, and what was read, over the last cycles. So a drive that answers some
+//! cycles late, or reads a sensor more seldom than it is asked, is not taken for a broken one. Where the drive stamps its
+//! samples and tells which command it had applied, the ranges are narrow.
+//!
+//! A fault is found within 200 ms or five cycles, whichever is later, counted from when it can be seen: from when the
+//! signals that are broken differ from any that would be believed. At rest without a voltage, or on a plateau on which
+//! nothing changes, there is nothing to be seen, but for a sensor that loses its noise.
+//!
+//! What cannot be told apart is said as such, and ends the run all the same. An unknown motor has no balance: what is left
+//! is what needs no nameplate.
+
+mod balance;
+mod history;
+mod motion;
+mod repeats;
+mod scale;
+mod set_point;
+#[cfg(test)]
+mod tests;
+
+use self::balance::{Plate, Scale, Window, is_mirrored, negative};
+use self::history::{History, Range, Row};
+use self::repeats::Repeats;
+use self::scale::Factor;
+use super::guard::{Trip, TripKind};
+use super::limits::{Limits, Nameplate};
+use super::timing::whole;
+use crate::sample::{Channel, Command, Demand, DriveState, Sample};
+
+/// Its name among the checks that may be waived.
+pub(super) const PLAUSIBILITY: &str = "plausibility";
+
+/// Latency that is allowed: the later of the two.
+const LATENCY_S: f64 = 0.2;
+const LATENCY_CYCLES: usize = 5;
+/// Rows of a window where the drive stamps its samples.
+const WINDOW: usize = 3;
+/// Most rows of any window.
+const LONGEST_WINDOW: usize = 20;
+/// Windows in a row that have to disagree.
+const CONFIRM: usize = 2;
+/// Factors by which any reading, or any value of the nameplate, may be off.
+const ANY: Range = Range::new(0.5, 2.0);
+/// The same for a warm winding and for the flux of another specimen.
+const WINDING: Range = Range::new(0.6, 1.5);
+const FLUX: Range = Range::new(0.7, 1.4);
+/// Drops that depend on nothing, in rated voltages: brushes, bridge, offset.
+const DROP: f64 = 0.04;
+/// Shares of the rated values: a current, a speed that counts as none; a voltage, a speed that counts as a change.
+const IDLE_A: f64 = 0.02;
+const REST_SPEED: f64 = 0.01;
+const REST_VOLTAGE: f64 = 0.01;
+const MOVED_V: f64 = 0.015;
+const MOVED_SPEED: f64 = 0.05;
+/// A back-EMF that proves the encoder's direction, in rated voltages.
+const PROVEN_V: f64 = 0.045;
+/// Without current nothing drives the shaft, and a drive may only be slow to switch its output on: what disagrees then has
+/// to go on for so long, s.
+const IDLE_S: f64 = 0.3;
+/// Readings that are the same to the bit and count as frozen, where the back-EMF has changed meanwhile.
+const SAME: usize = 4;
+/// A current of which nothing is read while the shaft is driven by so much of its rated speed within so long, s.
+const DRIVEN_SPEED: f64 = 0.08;
+const DRIVEN_S: f64 = 0.4;
+/// A set-point that is not followed for so long, s: of a voltage, of a current, and of a speed, of which the drive's own
+/// ramp is not known.
+const FOLLOWS_CURRENT_S: f64 = 0.4;
+const FOLLOWS_SPEED_S: f64 = 2.0;
+/// What of it is no doubt, in rated values.
+const FOLLOWS_CURRENT: f64 = 0.1;
+const FOLLOWS_SPEED: f64 = 0.1;
+/// From this share of the rated current, or of its own limit, on a drive may limit without saying so.
+const LIMITS_BY_ITSELF: f64 = 0.85;
+/// A shaft that stands although the current is that of the rated load, and beyond what friction holds, for so long, s.
+const HELD_S: f64 = 0.5;
+const HELD_FRICTION: f64 = 1.7;
+/// A runaway: so many cycles in a row the speed grows beyond its reference although the torque is against it, by this
+/// share of the speed limit and from this share beyond the reference.
+const RUNAWAY_CYCLES: usize = 4;
+const RUNAWAY_GROWTH: f64 = 0.01;
+const RUNAWAY_BEYOND: f64 = 0.05;
+
+const CHECK_ENCODER: &str =
+    "check the encoder's cable, its counts per turn and its sign in the drive's profile";
+const CHECK_CURRENT: &str =
+    "check the current sensor's leads, and unit and scale of the current in the drive's profile";
+const CHECK_SET_POINT: &str = "check address, scale and word order of the set-point in the drive's profile, and that the bus has the command";
+
+/// The same reading again and again, and what voltage and current made of the speed when it began, V.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    by_voltage: f64,
+    current: f64,
+}
+
+/// The watch of one session.
+#[derive(Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "what is known of a machine, each for itself"
+)]
+pub struct Plausibility {
+    scale: Scale,
+    plate: Option<Plate>,
+    speed_limit_rad_s: f64,
+    current_limit_a: f64,
+    /// Current from which the drive may limit by itself, A.
+    limits_from_a: f64,
+    /// Something pulls at the shaft: it may stand still under a current.
+    vertical: bool,
+    /// What needs a nameplate that fits is given up.
+    waived: bool,
+    reference_rad_s: Option<f64>,
+    history: History,
+    speed: Repeats,
+    current: Repeats,
+    /// Of the speed, since it repeats itself.
+    held: Option<Held>,
+    /// Windows in a row in which it should have changed.
+    frozen: usize,
+    /// Where the shaft was, and whether it was at rest, when the current began to repeat itself.
+    current_held: Option<(f64, bool)>,
+    /// A clearly negative current was read: it has a sign.
+    is_signed: bool,
+    factor: Option<Factor>,
+    disagree: usize,
+    /// Balance of the last window that was believed: voltage, and what the readings made of it, V.
+    believed: Option<(f64, f64)>,
+    /// Since when a set-point is not followed, and how far it was then.
+    astray: Option<(f64, f64)>,
+    idle_since_s: Option<f64>,
+    stands_since_s: Option<f64>,
+    angle_disagrees: usize,
+    /// Speeds of a shaft that runs away, so far.
+    away: Vec<f64>,
+    direction_seen: bool,
+}
+
+impl Plausibility {
+    /// The watch of a motor with a nameplate. `drive_current_limit_a`: the drive's own limit, if it tells one.
+    pub(super) fn of(
+        limits: &Limits,
+        motor: &Nameplate,
+        drive_current_limit_a: Option<f64>,
+    ) -> Self {
+        let plate = Plate {
+            resistance: motor.resistance_ohm,
+            inductance: motor.inductance_h,
+            back_emf: motor.back_emf_v_s_per_rad,
+            inertia: motor.inertia_kg_m2,
+            friction: motor.load_torque_n_m.abs(),
+        };
+        let scale = Scale {
+            volts: motor.rated_voltage_v,
+            amps: motor.rated_current_a,
+            rad_s: motor.rated_speed_rad_s,
+        };
+        let from_a = drive_current_limit_a.unwrap_or(motor.rated_current_a);
+        Self {
+            plate: Some(plate),
+            limits_from_a: LIMITS_BY_ITSELF * from_a.max(motor.rated_current_a),
+            factor: Some(Factor::new(&scale)),
+            ..Self::new(limits, scale)
+        }
+    }
+
+    /// The watch of a motor that is not known.
+    pub(super) fn of_unknown(limits: &Limits) -> Self {
+        let scale = Scale {
+            volts: limits.voltage_v,
+            amps: limits.current_a,
+            rad_s: limits.speed_rad_s,
+        };
+        Self::new(limits, scale)
+    }
+
+    fn new(limits: &Limits, scale: Scale) -> Self {
+        Self {
+            scale,
+            plate: None,
+            speed_limit_rad_s: limits.speed_rad_s,
+            current_limit_a: limits.current_a,
+            limits_from_a: LIMITS_BY_ITSELF * scale.amps,
+            vertical: limits.load.vertical,
+            waived: false,
+            reference_rad_s: None,
+            history: History::default(),
+            speed: Repeats::default(),
+            current: Repeats::default(),
+            held: None,
+            frozen: 0,
+            current_held: None,
+            is_signed: false,
+            factor: None,
+            disagree: 0,
+            believed: None,
+            astray: None,
+            idle_since_s: None,
+            stands_since_s: None,
+            angle_disagrees: 0,
+            away: Vec::with_capacity(RUNAWAY_CYCLES + 1),
+            direction_seen: false,
+        }
+    }
+}
+
+impl Plausibility {
+    /// Gives up what needs a nameplate that fits.
+    pub(super) const fn waive(&mut self) {
+        self.waived = true;
+    }
+
+    /// A command that left.
+    pub(super) fn sent(&mut self, command: &Command) {
+        self.history.sent(command);
+    }
+
+    /// The speed that a loop follows, rad/s; `None`: there is none.
+    pub(super) const fn follow(&mut self, reference_rad_s: Option<f64>) {
+        self.reference_rad_s = reference_rad_s;
+    }
+
+    /// A start: what was proven before may have been plugged in anew.
+    pub(super) fn begin(&mut self) {
+        self.reset();
+        self.speed.begin();
+        self.current.begin();
+        self.history.clear();
+        self.factor = self.plate.map(|_| Factor::new(&self.scale));
+        self.is_signed = false;
+        self.direction_seen = false;
+        self.reference_rad_s = None;
+    }
+
+    fn reset(&mut self) {
+        (self.held, self.current_held, self.believed) = (None, None, None);
+        (self.disagree, self.angle_disagrees, self.frozen) = (0, 0, 0);
+        (self.astray, self.idle_since_s, self.stands_since_s) = (None, None, None);
+        self.away.clear();
+    }
+
+    /// Whether the encoder has been seen to turn in the right direction since the start.
+    pub const fn has_seen_direction(&self) -> bool {
+        self.direction_seen
+    }
+
+    /// Nothing speaks against the measured speed.
+    pub(super) const fn believes_speed(&self) -> bool {
+        self.disagree == 0 && self.angle_disagrees == 0 && self.speed.run() < SAME
+    }
+
+    /// What cannot be watched on this drive with this motor; `None`: everything is.
+    pub fn unwatched(&self) -> Option<&'static str> {
+        let last = self.history.last()?;
+        match last.demand? {
+            _ if self.plate.is_none() => {
+                Some("without a nameplate speed and current are not held against the voltage")
+            }
+            Demand::Speed(_) => Some(
+                "behind the drive's own speed loop speed and current are not held against the voltage",
+            ),
+            Demand::Current(_) if last.voltage_v.is_none() => {
+                Some("the drive tells no voltage, so speed and current are not held against it")
+            }
+            Demand::Voltage(_) if last.voltage_v.is_none() => Some(
+                "the drive tells no voltage, so its output is judged by current and speed only",
+            ),
+            _ => None,
+        }
+    }
+
+    /// Looks at one sample. With `armed` false it only learns how noisy the sensors are.
+    pub(super) fn look(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
+        let runs = sample
+            .state
+            .is_none_or(|state| state == DriveState::Running);
+        let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
+        let still = speed.is_some_and(|speed| speed.abs() < REST_SPEED * self.scale.rad_s);
+        if !(armed && runs && self.history.has_sent()) {
+            self.read(sample.time_s, speed, current, still && !runs);
+            self.history.clear();
+            self.reset();
+            return None;
+        }
+        let continues = self.history.push(sample, &self.scale);
+        let at_rest = still && self.asks_nothing();
+        self.read(sample.time_s, speed, current, at_rest);
+        if !continues {
+            self.reset();
+            return None;
+        }
+        self.remember(speed, at_rest);
+        let runaway = self.runs_away(now_s);
+        self.follows(now_s)
+            .or_else(|| self.stuck(now_s))
+            .or_else(|| self.stands(now_s))
+            .or_else(|| self.by_balance(now_s))
+            .or_else(|| self.by_angle(now_s))
+            .or(runaway)
+    }
+
+    fn read(&mut self, time_s: f64, speed: Option<f64>, current: Option<f64>, at_rest: bool) {
+        if let Some(speed) = speed {
+            self.speed.push(time_s, speed, at_rest);
+        }
+        if let Some(current) = current {
+            self.current.push(time_s, current, at_rest);
+        }
+    }
+
+    /// Whether the set-points of the last cycles are zero.
+    fn asks_nothing(&self) -> bool {
+        let asked = self.history.asked(LATENCY_CYCLES);
+        asked.is_some_and(|(demand, range)| {
+            let full = match demand {
+                Demand::Current(_) => self.scale.amps,
+                Demand::Speed(_) => self.scale.rad_s,
+                _ => self.scale.volts,
+            };
+            range.low.abs().max(range.high.abs()) < REST_VOLTAGE * full
+        })
+    }
+
+    fn remember(&mut self, speed: Option<f64>, at_rest: bool) {
+        let idle_a = IDLE_A * self.scale.amps;
+        let signed = |row: &Row| row.current_a < -3.0 * idle_a;
+        self.is_signed |= self.history.rows().back().is_some_and(signed);
+        if self.current.run() == 0 || at_rest {
+            self.current_held = speed.map(|speed| (speed, at_rest));
+        }
+        if self.speed.run() == 0 {
+            self.held = None;
+        }
+    }
+
+    /// Cycles within which a fault has to be found.
+    fn cycles(&self) -> usize {
+        let period_s = self.history.period_s().unwrap_or(LATENCY_S);
+        whole((LATENCY_S / period_s).ceil()).clamp(LATENCY_CYCLES, LONGEST_WINDOW + 2)
+    }
+
+    fn is_exact(&self) -> bool {
+        self.history.last().is_some_and(|last| last.exact)
+    }
+
+    /// Repeats of a speed that count: more where a drive may read its sensors more seldom than it is asked.
+    fn same_needed(&self) -> usize {
+        if self.is_exact() {
+            SAME
+        } else {
+            SAME.max(self.cycles() - 1)
+        }
+    }
+
+    /// The voltage balance over the last rows; `None` until there are enough of which the voltage is known.
+    fn window(&self, plate: &Plate, rows: usize) -> Option<Window> {
+        let all = self.history.rows();
+        if all.len() < rows || rows == 0 {
+            return None;
+        }
+        let last = || all.iter().skip(all.len() - rows);
+        // Without a measured voltage a limit of the drive would not be seen.
+        let knows = self.history.last()?.voltage_v.is_some();
+        let unknown = |row: &Row| !knows && row.current_a.abs() > self.limits_from_a;
+        if last().any(unknown) {
+            return None;
+        }
+        let mut window: Option<Window> = None;
+        let n = rows as f64;
+        for row in last() {
+            let volts = row.volts?;
+            let current_v = plate.current_v(row);
+            let speed_v = plate.back_emf * row.speed_rad_s;
+            let current = Range::around(
+                current_v,
+                plate.quickness(row.seconds) * plate.resistance * row.current_change_a.abs(),
+            );
+            let speed = Range::around(
+                speed_v,
+                plate.slowness(row.seconds) * plate.back_emf * row.speed_change_rad_s.abs(),
+            );
+            let means = (volts.middle() / n, current_v / n, speed_v / n);
+            window = Some(window.map_or(
+                Window {
+                    volts,
+                    current,
+                    speed,
+                    mean_volts: means.0,
+                    mean_current: means.1,
+                    mean_speed: means.2,
+                },
+                |sum| Window {
+                    volts: sum.volts.hull(volts),
+                    current: sum.current.hull(current),
+                    speed: sum.speed.hull(speed),
+                    mean_volts: sum.mean_volts + means.0,
+                    mean_current: sum.mean_current + means.1,
+                    mean_speed: sum.mean_speed + means.2,
+                },
+            ));
+        }
+        let mut window = window?;
+        if !self.is_signed {
+            // A drive may tell no more than the magnitude: it goes either way.
+            let most = window.current.low.abs().max(window.current.high.abs());
+            window.current = Range::new(-most, most);
+            window.mean_current = window.mean_current.abs().copysign(window.mean_volts);
+        }
+        Some(window)
+    }
+
+    fn window_rows(&self) -> usize {
+        if self.is_exact() {
+            WINDOW
+        } else {
+            self.cycles() - 2
+        }
+    }
+
+    fn drop_v(&self) -> f64 {
+        DROP * self.scale.volts
+    }
+
+    /// The same to the bit, by the noise that a sensor had at rest, or through a motion from rest.
+    fn stuck(&self, now_s: f64) -> Option<Trip> {
+        let last = self.history.last()?;
+        let (speed, current) = (last.speed_rad_s?, last.current_a?);
+        let excited = !self.asks_nothing();
+        let turns = speed.abs() > REST_SPEED * self.scale.rad_s;
+        let other_lives = self.current.run() < self.speed.run();
+        if excited && (self.speed.is_silent() || self.speed.is_stuck() && turns && other_lives) {
+            let what = format!(
+                "the measured speed stays at {speed:.2} rad/s to the last bit in {} samples, {:.2} s; by its noise at rest {:.0} are allowed; {CHECK_ENCODER}",
+                self.speed.run() + 1,
+                last.time_s - self.speed.since_s(),
+                self.speed.needed().unwrap_or(0.0)
+            );
+            return Some(Trip::implausible(
+                TripKind::EncoderFrozen,
+                now_s,
+                (speed, speed),
+                &what,
+            ));
+        }
+        let moved = self
+            .current_held
+            .map_or(0.0, |(from, _)| (speed - from).abs());
+        let from_rest = self.current_held.is_some_and(|(_, at_rest)| at_rest);
+        let needs_current = moved > MOVED_SPEED * self.scale.rad_s;
+        let stays = from_rest && needs_current && self.current.run() >= SAME;
+        if excited
+            && (self.current.is_silent() || self.current.is_stuck() && needs_current || stays)
+        {
+            let what = format!(
+                "the measured current stays at {current:.3} A to the last bit in {} samples, {:.2} s, while the speed went by {moved:.1} rad/s to {speed:.1} rad/s; {CHECK_CURRENT}",
+                self.current.run() + 1,
+                last.time_s - self.current.since_s()
+            );
+            return Some(Trip::implausible(
+                TripKind::CurrentStuck,
+                now_s,
+                (current, current),
+                &what,
+            ));
+        }
+        None
+    }
+
+    /// A shaft that does not turn although it should.
+    fn stands(&mut self, now_s: f64) -> Option<Trip> {
+        let plate = self.plate.filter(|_| !self.vertical)?;
+        let row = *self.history.rows().back()?;
+        let least_a = self
+            .scale
+            .amps
+            .max(HELD_FRICTION * plate.friction / plate.back_emf);
+        let stands =
+            row.current_a.abs() >= least_a && row.speed_rad_s.abs() < REST_SPEED * self.scale.rad_s;
+        let last_s = self.history.last()?.time_s;
+        if !stands {
+            self.stands_since_s = None;
+            return None;
+        }
+        let since_s = *self.stands_since_s.get_or_insert(last_s);
+        let longest_s = HELD_S.max(LATENCY_CYCLES as f64 * row.seconds);
+        let torque = plate.back_emf * row.current_a.abs();
+        let what = format!(
+            "the shaft is locked, or the encoder stands still: {:.2} rad/s for {:.2} s under {:.2} A, which give {torque:.3} N.m where friction is {:.3} N.m by the nameplate; {longest_s:.2} s are allowed; check brake and load, turn the shaft by hand and watch the speed",
+            row.speed_rad_s,
+            last_s - since_s,
+            row.current_a,
+            plate.friction
+        );
+        (last_s - since_s >= longest_s).then(|| {
+            let figures = (row.speed_rad_s, 0.0);
+            Trip::implausible(TripKind::ShaftHeld, now_s, figures, &what)
+        })
+    }
+
+    /// Everything that the voltage balance says.
+    fn by_balance(&mut self, now_s: f64) -> Option<Trip> {
+        let plate = self.plate?;
+        let row = *self.history.rows().back()?;
+        if !(self.waived || row.limited)
+            && row.exact
+            && let Some(factor) = self
+                .factor
+                .as_mut()
+                .and_then(|factor| factor.push(&row, self.is_signed, &plate, &self.scale))
+        {
+            return Some(self.current_scaled(now_s, factor));
+        }
+        if self.is_idle() {
+            self.disagree = 0;
+            return self.idle(now_s, &plate);
+        }
+        self.idle_since_s = None;
+        let Some(window) = self.window(&plate, self.window_rows()) else {
+            self.disagree = 0;
+            return None;
+        };
+        if let Some(trip) = self.frozen(now_s, &plate, &window) {
+            return Some(trip);
+        }
+        let drop_v = self.drop_v();
+        let misfits = !self.waived && window.gap(ANY, ANY, drop_v) > 0.0;
+        let against = self.goes_against(&window);
+        let doubted = misfits || against;
+        if !doubted {
+            self.disagree = 0;
+            let fits = window.gap(WINDING, FLUX, drop_v) <= 0.0;
+            let turns = window.mean_speed.abs() > PROVEN_V * self.scale.volts;
+            self.direction_seen |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
+            if fits {
+                let answer = window.mean_current + window.mean_speed;
+                self.believed = Some((window.mean_volts, answer));
+            }
+            return None;
+        }
+        self.disagree += 1;
+        if self.disagree < CONFIRM {
+            return None;
+        }
+        self.name(now_s, &plate, &window)
+    }
+
+    /// Whether the shaft gains or loses speed against what current and speed say of it, and they would fit with the opposite
+    /// sign.
+    fn goes_against(&self, window: &Window) -> bool {
+        let rated_v = self.scale.volts;
+        let rows = self.history.rows().iter().rev().take(WINDOW);
+        let gain: f64 = rows.map(|row| row.speed_change_rad_s).sum();
+        if gain.abs() < REST_SPEED * self.scale.rad_s {
+            return false;
+        }
+        let (volts, speed, current) = (window.mean_volts, window.mean_speed, window.mean_current);
+        let drives = !self.is_signed || current * volts > 0.0;
+        let encoder = drives
+            && speed * volts < 0.0
+            && gain * volts < 0.0
+            && is_mirrored(window, speed, current, MOVED_V * rated_v, rated_v);
+        // A braked shaft may lose speed under a current that drives it, where a load takes more.
+        let least_v = if current * volts < 0.0 { MOVED_V } else { DROP };
+        let sensor = self.is_signed
+            && speed * volts > 0.0
+            && gain * current < 0.0
+            && is_mirrored(window, current, speed, least_v * rated_v, rated_v);
+        encoder || sensor
+    }
+
+    /// Whether no current flows that would drive anything.
+    fn is_idle(&self) -> bool {
+        let idle_a = IDLE_A * self.scale.amps;
+        let rows = self.history.rows();
+        let last = rows.iter().rev().take(WINDOW);
+        rows.len() >= WINDOW && last.into_iter().all(|row| row.current_a.abs() < idle_a)
+    }
+
+    /// No current flows although the voltage is not that of the speed, or although the shaft is driven.
+    fn idle(&mut self, now_s: f64, plate: &Plate) -> Option<Trip> {
+        let last = *self.history.last()?;
+        let (speed, current) = (last.speed_rad_s?, last.current_a?);
+        if let Some(trip) = self.driven_without_current(now_s, current, speed) {
+            return Some(trip);
+        }
+        let window = self.window(plate, self.window_rows())?;
+        let none = window.with(Range::new(0.0, 0.0), window.speed);
+        let (volts, emf) = (window.mean_volts, window.mean_speed);
+        // What only coasts is not driven, and a converter may not be able to brake it.
+        let coasts = volts.abs() < emf.abs() && self.speed.run() < self.same_needed();
+        if none.gap(ANY, FLUX, self.drop_v()) <= 0.0 || coasts {
+            self.idle_since_s = None;
+            return None;
+        }
+        let since_s = *self.idle_since_s.get_or_insert(last.time_s);
+        if last.time_s - since_s < IDLE_S {
+            return None;
+        }
+        let by_voltage = volts / plate.back_emf;
+        let figures = format!(
+            "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {:.2} s, {IDLE_S} s are allowed",
+            last.time_s - since_s
+        );
+        if speed.abs() >= REST_SPEED * self.scale.rad_s {
+            if self.waived {
+                return None;
+            }
+            let what = format!(
+                "no current drives the shaft, so it should turn at about {by_voltage:.1} rad/s: {figures}; {CHECK_ENCODER}"
+            );
+            let kind = if self.speed.run() >= self.same_needed() {
+                TripKind::EncoderFrozen
+            } else {
+                TripKind::SpeedImplausible
+            };
+            return Some(Trip::implausible(kind, now_s, (speed, by_voltage), &what));
+        }
+        let expected_a = volts / plate.resistance;
+        Some(if last.voltage_v.is_some() {
+            let what = format!(
+                "the armature circuit is open, or the output is not on, or current and speed are both not measured: {figures}; check the motor's leads, its fuses and the drive's enable and release inputs"
+            );
+            Trip::implausible(TripKind::OpenCircuit, now_s, (current, expected_a), &what)
+        } else {
+            let what = format!(
+                "the drive does not follow, or its output is not on, or the armature circuit is open (it tells no voltage that would say which): {figures}; {CHECK_SET_POINT}; check the motor's leads"
+            );
+            Trip::implausible(
+                TripKind::SetPointIgnored,
+                now_s,
+                (current, expected_a),
+                &what,
+            )
+        })
+    }
+
+    /// A shaft that speeds up with the voltage, by nothing.
+    fn driven_without_current(&self, now_s: f64, current: f64, speed: f64) -> Option<Trip> {
+        let idle_a = IDLE_A * self.scale.amps;
+        let (mut seconds, mut gain) = (0.0, 0.0);
+        for row in self.history.rows().iter().rev() {
+            let volts = row.volts?.middle();
+            let drives = volts * speed > 0.0 && volts.abs() > REST_VOLTAGE * self.scale.volts;
+            seconds += row.seconds;
+            if row.current_a.abs() > idle_a || !drives || seconds > DRIVEN_S {
+                break;
+            }
+            gain += row.speed_change_rad_s * speed.signum();
+        }
+        let what = format!(
+            "{current:.3} A are measured while the voltage speeds the shaft up by {gain:.1} rad/s to {speed:.1} rad/s; without a current {:.1} rad/s are allowed; {CHECK_CURRENT}",
+            DRIVEN_SPEED * self.scale.rad_s
+        );
+        (gain > DRIVEN_SPEED * self.scale.rad_s)
+            .then(|| Trip::implausible(TripKind::CurrentStuck, now_s, (current, idle_a), &what))
+    }
+
+    /// The same speed again and again, while the back-EMF has changed since it came first or cannot be that of this speed.
+    fn frozen(&mut self, now_s: f64, plate: &Plate, window: &Window) -> Option<Trip> {
+        // What the window says must all be of the time since the speed has been the same.
+        if self.speed.run() < self.window_rows() {
+            self.frozen = 0;
+            return None;
+        }
+        let by_voltage = window.mean_volts - window.mean_current;
+        let held = *self.held.get_or_insert(Held {
+            by_voltage,
+            current: window.mean_current,
+        });
+        if self.speed.run() < self.same_needed() {
+            return None;
+        }
+        let by_current = (window.mean_current - held.current).abs();
+        let idle_v = IDLE_A * self.scale.amps * plate.resistance;
+        // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
+        let turns = held.current.abs() < idle_v || held.current * window.mean_current < 0.0;
+        let drops_v = if turns {
+            2.0 * self.drop_v()
+        } else {
+            REST_VOLTAGE * self.scale.volts
+        };
+        let doubt = drops_v + (1.0 - WINDING.low) * by_current + 0.5 * window.volts.width();
+        let moved = FLUX.low * (by_voltage - held.by_voltage).abs() > doubt;
+        let cannot_be = window.gap(WINDING, FLUX, self.drop_v()) > 0.0;
+        if !(moved || cannot_be) {
+            self.frozen = 0;
+            return None;
+        }
+        self.frozen += 1;
+        // A drive that does not stamp its samples may have read the speed some cycles ago.
+        let needed = if self.is_exact() { 1 } else { self.cycles() };
+        (self.frozen >= needed)
+            .then(|| self.speed_trip(TripKind::EncoderFrozen, now_s, plate, window))
+    }
+
+    /// Which reading it is that does not fit.
+    fn name(&mut self, now_s: f64, plate: &Plate, window: &Window) -> Option<Trip> {
+        let drop_v = self.drop_v();
+        let fits = |window: Window| window.gap(WINDING, FLUX, drop_v) <= 0.0;
+        let unheeded = self.believed.is_some_and(|(volts, answer)| {
+            let asked = (window.mean_volts - volts).abs();
+            let answered = (window.mean_current + window.mean_speed - answer).abs();
+            asked > 2.0 * drop_v && answered < 0.25 * asked
+        });
+        let last = *self.history.last()?;
+        let speed =
+            |plausibility: &Self, kind| Some(plausibility.speed_trip(kind, now_s, plate, window));
+        let mirrored = window.with(window.current, negative(window.speed));
+        let swap_current = window.with(negative(window.current), window.speed);
+        let turns = last.speed_rad_s?.abs() >= REST_SPEED * self.scale.rad_s;
+        if self.speed.run() >= self.same_needed() {
+            speed(self, TripKind::EncoderFrozen)
+        } else if window.mean_speed * window.mean_volts < 0.0
+            && window.mean_current * window.mean_volts.signum() >= -drop_v
+            && fits(mirrored)
+        {
+            speed(self, TripKind::EncoderReversed)
+        } else if self.is_signed
+            && (window.mean_current * window.mean_volts < 0.0 || self.goes_against(window))
+            && fits(swap_current)
+        {
+            Some(self.current_trip(TripKind::CurrentReversed, now_s, plate, window))
+        } else if let Some(trip) = self.swapped(now_s) {
+            Some(trip)
+        } else if unheeded && last.voltage_v.is_none() {
+            let answer = window.mean_current + window.mean_speed;
+            let what = format!(
+                "the set-point went to {:.1} V, current and speed are those of {answer:.1} V as before; {CHECK_SET_POINT}",
+                window.mean_volts
+            );
+            let figures = (answer, window.mean_volts);
+            Some(Trip::implausible(
+                TripKind::SetPointIgnored,
+                now_s,
+                figures,
+                &what,
+            ))
+        } else if !turns {
+            speed(self, TripKind::EncoderFrozen)
+        } else if self.waived {
+            self.disagree = 0;
+            None
+        } else if window.mean_speed.abs() >= window.mean_current.abs() {
+            speed(self, TripKind::SpeedImplausible)
+        } else {
+            Some(self.current_trip(TripKind::CurrentImplausible, now_s, plate, window))
+        }
+    }
+
+    /// The speed that the balance does not carry.
+    fn speed_trip(&self, kind: TripKind, now_s: f64, plate: &Plate, window: &Window) -> Trip {
+        let ke = plate.back_emf;
+        let measured = window.mean_speed / ke;
+        let by_voltage = (window.mean_volts - window.mean_current) / ke;
+        let believed = window
+            .volts
+            .plus(negative(window.current.times(ANY)))
+            .wider(self.drop_v())
+            .times(ANY);
+        let how = match kind {
+            TripKind::EncoderFrozen => "stays at",
+            TripKind::EncoderReversed => "has the wrong sign:",
+            _ => "is",
+        };
+        let ratio = measured / by_voltage;
+        let scale = match kind {
+            TripKind::SpeedImplausible if ratio.is_finite() => {
+                format!(
+                    "; it reads {ratio:.2} times what it should (or Ke of the nameplate is off by as much)"
+                )
+            }
+            _ => String::new(),
+        };
+        let what = format!(
+            "the measured speed {how} {measured:.1} rad/s, by voltage and current it is {by_voltage:.1} rad/s, {:.1} to {:.1} rad/s would be believed{scale}; {CHECK_ENCODER}",
+            believed.low / ke,
+            believed.high / ke
+        );
+        Trip::implausible(kind, now_s, (measured, by_voltage), &what)
+    }
+
+    fn current_trip(&self, kind: TripKind, now_s: f64, plate: &Plate, window: &Window) -> Trip {
+        let measured = window.mean_current / plate.resistance;
+        let by_voltage = (window.mean_volts - window.mean_speed) / plate.resistance;
+        let believed = window
+            .volts
+            .plus(negative(window.speed.times(ANY)))
+            .wider(self.drop_v())
+            .times(ANY);
+        let how = match kind {
+            TripKind::CurrentReversed => "has the wrong sign:",
+            _ => "is",
+        };
+        let what = format!(
+            "the measured current {how} {measured:.2} A, by voltage and speed it is {by_voltage:.2} A, {:.2} to {:.2} A would be believed; {CHECK_CURRENT}",
+            believed.low / plate.resistance,
+            believed.high / plate.resistance
+        );
+        Trip::implausible(kind, now_s, (measured, by_voltage), &what)
+    }
+
+    /// A current that both balances want to be another.
+    fn current_scaled(&self, now_s: f64, factor: f64) -> Trip {
+        let current = self
+            .history
+            .last()
+            .and_then(|last| last.current_a)
+            .unwrap_or(0.0);
+        let kind = if factor < 0.0 {
+            TripKind::CurrentReversed
+        } else {
+            TripKind::CurrentImplausible
+        };
+        let what = format!(
+            "the measured current reads {factor:.2} times what voltage and acceleration ask for, 0.5 to 2 is allowed; now it is {current:.2} A; {CHECK_CURRENT}"
+        );
+        Trip::implausible(kind, now_s, (factor, 1.0), &what)
+    }
+}

@@ -1,0 +1,125 @@
+//! Readings that are the same to the bit again and again, and how many of them a working sensor would give by chance.
+//!
+//! At rest a sensor shows how often it repeats itself: by its noise and its resolution, and where a drive reads it more
+//! seldom than it is asked. With the share `p` of repeats, `n` in a row come by chance once in `p^-n`.
+
+/// Chance that is not believed.
+const CHANCE: f64 = 1e-9;
+/// Readings in a row that are needed whatever the noise.
+const FEWEST: usize = 8;
+/// Readings at rest that tell the share.
+const LEARNED: usize = 3;
+/// A sensor that repeats itself seldom has noise of its own, and not only that of a shaft which trembles.
+const SELDOM: f64 = 0.35;
+
+/// The readings of one sensor.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Repeats {
+    last: Option<u64>,
+    /// In a row, so far.
+    run: usize,
+    since_s: f64,
+    /// At rest: readings, and those that repeated the one before; the longest row of them.
+    rest: usize,
+    rest_same: usize,
+    rest_longest: usize,
+}
+
+impl Repeats {
+    /// A new start: what was learned at rest stays.
+    pub(super) const fn begin(&mut self) {
+        self.last = None;
+        self.run = 0;
+    }
+
+    /// Takes a reading.
+    pub(super) fn push(&mut self, time_s: f64, value: f64, at_rest: bool) {
+        let bits = value.to_bits();
+        let Some(before) = self.last.replace(bits) else {
+            self.since_s = time_s;
+            return;
+        };
+        let same = before == bits;
+        if same {
+            self.run += 1;
+        } else {
+            self.run = 0;
+            self.since_s = time_s;
+        }
+        if at_rest {
+            self.rest += 1;
+            self.rest_same += usize::from(same);
+            self.rest_longest = self.rest_longest.max(self.run);
+        }
+    }
+
+    /// Repeats in a row, so far.
+    pub(super) const fn run(&self) -> usize {
+        self.run
+    }
+
+    /// Time of the first of them, s.
+    pub(super) const fn since_s(&self) -> f64 {
+        self.since_s
+    }
+
+    /// Share of repeats at rest, none seen counting as one more of each; `None`: not known.
+    fn share(&self) -> Option<f64> {
+        let known = self.rest >= LEARNED && self.rest_same < self.rest;
+        known.then(|| (self.rest_same + 1) as f64 / (self.rest + 2) as f64)
+    }
+
+    /// Repeats in a row that chance does not give; `None`: it was not noisy at rest.
+    pub(super) fn needed(&self) -> Option<f64> {
+        let by_chance = CHANCE.ln() / self.share()?.ln();
+        let fewest = FEWEST.max(3 * self.rest_longest);
+        Some(by_chance.max(fewest as f64))
+    }
+
+    /// More of the same than chance gives a sensor that was noisy at rest.
+    pub(super) fn is_stuck(&self) -> bool {
+        self.needed()
+            .is_some_and(|needed| self.run as f64 >= needed)
+    }
+
+    /// As `is_stuck`, of a sensor with noise of its own.
+    pub(super) fn is_silent(&self) -> bool {
+        self.is_stuck() && self.share().is_some_and(|share| share <= SELDOM)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sensor that was read at rest with these readings, then gives the last one `repeats` times more.
+    fn after(rest: &[f64], repeats: usize) -> Repeats {
+        let mut sensor = Repeats::default();
+        for (n, value) in rest.iter().enumerate() {
+            sensor.push(n as f64, *value, true);
+        }
+        for n in 0..repeats {
+            sensor.push(n as f64, rest[rest.len() - 1], false);
+        }
+        sensor
+    }
+
+    #[test]
+    fn a_noisy_sensor_is_stuck_after_a_dozen_and_a_quiet_one_never() {
+        let noisy = [0.1, -0.2, 0.05, 0.3, -0.1];
+        assert!(!after(&noisy, 7).is_stuck());
+        assert!(after(&noisy, 12).is_silent());
+        assert!(!after(&[0.0; 50], 10_000).is_stuck());
+    }
+
+    #[test]
+    fn a_drive_that_reads_its_sensor_every_fourth_cycle_needs_as_much_more() {
+        let slow: Vec<f64> = (0..60).map(|n: u32| f64::from(n / 4)).collect();
+        assert!(!after(&slow, 40).is_stuck());
+        assert!(after(&slow, 90).is_stuck());
+        assert!(
+            !after(&slow, 90).is_silent(),
+            "this may be a shaft that trembled"
+        );
+    }
+}
