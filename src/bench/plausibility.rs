@@ -321,14 +321,13 @@ impl Plausibility {
 
     /// Whether the set-points of the last cycles are zero.
     fn asks_nothing(&self) -> bool {
-        let asked = self.history.asked(LATENCY_CYCLES);
-        asked.is_some_and(|(demand, range)| {
-            let full = match demand {
-                Demand::Current(_) => self.scale.amps,
-                Demand::Speed(_) => self.scale.rad_s,
-                _ => self.scale.volts,
-            };
-            range.low.abs().max(range.high.abs()) < REST_VOLTAGE * full
+        self.history.demands().is_some_and(|mut demands| {
+            demands.all(|demand| match demand {
+                Demand::Voltage(volts) => volts.abs() < REST_VOLTAGE * self.scale.volts,
+                Demand::Current(amps) => amps.abs() < REST_VOLTAGE * self.scale.amps,
+                Demand::Speed(rad_s) => rad_s.abs() < REST_VOLTAGE * self.scale.rad_s,
+                Demand::Disable | Demand::Stop | Demand::ResetFault => true,
+            })
         })
     }
 
@@ -519,7 +518,14 @@ impl Plausibility {
                 .as_mut()
                 .and_then(|factor| factor.push(&row, self.is_signed, &plate, &self.scale))
         {
-            return Some(self.current_scaled(now_s, factor));
+            // Both balances see no difference between the two signs, but for which of them goes against the voltage.
+            let window = self
+                .window(&plate, WINDOW)
+                .filter(|window| factor < 0.0 && window.mean_speed * window.mean_volts < 0.0);
+            return Some(match window {
+                Some(window) => self.speed_trip(TripKind::EncoderReversed, now_s, &plate, &window),
+                None => self.current_scaled(now_s, factor),
+            });
         }
         if self.is_idle() {
             self.disagree = 0;
@@ -717,18 +723,24 @@ impl Plausibility {
         let speed =
             |plausibility: &Self, kind| Some(plausibility.speed_trip(kind, now_s, plate, window));
         let mirrored = window.with(window.current, negative(window.speed));
-        let swap_current = window.with(negative(window.current), window.speed);
+        let drives_back = window.mean_speed * window.mean_volts < 0.0
+            && window.mean_current * window.mean_volts.signum() >= -drop_v;
+        // A loop that saw its shaft turn about has reversed the voltage too.
+        let opposite = window.mean_speed.abs() > 2.0 * drop_v
+            && window.misfit(-1.0) < 0.3 * window.misfit(1.0);
         let turns = last.speed_rad_s?.abs() >= REST_SPEED * self.scale.rad_s;
         if self.speed.run() >= self.same_needed() {
             speed(self, TripKind::EncoderFrozen)
-        } else if window.mean_speed * window.mean_volts < 0.0
-            && window.mean_current * window.mean_volts.signum() >= -drop_v
-            && fits(mirrored)
-        {
+        } else if drives_back && fits(mirrored) || opposite {
             speed(self, TripKind::EncoderReversed)
         } else if self.is_signed
-            && (window.mean_current * window.mean_volts < 0.0 || self.goes_against(window))
-            && fits(swap_current)
+            && is_mirrored(
+                window,
+                window.mean_current,
+                window.mean_speed,
+                MOVED_V * self.scale.volts,
+                self.scale.volts,
+            )
         {
             Some(self.current_trip(TripKind::CurrentReversed, now_s, plate, window))
         } else if let Some(trip) = self.swapped(now_s) {

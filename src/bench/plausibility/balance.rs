@@ -63,6 +63,11 @@ impl Window {
         self.volts.gap(needed.wider(drop_v))
     }
 
+    /// What is left of the balance with the speed times this factor, V.
+    pub(super) fn misfit(&self, speed: f64) -> f64 {
+        (self.mean_volts - self.mean_current - speed * self.mean_speed).abs()
+    }
+
     /// The same with another reading in the place of a measured one.
     pub(super) fn with(&self, current: Range, speed: Range) -> Self {
         Self {

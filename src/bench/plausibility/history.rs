@@ -16,6 +16,8 @@ const LONGEST_ROW_S: f64 = 0.5;
 const STEADY_V: f64 = 0.05;
 const STEADY_A: f64 = 0.1;
 const STEADY_COMMAND: f64 = 0.03;
+/// Commands that a drive which does not stamp its samples may be late.
+const LATE_COMMANDS: u64 = 5;
 /// Samples kept, at most.
 const KEPT: usize = 64;
 
@@ -175,6 +177,13 @@ impl History {
             .iter()
             .filter(move |(seq, _)| (from..=to).contains(seq))
             .map(|(_, demand)| *demand)
+    }
+
+    /// The demands that the newest sample may answer to; `None` where it answers to none.
+    pub(super) fn demands(&self) -> Option<impl Iterator<Item = Demand>> {
+        let last = self.samples.back()?;
+        last.key?;
+        Some(self.in_force(last, last, if last.exact { 2 } else { LATE_COMMANDS }))
     }
 
     /// The demands that the newest sample may answer to, as one range in their quantity; `None` where they are mixed.

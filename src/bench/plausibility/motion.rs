@@ -1,6 +1,5 @@
 //! What needs no voltage: the angle against the speed, and a speed that grows beyond its reference.
 
-use super::balance::Window;
 use super::history::Range;
 use super::{
     ANY, CHECK_ENCODER, CONFIRM, Plausibility, REST_SPEED, RUNAWAY_BEYOND, RUNAWAY_CYCLES,
@@ -88,15 +87,10 @@ impl Plausibility {
             .plate
             .and_then(|plate| Some((plate, self.window(&plate, WINDOW)?)));
         Some(match window {
-            Some((plate, window)) if misfit(&window, -1.0) < misfit(&window, 1.0) => {
+            Some((plate, window)) if window.misfit(-1.0) < window.misfit(1.0) => {
                 self.speed_trip(TripKind::EncoderReversed, now_s, &plate, &window)
             }
             _ => Trip::runaway(now_s, speed, reference),
         })
     }
-}
-
-/// What is left of the balance with the speed times this factor, V.
-fn misfit(window: &Window, speed: f64) -> f64 {
-    (window.mean_volts - window.mean_current - speed * window.mean_speed).abs()
 }

@@ -28,7 +28,6 @@ pub(super) struct Repeats {
 impl Repeats {
     /// A new start: what was learned at rest stays.
     pub(super) const fn begin(&mut self) {
-        self.last = None;
         self.run = 0;
     }
 
