@@ -89,6 +89,8 @@ pub const REFERENCE_SUPPLY_V: f64 = 110.0;
 
 /// Half-widths of a stamp within which a command of the same host was applied: its own exchange and the reading one.
 const EXCHANGE: f64 = 2.0;
+/// Share of a period that a write takes at least where the samples are stamped more sharply than the commands.
+const WRITING: f64 = 0.1;
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
 /// Rows below which nothing can be said about a motor.
@@ -197,13 +199,14 @@ impl Scenario {
     /// that was sampled changed some time between two samples.
     pub fn input_delay_s(&self) -> Option<(f64, f64)> {
         let half_width_s = self.typical_half_width_s()?;
+        let length_s = self.sample_time_s.last()? - self.sample_time_s.first()?;
+        let period_s = length_s / (self.samples() - 1) as f64;
         match (self.input, self.input_channel) {
-            (Input::Voltage, Channel::VoltageCmd) => Some((0.0, EXCHANGE * half_width_s)),
-            (Input::Voltage, _) => {
-                let length_s = self.sample_time_s.last()? - self.sample_time_s.first()?;
-                let half_period_s = 0.5 * length_s / (self.samples() - 1) as f64;
-                Some((-half_period_s, half_period_s))
+            (Input::Voltage, Channel::VoltageCmd) => {
+                let own_s = EXCHANGE * half_width_s;
+                Some((0.0, own_s.max(WRITING * period_s)))
             }
+            (Input::Voltage, _) => Some((-0.5 * period_s, 0.5 * period_s)),
             _ => None,
         }
     }
@@ -410,6 +413,27 @@ mod tests {
                 Err(ScenarioError::Gap { .. })
             ));
         }
+    }
+
+    #[test]
+    fn what_a_host_stamped_has_a_delay_that_is_not_known_and_what_a_drive_stamped_has_none() {
+        let drive = run(Origin::Commanded);
+        assert_eq!(Scenario::from_run(&drive).unwrap().input_delay_s(), None);
+        let mut host = drive;
+        host.set_column(Channel::TimeHalfWidth, vec![0.002; 40], Origin::Derived)
+            .unwrap();
+        let commanded = Scenario::from_run(&host).unwrap();
+        assert_eq!(commanded.time_half_width_s.len(), commanded.samples());
+        assert_eq!(commanded.input_delay_s(), Some((0.0, 0.004)));
+        let sampled = Scenario::from_run(&host.without(Channel::VoltageCmd)).unwrap();
+        let (mean_s, std_s) = sampled.input_delay_s().unwrap();
+        assert!((mean_s + 0.005).abs() < 1e-9 && (std_s - 0.005).abs() < 1e-9);
+        let later = commanded.with_input_delayed(0.0005);
+        assert_eq!(
+            later.events[0], commanded.events[0],
+            "what held first holds on"
+        );
+        assert!((later.events[1].0 - commanded.events[1].0 - 0.0005).abs() < 1e-12);
     }
 
     #[test]

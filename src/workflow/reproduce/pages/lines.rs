@@ -41,7 +41,7 @@ impl LineStudy {
             heading: HEADING.to_owned(),
             paragraphs: vec![
                 format!(
-                    "{} records of each kind by the default method of `identify`, without a first guess: each with a motor of its own (R, L, Ke, J and Mc within a factor of 1.5 of the ZK-22FC's) under voltage steps of its own over 7 s. The drive samples and applies within its own cycle; where it has no clock that can be read, the host stamps a sample in the middle of request out and first byte in, and a command when it is sent. Profiled drives show 0.1 V, 0.01 A and 1 r/min. The share behind a line's name is that of its replies that are late by 12 to 60 ms, as many lost (given up after 80 ms) and as many doubled.",
+                    "{} records of each kind by the default method of `identify`, without a first guess: each with a motor of its own (R, L, Ke, J and Mc within a factor of 1.5 of the ZK-22FC's) under voltage steps of its own over 7 s. The drive samples and applies within its own cycle; where it has no clock that can be read, the host stamps a sample in the middle of request out and first byte in, and a command when it is sent, which is the least that a host can know of it. Profiled drives show 0.1 V, 0.01 A and 1 r/min. The share behind a line's name is that of its replies that are late by 12 to 60 ms, as many lost (given up after 80 ms) and as many doubled.",
                     self.runs
                 ),
                 "A cell holds the median size of the error and, behind it, the share of the 95 % intervals that hold the truth; a dash is a parameter that was refused. Stamps that are believed are those of a record without its column `time_half_width_s`, as they were used before there was one.".to_owned(),
