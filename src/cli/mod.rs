@@ -54,7 +54,7 @@ Exit status:
   3    link or device: no answer, another drive, a failed check, no --hardware, a locked or open motor
   4    safety trip
   5    not identified: nothing at all, or a key of --require
-  6    internal error
+  6    internal error, or a record that could not be kept
   130  interrupted, after a safe stop";
 
 /// Talks to a motor drive, identifies the motor on line, and names the physical effect its model is missing.
