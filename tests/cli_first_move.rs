@@ -75,8 +75,13 @@ fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
     assert!(error.contains("help: exchange A and B"), "{error}");
     assert!(!desk.0.path().join("runs").exists(), "nothing was recorded");
 
-    let done = run(&desk, &bench("", STEPS), &reversed, "--waive-direction").expect(0);
-    for words in ["waived: direction", "WAIVED: no pulse was made"] {
+    // What the waived pulse would have shown the run shows itself: no waiver lets an encoder run backwards.
+    let done = run(&desk, &bench("", STEPS), &reversed, "--waive-direction").expect(4);
+    for words in [
+        "waived: direction",
+        "WAIVED: no pulse was made",
+        "safety trip: encoder reversed",
+    ] {
         assert!(done.stderr.contains(words), "{words}: {}", done.stderr);
     }
     let folder = folder(&desk);

@@ -210,7 +210,8 @@ mod tests {
             assert!(error(row.trapezoid).abs() < 1.0, "{row:?}");
             let noisy = row.inertia_with_noise;
             assert!(noisy.error_percent.abs() < 1.0, "{row:?}");
-            assert!((90.0..=98.5).contains(&noisy.coverage_percent), "{row:?}");
+            // Few rows: what they have in common is not told from their own noise, and the intervals are wide.
+            assert!((90.0..=99.6).contains(&noisy.coverage_percent), "{row:?}");
         }
         for row in &table.by_period {
             assert!(row.period_s <= 0.5 * table.electrical_time_constant_s);
