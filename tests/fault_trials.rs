@@ -1,8 +1,8 @@
 //! Whatever goes wrong, the motor is at zero within its budget by the log of a drive that this program does not know.
 //!
 //! Real binary, real pseudo-terminals, real time. `DRIVEBENCH_EVERYTHING` makes every fault happen in every way; else each
-//! happens once, and every way of running is taken several times. They need a machine that keeps its deadlines, so they are asked for
-//! by name (`-- --ignored`). `DRIVEBENCH_TRIAL=NAME[/WAY]` picks some by name.
+//! happens once, and every way of running is taken several times. They need a machine that keeps its deadlines, so they
+//! are asked for by name (`-- --ignored`). `DRIVEBENCH_TRIAL=NAME[/WAY]` picks some by name.
 #![cfg(target_os = "linux")]
 
 #[path = "witness/line.rs"]
@@ -133,7 +133,6 @@ fn every_way_of_running_ends_well_where_nothing_is_wrong() {
 }
 
 #[test]
-#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored; some trials are open"]
 fn the_table_has_forty_faults_and_each_can_happen() {
     assert!(FAULTS.len() > 40);
     for fault in FAULTS {
