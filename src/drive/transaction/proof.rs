@@ -534,8 +534,14 @@ impl Proof {
             }
             Method::OtherTable => {
                 let place = self.place.map(|(place, _)| place);
+                // A refusal carries no length: the table that is tried is not the one that has been refused.
+                let input_refused = || {
+                    let mut asked = self.asked.iter();
+                    asked.any(|asked| asked.head[0] == 4 && !asked.is_answered)
+                };
                 let table = match place.map(|place| place.table) {
                     Some(RegisterTable::Input) => RegisterTable::Holding,
+                    None if input_refused() => RegisterTable::Holding,
                     _ => RegisterTable::Input,
                 };
                 let address = place.map_or(0, |place| place.address);
@@ -578,6 +584,26 @@ mod tests {
     use crate::drive::guard::now;
 
     const QUIET: Duration = Duration::from_millis(20);
+
+    #[test]
+    fn a_unit_that_refuses_one_table_is_proven_by_the_other() {
+        let begun = now();
+        for (refused, other) in [(4, 3), (3, 4)] {
+            let read = [refused, 0, 0, 0, 1];
+            let mut proof = Proof::new(Policy::Trial(5 * QUIET), QUIET, begun);
+            proof.asked(&read, false, begun);
+            proof.ended(End::Refused, &[], false, false, begun);
+            proof.doubt();
+            let later = begun + 2 * QUIET;
+            let Step::Probe(probe) = proof.next(&read, later) else {
+                panic!("a doubt is followed by a probe");
+            };
+            assert_eq!(probe[0], other);
+            proof.asked(&probe, true, later);
+            proof.ended(End::Refused, &[], false, false, later);
+            assert_eq!(proof.next(&read, later), Step::Go);
+        }
+    }
     const MS: Duration = Duration::from_millis(1);
 
     fn read(address: u16, count: u16) -> [u8; 5] {
