@@ -77,6 +77,10 @@ const DRIVEN_S: f64 = 0.4;
 /// ramp is not known.
 const FOLLOWS_CURRENT_S: f64 = 0.4;
 const FOLLOWS_SPEED_S: f64 = 2.0;
+/// A voltage that stays behind a set-point which has moved by so much, in rated voltages: it has moved by less than this
+/// share of it.
+const STAYS_V: f64 = 0.08;
+const STAYS_SHARE: f64 = 0.25;
 /// What of it is no doubt, in rated values.
 const FOLLOWS_CURRENT: f64 = 0.1;
 const FOLLOWS_SPEED: f64 = 0.1;
@@ -139,6 +143,10 @@ pub struct Plausibility {
     believed: Option<(f64, f64)>,
     /// Since when a set-point is not followed, and how far it was then.
     astray: Option<(f64, f64)>,
+    /// Set-point and measured voltage where they agreed last, V.
+    agreed: Option<(f64, f64)>,
+    /// Since when the set-point has moved away from there and the voltage has not.
+    stays_since_s: Option<f64>,
     idle_since_s: Option<f64>,
     stands_since_s: Option<f64>,
     angle_disagrees: usize,
@@ -206,6 +214,8 @@ impl Plausibility {
             disagree: 0,
             believed: None,
             astray: None,
+            agreed: None,
+            stays_since_s: None,
             idle_since_s: None,
             stands_since_s: None,
             angle_disagrees: 0,
@@ -247,6 +257,7 @@ impl Plausibility {
         (self.held, self.current_held, self.believed) = (None, None, None);
         (self.disagree, self.angle_disagrees, self.frozen) = (0, 0, 0);
         (self.astray, self.idle_since_s, self.stands_since_s) = (None, None, None);
+        (self.agreed, self.stays_since_s) = (None, None);
         self.away.clear();
     }
 

@@ -426,7 +426,7 @@ pub(crate) const FAULTS: &[Fault] = &[
         Act::StopIgnored(Host::InterruptKey),
         Class::Watchdog,
         &[3, 4, 130],
-        &["not confirmed|still|did not stop|not stopped|unconfirmed"],
+        &["not confirmed|still|did not stop|not stopped|unconfirmed|set-point not followed"],
         Where::Everywhere,
     ),
     cut(

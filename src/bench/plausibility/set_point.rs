@@ -5,6 +5,7 @@ use super::history::Range;
 use super::{
     ANY, CHECK_SET_POINT, FOLLOWS_CURRENT, FOLLOWS_CURRENT_S, FOLLOWS_SPEED, FOLLOWS_SPEED_S,
     IDLE_A, IDLE_S, LATENCY_CYCLES, LATENCY_S, LONGEST_WINDOW, Plausibility, REST_SPEED,
+    STAYS_SHARE, STAYS_V,
 };
 use crate::bench::guard::{Trip, TripKind};
 use crate::sample::Demand;
@@ -156,6 +157,22 @@ impl Plausibility {
                 (measured, self.scale.rad_s, confirm_s, "rad/s")
             }
         };
+        if let (Demand::Voltage(_), Some(value)) = (demand, measured)
+            && let Some(for_s) = self.stays(asked, value).filter(|for_s| *for_s >= confirm_s)
+        {
+            return Some(self.not_followed(
+                now_s,
+                &Astray {
+                    demand,
+                    asked,
+                    region: asked.wider(self.drop_v()),
+                    value,
+                    unit,
+                    idle,
+                    for_s,
+                },
+            ));
+        }
         let distance = measured.map_or(0.0, |value| region.gap(Range::new(value, value)));
         let Some(value) = measured.filter(|_| distance > 0.0) else {
             self.astray = None;
@@ -186,6 +203,32 @@ impl Plausibility {
                 for_s,
             },
         ))
+    }
+
+    /// For how long the measured voltage has stayed where it was although the set-point has moved, s. A reading whose scale
+    /// is wrong moves with it, so this needs none of the room that such a reading is given; a guard that holds the
+    /// set-point around the back-EMF leaves no more than this to see.
+    fn stays(&mut self, asked: Range, value: f64) -> Option<f64> {
+        let last = *self.history.last()?;
+        let read = Range::new(value, value);
+        if asked.wider(self.drop_v()).gap(read) <= 0.0 {
+            // Of the set-points that it may answer to, the nearest.
+            self.agreed = Some((value.clamp(asked.low, asked.high), value));
+        }
+        let is_limited = last.limited
+            || last
+                .current_a
+                .is_some_and(|current| current.abs() > self.limits_from_a);
+        let stays = self.agreed.is_some_and(|(asked_v, value_v)| {
+            let moved = asked.gap(Range::new(asked_v, asked_v));
+            moved > STAYS_V * self.scale.volts && (value - value_v).abs() < STAYS_SHARE * moved
+        });
+        if is_limited || !stays {
+            self.stays_since_s = None;
+            return None;
+        }
+        let since_s = *self.stays_since_s.get_or_insert(last.time_s);
+        Some(last.time_s - since_s)
     }
 
     fn not_followed(&self, now_s: f64, astray: &Astray) -> Trip {
