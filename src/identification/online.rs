@@ -37,6 +37,9 @@ impl OnlineConfig {
 pub struct Online {
     scheme_2: Scheme2,
     scheme_3: Scheme3,
+    /// The same with each voltage later by the half-width: how far apart the two come is what the stamps leave open.
+    /// `None`: the drive stamps its samples itself.
+    late: Option<Box<Scheme3>>,
     commanded: bool,
     /// Largest half-width of a stamp lately, s; zero where the drive stamps its samples itself.
     half_width_s: f64,
@@ -54,6 +57,7 @@ impl Online {
                 STRIDE_S,
             ),
             scheme_3: Scheme3::new(config.memory, config.torque_n_m_per_a, config.start),
+            late: None,
             commanded: false,
             half_width_s: 0.0,
         }
@@ -63,7 +67,14 @@ impl Online {
     /// comes with a sample of a later stamp: call this first, then [`Self::push`].
     pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
         self.commanded = true;
+        self.hold(time_s, voltage_v);
+    }
+
+    fn hold(&mut self, time_s: f64, voltage_v: f64) {
         self.scheme_3.voltage_applied(time_s, voltage_v);
+        if let Some(late) = &mut self.late {
+            late.voltage_applied(time_s + self.half_width_s, voltage_v);
+        }
     }
 
     /// Takes a sample. A voltage command in it holds from its stamp on; where no command ever came, the measured voltage
@@ -75,7 +86,7 @@ impl Online {
         } else if !self.commanded
             && let Some(volts) = sample.get(Channel::Voltage)
         {
-            self.scheme_3.voltage_applied(time_s, volts);
+            self.hold(time_s, volts);
         }
         let good = |channel| {
             sample
@@ -85,9 +96,17 @@ impl Online {
         if let (Some(current), Some(speed)) = (good(Channel::Current), good(Channel::Speed)) {
             let half_width_s = sample.time_half_width_s.unwrap_or(0.0).abs();
             self.half_width_s = half_width_s.max(HALF_WIDTH_MEMORY * self.half_width_s);
-            self.scheme_3.set_limited(sample.limited);
-            self.scheme_3.set_half_width(half_width_s);
-            self.scheme_3.push(time_s, current, speed);
+            if half_width_s > 0.0 && self.late.is_none() {
+                self.late = Some(Box::new(self.scheme_3.clone()));
+            }
+            for scheme_3 in [Some(&mut self.scheme_3), self.late.as_deref_mut()]
+                .into_iter()
+                .flatten()
+            {
+                scheme_3.set_limited(sample.limited);
+                scheme_3.set_half_width(half_width_s);
+                scheme_3.push(time_s, current, speed);
+            }
             if let Some(noise) = self.scheme_3.speed_noise_rad_s() {
                 self.scheme_2.set_speed_noise(noise);
             }
@@ -98,8 +117,8 @@ impl Online {
     /// Scheme 3: R, L, Ke, J, Mc.
     pub fn estimates(&self) -> Vec<ParameterEstimate> {
         let mut estimates = self.scheme_3.estimates();
-        if self.half_width_s > 0.0 {
-            stamps::widen(&mut estimates, self.half_width_s);
+        if let Some(late) = &self.late {
+            stamps::widen(&mut estimates, &late.estimates(), self.half_width_s);
             stamps::refuse(&mut estimates, self.half_width_s);
         }
         estimates

@@ -62,30 +62,27 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
     }
 }
 
-/// Widens the inductance of a method that takes the stamps of the voltage for true: a delay of the voltage against the
-/// current passes for R times itself of inductance.
-pub fn widen(parameters: &mut [ParameterEstimate], half_width_s: f64) {
-    let resistance = MotorKey::Resistance.key();
-    let Some(resistance_ohm) = parameters
-        .iter()
-        .find(|p| p.key == resistance)
-        .and_then(|p| p.value)
-    else {
-        return;
-    };
-    let doubt_h = resistance_ohm * half_width_s / 3f64.sqrt();
-    for parameter in parameters
-        .iter_mut()
-        .filter(|p| p.key == MotorKey::Inductance.key())
-    {
-        if let (Some(value), Some(std)) = (parameter.value, parameter.std) {
-            let slot = Slot::Motor(MotorKey::Inductance);
-            let judged = judge(&slot, value, Some(std.hypot(doubt_h)), half_width_s);
-            if parameter.verdict == Verdict::Settled || judged.value.is_none() {
-                *parameter = judged;
-            } else {
-                parameter.std = Some(std.hypot(doubt_h));
-            }
+/// Widens each value by what it would be had the voltage come later by the half-width, as `late` has it: of a method that
+/// takes the stamps for true.
+pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], half_width_s: f64) {
+    for parameter in parameters.iter_mut() {
+        let shifted = late.iter().find(|other| other.key == parameter.key);
+        let Some(((value, std), shifted)) = parameter
+            .value
+            .zip(parameter.std)
+            .zip(shifted.and_then(|other| other.value))
+        else {
+            continue;
+        };
+        let Some(key) = MotorKey::from_key(&parameter.key) else {
+            continue;
+        };
+        let wide = std.hypot((shifted - value) / 3f64.sqrt());
+        let judged = judge(&Slot::Motor(key), value, Some(wide), half_width_s);
+        if parameter.verdict == Verdict::Settled || judged.value.is_none() {
+            *parameter = judged;
+        } else {
+            parameter.std = Some(wide);
         }
     }
 }
@@ -124,11 +121,17 @@ mod tests {
     }
 
     #[test]
-    fn a_vague_stamp_widens_the_inductance_by_what_a_delay_makes_of_it() {
+    fn a_value_is_widened_by_what_a_later_voltage_makes_of_it() {
         let mut parameters = found(0.0);
-        widen(&mut parameters, 2e-3);
+        let mut late = parameters.clone();
+        late[1].value = Some(0.0099 + 1.1 * 2e-3);
+        late[2].value = None;
+        widen(&mut parameters, &late, 2e-3);
         let std = parameters[1].std.unwrap();
         assert!((std - 1.1 * 2e-3 / 3f64.sqrt()).abs() < 1e-4, "{std}");
         assert_eq!(parameters[1].verdict, Verdict::Searching);
+        for same in [0, 2, 3] {
+            assert_eq!(parameters[same], found(0.0)[same]);
+        }
     }
 }

@@ -449,7 +449,7 @@ fn is_about_the_drive(fault: &Fault) -> bool {
 }
 
 #[test]
-#[ignore = "open: behind a drive that stamps nothing the intervals on line are too narrow (R by 0.7 %, J by 0.6 %)"]
+#[ignore = "open: replies that are lost or damaged end a run at the silence limit, and a few values settle off (J behind foreign frames)"]
 fn a_disturbed_line_bends_no_result() {
     expect(|fault, _| is_about_the_line(fault));
 }
