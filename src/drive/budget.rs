@@ -215,7 +215,7 @@ impl LostReply {
         let once_s = line.brief(request, reply).as_secs_f64();
         Some(Self {
             cycle_s: budget.rate_hz().recip(),
-            deadline_s: line.allowed(request, reply).as_secs_f64(),
+            deadline_s: line.hurried(request, reply).as_secs_f64(),
             silence_s: line.quiet().as_secs_f64(),
             again_s: 2.0 * once_s,
         })

@@ -369,7 +369,7 @@ impl ModbusLink {
             4 => (Request::ReadInputRegisters(address, count), count),
             _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
         };
-        let allowed = self.timing.allowed(8, 5 + 2 * usize::from(words));
+        let allowed = self.timing.hurried(8, 5 + 2 * usize::from(words));
         let question = Question {
             is_probe: true,
             ..Question::plain(request, pdu, "the probe", allowed)

@@ -11,8 +11,10 @@ const HOST_ALLOWANCE: Duration = Duration::from_millis(40);
 const GAP_CHARS: f64 = 3.5;
 const FIXED_GAP_S: f64 = 0.001_75;
 const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
-/// An adapter hands over bytes this much later than they came (the latency timer of FTDI is 16 ms).
+/// An adapter hands over bytes this much later than they came (the latency timer of FTDI is 16 ms), until it is measured;
+/// and what a host that is busy may add to the least that was measured.
 const ADAPTER_DELAY: Duration = Duration::from_millis(16);
+const LEAST_ADAPTER_DELAY: Duration = Duration::from_millis(4);
 /// A thread that sleeps may wake up this much late without anyone to blame; the rest of a wait is watched on the clock,
 /// because a gap that is 0.1 ms too long already costs one request in twenty.
 const SLEEP_SLACK: Duration = Duration::from_micros(300);
@@ -38,6 +40,8 @@ pub(super) struct LineTiming {
     char_s: f64,
     gap_s: f64,
     reply: Duration,
+    /// What adapter and host add to an exchange at the most.
+    adapter: Duration,
     deadline: Option<Duration>,
 }
 
@@ -60,8 +64,20 @@ impl LineTiming {
             char_s: 0.0,
             gap_s: 0.0,
             reply: seconds(settings.reply_ms * 1e-3),
+            adapter: ADAPTER_DELAY,
             deadline: settings.deadline_ms.map(|ms| seconds(ms * 1e-3)),
         }
+    }
+
+    /// Replies have come so long after their wire time at the most: what they are waited for, and how long silence has to
+    /// last, follows that instead of the slowest adapter there is.
+    pub(super) fn measured(&mut self, longest_lag: Duration) {
+        self.adapter = longest_lag.clamp(LEAST_ADAPTER_DELAY, ADAPTER_DELAY);
+    }
+
+    /// Wire time of an exchange.
+    pub(super) fn wire(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        seconds((request_bytes + reply_bytes) as f64 * self.char_s)
     }
 
     /// Silence before a request.
@@ -71,7 +87,7 @@ impl LineTiming {
 
     /// Silence after which nothing of an earlier exchange can come any more from a drive that keeps its word.
     pub(super) fn quiet(&self) -> Duration {
-        self.gap() + 2 * self.reply + ADAPTER_DELAY
+        self.gap() + 2 * self.reply + self.adapter
     }
 
     /// Time that one exchange may take.
@@ -80,10 +96,17 @@ impl LineTiming {
             .unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
     }
 
+    /// Time that an exchange within a cycle of a run may take: after a lost reply the question is asked again before the
+    /// silence of the link would end the run.
+    pub(super) fn hurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        self.deadline
+            .unwrap_or_else(|| self.brief(request_bytes, reply_bytes))
+    }
+
     /// Time for what must not wait: one turnaround, and what an adapter adds.
     pub(super) fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + self.gap_s;
-        seconds(wire_s) + self.reply + ADAPTER_DELAY
+        seconds(wire_s) + self.reply + self.adapter
     }
 
     /// Time for an exchange outside the cycles of a run, whose deadline it does not have to keep.

@@ -170,8 +170,8 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
 #[test]
 fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
     let (mut line, _entered) = line(0, 0);
-    // Which the cut is to meet: the silence before the probe, the probe itself.
-    for after_ms in [5, 20, 45, 70] {
+    // Which the cut is to meet: the silence before the first probe, a question, the probe behind it.
+    for after_ms in [5, 15, 30, 40] {
         let flag = Arc::new(AtomicBool::new(false));
         *line.bus.cut_in().unwrap() = CutIn::watching([Arc::clone(&flag)]);
         let raised = now() + Duration::from_millis(after_ms);

@@ -33,8 +33,10 @@ const OUTLIERS: usize = 2;
 pub struct ModbusBus {
     link: ModbusLink,
     emulated: bool,
-    /// Of the latest reads.
-    round_trips: VecDeque<Duration>,
+    /// The far end answers no probe.
+    silence_proves: bool,
+    /// Of the latest reads, and how much longer than their wire time they took.
+    round_trips: VecDeque<(Duration, Duration)>,
 }
 
 impl ModbusBus {
@@ -55,16 +57,15 @@ impl ModbusBus {
             };
             (read, block.count)
         });
-        link.proof.set_policy(
-            match map.resync {
-                Resync::Fc08 => Method::Nonce,
-                Resync::Length => Method::Length,
-                Resync::Tid | Resync::None => Method::Silence,
-            },
-            place,
-        );
+        let method = match map.resync {
+            Resync::Fc08 => Method::Nonce,
+            Resync::Length => Method::Length,
+            Resync::Tid | Resync::None => Method::Silence,
+        };
+        link.proof.set_policy(method, place);
         Self {
             link,
+            silence_proves: method == Method::Silence,
             emulated: false,
             round_trips: VecDeque::with_capacity(REMEMBERED),
         }
@@ -80,14 +81,16 @@ impl ModbusBus {
     /// A read whose reply is taken only where no other came within the time that one usually takes.
     fn ask_alone(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
         let what = format!("read {} at {}", registers(read.count.into()), read.address);
-        let allowed = self.link.timing.allowed(8, read.reply_bytes());
-        self.alone(question(read, &what, allowed), words(read))
+        let allowed = self.allowed(READ_BYTES, read.reply_bytes());
+        let wire = self.link.timing.wire(READ_BYTES, read.reply_bytes());
+        self.alone(question(read, &what, allowed), wire, words(read))
     }
 
     /// A question whose answer is taken only where no other came within the time that one usually takes.
     fn alone(
         &mut self,
         question: Question<'_>,
+        wire: Duration,
         check: impl FnOnce(Response) -> Result<Vec<u16>, String>,
     ) -> Result<RegistersRead, LinkError> {
         let what = question.what;
@@ -102,11 +105,8 @@ impl ModbusBus {
             return Ok(answer);
         }
         let took = now().saturating_duration_since(sent);
-        let usual = self.usual();
-        if self.round_trips.len() == REMEMBERED {
-            self.round_trips.pop_front();
-        }
-        self.round_trips.push_back(took);
+        let usual = self.longest(|(took, _)| *took);
+        self.remember(took, wire);
         if took < usual {
             wait_until(sent + usual);
         }
@@ -122,9 +122,33 @@ impl ModbusBus {
         Ok(answer)
     }
 
-    /// How long a reply takes at the most, a busy host left out.
-    fn usual(&self) -> Duration {
-        let mut longest: Vec<Duration> = self.round_trips.iter().copied().collect();
+    /// Time of one exchange: a bounded one belongs to a cycle.
+    fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let timing = &self.link.timing;
+        if self.link.bound.is_set() {
+            timing.hurried(request_bytes, reply_bytes)
+        } else {
+            timing.allowed(request_bytes, reply_bytes)
+        }
+    }
+
+    /// What replies have shown of how long they take; silence that alone has to prove the line stays as long as it was.
+    fn remember(&mut self, took: Duration, wire: Duration) {
+        if self.round_trips.len() == REMEMBERED {
+            self.round_trips.pop_front();
+        }
+        self.round_trips
+            .push_back((took, took.saturating_sub(wire)));
+        if self.round_trips.len() == REMEMBERED && !self.silence_proves {
+            let lag = self.longest(|(_, lag)| *lag);
+            self.link.timing.measured(lag);
+            self.link.proof.set_quiet(self.link.timing.quiet());
+        }
+    }
+
+    /// Longest of the latest replies, a busy host left out.
+    fn longest(&self, of: impl Fn(&(Duration, Duration)) -> Duration) -> Duration {
+        let mut longest: Vec<Duration> = self.round_trips.iter().map(of).collect();
         longest.sort_unstable_by(|a, b| b.cmp(a));
         longest.get(OUTLIERS).copied().unwrap_or_default()
     }
@@ -154,8 +178,9 @@ impl ModbusBus {
     }
 }
 
-/// RTU frames of a write of several registers and of a request of function code 23, beside the registers that they write,
+/// RTU frames of a read, of a write of several registers and of a request of function code 23, beside the registers that they write,
 /// and of the acknowledgement of a write.
+const READ_BYTES: usize = 8;
 const WRITE_BYTES: usize = 9;
 const READ_WRITE_BYTES: usize = 13;
 const WRITTEN_BYTES: usize = 8;
@@ -198,10 +223,7 @@ impl RegisterBus for ModbusBus {
 
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
         self.link.in_step(&[function])?;
-        let allowed = self
-            .link
-            .timing
-            .allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
+        let allowed = self.allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
         self.put(function, address, values, allowed)
     }
 
@@ -233,14 +255,15 @@ impl RegisterBus for ModbusBus {
         self.link.in_step(&pdu)?;
         let words = usize::from(count);
         let request_bytes = READ_WRITE_BYTES + 2 * values.len();
-        let allowed = self.link.timing.allowed(request_bytes, 5 + 2 * words);
+        let allowed = self.allowed(request_bytes, 5 + 2 * words);
         let what = format!(
             "write {values:04x?} at {to} and read {} at {from}",
             registers(words)
         );
         let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
         let question = Question::plain(request, pdu, &what, allowed);
-        self.alone(question, |response| match response {
+        let wire = self.link.timing.wire(request_bytes, 5 + 2 * words);
+        self.alone(question, wire, |response| match response {
             Response::ReadWriteMultipleRegisters(values) if values.len() == words => Ok(values),
             other => Err(format!("{other:?}")),
         })

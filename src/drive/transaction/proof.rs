@@ -140,6 +140,8 @@ pub(in crate::drive) struct Proof {
     vouched: bool,
     recent: Vec<(Code, Instant)>,
     clean_reads: u32,
+    /// The last request that got no reply: its own may come when a probe has been answered already.
+    missing: Option<(Code, Instant)>,
     /// Until when reads that look alike are kept apart if nothing more is wrong, and the longest delay seen.
     wary: Option<(Instant, Duration)>,
 }
@@ -174,6 +176,7 @@ impl Proof {
             vouched: false,
             recent: Vec::new(),
             clean_reads: 0,
+            missing: None,
             wary: None,
         }
     }
@@ -196,6 +199,11 @@ impl Proof {
         self.method = method;
         self.always_apart = false;
         self.place = place;
+    }
+
+    /// Silence after which nothing old comes any more, as it was measured.
+    pub(in crate::drive) const fn set_quiet(&mut self, quiet: Duration) {
+        self.quiet = quiet;
     }
 
     /// From here on another unit of the line is asked.
@@ -367,7 +375,9 @@ impl Proof {
         let mut asked = self.asked.iter().filter(|asked| asked.code == code);
         let first = asked.find(|asked| !asked.is_answered);
         let last = self.asked.iter().rev().find(|asked| asked.code == code);
-        let at = first.or(last).map(|asked| asked.at);
+        let missing = self.missing.filter(|(missing, _)| *missing == code);
+        let at = first.map(|asked| asked.at).or(missing.map(|(_, at)| at));
+        let at = at.or(last.map(|asked| asked.at));
         at.map_or(self.quiet, |at| now.saturating_duration_since(at))
     }
 
@@ -409,8 +419,16 @@ impl Proof {
         if !matches!(self.policy, Policy::Trial(_)) {
             self.recent.push((last.code, now));
         }
+        if end == End::Missing {
+            self.missing = Some((last.code, last.at));
+        }
         if strays || end == End::Missing {
             self.wrong(heard, now);
+            // Where nothing came at all the wait for it was silence already, and a probe will tell.
+            let is_probed = matches!(self.policy, Policy::Fixed(Method::Nonce | Method::Length));
+            if !strays && heard.is_empty() && is_probed {
+                self.disturbed = last.at;
+            }
         } else {
             self.clean_reads = self.clean_reads.saturating_add(1);
         }
