@@ -438,7 +438,7 @@ impl Drive {
             Act::SetPointsIgnored => (asked - self.volts()).abs() >= SEEN_V,
             Act::Blocked => self.motor.current_a.abs() >= 13.0,
             Act::Driven => self.motor.speed_rad_s.abs() >= 175.0,
-            Act::SecondMaster => false,
+            Act::SecondMaster | Act::LateOnce(_) => false,
             _ => true,
         };
         if is_seen && self.is_on() || matches!(self.act, Act::Trip | Act::CommLoss) {
