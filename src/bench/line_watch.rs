@@ -8,6 +8,10 @@ use crate::drive::LineCounts;
 
 /// Whole frames of others: from so many on somebody else is there, and not a damaged line.
 const STRANGERS: u64 = 3;
+/// Frames that write to the drive and are not ours: a request and its acknowledgement. One alone may be the
+/// acknowledgement of a write of ours that was held back for very long.
+const STRANGE_WRITES: u64 = 2;
+pub(super) const FOREIGN_WRITES: &str = "foreign_writes";
 /// A matter that grows by this factor is told again.
 const WORSE: u64 = 10;
 /// A matter that is not seen for so long is over, s.
@@ -55,7 +59,7 @@ struct Exchange {
 #[derive(Debug)]
 pub(super) struct LineWatch {
     rate_hz: f64,
-    matters: [Matter; 3],
+    matters: [Matter; 4],
     window: VecDeque<Exchange>,
     since_s: Option<f64>,
     /// The rate that was told as lost, Hz.
@@ -103,6 +107,12 @@ impl LineWatch {
                     "on the line are replies to nobody, while nothing was asked: is a second master on the bus?",
                     "replies to nobody",
                 ),
+                matter(
+                    [FOREIGN_WRITES, "foreign_writes_end"],
+                    STRANGE_WRITES,
+                    "on the line write to this drive and are not ours: another master commands it",
+                    "writes of another master",
+                ),
             ],
             window: VecDeque::new(),
             since_s: None,
@@ -112,7 +122,12 @@ impl LineWatch {
 
     /// Frames that the line has carried up to now.
     pub(super) fn frames(&mut self, now_s: f64, line: LineCounts) -> Vec<News> {
-        let counts = [line.stale_frames, line.foreign_frames, line.unasked_frames];
+        let counts = [
+            line.stale_frames,
+            line.foreign_frames,
+            line.unasked_frames,
+            line.foreign_writes,
+        ];
         let matters = self.matters.iter_mut().zip(counts);
         matters
             .filter_map(|(matter, count)| matter.look(now_s, count))

@@ -17,7 +17,7 @@ use serde_json::Value;
 use super::clock::{Clock, SUSPENDED_S};
 use super::guard::RearmError;
 use super::limits::Nameplate;
-use super::line_watch::{LineWatch, News};
+use super::line_watch::{FOREIGN_WRITES, LineWatch, News};
 use super::reopen::Reopened;
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, RunState, Snapshot, SnapshotCell, Target};
@@ -469,6 +469,9 @@ impl Runner<'_> {
             } else {
                 "frames"
             };
+            if event == FOREIGN_WRITES {
+                self.inputs.push_back(Input::OtherMaster(figure as u64));
+            }
             let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
             self.recorder
                 .event(event.with("host_time_s", now_s).with(key, figure));

@@ -102,6 +102,8 @@ pub(super) struct Search {
     pub(super) old: Vec<Code>,
     /// Whole frames that answer nothing that was asked; on a serial line also those that are requests of somebody else.
     pub(super) foreign: usize,
+    /// Those of them that write to the unit which is asked: another master commands it.
+    pub(super) foreign_writes: usize,
     /// The line returned the request itself before the reply.
     pub(super) echo: bool,
 }
@@ -147,7 +149,10 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
             // Only another master sends these; our own came back as an echo.
             let request = rtu_frame_len(tail, request_len);
             let own = !request_sent.is_empty() && tail.starts_with(request_sent);
-            found.foreign += usize::from(request.is_some() && !own);
+            if request.is_some() && !own {
+                found.foreign += 1;
+                found.foreign_writes += usize::from(writes_to(request_sent, tail));
+            }
             at += request.unwrap_or(1);
             continue;
         };
@@ -164,10 +169,16 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
             found.old.extend(Code::of(FrameKind::Rtu, &tail[..length]));
         } else {
             found.foreign += 1;
+            found.foreign_writes += usize::from(writes_to(request_sent, tail));
         }
         at += length;
     }
     found
+}
+
+/// Whether this frame, which is not ours, writes to the unit of a request, or acknowledges such a write.
+fn writes_to(request: &[u8], frame: &[u8]) -> bool {
+    matches!(frame, [unit, 5 | 6 | 15 | 16 | 22 | 23, ..] if request.first() == Some(unit))
 }
 
 /// Unit and PDU of an RTU frame.
@@ -249,6 +260,21 @@ mod tests {
         let mut out = [0; rtu::MAX_FRAME];
         let length = rtu::encode_frame(unit, pdu, &mut out);
         out[..length].to_vec()
+    }
+
+    #[test]
+    fn a_write_to_the_asked_unit_that_is_not_ours_is_another_masters() {
+        let own = frame(1, &[6, 0, 201, 2, 38]);
+        let mut expected = expecting(&frame(1, &[3, 0, 100, 0, 1]), false);
+        expected.earlier.push_back(own.clone());
+        let writes = |bytes: &[u8]| search_rtu(&expected, bytes).foreign_writes;
+        assert_eq!(writes(&own), 0, "our own acknowledgement, late");
+        assert_eq!(writes(&frame(7, &[6, 0, 201, 0, 0])), 0, "another drive");
+        assert_eq!(writes(&frame(1, &[4, 2, 0, 0])), 0, "no write");
+        assert_eq!(writes(&frame(1, &[6, 0, 201, 0, 0])), 1);
+        let many = frame(1, &[16, 0, 201, 0, 1, 2, 0, 0]);
+        let acknowledged = frame(1, &[16, 0, 201, 0, 1]);
+        assert_eq!(writes(&[many, acknowledged].concat()), 2);
     }
 
     fn expecting(request: &[u8], echoes: bool) -> Expected {

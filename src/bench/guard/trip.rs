@@ -32,6 +32,8 @@ pub enum TripKind {
     NotRunning,
     /// Somebody else has taken the command of the drive: its keypad, its terminals, another master.
     LocalControl,
+    /// Frames on the line write to the drive, and none of them is ours.
+    OtherMaster,
     /// Safe torque off, or another enable input, has switched the output off.
     TorqueOff,
     /// The measured speed stays where it is while voltage and current say that it changes.
@@ -82,6 +84,7 @@ impl TripKind {
             Self::DriveFault => "drive fault",
             Self::NotRunning => "drive does not run",
             Self::LocalControl => "local control",
+            Self::OtherMaster => "another master",
             Self::TorqueOff => "torque off",
             Self::EncoderFrozen => "encoder frozen",
             Self::EncoderReversed => "encoder reversed",
@@ -163,6 +166,21 @@ impl Trip {
             limit: 0.0,
             reason: format!(
                 "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
+            ),
+        }
+    }
+
+    /// Somebody else writes to the drive: so many frames of theirs were seen.
+    pub(super) fn other_master(at_s: f64, frames: u64) -> Self {
+        let kind = TripKind::OtherMaster;
+        Self {
+            kind,
+            at_s,
+            value: frames as f64,
+            limit: 0.0,
+            reason: format!(
+                "{}: {frames} frames on the line write to this drive and are not ours; its set-points are no longer the commanded ones; disconnect the other master, or take its write access",
+                kind.name()
             ),
         }
     }

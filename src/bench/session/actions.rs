@@ -20,6 +20,8 @@ pub enum Input {
     Lost(Lost),
     /// The computer was suspended for so long, s.
     Suspended(f64),
+    /// So many frames on the line write to the drive and are not ours.
+    OtherMaster(u64),
     /// So many deadlines passed before this cycle began.
     Missed(u64),
     Intent(Intent),

@@ -27,6 +27,8 @@ pub struct LineCounts {
     pub foreign_frames: u64,
     /// Those of the foreign ones that came while nothing was outstanding: replies to nobody.
     pub unasked_frames: u64,
+    /// Those of the foreign ones that write to the drive that we command.
+    pub foreign_writes: u64,
     /// Questions that were asked again.
     pub retries: u64,
     /// Time spent in silences and probes that kept old replies away, ms.
@@ -177,6 +179,7 @@ impl Reception {
             let search = search(self.kind, &self.expected, rest).unwrap_or_default();
             self.line.stale_frames += search.old.len() as u64;
             foreign += search.foreign as u64;
+            self.line.foreign_writes += search.foreign_writes as u64;
             let old = search.old.into_iter();
             self.heard.extend(old.map(|code| Heard { code, behind }));
             // A second reply to the request that has been answered.
@@ -230,6 +233,7 @@ impl Reception {
             self.line.echoes |= found.echo;
             self.line.stale_frames += found.old.len() as u64;
             self.line.foreign_frames += found.foreign as u64;
+            self.line.foreign_writes += found.foreign_writes as u64;
             self.line.bytes_accepted += (end - begin) as u64;
             let old = found.old.into_iter();
             let behind = false;
