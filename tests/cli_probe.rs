@@ -153,12 +153,13 @@ fn an_address_base_that_is_off_by_one_is_named() {
         report["hypotheses"][0]["plausible"],
         report["hypotheses"][0]["judged"]
     );
-    let bus = &signal(&report, "bus")["candidates"][0];
-    assert!(
-        bus["change"].as_str().unwrap().contains("one higher"),
-        "{bus}"
-    );
-    is_120_v(bus);
+    // The register beside it holds noise, which may pass for a small bus voltage when its bytes are exchanged.
+    let bus = signal(&report, "bus");
+    let candidates = bus["candidates"].as_array().unwrap();
+    let higher = candidates
+        .iter()
+        .find(|candidate| candidate["change"].as_str().unwrap().contains("one higher"));
+    is_120_v(higher.expect("the address that is one higher"));
     assert!(done.error().contains("bus"), "{}", done.stderr);
     is_read_only(&capture);
     let told = probe(&emulator, "--drive {}", &[&profile]).expect(1).stdout;
