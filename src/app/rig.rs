@@ -381,6 +381,7 @@ impl Rig {
         let target = Target::of(&report.identity);
         let session = session
             .after_seq(self.last_seq)
+            .with_rest(&report.rest)
             .with_brake(self.bench.load.brake())
             .with_waivers(report.waived.iter().map(|&name| name.to_owned()).collect());
         let mut manifest = self.manifest(name, seed, &report);

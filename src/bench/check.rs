@@ -113,6 +113,9 @@ pub struct CheckReport {
     /// Signals that the drive gave.
     #[serde(skip)]
     pub signals: Vec<Channel>,
+    /// What was read at rest with the output off.
+    #[serde(skip)]
+    pub rest: Vec<Sample>,
     /// Last sequence number that was used.
     #[serde(skip)]
     pub last_seq: u64,
@@ -172,6 +175,7 @@ pub fn check(
             noise: Vec::new(),
             waived: Vec::new(),
             signals: Vec::new(),
+            rest: Vec::new(),
             last_seq: 0,
         },
     };

@@ -351,6 +351,16 @@ impl Guard {
         found.and_then(|trip| self.latch(trip))
     }
 
+    /// Learns from readings at rest how noisy the sensors are.
+    pub fn learn(&mut self, rest: &[Sample]) {
+        self.plausibility.learn(rest);
+    }
+
+    /// Frames on the line write to the drive and are not ours: what it does is no longer what was commanded.
+    pub fn other_master(&mut self, now_s: f64, frames: u64) -> Option<&Trip> {
+        self.latch(Trip::other_master(now_s, frames))
+    }
+
     /// Latches a trip from outside, unless one is latched already: the first cause is the one to report.
     pub fn latch(&mut self, trip: Trip) -> Option<&Trip> {
         if self.trip.is_some() {

@@ -231,6 +231,24 @@ impl Plausibility {
         self.waived = true;
     }
 
+    /// How noisy the sensors are: readings at rest, before the output was on. A drive may read nothing at all while it is
+    /// off, so what is always the same tells nothing.
+    pub(super) fn learn(&mut self, rest: &[Sample]) {
+        for (channel, sensor) in [
+            (Channel::Speed, &mut self.speed),
+            (Channel::Current, &mut self.current),
+        ] {
+            let readings = || {
+                let all = rest.iter();
+                all.filter_map(|sample| Some((sample.time_s, sample.get(channel)?)))
+            };
+            let first = readings().next();
+            if readings().any(|(_, value)| first.is_some_and(|(_, first)| first != value)) {
+                readings().for_each(|(time_s, value)| sensor.push(time_s, value, true));
+            }
+        }
+    }
+
     /// A command that left.
     pub(super) fn sent(&mut self, command: &Command) {
         self.history.sent(command);

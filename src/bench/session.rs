@@ -181,6 +181,13 @@ impl Session {
         self
     }
 
+    /// The guard learns from the readings of the checks how noisy the sensors are.
+    #[must_use]
+    pub fn with_rest(mut self, rest: &[Sample]) -> Self {
+        self.guard.learn(rest);
+        self
+    }
+
     /// For a drive that does not tell whether its output is off: a stop that it took is then not said to be confirmed.
     #[must_use]
     pub const fn telling_stop(mut self, tells: bool) -> Self {
@@ -275,6 +282,7 @@ impl Session {
         // Before anything is asked of the guard's clock: the time of a sleep is no silence of link or program.
         let trip = match input {
             Input::Suspended(slept_s) => self.guard.slept(now_s, slept_s),
+            Input::OtherMaster(frames) => self.guard.other_master(now_s, frames),
             _ => self.guard.tick(now_s),
         };
         if let Some(trip) = trip.cloned() {
@@ -292,7 +300,7 @@ impl Session {
             Input::Suspended(_) if !self.phase.is_final() => {
                 self.send(now_s, Demand::Stop, actions);
             }
-            Input::Suspended(_) => {}
+            Input::Suspended(_) | Input::OtherMaster(_) => {}
         }
     }
 

@@ -172,7 +172,9 @@ impl Checker<'_> {
         ) {
             return Ok(false);
         }
-        Ok(self.standstill(&samples, limits) && self.field(&samples, limits))
+        let rests = self.standstill(&samples, limits) && self.field(&samples, limits);
+        self.report.rest = samples;
+        Ok(rests)
     }
 
     fn standstill(&mut self, samples: &[Sample], limits: &Limits) -> bool {

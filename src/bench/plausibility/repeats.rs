@@ -19,6 +19,10 @@ pub(super) struct Repeats {
     /// In a row, so far.
     run: usize,
     since_s: f64,
+    /// Repeats in a row since the shaft was last at rest.
+    moving_run: usize,
+    /// Of the repeats in a row those at rest; they count once another reading shows that the sensor works.
+    resting_run: usize,
     /// At rest: readings, and those that repeated the one before; the longest row of them.
     rest: usize,
     rest_same: usize,
@@ -28,7 +32,7 @@ pub(super) struct Repeats {
 impl Repeats {
     /// A new start: what was learned at rest stays.
     pub(super) const fn begin(&mut self) {
-        self.run = 0;
+        (self.run, self.moving_run, self.resting_run) = (0, 0, 0);
     }
 
     /// Takes a reading.
@@ -41,14 +45,14 @@ impl Repeats {
         let same = before == bits;
         if same {
             self.run += 1;
+            self.moving_run = if at_rest { 0 } else { self.moving_run + 1 };
+            self.resting_run += usize::from(at_rest);
         } else {
-            self.run = 0;
+            self.rest += self.resting_run + usize::from(at_rest);
+            self.rest_same += self.resting_run;
+            self.rest_longest = self.rest_longest.max(self.resting_run);
+            (self.run, self.moving_run, self.resting_run) = (0, 0, 0);
             self.since_s = time_s;
-        }
-        if at_rest {
-            self.rest += 1;
-            self.rest_same += usize::from(same);
-            self.rest_longest = self.rest_longest.max(self.run);
         }
     }
 
@@ -77,8 +81,8 @@ impl Repeats {
 
     /// More of the same than chance gives a sensor that was noisy at rest.
     pub(super) fn is_stuck(&self) -> bool {
-        self.needed()
-            .is_some_and(|needed| self.run as f64 >= needed)
+        let enough = self.needed().is_some_and(|n| self.run as f64 >= n);
+        enough && self.moving_run >= FEWEST
     }
 
     /// As `is_stuck`, of a sensor with noise of its own.
@@ -91,16 +95,31 @@ impl Repeats {
 mod tests {
     use super::*;
 
-    /// A sensor that was read at rest with these readings, then gives the last one `repeats` times more.
+    /// A sensor that was read at rest with these readings, then gives another one `repeats` times more.
     fn after(rest: &[f64], repeats: usize) -> Repeats {
         let mut sensor = Repeats::default();
         for (n, value) in rest.iter().enumerate() {
             sensor.push(n as f64, *value, true);
         }
-        for n in 0..repeats {
-            sensor.push(n as f64, rest[rest.len() - 1], false);
+        // The first of them is no repeat.
+        for n in 0..=repeats {
+            sensor.push(n as f64, 7.0, false);
         }
         sensor
+    }
+
+    #[test]
+    fn a_sensor_that_freezes_at_rest_does_not_pass_for_a_quiet_one() {
+        let noisy = [0.1, -0.2, 0.05, 0.3, -0.1];
+        let mut sensor = after(&noisy, 0);
+        for n in 0..40 {
+            sensor.push(f64::from(n), 0.2, true);
+        }
+        assert!(!sensor.is_stuck(), "nothing asks for another reading yet");
+        for n in 0..9 {
+            sensor.push(f64::from(n), 0.2, false);
+        }
+        assert!(sensor.is_silent());
     }
 
     #[test]
