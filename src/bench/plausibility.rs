@@ -81,6 +81,8 @@ const FOLLOWS_SPEED_S: f64 = 2.0;
 /// share of it.
 const STAYS_V: f64 = 0.08;
 const STAYS_SHARE: f64 = 0.25;
+/// Factors by which a voltage may be off whose scale was seen to be right.
+const KNOWN_SCALE: Range = Range::new(0.85, 1.15);
 /// What of it is no doubt, in rated values.
 const FOLLOWS_CURRENT: f64 = 0.1;
 const FOLLOWS_SPEED: f64 = 0.1;
@@ -145,6 +147,8 @@ pub struct Plausibility {
     astray: Option<(f64, f64)>,
     /// Set-point and measured voltage where they agreed last, V.
     agreed: Option<(f64, f64)>,
+    /// A voltage high enough to tell its scale was read where it was asked for.
+    scale_seen: bool,
     /// Since when the set-point has moved away from there and the voltage has not.
     stays_since_s: Option<f64>,
     idle_since_s: Option<f64>,
@@ -215,6 +219,7 @@ impl Plausibility {
             believed: None,
             astray: None,
             agreed: None,
+            scale_seen: false,
             stays_since_s: None,
             idle_since_s: None,
             stands_since_s: None,
@@ -238,13 +243,15 @@ impl Plausibility {
             (Channel::Speed, &mut self.speed),
             (Channel::Current, &mut self.current),
         ] {
-            let readings = || {
-                let all = rest.iter();
-                all.filter_map(|sample| Some((sample.time_s, sample.get(channel)?)))
-            };
-            let first = readings().next();
-            if readings().any(|(_, value)| first.is_some_and(|(_, first)| first != value)) {
-                readings().for_each(|(time_s, value)| sensor.push(time_s, value, true));
+            let all = rest.iter();
+            let readings: Vec<(f64, f64)> = all
+                .filter_map(|sample| Some((sample.time_s, sample.get(channel)?)))
+                .collect();
+            let differ = |pair: &[(f64, f64)]| pair[0].1.to_bits() != pair[1].1.to_bits();
+            if readings.windows(2).any(differ) {
+                for (time_s, value) in readings {
+                    sensor.push(time_s, value, true);
+                }
             }
         }
     }
@@ -267,6 +274,7 @@ impl Plausibility {
         self.history.clear();
         self.factor = self.plate.map(|_| Factor::new(&self.scale));
         self.is_signed = false;
+        self.scale_seen = false;
         self.direction_seen = false;
         self.reference_rad_s = None;
     }

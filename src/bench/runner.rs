@@ -470,7 +470,8 @@ impl Runner<'_> {
                 "frames"
             };
             if event == FOREIGN_WRITES {
-                self.inputs.push_back(Input::OtherMaster(figure as u64));
+                self.inputs
+                    .push_back(Input::OtherMaster(line.foreign_writes));
             }
             let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
             self.recorder

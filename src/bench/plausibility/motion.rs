@@ -10,17 +10,15 @@ use crate::bench::guard::{Trip, TripKind};
 impl Plausibility {
     /// The angle turned over the last cycles against the speed.
     pub(super) fn by_angle(&mut self, now_s: f64) -> Option<Trip> {
-        // An angle that is read more seldom than it is asked stays for some cycles.
-        let rows = if self.is_exact() {
-            self.cycles() - 2
-        } else {
-            2 * self.cycles()
-        };
+        // An angle that is read more seldom than it is asked stays for some cycles; the confirmations come on top.
+        let times = if self.is_exact() { 1 } else { 2 };
+        let rows = times * self.cycles() - CONFIRM;
         let all = self.history.rows();
         if all.len() < rows {
             return None;
         }
         let (mut seconds, mut turned, mut speeds) = (0.0, 0.0, None);
+        let (mut by_speed, mut widest) = (0.0, 0.0_f64);
         // A counter that was set anew is no motion: the one row that fits least does not count.
         let mut worst = (0.0, 0.0, 0.0);
         for row in all.iter().skip(all.len() - rows) {
@@ -30,15 +28,21 @@ impl Plausibility {
                 worst = (misfit, row_rad, row.seconds);
             }
             turned += row_rad;
+            by_speed += row.speed_rad_s * row.seconds;
+            widest = widest.max(row.speed_change_rad_s.abs());
             seconds += row.seconds;
             let half = 0.5 * row.speed_change_rad_s.abs();
             let range = Range::around(row.speed_rad_s, half);
             speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
         }
         let rate = (turned - worst.1) / (seconds - worst.2);
-        let believed = speeds?
-            .times(ANY)
-            .wider(2.0 * REST_SPEED * self.scale.rad_s);
+        // Where each speed has its time the mean says more than the lowest and the highest of them.
+        let speeds = if self.is_exact() {
+            Range::around(by_speed / seconds, widest)
+        } else {
+            speeds?
+        };
+        let believed = speeds.times(ANY).wider(2.0 * REST_SPEED * self.scale.rad_s);
         if believed.gap(Range::new(rate, rate)) <= 0.0 {
             self.angle_disagrees = 0;
             return None;
@@ -47,7 +51,7 @@ impl Plausibility {
         if self.angle_disagrees < CONFIRM {
             return None;
         }
-        let speed = speeds?.middle();
+        let speed = speeds.middle();
         let what = format!(
             "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
             believed.low, believed.high

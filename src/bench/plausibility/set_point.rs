@@ -4,8 +4,8 @@ use super::balance::negative;
 use super::history::Range;
 use super::{
     ANY, CHECK_SET_POINT, FOLLOWS_CURRENT, FOLLOWS_CURRENT_S, FOLLOWS_SPEED, FOLLOWS_SPEED_S,
-    IDLE_A, IDLE_S, LATENCY_CYCLES, LATENCY_S, LONGEST_WINDOW, Plausibility, REST_SPEED,
-    STAYS_SHARE, STAYS_V,
+    IDLE_A, IDLE_S, KNOWN_SCALE, LATENCY_CYCLES, LATENCY_S, LONGEST_WINDOW, Plausibility,
+    REST_SPEED, STAYS_SHARE, STAYS_V,
 };
 use crate::bench::guard::{Trip, TripKind};
 use crate::sample::Demand;
@@ -116,10 +116,10 @@ impl Plausibility {
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
         let idle =
             current.abs() < IDLE_A * self.scale.amps && speed.abs() < REST_SPEED * self.scale.rad_s;
-        let factors = if self.waived {
-            Range::new(0.1, 10.0)
-        } else {
-            ANY
+        let factors = match demand {
+            Demand::Voltage(_) if self.scale_seen => KNOWN_SCALE,
+            _ if self.waived => Range::new(0.1, 10.0),
+            _ => ANY,
         };
         let mut region = asked.times(factors);
         let (measured, full, confirm_s, unit) = match demand {
@@ -214,6 +214,9 @@ impl Plausibility {
         if asked.wider(self.drop_v()).gap(read) <= 0.0 {
             // Of the set-points that it may answer to, the nearest.
             self.agreed = Some((value.clamp(asked.low, asked.high), value));
+            let is_steady = asked.high - asked.low < self.drop_v();
+            let tells = KNOWN_SCALE.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
+            self.scale_seen |= is_steady && tells;
         }
         let is_limited = last.limited
             || last
