@@ -44,6 +44,8 @@ pub use bus::ModbusBus;
 
 /// Times that a question without effect is asked before it counts as failed.
 const READ_ATTEMPTS: usize = 3;
+/// Probes of one bounded exchange, which has other things to do.
+const MOST_PROBES: usize = 3;
 /// Times that a stop is asked for.
 const STOP_ATTEMPTS: usize = 5;
 /// Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
@@ -328,7 +330,7 @@ impl ModbusLink {
     }
 
     /// Carries out what has to be done before this request: whatever comes next is then no reply to something older. In a
-    /// bounded exchange one probe is asked, and the next exchange goes on from there.
+    /// bounded exchange a few probes are asked, and the next exchange goes on from there.
     fn in_step(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
         let begun = now();
         let result = self.carry_out(pdu);
@@ -338,14 +340,19 @@ impl ModbusLink {
 
     fn carry_out(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
         self.listen()?;
-        let mut probed = false;
+        let mut probes = 0;
         loop {
             match self.proof.next(pdu, now()) {
                 Step::Go => return Ok(()),
                 Step::Silence(until) => drop(self.keep_silent(until)?),
-                Step::Probe(_) if probed && self.bound.is_set() => return Err(self.unproven()),
+                Step::Probe(_)
+                    if self.bound.is_set()
+                        && (probes == MOST_PROBES || self.bound.is_over(now())) =>
+                {
+                    return Err(self.unproven());
+                }
                 Step::Probe(pdu) => {
-                    probed = true;
+                    probes += 1;
                     self.listen()?;
                     match self.probe(pdu) {
                         Err(error @ LinkError::Gone { .. }) => return Err(error),

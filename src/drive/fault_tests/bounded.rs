@@ -155,7 +155,7 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
         let took = now().duration_since(began);
         assert!(took <= Duration::from_millis(81), "{took:?}");
         let now_heard = line.device.lock().unwrap().heard;
-        assert!(now_heard - heard <= 3, "one probe an exchange");
+        assert!(now_heard - heard <= 5, "a few probes an exchange");
         heard = now_heard;
     }
     // It answers again, and the line is in step soon.
@@ -170,8 +170,8 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
 #[test]
 fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
     let (mut line, _entered) = line(0, 0);
-    // Which the cut is to meet: the silence before the first probe, a question, the probe behind it.
-    for after_ms in [5, 15, 30, 40] {
+    // Which the cut is to meet: the silence before the first probe, and the probes.
+    for after_ms in [5, 15, 40, 60] {
         let flag = Arc::new(AtomicBool::new(false));
         *line.bus.cut_in().unwrap() = CutIn::watching([Arc::clone(&flag)]);
         let raised = now() + Duration::from_millis(after_ms);
