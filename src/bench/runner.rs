@@ -409,20 +409,8 @@ impl Runner<'_> {
     fn exchange(&mut self, clock: &dyn Clock, command: Command) {
         let sent_s = clock.now_s();
         self.demand = command.demand;
-        if self.session.phase().is_recorded() {
-            let row = CommandRow {
-                command,
-                time_s: sent_s + self.end.drive_minus_host_s,
-                reference_rad_s: self.session.reference_rad_s().or(match command.demand {
-                    Demand::Speed(speed) => Some(speed),
-                    _ => None,
-                }),
-            };
-            self.recorder.command(&row);
-            if let Some(estimator) = self.estimator.as_mut() {
-                estimator.command(&row);
-            }
-        }
+        let is_recorded = self.session.phase().is_recorded();
+        let reference_rad_s = self.session.reference_rad_s();
         // What stops a motor is not held to the time that is left of an old silence.
         let left_s = if command.demand.energises() {
             self.session.guard().silence_left_s(sent_s)
@@ -432,14 +420,31 @@ impl Runner<'_> {
         self.link.0.bound(left_s);
         let answer = self.link.0.exchange(command);
         let now_s = clock.now_s();
+        if is_recorded && self.link.0.has_sent_command() {
+            let row = CommandRow {
+                command,
+                time_s: sent_s + self.end.drive_minus_host_s,
+                reference_rad_s: reference_rad_s.or(match command.demand {
+                    Demand::Speed(speed) => Some(speed),
+                    _ => None,
+                }),
+            };
+            self.recorder.command(&row);
+            if let Some(estimator) = self.estimator.as_mut() {
+                estimator.command(&row);
+            }
+        }
         let took_s = now_s - sent_s;
         // So long the link may have held us; what goes beyond that was the host's.
         self.session.waited_for_link(now_s, took_s.min(left_s));
         let answered = answer.is_ok();
         self.inputs.push_back(match answer {
             Ok(sample) => {
-                if sample.time_s.is_finite() {
-                    self.end.drive_minus_host_s = sample.time_s - sent_s;
+                // A host that stamps samples has one clock for both: how long this exchange took is no part of it.
+                let host_s = (sample.time_half_width_s.and(sample.host_time_s)).map(|s| s - now_s);
+                let offset_s = host_s.unwrap_or(sample.time_s - sent_s);
+                if offset_s.is_finite() {
+                    self.end.drive_minus_host_s = offset_s;
                 }
                 self.end.last_reply_s = now_s;
                 Input::Sample(Box::new(sample))

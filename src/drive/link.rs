@@ -259,6 +259,11 @@ pub trait DriveLink: Send {
         self.stop()
     }
 
+    /// Whether the set-point of the last exchange was sent; on a line in doubt an exchange may end before.
+    fn has_sent_command(&self) -> bool {
+        true
+    }
+
     /// Whether the drive tells that its output is off. Where it does not, an acknowledged stop is not a confirmed one.
     fn confirms_stop(&self) -> bool {
         true

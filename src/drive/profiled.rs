@@ -76,6 +76,8 @@ pub struct ProfiledLink<B> {
     last_exchange_s: Option<f64>,
     /// When something went out that the drive's watchdog counts, s.
     kicked_s: f64,
+    /// Number of the last command, if its set-point was not sent.
+    unsent: Option<u64>,
     patience: Patience,
     /// The drive's own, where the profile maps it.
     clock: Option<Clock>,
@@ -100,6 +102,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             unseen_since_s: None,
             last_exchange_s: None,
             kicked_s: f64::NEG_INFINITY,
+            unsent: None,
             patience: Patience::default(),
         }
     }
@@ -144,6 +147,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// A drive that is busy keeps what it was told last, and is asked again after a pause; a stop does not wait.
     fn cycle(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample, LinkError> {
+        let holds = self.mode == Mode::On && matches!(wanted, Wanted::Run(Some(_)));
+        self.unsent = holds.then_some(seq);
         if matches!(wanted, Wanted::Run(_)) {
             self.patience.check(self.bus.now_s())?;
         }
@@ -175,6 +180,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             if let Wanted::Run(Some((name, value))) = wanted {
                 let (points, readings) = (&mut self.points, &self.readings);
                 let put = points.put(&mut self.bus, readings, name, *value);
+                self.unsent = (!was_sent(&put)).then_some(seq);
                 held_back(&mut refused, put)?;
                 put_s = Some((self.bus.now_s(), self.points.carried));
             }
@@ -186,12 +192,21 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
         let reading_s = self.bus.now_s();
         let joined = self.points.take_joined();
+        if joined.is_some() {
+            self.unsent = Some(seq);
+        }
         let (span, both) = match self.readings.read_fast(&mut self.bus, joined.as_ref()) {
             Err(error @ LinkError::Exception { .. }) if joined.is_some() => {
+                self.unsent = None;
                 held_back(&mut refused, Err(error))?;
                 self.readings.read_fast(&mut self.bus, None)?
             }
-            read => read?,
+            read => {
+                if joined.is_some() && was_sent(&read) {
+                    self.unsent = None;
+                }
+                read?
+            }
         };
         if let (Some(joined), Some(span)) = (joined, both) {
             let now_s = self.bus.now_s();
@@ -534,6 +549,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 }
 
+/// Whether a request that ended so has left.
+const fn was_sent<T>(result: &Result<T, LinkError>) -> bool {
+    !matches!(result, Err(LinkError::Unproven { .. }))
+}
+
 /// Keeps the first refusal until it is known what the drive says of itself.
 fn held_back(
     first: &mut Option<LinkError>,
@@ -684,6 +704,10 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
             self.stop()?;
         }
         zeroed
+    }
+
+    fn has_sent_command(&self) -> bool {
+        self.unsent.is_none()
     }
 
     fn confirms_stop(&self) -> bool {
