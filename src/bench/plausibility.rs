@@ -108,6 +108,7 @@ const CHECK_SET_POINT: &str = "check address, scale and word order of the set-po
 struct Held {
     by_voltage: f64,
     current: f64,
+    currents: Range,
 }
 
 /// The watch of one session.
@@ -720,6 +721,7 @@ impl Plausibility {
         let held = *self.held.get_or_insert(Held {
             by_voltage,
             current: window.mean_current,
+            currents: window.current,
         });
         if self.speed.run() < self.same_needed() {
             return None;
@@ -727,14 +729,20 @@ impl Plausibility {
         let by_current = (window.mean_current - held.current).abs();
         let idle_v = IDLE_A * self.scale.amps * plate.resistance;
         // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
-        let turns = held.current.abs() < idle_v || held.current * window.mean_current < 0.0;
+        let flow = |sign: f64| {
+            let least = |currents: Range| (sign * currents.low).min(sign * currents.high);
+            least(held.currents) > idle_v && least(window.current) > idle_v
+        };
+        let turns = !(flow(1.0) || flow(-1.0));
         let drops_v = if turns {
             2.0 * self.drop_v()
         } else {
             REST_VOLTAGE * self.scale.volts
         };
         let doubt = drops_v + (1.0 - WINDING.low) * by_current + 0.5 * window.volts.width();
-        let moved = FLUX.low * (by_voltage - held.by_voltage).abs() > doubt;
+        // From another speed than it was, and from the measured one: what was held may be of a winding in transit.
+        let beyond = |other_v: f64| FLUX.low * (by_voltage - other_v).abs() > doubt;
+        let moved = beyond(held.by_voltage) && beyond(window.mean_speed);
         let cannot_be = window.gap(WINDING, FLUX, self.drop_v()) > 0.0;
         if !(moved || cannot_be) {
             self.frozen = 0;
