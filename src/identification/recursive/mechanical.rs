@@ -167,6 +167,18 @@ impl MechanicalBalance {
         })
     }
 
+    /// By how much Mc/Kt is off because a friction that grows with the speed is there, A; zero where the rows do not tell
+    /// it from none. `ratio` is Mc/Kt.
+    fn slope_bias(&self, ratio: f64) -> f64 {
+        let [a, b, slope] = self.sloping.parameters();
+        let std = self.sloping.standard_deviations().map(|stds| stds[2]);
+        if std.is_some_and(|std| slope.abs() > TWO_SIDED * std) {
+            (b / a - ratio).abs()
+        } else {
+            0.0
+        }
+    }
+
     pub(super) fn innovation_rad_s(&self) -> Option<f64> {
         self.innovation_rad_s
     }
@@ -249,7 +261,8 @@ impl MechanicalBalance {
             let load_std = (kt * kt * ratio_variance + load * load * kt_share)
                 .max(0.0)
                 .sqrt()
-                .hypot(load_doubt);
+                .hypot(load_doubt)
+                .hypot(kt * self.slope_bias(ratio));
             Some((inertia_std, load_std))
         })();
         let relative = [
