@@ -2,7 +2,7 @@
 
 use super::codec::{self, Request};
 use super::fault::{Act, Reply, Sensor};
-use super::motor::Motor;
+use super::motor::{Hidden, Motor};
 
 /// Unit address.
 const UNIT: u8 = 1;
@@ -142,6 +142,11 @@ impl Drive {
     }
 
     /// Watchdog that is in force, s.
+    pub(crate) fn hiding(mut self, hidden: Hidden) -> Self {
+        self.motor.hidden = hidden;
+        self
+    }
+
     pub(crate) fn watchdog_s(&self) -> f64 {
         f64::from(self.watchdog_ms) * 1e-3
     }
@@ -517,7 +522,7 @@ impl Drive {
         let drawn = self.uniform() * 1000.0;
         let mut begin_s = self.now_s + ANSWERS_S + JITTER_S * self.uniform();
         let mut reply = reply;
-        let mut again = None;
+        let (mut again, mut spoilt) = (None, None);
         if let Some(for_s) = self.faulty_for_s() {
             match self.act {
                 Act::Mute => return,
@@ -528,28 +533,34 @@ impl Drive {
                 }
                 Act::Replies(what, per_mille) if drawn < f64::from(per_mille) => {
                     self.see();
-                    match what {
-                        Reply::Late(late_s) => begin_s += late_s,
-                        Reply::Lost => return,
-                        Reply::Doubled => again = Some(reply.clone()),
-                        Reply::GarbageBefore => {
-                            reply.splice(0..0, [0x5A, 0x00, 0xC3]);
-                        }
-                        Reply::GarbageAfter => reply.extend([0xFF, 0x12]),
-                        Reply::WrongCrc => {
-                            if let Some(last) = reply.last_mut() {
-                                *last ^= 0x55;
-                            }
-                        }
-                        Reply::Truncated => reply.truncate(reply.len() / 2),
-                        Reply::OtherUnit => {
-                            let body = reply.len() - 2;
-                            reply[0] = UNIT + 1;
-                            reply = codec::framed(&reply[..body]);
-                        }
-                    }
+                    spoilt = Some(what);
+                }
+                Act::PoorLine(late_s, per_mille) if drawn < 3.0 * f64::from(per_mille) => {
+                    let kinds = [Reply::Late(late_s), Reply::Lost, Reply::Doubled];
+                    spoilt = Some(kinds[(drawn / f64::from(per_mille)) as usize]);
                 }
                 _ => {}
+            }
+        }
+        match spoilt {
+            None => {}
+            Some(Reply::Late(late_s)) => begin_s += late_s,
+            Some(Reply::Lost) => return,
+            Some(Reply::Doubled) => again = Some(reply.clone()),
+            Some(Reply::GarbageBefore) => {
+                reply.splice(0..0, [0x5A, 0x00, 0xC3]);
+            }
+            Some(Reply::GarbageAfter) => reply.extend([0xFF, 0x12]),
+            Some(Reply::WrongCrc) => {
+                if let Some(last) = reply.last_mut() {
+                    *last ^= 0x55;
+                }
+            }
+            Some(Reply::Truncated) => reply.truncate(reply.len() / 2),
+            Some(Reply::OtherUnit) => {
+                let body = reply.len() - 2;
+                reply[0] = UNIT + 1;
+                reply = codec::framed(&reply[..body]);
             }
         }
         let mut put = |bytes: Vec<u8>, begin_s: f64| {

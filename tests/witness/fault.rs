@@ -54,6 +54,8 @@ pub(crate) enum Act {
     /// Nothing does.
     Nothing,
     Replies(Reply, u32),
+    /// So many in a thousand each are late by this much, s, lost, and doubled.
+    PoorLine(f64, u32),
     LateOnce(f64),
     /// Two other devices talk on the line.
     ForeignFrames,

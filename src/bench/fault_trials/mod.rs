@@ -7,6 +7,7 @@
 //!
 //! What only happens to a process (a signal that kills it, a file that cannot be written) has its trials in real time.
 
+mod hidden;
 #[path = "../../../tests/witness/mod.rs"]
 mod witness;
 
@@ -31,6 +32,7 @@ use crate::drive::{DriveLink, DriveProfile};
 use crate::identification::online::OnlineConfig;
 use crate::plant::Model;
 use crate::recording::MemoryRecorder;
+use crate::sample::{Origin, Run};
 use witness::drive::{BENCH, Drive, PROFILE};
 use witness::fault::{Act, Class, FAULTS, Fault, Host, Way};
 use witness::judge::judge;
@@ -140,6 +142,8 @@ struct Trial {
     status: i32,
     said: String,
     parameters: Vec<(String, f64, f64, String)>,
+    /// What was recorded, run by run.
+    records: Vec<Run>,
     drive: Surroundings,
 }
 
@@ -225,8 +229,10 @@ fn work(
         };
         let sent = link.statistics().sent;
         let session = session.after_seq(last_seq).with_rest(&report.rest);
-        let summary = one_run(session, bench, &report, link, clock, (interrupted, intents));
+        let (summary, record) =
+            one_run(session, bench, &report, link, clock, (interrupted, intents));
         last_seq += summary.link.sent - sent + 1;
+        trial.records.extend(record);
         trial.note(&summary);
         if summary.outcome != Outcome::Done {
             return;
@@ -241,12 +247,12 @@ fn one_run(
     link: &mut dyn DriveLink,
     clock: &mut dyn Clock,
     (interrupted, intents): (&AtomicBool, &Receiver<Intent>),
-) -> RunSummary {
+) -> (RunSummary, Option<Run>) {
     let layout = layout(&report.signals);
     let mut recorder = MemoryRecorder::new(layout.clone());
     let config = OnlineConfig::from_model(&Model::baseline(bench.motor.motor()));
     let mut online = LiveOnline::new(layout, config);
-    run(
+    let summary = run(
         session,
         Bench {
             link,
@@ -264,7 +270,15 @@ fn one_run(
             motor: bench.nameplate(),
             auto_start: true,
         },
-    )
+    );
+    let record = recorder.run("trial").ok().map(|mut run| {
+        // As the manifest has it.
+        for channel in &report.signals {
+            run.set_origin(*channel, Origin::Measured);
+        }
+        run
+    });
+    (summary, record)
 }
 
 impl Trial {
@@ -299,14 +313,18 @@ impl Trial {
 }
 
 fn trial(fault: &Fault, way: Way, seed: u64) -> Trial {
+    trial_of(BENCH, Drive::new(fault.act, seed), fault.host(), way)
+}
+
+fn trial_of(bench: &str, drive: Drive, host: Option<Host>, way: Way) -> Trial {
     let profile = DriveProfile::parse("drive.toml", PROFILE).unwrap();
-    let mut bench = BenchFile::parse("bench.toml", BENCH).unwrap();
+    let mut bench = BenchFile::parse("bench.toml", bench).unwrap();
     bench.drive_facts = DriveFacts::of(&profile);
     let interrupted = Arc::new(AtomicBool::new(false));
     let (sender, intents) = channel();
     let there = Arc::new(Mutex::new(Surroundings {
-        drive: Drive::new(fault.act, seed),
-        host: fault.host(),
+        drive,
+        host,
         interrupted: Arc::clone(&interrupted),
         intents: Some(sender),
         done_s: None,
@@ -317,6 +335,7 @@ fn trial(fault: &Fault, way: Way, seed: u64) -> Trial {
         status: -9,
         said: String::new(),
         parameters: Vec::new(),
+        records: Vec::new(),
         drive: Surroundings {
             drive: Drive::new(Act::Nothing, 0),
             host: None,
