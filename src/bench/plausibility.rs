@@ -108,6 +108,7 @@ const CHECK_SET_POINT: &str = "check address, scale and word order of the set-po
 struct Held {
     by_voltage: f64,
     current: f64,
+    /// Of the readings in the window.
     currents: Range,
 }
 
@@ -718,10 +719,13 @@ impl Plausibility {
             return None;
         }
         let by_voltage = window.mean_volts - window.mean_current;
+        let rows = self.history.rows().iter().rev().take(self.window_rows());
+        let readings = rows.map(|row| plate.resistance * row.ends().0);
+        let currents = Range::of(readings).unwrap_or(window.current);
         let held = *self.held.get_or_insert(Held {
             by_voltage,
             current: window.mean_current,
-            currents: window.current,
+            currents,
         });
         if self.speed.run() < self.same_needed() {
             return None;
@@ -729,11 +733,11 @@ impl Plausibility {
         let by_current = (window.mean_current - held.current).abs();
         let idle_v = IDLE_A * self.scale.amps * plate.resistance;
         // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
-        let flow = |sign: f64| {
-            let least = |currents: Range| (sign * currents.low).min(sign * currents.high);
-            least(held.currents) > idle_v && least(window.current) > idle_v
-        };
-        let turns = !(flow(1.0) || flow(-1.0));
+        // A window in which it does both has done either.
+        let flows =
+            |currents: Range, sign: f64| (sign * currents.low).max(sign * currents.high) > idle_v;
+        let both = |sign: f64| flows(held.currents, sign) && flows(currents, -sign);
+        let turns = held.current.abs() < idle_v || both(1.0) || both(-1.0);
         let drops_v = if turns {
             2.0 * self.drop_v()
         } else {

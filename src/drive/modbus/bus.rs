@@ -178,8 +178,8 @@ impl ModbusBus {
     }
 }
 
-/// RTU frames of a read, of a write of several registers and of a request of function code 23, beside the registers that they write,
-/// and of the acknowledgement of a write.
+/// RTU frames of a read, of a write of several registers and of a request of function code 23, beside the registers that
+/// they write, and of the acknowledgement of a write.
 const READ_BYTES: usize = 8;
 const WRITE_BYTES: usize = 9;
 const READ_WRITE_BYTES: usize = 13;

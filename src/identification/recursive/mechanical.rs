@@ -167,15 +167,16 @@ impl MechanicalBalance {
         })
     }
 
-    /// By how much Mc/Kt is off because a friction that grows with the speed is there, A; zero where the rows do not tell
-    /// it from none. `ratio` is Mc/Kt.
-    fn slope_bias(&self, ratio: f64) -> f64 {
+    /// By how much Kt/J, relative, and Mc/Kt, A, are off because a friction that grows with the speed is there; zero where
+    /// the rows do not tell it from none. `ratio` is Mc/Kt.
+    fn slope_bias(&self, ratio: f64) -> [f64; 2] {
         let [a, b, slope] = self.sloping.parameters();
         let std = self.sloping.standard_deviations().map(|stds| stds[2]);
         if std.is_some_and(|std| slope.abs() > TWO_SIDED * std) {
-            (b / a - ratio).abs()
+            let known = self.estimator.parameters()[0];
+            [(a / known - 1.0).abs(), (b / a - ratio).abs()]
         } else {
-            0.0
+            [0.0; 2]
         }
     }
 
@@ -253,7 +254,10 @@ impl MechanicalBalance {
             let kt_share = (kt_std / kt).powi(2);
             let ratio = b / a;
             let [other_a, other_b] = self.doubtful.parameters();
-            let inertia_doubt = (inertia * (other_a / a - 1.0)).hypot(inertia * sampling[0]);
+            let [inertia_bias, load_bias] = self.slope_bias(ratio);
+            let inertia_doubt = (inertia * (other_a / a - 1.0))
+                .hypot(inertia * sampling[0])
+                .hypot(inertia * inertia_bias);
             let load_doubt = (kt * (other_b / other_a - ratio)).hypot(kt * sampling[1]);
             let inertia_std =
                 (inertia * (aa / (a * a) + kt_share).max(0.0).sqrt()).hypot(inertia_doubt);
@@ -262,7 +266,7 @@ impl MechanicalBalance {
                 .max(0.0)
                 .sqrt()
                 .hypot(load_doubt)
-                .hypot(kt * self.slope_bias(ratio));
+                .hypot(kt * load_bias);
             Some((inertia_std, load_std))
         })();
         let relative = [
