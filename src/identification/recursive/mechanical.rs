@@ -19,7 +19,7 @@ const REOPENED_ROWS: u64 = 60;
 /// missing effect makes of them.
 const CHANGE_SHARE: f64 = 0.15;
 
-/// Share by which the load may change where a friction that grows with the speed is allowed beside it, at most, and the
+/// Share by which inertia or load may change where a friction that grows with the speed is allowed beside it, at most, and the
 /// standard deviations of that which count.
 const MOST_SLOPE_DOUBT: f64 = 0.06;
 const TWO_SIDED: f64 = 2.0;
@@ -151,12 +151,17 @@ impl MechanicalBalance {
         })
     }
 
-    /// Why the load may not be settled although the rows agree: with a friction that grows with the speed it would be
-    /// another, and the rows do not rule such a friction out. `ratio` is Mc/Kt.
-    fn not_constant(&self, ratio: f64) -> Option<String> {
+    /// Why inertia or load may not be settled although the rows agree: with a friction that grows with the speed it would be
+    /// another, and the rows do not rule such a friction out. `value` is the one of the two, its place in the rows `at`.
+    fn not_constant(&self, value: f64, at: usize) -> Option<String> {
         let [a, b, _] = self.sloping.parameters();
-        let std = self.sloping.standard_deviations()?[1];
-        let doubt = (b / (a * ratio) - 1.0).abs() + TWO_SIDED * std / (a * ratio).abs();
+        let (sloping, of) = if at == 0 {
+            (a, value)
+        } else {
+            (b / a, value * a)
+        };
+        let std = self.sloping.standard_deviations()?[at];
+        let doubt = (sloping / value - 1.0).abs() + TWO_SIDED * std / of.abs();
         // A comparison that is false for NaN as well.
         let sure = doubt <= MOST_SLOPE_DOUBT;
         (!sure).then(|| {
@@ -294,9 +299,11 @@ impl MechanicalBalance {
                     ));
                 }
                 let why_open = self.reopened().or_else(|| {
-                    (key == MotorKey::LoadTorque)
-                        .then(|| self.not_constant(b / a))
-                        .flatten()
+                    if key == MotorKey::Inertia {
+                        self.not_constant(a, 0)
+                    } else {
+                        self.not_constant(b / a, 1)
+                    }
                 });
                 if let (Verdict::Settled, Some(reason)) = (judged.verdict, why_open) {
                     judged.verdict = Verdict::Searching;

@@ -70,6 +70,15 @@ impl Scheme3 {
                 )
             })
         };
+        // One voltage is shared by R and Ke, and the current between two samples is theirs: without R nothing is sure.
+        let resistance = out.iter().find(|p| p.key == MotorKey::Resistance.key());
+        let open = resistance.is_none_or(|resistance| resistance.verdict != Verdict::Settled);
+        let doubt = doubt.or_else(|| {
+            open.then(|| {
+                "rests on the resistance, which the run does not settle: it takes a current that changes at every speed"
+                    .to_owned()
+            })
+        });
         if let Some(reason) = doubt {
             for parameter in out.iter_mut().filter(|p| p.verdict == Verdict::Settled) {
                 parameter.verdict = Verdict::Searching;
