@@ -15,9 +15,11 @@ const FEWEST_ROWS: u64 = 4;
 /// Rows that must have spoken before a change is told, and rows after it before anything is settled again.
 const BELIEVED_ROWS: u64 = 40;
 const REOPENED_ROWS: u64 = 60;
-/// Share of the moves of the last rows that their misses add up to where inertia or load have changed: more than what a
+/// Share of the moves of the last rows that their misses add up to where the inertia has changed: more than what a
 /// missing effect makes of them.
 const CHANGE_SHARE: f64 = 0.15;
+/// Motor torque over friction from which on a row tells of the inertia.
+const DRIVEN: f64 = 3.0;
 
 /// Share by which inertia or load may change where a friction that grows with the speed is allowed beside it, at most, and the
 /// standard deviations of that which count.
@@ -41,7 +43,7 @@ pub(super) struct MechanicalBalance {
     innovation_rad_s: Option<f64>,
     blocked_rows: u64,
     watch: ChangeWatch,
-    /// The estimate as it was begun, and how often it was begun again because inertia or load had changed.
+    /// The estimate as it was begun, and how often it was begun again because the inertia had changed.
     fresh: RecursiveLeastSquares<2>,
     changes: u32,
     /// Beside Kt/J and Mc/J a friction in proportion to the speed, over J: whether the load is as constant as it is
@@ -115,15 +117,7 @@ impl MechanicalBalance {
         };
         let step = row.speed_step_rad_s;
         let regressor = [row.current_integral_a_s, held];
-        if !noise.continues {
-            self.watch.interrupt();
-        }
-        let known = self.estimator.parameters();
-        let foreseen = known[0] * regressor[0] + known[1] * regressor[1];
-        let believed = self.estimator.rows() >= BELIEVED_ROWS;
-        if self.watch.take(foreseen, step, believed) {
-            self.reopen();
-        }
+        self.watch_inertia(&regressor, step, noise.continues);
         let along = [regressor[0], held, held * row.speed_rad_s.abs()];
         self.sloping.update_row(&along, step, noise);
         self.innovation_rad_s = self.estimator.update_row(&regressor, step, noise);
@@ -132,7 +126,23 @@ impl MechanicalBalance {
         self.last_end_s = row.end_s;
     }
 
-    /// Inertia or load are not what they were: what was known of them is dropped.
+    /// Another inertia shows where the motor's torque is large against the friction. A miss of a shaft that runs out, or
+    /// that creeps, is one of the friction, which may be of another form than this one's: it changes with the speed and
+    /// comes back, and what is known is not dropped for it.
+    fn watch_inertia(&mut self, regressor: &[f64; 2], step_rad_s: f64, continues: bool) {
+        let [a, b] = self.estimator.parameters();
+        let (driven, braked) = (a * regressor[0], b * regressor[1]);
+        let tells = driven.abs() > DRIVEN * braked.abs();
+        if !continues || !tells {
+            self.watch.interrupt();
+        }
+        let believed = self.estimator.rows() >= BELIEVED_ROWS;
+        if tells && self.watch.take(driven + braked, step_rad_s, believed) {
+            self.reopen();
+        }
+    }
+
+    /// The inertia is not what it was: what was known is dropped.
     fn reopen(&mut self) {
         self.estimator = self.fresh.clone();
         self.doubtful = self.fresh.clone();
@@ -145,7 +155,7 @@ impl MechanicalBalance {
     fn reopened(&self) -> Option<String> {
         (self.changes > 0 && self.estimator.rows() < REOPENED_ROWS).then(|| {
             format!(
-                "inertia or load have changed: begun again, {} of {REOPENED_ROWS} rows so far",
+                "the inertia has changed: begun again, {} of {REOPENED_ROWS} rows so far",
                 self.estimator.rows()
             )
         })
