@@ -91,6 +91,11 @@ impl Model {
         self.worker != WorkerState::Working
     }
 
+    /// No run has begun and no report has come.
+    pub(super) fn has_shown_nothing(&self) -> bool {
+        self.snapshot.phase.is_none() && !self.shows_report()
+    }
+
     pub(super) fn shows_report(&self) -> bool {
         let workflow = self.workflow.as_ref();
         workflow.is_some_and(|workflow| !workflow.report.is_empty())

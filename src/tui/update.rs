@@ -59,6 +59,10 @@ impl Model {
     fn worker_is(&mut self, state: WorkerState) -> Vec<Effect> {
         self.worker = state;
         match (state, self.leaving) {
+            // What it came to, a failed check for instance, is told where the screen was.
+            (WorkerState::Finished, None) if self.has_shown_nothing() => {
+                vec![Effect::Leave(Exit::Finished)]
+            }
             (WorkerState::Working, _) | (WorkerState::Finished, None) => Vec::new(),
             (_, Some(Leaving::Quit)) => vec![Effect::Leave(Exit::Quit)],
             (_, Some(Leaving::Interrupted)) => vec![Effect::Leave(Exit::Interrupted)],

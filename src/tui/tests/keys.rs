@@ -163,6 +163,13 @@ fn q_says_stop_first_exactly_where_the_output_may_be_on() {
 }
 
 #[test]
+fn a_screen_on_which_no_run_ever_began_leaves_by_itself_so_that_the_reason_is_told() {
+    let over = Event::Worker(WorkerState::Finished);
+    let mut refused = Model::new(None);
+    assert_eq!(refused.update(over), vec![Effect::Leave(Exit::Finished)]);
+}
+
+#[test]
 fn q_leaves_when_the_work_is_over() {
     for snapshot in [running(), tripped(), done(), hardware()] {
         let mut model = model(snapshot);
