@@ -25,6 +25,9 @@ const DRIVEN: f64 = 3.0;
 /// standard deviations of that which count.
 const MOST_SLOPE_DOUBT: f64 = 0.06;
 const TWO_SIDED: f64 = 2.0;
+/// Standard deviations from which on such a friction is told from none: what is widened by it stays as narrow as it was
+/// where there is none.
+const TOLD: f64 = 4.0;
 
 /// Move by leaving out every second sample over the error at the full rate. A rule of second order would give 3, but the
 /// current has a corner at each step of the voltage, and where L/R is not resolved the order falls to the first.
@@ -187,7 +190,7 @@ impl MechanicalBalance {
     fn slope_bias(&self, ratio: f64) -> [f64; 2] {
         let [a, b, slope] = self.sloping.parameters();
         let std = self.sloping.standard_deviations().map(|stds| stds[2]);
-        if std.is_some_and(|std| slope.abs() > TWO_SIDED * std) {
+        if std.is_some_and(|std| slope.abs() > TOLD * std) {
             let known = self.estimator.parameters()[0];
             [(a / known - 1.0).abs(), (b / a - ratio).abs()]
         } else {
