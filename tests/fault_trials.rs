@@ -103,19 +103,19 @@ fn is_about_the_host(fault: &Fault) -> bool {
 }
 
 #[test]
-#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored; some trials are open"]
+#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored"]
 fn a_disturbed_line_bends_no_result() {
     expect(&cases(is_about_the_line));
 }
 
 #[test]
-#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored; some trials are open"]
+#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored"]
 fn every_way_out_of_the_program_ends_at_zero() {
     expect(&cases(is_about_the_host));
 }
 
 #[test]
-#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored; some trials are open"]
+#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored"]
 fn whatever_the_drive_does_it_ends_at_zero() {
     expect(&cases(|fault| {
         !is_about_the_line(fault) && !is_about_the_host(fault)
@@ -124,7 +124,7 @@ fn whatever_the_drive_does_it_ends_at_zero() {
 
 /// Each way of running to its own end.
 #[test]
-#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored; some trials are open"]
+#[ignore = "real time, on a quiet machine: cargo test --release --test fault_trials -- --ignored"]
 fn every_way_of_running_ends_well_where_nothing_is_wrong() {
     let fault = FAULTS.iter().find(|fault| fault.act == Act::Nothing);
     let fault = fault.expect("it stands first");

@@ -48,7 +48,7 @@ fn answer(hidden: Hidden, act: Act, seed: u64) -> Option<Diagnosis> {
     let mut runs = records.map(|run| Scenario::from_run(run).unwrap());
     let evidence = Evidence::new(runs.next().unwrap(), runs.next(), runs.next());
     let motor = BenchFile::parse("bench.toml", &text).unwrap().motor.motor();
-    diagnose(&Model::baseline(motor), evidence, false).ok()
+    Some(diagnose(&Model::baseline(motor), evidence, false).unwrap())
 }
 
 /// By how many standard deviations the motor's parameters lie apart.
@@ -77,7 +77,8 @@ struct Outcome {
 fn machine(seed: u64) -> Outcome {
     let (name, hidden) = HIDDEN[usize::try_from(seed).unwrap() % HIDDEN.len()];
     let line = Act::PoorLine(LATE_S, SPOILT);
-    let spoilt = (0..).find_map(|time| Some((time, answer(hidden, line, seed + time * MACHINES)?)));
+    let spoilt = (0..=MOST_AGAIN)
+        .find_map(|time| Some((time, answer(hidden, line, seed + time * MACHINES)?)));
     let (again, spoilt) = spoilt.unwrap();
     let clean = answer(hidden, Act::Nothing, seed).unwrap();
     let effects = spoilt.effects.iter().filter(|id| **id != OF_THE_LINE);
