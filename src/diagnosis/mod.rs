@@ -25,6 +25,7 @@ mod evidence;
 mod family;
 mod fingerprint;
 mod fitted;
+
 mod ladder;
 mod linear_response;
 mod location;

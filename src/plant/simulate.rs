@@ -48,6 +48,17 @@ pub struct Trajectory {
     pub speed_rad_s: Vec<f64>,
 }
 
+/// What is taken over from a measurement; of a change that is not a number nothing is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Correction {
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    /// Load torque beyond the model's, against positive motion, that acts until the next correction.
+    pub load_n_m: f64,
+    /// Voltage beyond the input, likewise.
+    pub voltage_v: f64,
+}
+
 /// A model made ready for simulation: numbers only.
 pub struct Plant {
     equations: Equations,
@@ -105,7 +116,20 @@ impl Plant {
 
     /// Simulates `scenario` from `start` (the state at its first input event) into `out`, whose memory is used again.
     pub fn simulate_into(&mut self, scenario: &Scenario, start: State, out: &mut Trajectory) {
-        self.run(scenario, start, None, out);
+        self.run(scenario, start, out, |_, _, _| None);
+    }
+
+    /// Follows a measurement: after every sample `correct` is asked, given the sample's number, what the sensors would
+    /// show and the state behind it, how far the state is to move and what load torque to expect from there on. `out`
+    /// holds what was predicted before each correction.
+    pub fn follow_into(
+        &mut self,
+        scenario: &Scenario,
+        start: State,
+        out: &mut Trajectory,
+        correct: impl FnMut(usize, [f64; 2], &State) -> Option<Correction>,
+    ) {
+        self.run(scenario, start, out, correct);
     }
 
     /// Predictions over short horizons: after every `horizon` samples the current and speed are set to the measured
@@ -129,7 +153,14 @@ impl Plant {
     ) -> Trajectory {
         let mut out = Trajectory::default();
         let horizon = horizon.max(1);
-        self.run(scenario, start, Some((horizon, first % horizon)), &mut out);
+        let first = first % horizon;
+        self.run(scenario, start, &mut out, |sample, [current_a, speed_rad_s], _| {
+            (sample % horizon == first).then(|| Correction {
+                current_a: scenario.current_a[sample] - current_a,
+                speed_rad_s: scenario.speed_rad_s[sample] - speed_rad_s,
+                ..Correction::default()
+            })
+        });
         out
     }
 
@@ -137,9 +168,10 @@ impl Plant {
         &mut self,
         scenario: &Scenario,
         start: State,
-        restarts: Option<(usize, usize)>,
         out: &mut Trajectory,
+        mut correct: impl FnMut(usize, [f64; 2], &State) -> Option<Correction>,
     ) {
+        (self.equations.load_n_m, self.equations.extra_v) = (0.0, 0.0);
         out.current_a.clear();
         out.speed_rad_s.clear();
         self.moving.clear();
@@ -189,17 +221,17 @@ impl Plant {
                 .map_or((state.current_a, state.speed_rad_s), Sensors::read);
             out.current_a.push(current_a);
             out.speed_rad_s.push(speed_rad_s);
-            if restarts.is_some_and(|(horizon, first)| sample % horizon == first) {
+            if let Some(change) = correct(sample, [current_a, speed_rad_s], &state) {
                 // What lies between motion and reading (a filter, an offset) stays between them.
-                let jump_a = scenario.current_a[sample] - current_a;
-                let jump_rad_s = scenario.speed_rad_s[sample] - speed_rad_s;
                 if let Some(sensors) = &mut self.sensors {
-                    sensors.anchor(jump_a, jump_rad_s);
+                    sensors.anchor(change.current_a, change.speed_rad_s);
                 }
                 if let Some(two_mass) = &mut self.two_mass {
-                    two_mass.anchor(jump_rad_s);
+                    two_mass.anchor(change.speed_rad_s);
                 }
-                state.anchor(state.current_a + jump_a, state.speed_rad_s + jump_rad_s);
+                state.anchor(change.current_a, change.speed_rad_s);
+                self.equations.load_n_m = change.load_n_m;
+                self.equations.extra_v = change.voltage_v;
             }
         }
     }

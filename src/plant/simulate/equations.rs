@@ -26,6 +26,10 @@ pub(super) struct Equations {
     pub(super) path: Path,
     pub(super) coupling: Option<Coupling>,
     pub(super) needs_angle: bool,
+    /// Load torque beyond the model's, against positive motion.
+    pub(super) load_n_m: f64,
+    /// Voltage beyond the input.
+    pub(super) extra_v: f64,
 }
 
 impl Equations {
@@ -97,6 +101,8 @@ impl Equations {
             per_volt,
             states: terms.iter().map(|(_, states)| states).sum(),
             terms,
+            load_n_m: 0.0,
+            extra_v: 0.0,
         })
     }
 
@@ -146,14 +152,14 @@ impl Equations {
             Mode::Stuck | Mode::Undecided => 0.0,
             moving => {
                 let level = (self.coulomb + sums.friction_n_m).max(0.0);
-                -(sums.torque_n_m + moving.sign() * level) * self.inverse_inertia
+                -(sums.torque_n_m + self.load_n_m + moving.sign() * level) * self.inverse_inertia
             }
         };
         // The current is given, and what the motor leaves out would make it no number.
         if self.input != Input::Voltage {
             return [0.0, acceleration];
         }
-        let mut voltage_v = at.voltage_v - sums.voltage_v;
+        let mut voltage_v = at.voltage_v + self.extra_v - sums.voltage_v;
         if sums.current_rate_gain != 0.0 {
             let inductive_v = voltage_v
                 - self.motor.resistance_ohm * state.current_a
@@ -206,7 +212,7 @@ impl Equations {
     pub(super) fn drive_and_level(&self, state: &State, at: &Instant) -> (f64, f64) {
         let sums = self.sums(state, at);
         (
-            self.motor.torque_n_m_per_a * state.current_a - sums.torque_n_m,
+            self.motor.torque_n_m_per_a * state.current_a - sums.torque_n_m - self.load_n_m,
             (self.coulomb + sums.friction_n_m).max(0.0),
         )
     }

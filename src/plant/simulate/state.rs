@@ -50,14 +50,27 @@ impl State {
         self
     }
 
-    /// Takes over what was measured; the mode of motion follows from it.
-    pub(super) fn anchor(&mut self, current_a: f64, speed_rad_s: f64) {
-        if current_a.is_finite() {
-            self.current_a = current_a;
+    /// Moves by what was measured, where that is a number; the mode of motion follows from it.
+    pub(super) fn anchor(&mut self, change_a: f64, change_rad_s: f64) {
+        if change_a.is_finite() {
+            self.current_a += change_a;
         }
-        if speed_rad_s.is_finite() {
-            self.speed_rad_s = speed_rad_s;
+        if change_rad_s.is_finite() && change_rad_s != 0.0 {
+            self.speed_rad_s += change_rad_s;
             self.mode = Mode::Undecided;
+        }
+    }
+
+    /// The states of the effects, one effect after the other.
+    pub fn own(&self) -> &[f64] {
+        &self.own
+    }
+
+    /// Direction of motion: one forward, minus one backward, zero at rest.
+    pub fn direction(&self) -> f64 {
+        match self.mode {
+            Mode::Undecided if self.speed_rad_s != 0.0 => self.speed_rad_s.signum(),
+            mode => mode.sign(),
         }
     }
 }

@@ -30,6 +30,8 @@ pub enum Group {
     Background {
         level: f64,
     },
+    /// The same at half the size, with sensors three times as noisy.
+    Harsh,
 }
 
 impl Group {
@@ -41,6 +43,7 @@ impl Group {
             Self::WrongForm => "another shape".to_owned(),
             Self::Pair => "two effects".to_owned(),
             Self::Background { level } => format!("background {level}"),
+            Self::Harsh => "harsh background".to_owned(),
         }
     }
 }
@@ -151,6 +154,9 @@ pub(super) fn all(size: Size) -> Vec<Case> {
                 size.sets,
             );
         }
+    }
+    for (id, _) in KNOWN {
+        add(Group::Harsh, Excitation::Rich, &[id], size.sets);
     }
     cases
 }

@@ -25,6 +25,9 @@ const SPEED_NOISE_RAD_S: f64 = 0.15;
 const SPEED_STEP_RAD_S: f64 = 0.104_72;
 const CURRENT_NOISE_A: f64 = 0.03;
 const CURRENT_STEP_A: f64 = 0.01;
+/// A harsh background: so much noisier, and the hidden effect so much smaller.
+const HARSH_NOISE: f64 = 3.0;
+const HARSH_SIZE: f64 = 0.5;
 const FULL_V: f64 = 105.0;
 const SLEW_V_PER_S: f64 = 350.0;
 const PRBS_SLEW_V_PER_S: f64 = 500.0;
@@ -217,15 +220,22 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.limits.bus_v = 120.0;
     config.limits.speed_limit_rad_s = 1000.0;
     config.limits.winding_limit_c = 1000.0;
-    config.noise.current_a = CURRENT_NOISE_A;
-    config.noise.speed_rad_s = SPEED_NOISE_RAD_S;
+    let noise = if case.group == Group::Harsh { HARSH_NOISE } else { 1.0 };
+    config.noise.current_a = noise * CURRENT_NOISE_A;
+    config.noise.speed_rad_s = noise * SPEED_NOISE_RAD_S;
     config.quantisation.current_a = CURRENT_STEP_A;
     config.quantisation.speed_rad_s = SPEED_STEP_RAD_S;
     config.hidden.clear();
+    let share = if case.group == Group::Harsh { HARSH_SIZE } else { 1.0 };
     for id in &case.hidden {
-        config.hidden.push(sizes::drawn(id, rng).try_into()?);
+        config.hidden.push(sizes::drawn(id, share, rng).try_into()?);
     }
-    if let Group::Background { level } = case.group {
+    let level = match case.group {
+        Group::Background { level } => Some(level),
+        Group::Harsh => Some(1.0),
+        _ => None,
+    };
+    if let Some(level) = level {
         let mut messy = toml::Table::new();
         messy.insert("id".to_owned(), "messy".into());
         messy.insert("scale".to_owned(), level.into());

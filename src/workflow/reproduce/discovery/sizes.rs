@@ -1,7 +1,10 @@
 //! What the hidden effects are given: sizes drawn evenly, about 3 to 15 % of what the motor is rated for.
 
 use rand::Rng;
+
 use rand_chacha::ChaCha8Rng;
+
+use crate::plant::effect;
 
 /// One key of an effect, or two of one amplitude.
 pub(super) enum Draw {
@@ -204,11 +207,16 @@ fn draws_of(id: &str) -> &'static [Draw] {
         .map_or(&[], |(_, draws)| draws)
 }
 
-/// The effect as it stands in an emulator's configuration, drawn.
-pub(super) fn drawn(id: &str, rng: &mut ChaCha8Rng) -> toml::Table {
+/// The effect as it stands in an emulator's configuration, drawn; what gives it its size is multiplied by `share`.
+pub(super) fn drawn(id: &str, share: f64, rng: &mut ChaCha8Rng) -> toml::Table {
     let mut table = toml::Table::new();
     table.insert("id".to_owned(), id.into());
-    let mut set = |key: &str, value: f64| table.insert(key.to_owned(), value.into());
+    let specs = effect::find(id).map_or(&[][..], |effect| effect.parameters());
+    let is_size = |key: &str| specs.iter().any(|spec| spec.key == key && spec.is_coefficient());
+    let mut set = |key: &str, value: f64| {
+        let share = if is_size(key) { share } else { 1.0 };
+        table.insert(key.to_owned(), (share * value).into())
+    };
     for draw in draws_of(id) {
         match draw {
             Between(key, low, high) => {

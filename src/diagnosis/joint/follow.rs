@@ -1,0 +1,481 @@
+//! A model follows a run by a Kalman filter: innovations that are white where the model is right.
+//!
+//! States are the deviations of current and speed from the model, and a disturbance torque that wanders: integrated by
+//! the shaft, it makes the error of a free run wander too, so that tests on that error would be wrong. The innovations,
+//! over their standard deviations, are independent under the model whatever the disturbance did.
+
+use crate::plant::propagator::{LinearPart, Propagator};
+use crate::plant::{Correction, Input, Instant, Model, Terms, MotorKey, Plant, Scenario, State, Trajectory};
+
+/// What is random in a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Standard deviations of the sensors.
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    /// Standard deviation and correlation time of the disturbance torque.
+    pub disturbance_n_m: f64,
+    pub correlation_s: f64,
+    /// Standard deviation of a slow error of the voltage.
+    pub voltage_v: f64,
+}
+
+/// Correlation time of the voltage's error, s.
+pub const VOLTAGE_S: f64 = 0.05;
+/// Uncertainty of the speed after a break-away or a change of sign, as a share of the largest speed.
+const JUMP: f64 = 0.0017;
+/// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
+const RELEASED: f64 = 5.0;
+
+/// What the form of an effect may be wrong by, as a share of what it does.
+const FORM: f64 = 0.05;
+
+/// What the effects of a model do at an instant: volts and newton metres.
+struct Forms {
+    terms: Vec<Box<dyn Terms>>,
+    motor: Instant,
+    coupling: f64,
+    inertia: f64,
+}
+
+impl Forms {
+    fn of(model: &Model, scenario: &Scenario) -> Self {
+        let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(|active| active.effect.terms(&active.values_or_guess())).collect();
+        let coupling = terms.iter().filter_map(|terms| terms.coupling()).fold(0.0, |most: f64, c| most.max(c.inertia_ratio));
+        let mut motor = Instant::of(&model.motor);
+        motor.supply_v = scenario.supply_v();
+        Self { terms, motor, coupling, inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0) }
+    }
+
+    fn at(&self, time_s: f64, voltage_v: f64, state: &State, acceleration: f64) -> [f64; 2] {
+        let at = Instant { time_s, voltage_v, current_a: state.current_a, speed_rad_s: state.speed_rad_s, angle_rad: state.angle_rad, ..self.motor };
+        let (mut volts, mut torque) = (0.0, (self.coupling * self.inertia * acceleration).powi(2));
+        let mut own = state.own();
+        for terms in &self.terms {
+            if terms.coupling().is_some() { continue; }
+            let sums = terms.sums(&at, own);
+            own = &own[terms.states().min(own.len())..];
+            let inductive = at.voltage_v - at.resistance_ohm * at.current_a - at.back_emf_v_s_per_rad * at.speed_rad_s;
+            volts += sums.voltage_v.powi(2) + (sums.current_rate_gain * inductive).powi(2);
+            torque += sums.torque_n_m.powi(2) + sums.friction_n_m.powi(2);
+        }
+        [volts, torque]
+    }
+}
+
+/// The linear part that deviations follow.
+#[derive(Clone, Copy, Debug)]
+pub struct Dynamics {
+    moving: LinearPart,
+    stuck: LinearPart,
+    pub inverse_inertia: f64,
+    pub inverse_inductance: f64,
+    pub input: Input,
+}
+
+impl Dynamics {
+    pub fn of(model: &Model, input: Input) -> Option<Self> {
+        let value = |key| model.motor.get(key);
+        let inertia = value(MotorKey::Inertia)?;
+        let (a, still, inverse_inductance) = match input {
+            Input::Voltage => {
+                let (r, l, ke) = (
+                    value(MotorKey::Resistance)?,
+                    value(MotorKey::Inductance)?,
+                    value(MotorKey::BackEmf)?,
+                );
+                let kt = model.motor.torque_constant()?;
+                (
+                    [[-r / l, -ke / l], [kt / inertia, 0.0]],
+                    [[-r / l, 0.0], [0.0, 0.0]],
+                    1.0 / l,
+                )
+            }
+            Input::Current | Input::Torque => ([[0.0; 2]; 2], [[0.0; 2]; 2], 0.0),
+        };
+        Some(Self {
+            moving: LinearPart::new(&a),
+            stuck: LinearPart::new(&still),
+            inverse_inertia: 1.0 / inertia,
+            inverse_inductance,
+            input,
+        })
+    }
+
+    /// How deviations go on over an interval.
+    pub fn over(&self, interval_s: f64, rests: bool) -> Propagator {
+        if rests { self.stuck.over(interval_s) } else { self.moving.over(interval_s) }
+    }
+}
+
+/// One interval between two samples as deviations pass it.
+#[derive(Clone, Copy, Debug)]
+pub struct Passage {
+    pub propagator: Propagator,
+    pub interval_s: f64,
+    /// Direction of motion in the interval; zero at rest.
+    pub direction: f64,
+    /// What the speed's deviation is multiplied by: zero where the shaft comes to rest or was at rest.
+    pub kept: f64,
+    /// Variances of voltage and torque by which the forms of the model's effects may be wrong.
+    pub form: [f64; 2],
+    /// What the voltage's error keeps.
+    pub voltage_keeps: f64,
+}
+
+/// What a sample corrects, one scalar after the other: current, then speed.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Update {
+    /// Gains on the four states, and one over the standard deviation of the innovation; zero where not measured.
+    pub current: [f64; 5],
+    pub speed: [f64; 5],
+}
+
+/// How one run is followed: the same for a model and for all that are near it.
+#[derive(Clone, Debug)]
+pub struct Follower {
+    pub updates: Vec<Update>,
+    /// What the disturbance keeps until the next sample.
+    pub forgets: Vec<f64>,
+    /// `passages[k]` leads to sample `k`.
+    pub passages: Vec<Passage>,
+    /// Sum of the logarithms of the innovations' variances.
+    pub log_variance: f64,
+    pub rows: usize,
+}
+
+/// A followed run.
+#[derive(Clone, Debug)]
+pub struct Followed {
+    /// Before and after each correction: current, speed.
+    pub before: Vec<[f64; 2]>,
+    pub after: Vec<[f64; 2]>,
+    pub load_n_m: Vec<f64>,
+    pub direction: Vec<f64>,
+    /// Innovations over their standard deviations; zero where not measured.
+    pub white: Vec<[f64; 2]>,
+}
+
+pub type P = [[f64; 4]; 4];
+
+fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 2] {
+    let value = |values: &[f64], level: f64| {
+        Some(values[sample]).filter(|value| value.is_finite() && level.is_finite())
+    };
+    let current = if scenario.input == Input::Voltage {
+        value(&scenario.current_a, noise.current_a)
+    } else {
+        None
+    };
+    [current, value(&scenario.speed_rad_s, noise.speed_rad_s)]
+}
+
+/// Variance of the speed that a break-away or a change of sign adds.
+pub fn jump_of(scenario: &Scenario) -> f64 {
+    let fastest = scenario
+        .speed_rad_s
+        .iter()
+        .filter(|w| w.is_finite())
+        .fold(0.0_f64, |most, w| most.max(w.abs()));
+    (JUMP * fastest).powi(2)
+}
+
+/// Follows `scenario` with `model` and finds the gains on the way.
+pub fn lead(
+    model: &Model,
+    scenario: &Scenario,
+    start: State,
+    noise: &Noise,
+) -> Option<(Follower, Followed)> {
+    let dynamics = Dynamics::of(model, scenario.input)?;
+    let mut plant = Plant::new(model, scenario.input).ok()?;
+    let n = scenario.samples();
+    let jump = jump_of(scenario);
+    let mut follower = Follower {
+        updates: Vec::with_capacity(n),
+        forgets: Vec::with_capacity(n),
+        passages: Vec::with_capacity(n),
+        log_variance: 0.0,
+        rows: 0,
+    };
+    let mut out = Followed::with_capacity(n);
+    let stationary = noise.disturbance_n_m.powi(2);
+    let mut p: P = [[0.0; 4]; 4];
+    p[2][2] = stationary;
+    p[3][3] = noise.voltage_v.powi(2);
+    let mut volts = 0.0;
+    p[0][0] = (0.1 * noise.current_a).powi(2);
+    let mut load = 0.0;
+    let mut direction = start.direction();
+    let mut last_s = scenario.begin_s();
+    let mut cached: (f64, [Propagator; 2]) = (
+        -1.0,
+        [dynamics.moving.over(0.0), dynamics.stuck.over(0.0)],
+    );
+    let mut trajectory = Trajectory::default();
+    let forms = Forms::of(model, scenario);
+    let mut event = 0;
+    let mut last_speed = start.speed_rad_s;
+    plant.follow_into(scenario, start, &mut trajectory, |sample, reading, state| {
+        let time_s = scenario.sample_time_s[sample];
+        let interval_s = time_s - last_s;
+        last_s = time_s;
+        if (interval_s - cached.0).abs() > 1e-6 * interval_s {
+            cached = (
+                interval_s,
+                [
+                    dynamics.moving.over(interval_s),
+                    dynamics.stuck.over(interval_s),
+                ],
+            );
+        }
+        let now = state.direction();
+        let rests = now == 0.0;
+        let crossed = now * direction < 0.0;
+        let released = direction == 0.0 && !rests && sample > 0;
+        let propagator = cached.1[usize::from(rests)];
+        let forget = (-interval_s / noise.correlation_s).exp();
+        while event + 1 < scenario.events.len() && scenario.events[event + 1].0 < time_s {
+            event += 1;
+        }
+        let acceleration = if interval_s > 0.0 { (state.speed_rad_s - last_speed) / interval_s } else { 0.0 };
+        let [volts_2, torque_2] = forms.at(time_s - scenario.begin_s(), scenario.events[event].1, state, acceleration);
+        let passage = Passage {
+            propagator,
+            interval_s,
+            direction: now,
+            kept: if rests || released { 0.0 } else { 1.0 },
+            form: [FORM * FORM * volts_2, FORM * FORM * torque_2],
+            voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
+        };
+        p = predicted(&p, &passage, &dynamics, noise, forget);
+        if crossed || released {
+            p[1][1] += jump;
+        }
+        if rests {
+            for k in 0..4 {
+                p[1][k] = 0.0;
+                p[k][1] = 0.0;
+            }
+        }
+        load *= forget;
+        volts *= passage.voltage_keeps;
+        let [current, speed] = measured(scenario, noise, sample);
+        let mut change = [0.0; 4];
+        let mut update = Update::default();
+        let mut white = [0.0; 2];
+        if let Some(value) = current {
+            let s = p[0][0] + noise.current_a * noise.current_a;
+            let k = [p[0][0] / s, p[1][0] / s, p[2][0] / s, p[3][0] / s];
+            let e = value - reading[0];
+            for row in 0..4 {
+                change[row] += k[row] * e;
+            }
+            p = corrected(&p, &k, 0);
+            update.current = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
+            white[0] = e / s.sqrt();
+            follower.log_variance += s.ln();
+            follower.rows += 1;
+        }
+        if let Some(value) = speed {
+            let e = value - reading[1] - change[1];
+            let sigma = noise.speed_rad_s;
+            if rests && e.abs() > RELEASED * sigma {
+                p[1][1] += e * e;
+            }
+            let s = p[1][1] + sigma * sigma;
+            let k = [p[0][1] / s, p[1][1] / s, p[2][1] / s, p[3][1] / s];
+            for row in 0..4 {
+                change[row] += k[row] * e;
+            }
+            p = corrected(&p, &k, 1);
+            update.speed = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
+            white[1] = e / s.sqrt();
+            follower.log_variance += s.ln();
+            follower.rows += 1;
+        }
+        load += change[2];
+        volts += change[3];
+        follower.updates.push(update);
+        follower.forgets.push(forget);
+        follower.passages.push(passage);
+        let before = [state.current_a, state.speed_rad_s];
+        out.before.push(before);
+        out.after.push([before[0] + change[0], before[1] + change[1]]);
+        out.load_n_m.push(load);
+        out.white.push(white);
+        last_speed = before[1] + change[1];
+        direction = if change[1] == 0.0 {
+            now
+        } else {
+            (before[1] + change[1]).signum()
+        };
+        out.direction.push(now);
+        Some(Correction {
+            current_a: change[0],
+            speed_rad_s: change[1],
+            load_n_m: load,
+            voltage_v: volts,
+        })
+    });
+    Some((follower, out))
+}
+
+/// Whitened innovations of another model that is led as `follower` was.
+pub fn follow(
+    follower: &Follower,
+    model: &Model,
+    scenario: &Scenario,
+    start: State,
+    noise: &Noise,
+    out: &mut Vec<[f64; 2]>,
+) -> bool {
+    let Ok(mut plant) = Plant::new(model, scenario.input) else {
+        return false;
+    };
+    out.clear();
+    let (mut load, mut volts) = (0.0, 0.0);
+    let mut trajectory = Trajectory::default();
+    plant.follow_into(scenario, start, &mut trajectory, |sample, reading, _| {
+        let update = &follower.updates[sample];
+        load *= follower.forgets[sample];
+        volts *= follower.passages[sample].voltage_keeps;
+        let [current, speed] = measured(scenario, noise, sample);
+        let mut change = [0.0; 4];
+        let mut white = [0.0; 2];
+        if let Some(value) = current {
+            let e = value - reading[0];
+            for (change, gain) in change.iter_mut().zip(update.current) {
+                *change += gain * e;
+            }
+            white[0] = e * update.current[4];
+        }
+        if let Some(value) = speed {
+            let e = value - reading[1] - change[1];
+            for (change, gain) in change.iter_mut().zip(update.speed) {
+                *change += gain * e;
+            }
+            white[1] = e * update.speed[4];
+        }
+        load += change[2];
+        volts += change[3];
+        out.push(white);
+        Some(Correction {
+            current_a: change[0],
+            speed_rad_s: change[1],
+            load_n_m: load,
+            voltage_v: volts,
+        })
+    });
+    out.iter().all(|white| white[0].is_finite() && white[1].is_finite())
+}
+
+pub fn predicted(p: &P, passage: &Passage, dynamics: &Dynamics, noise: &Noise, forget: f64) -> P {
+    let propagator = &passage.propagator;
+    let first = propagator.apply([1.0, 0.0], [0.0; 2]);
+    let second = propagator.apply([0.0, 1.0], [0.0; 2]);
+    let load = propagator.apply([0.0; 2], [0.0, -dynamics.inverse_inertia]);
+    let volts = propagator.apply([0.0; 2], [dynamics.inverse_inductance, 0.0]);
+    let moving = if passage.direction == 0.0 { 0.0 } else { 1.0 };
+    let keeps = passage.voltage_keeps;
+    let f = [
+        [first[0], second[0] * passage.kept, load[0] * moving, volts[0]],
+        [first[1] * moving, second[1] * passage.kept, load[1] * moving, volts[1] * moving],
+        [0.0, 0.0, forget, 0.0],
+        [0.0, 0.0, 0.0, keeps],
+    ];
+    let mut fp = [[0.0; 4]; 4];
+    for row in 0..4 {
+        for column in 0..4 {
+            fp[row][column] = (0..4).map(|k| f[row][k] * p[k][column]).sum();
+        }
+    }
+    let mut out = [[0.0; 4]; 4];
+    for row in 0..4 {
+        for column in 0..=row {
+            out[row][column] = (0..4).map(|k| fp[row][k] * f[column][k]).sum();
+            out[column][row] = out[row][column];
+        }
+    }
+    out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
+    out[3][3] += (noise.voltage_v.powi(2) + passage.form[0]) * (1.0 - keeps * keeps);
+    out
+}
+
+pub fn corrected(p: &P, k: &[f64; 4], measured: usize) -> P {
+    let mut out = *p;
+    for row in 0..4 {
+        for column in 0..4 {
+            out[row][column] -= k[row] * p[measured][column];
+        }
+    }
+    out
+}
+
+impl Followed {
+    fn with_capacity(n: usize) -> Self {
+        Self {
+            before: Vec::with_capacity(n),
+            after: Vec::with_capacity(n),
+            load_n_m: Vec::with_capacity(n),
+            direction: Vec::with_capacity(n),
+            white: Vec::with_capacity(n),
+        }
+    }
+}
+
+/// A deviation in one column as it passes a run.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Deviation(pub [f64; 4]);
+
+impl Deviation {
+    /// To the next sample, under a forcing of current (A/s) and speed (rad/s2).
+    #[inline]
+    pub fn pass(&mut self, passage: &Passage, forcing: [f64; 2], forget: f64, dynamics: &Dynamics) {
+        let [i, w, d, v] = self.0;
+        let moves = passage.direction != 0.0;
+        let speed = if moves {
+            forcing[1] - d * dynamics.inverse_inertia
+        } else {
+            0.0
+        };
+        let [i, w] = passage
+            .propagator
+            .apply([i, w * passage.kept], [forcing[0] + v * dynamics.inverse_inductance, speed]);
+        self.0 = [i, if moves { w } else { 0.0 }, d * forget, v * passage.voltage_keeps];
+    }
+
+    /// At a sample: the column's whitened innovation (of the prediction), given what it adds to the readings directly.
+    #[inline]
+    pub fn correct(&mut self, update: &Update, direct: [f64; 2]) -> [f64; 2] {
+        let e = self.0[0] + direct[0];
+        let c = &update.current;
+        for (state, gain) in self.0.iter_mut().zip(c) {
+            *state -= gain * e;
+        }
+        let first = e * c[4];
+        let e = self.0[1] + direct[1];
+        let s = &update.speed;
+        for (state, gain) in self.0.iter_mut().zip(s) {
+            *state -= gain * e;
+        }
+        [first, e * s[4]]
+    }
+
+    /// The inverse of `correct`: what the column does to the readings, from its whitened innovations.
+    #[inline]
+    pub fn colour(&mut self, update: &Update, white: [f64; 2]) -> [f64; 2] {
+        let mut out = [0.0; 2];
+        for (signal, gains) in [update.current, update.speed].iter().enumerate() {
+            if gains[4] <= 0.0 {
+                continue;
+            }
+            let e = white[signal] / gains[4];
+            out[signal] = e + self.0[signal];
+            for (state, gain) in self.0.iter_mut().zip(gains) {
+                *state += gain * e;
+            }
+        }
+        out
+    }
+}

@@ -1,0 +1,6 @@
+//! Several effects at once: one linear Gaussian model of what the runs' innovations hold, one posterior over all sets.
+pub mod columns;
+pub mod follow;
+pub mod noise;
+pub mod select;
+pub mod search;

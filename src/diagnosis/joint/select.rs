@@ -1,0 +1,289 @@
+//! Posterior over all sets of effects and forms: every set worth a thought is found by steps from the best ones.
+//!
+//! The motor's parameters are integrated out first. A set's log evidence is `b'(G+I)^-1 b / 2 - log det(G+I) / 2`, with
+//! `log 2 Phi(m/s)` for effects whose sign is known. From each of the best sets all that differ by one effect added,
+//! taken out or exchanged are weighed; the probability of an effect is its share among all sets weighed.
+
+use std::collections::HashMap;
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use statrs::function::erf::erfc;
+
+use super::columns::Linear;
+
+/// Size, in slabs, below which an effect counts as not there.
+const HAIR: f64 = 0.004;
+/// Sets from which neighbours are looked at, at most, and how far behind the best they may be, nats.
+const MOST_EXPANDED: usize = 60;
+const WINDOW: f64 = 6.0;
+
+/// For each candidate, the variant that is in.
+pub type Set = Vec<Option<usize>>;
+
+#[derive(Clone, Debug)]
+pub struct Posterior {
+    pub probability: Vec<f64>,
+    pub best: Set,
+    pub best_log: f64,
+    /// Log of the odds of each candidate given the rest of the best set.
+    pub log_factor: Vec<f64>,
+    /// Plausible sets with their logarithms, the best first.
+    pub sets: Vec<(Set, f64)>,
+    /// Likeliest variant of each candidate beside the best set.
+    pub forms: Vec<usize>,
+}
+
+/// The problem with the motor's parameters integrated out.
+pub struct Reduced<'a> {
+    pub linear: &'a Linear,
+    pub gram: DMatrix<f64>,
+    pub right: DVector<f64>,
+    pub squares: f64,
+    /// Prior mean of each column, in its slab.
+    pub prior: DVector<f64>,
+}
+
+impl<'a> Reduced<'a> {
+    /// `excess` is how many times as large as expected the variance of what the model leaves is.
+    pub fn new(linear: &'a Linear, excess: f64, hairs: bool) -> Option<Self> {
+        let none_is_zero = hairs;
+        let m = linear.nuisances.len();
+        let p = linear.gram.nrows();
+        let gram = &linear.gram / excess;
+        let right = &linear.right / excess;
+        // What is always in: the nuisances, and a hair of every effect, since none is exactly zero.
+        let mut hairs: Vec<(usize, f64)> = linear.nuisances.iter().map(|sd| 1.0 / (sd * sd)).enumerate().collect();
+        for candidate in &linear.candidates {
+            if none_is_zero && !candidate.unknown {
+                let columns = candidate.variants.iter().flat_map(|v| &v.columns);
+                hairs.extend(columns.map(|c| (*c, 1.0 / (HAIR * HAIR))));
+            }
+        }
+        let k = hairs.len();
+        let mut base = DMatrix::from_fn(k, k, |r, c| gram[(hairs[r].0, hairs[c].0)]);
+        for (d, hair) in hairs.iter().enumerate() {
+            base[(d, d)] += hair.1;
+        }
+        let cross = DMatrix::from_fn(k, p - m, |r, c| gram[(hairs[r].0, m + c)]);
+        let factor = base.cholesky()?;
+        let b = DVector::from_fn(k, |r, _| right[hairs[r].0]);
+        let solved = factor.solve(&cross);
+        let squares = linear.squares / excess - b.dot(&factor.solve(&b));
+        let mut prior = DVector::zeros(p - m);
+        for candidate in &linear.candidates {
+            for variant in &candidate.variants {
+                prior[variant.columns[0] - m] = variant.mean;
+            }
+        }
+        Some(Self {
+            linear,
+            prior,
+            gram: gram.view((m, m), (p - m, p - m)) - cross.transpose() * &solved,
+            right: right.rows(m, p - m) - solved.tr_mul(&b),
+            squares,
+        })
+    }
+
+    pub fn columns(&self, set: &Set) -> Vec<usize> {
+        let m = self.linear.nuisances.len();
+        let mut columns = Vec::new();
+        for (variant, candidate) in set.iter().zip(&self.linear.candidates) {
+            if let Some(v) = variant {
+                columns.extend(candidate.variants[*v].columns.iter().map(|c| c - m));
+            }
+        }
+        columns
+    }
+
+    fn factor(&self, columns: &[usize]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
+        let k = columns.len();
+        let mut a = DMatrix::from_fn(k, k, |r, c| self.gram[(columns[r], columns[c])]);
+        for d in 0..k {
+            a[(d, d)] += 1.0;
+        }
+        let b = DVector::from_fn(k, |r, _| self.right[columns[r]] + self.prior[columns[r]]);
+        Some((a.cholesky()?, b))
+    }
+
+    /// Mean and covariance of the columns of a set, in slabs.
+    pub fn sizes(&self, columns: &[usize]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let (factor, b) = self.factor(columns)?;
+        Some((factor.solve(&b), factor.inverse()))
+    }
+
+    /// Log of (evidence times prior) of each variant of a candidate beside the columns of others, relative to none of it.
+    pub fn conditional(&self, others: &[usize], candidate: usize) -> Vec<f64> {
+        let count = self.linear.candidates[candidate].variants.len();
+        let Some((factor, b)) = self.factor(others) else {
+            return vec![f64::NEG_INFINITY; count];
+        };
+        let mean = factor.solve(&b);
+        self.beside(others, &factor, &mean, candidate)
+    }
+
+    fn beside(&self, others: &[usize], factor: &Cholesky<f64, Dyn>, mean: &DVector<f64>, candidate: usize) -> Vec<f64> {
+        let m = self.linear.nuisances.len();
+        let c = &self.linear.candidates[candidate];
+        c.variants
+            .iter()
+            .map(|variant| {
+                let own: Vec<usize> = variant.columns.iter().map(|c| c - m).collect();
+                let k = own.len();
+                let cross = DMatrix::from_fn(others.len(), k, |r, c| self.gram[(others[r], own[c])]);
+                let solved = factor.solve(&cross);
+                let mut a = DMatrix::from_fn(k, k, |r, c| self.gram[(own[r], own[c])]) - cross.tr_mul(&solved);
+                for d in 0..k {
+                    a[(d, d)] += 1.0;
+                }
+                let right = DVector::from_fn(k, |r, _| self.right[own[r]] + self.prior[own[r]]) - cross.tr_mul(mean);
+                let Some(schur) = a.cholesky() else { return f64::NEG_INFINITY };
+                let size = schur.solve(&right);
+                // What is there wholly or not at all is not there by halves: the linear solution does not hold there.
+                if variant.mean > 0.0 && (size[0] / variant.mean - 1.0).abs() > 0.5 {
+                    return f64::NEG_INFINITY;
+                }
+                let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
+                let sign = if variant.positive {
+                    log_positive(size[0], schur.inverse()[(0, 0)].sqrt())
+                } else {
+                    0.0
+                };
+                0.5 * right.dot(&size) - log_det + variant.log_prior + c.log_odds + sign - 0.5 * variant.mean * variant.mean
+            })
+            .collect()
+    }
+
+    pub fn log_posterior(&self, set: &Set) -> f64 {
+        let columns = self.columns(set);
+        let Some((factor, b)) = self.factor(&columns) else { return f64::NEG_INFINITY };
+        let mean = factor.solve(&b);
+        let log_det: f64 = factor.l().diagonal().iter().map(|d| d.ln()).sum();
+        let mut log = 0.5 * b.dot(&mean) - log_det;
+        let mut inverse: Option<DMatrix<f64>> = None;
+        let mut at = 0;
+        for (variant, candidate) in set.iter().zip(&self.linear.candidates) {
+            let Some(v) = variant else { continue };
+            let variant = &candidate.variants[*v];
+            if variant.mean > 0.0 && (mean[at] / variant.mean - 1.0).abs() > 0.5 {
+                return f64::NEG_INFINITY;
+            }
+            log += candidate.log_odds + variant.log_prior - 0.5 * variant.mean * variant.mean;
+            if variant.positive {
+                let inverse = inverse.get_or_insert_with(|| factor.inverse());
+                log += log_positive(mean[at], inverse[(at, at)].sqrt());
+            }
+            at += variant.columns.len();
+        }
+        log
+    }
+
+    /// The set without a candidate and without all that it excludes.
+    fn cleared(&self, set: &Set, candidate: usize) -> Set {
+        let mut set = set.clone();
+        set[candidate] = None;
+        for other in &self.linear.candidates[candidate].excludes {
+            set[*other] = None;
+        }
+        set
+    }
+}
+
+/// log 2 Phi(mean / sd): how much of a normal density lies on the side that physics allows.
+fn log_positive(mean: f64, sd: f64) -> f64 {
+    erfc(-mean / sd / std::f64::consts::SQRT_2).max(1e-300).ln()
+}
+
+/// Finds the plausible sets, from each of `starts` on.
+pub fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
+    let n = reduced.linear.candidates.len();
+    let mut weighed: HashMap<Set, f64> = HashMap::new();
+    let mut exact: HashMap<Set, f64> = HashMap::new();
+    let mut expanded = 0;
+    let mut queue: Vec<Set> = starts.to_vec();
+    for start in starts {
+        let log = reduced.log_posterior(start);
+        weighed.insert(start.clone(), log);
+        exact.insert(start.clone(), log);
+    }
+    while let Some(set) = queue.pop() {
+        let base = *exact.entry(set.clone()).or_insert_with(|| reduced.log_posterior(&set));
+        weighed.insert(set.clone(), base);
+        expanded += 1;
+        // Taken out one by one, and everything put in beside what is left.
+        let mut bases: Vec<Set> = vec![set.clone()];
+        for k in 0..n {
+            if set[k].is_some() {
+                let mut without = set.clone();
+                without[k] = None;
+                bases.push(without);
+            }
+        }
+        for from in &bases {
+            let log = *exact.entry(from.clone()).or_insert_with(|| reduced.log_posterior(from));
+            weighed.insert(from.clone(), log);
+            let columns = reduced.columns(from);
+            let Some((factor, b)) = reduced.factor(&columns) else { continue };
+            let mean = factor.solve(&b);
+            for k in 0..n {
+                if from[k].is_some() {
+                    continue;
+                }
+                let excludes = reduced.linear.candidates[k].excludes.iter().any(|o| from[*o].is_some());
+                let (next, log, logs) = if excludes {
+                    let cleared = reduced.cleared(from, k);
+                    let log = *exact.entry(cleared.clone()).or_insert_with(|| reduced.log_posterior(&cleared));
+                    let logs = reduced.conditional(&reduced.columns(&cleared), k);
+                    (cleared, log, logs)
+                } else {
+                    (from.clone(), log, reduced.beside(&columns, &factor, &mean, k))
+                };
+                for (v, gain) in logs.iter().enumerate() {
+                    let mut with = next.clone();
+                    with[k] = Some(v);
+                    weighed.entry(with).or_insert(log + gain);
+                }
+            }
+        }
+        // The best that has not been expanded yet, as long as it is near the best of all.
+        let top = weighed.values().copied().fold(f64::NEG_INFINITY, f64::max);
+        if expanded >= MOST_EXPANDED {
+            break;
+        }
+        if queue.is_empty() {
+            let mut next: Option<(&Set, f64)> = None;
+            for (set, log) in &weighed {
+                let better = next.is_none_or(|n| *log > n.1 || (*log == n.1 && *set < *n.0));
+                if *log > top - WINDOW && better && !exact.contains_key(set) {
+                    next = Some((set, *log));
+                }
+            }
+            if let Some((set, _)) = next {
+                queue.push(set.clone());
+            }
+        }
+    }
+    let mut sets: Vec<(Set, f64)> = weighed.into_iter().collect();
+    sets.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+    let (best, best_log) = sets[0].clone();
+    let total: f64 = sets.iter().map(|s| (s.1 - best_log).exp()).sum();
+    let mut probability = vec![0.0; n];
+    for (set, log) in &sets {
+        let share = (log - best_log).exp() / total;
+        for k in 0..n {
+            if set[k].is_some() {
+                probability[k] += share;
+            }
+        }
+    }
+    let mut log_factor = Vec::with_capacity(n);
+    let mut forms = Vec::with_capacity(n);
+    for k in 0..n {
+        let others = reduced.cleared(&best, k);
+        let logs = reduced.conditional(&reduced.columns(&others), k);
+        let top = (0..logs.len()).max_by(|a, b| logs[*a].total_cmp(&logs[*b])).unwrap_or(0);
+        log_factor.push(logs[top]);
+        forms.push(top);
+    }
+    sets.retain(|s| s.1 > best_log - 7.0);
+    Posterior { probability, best, best_log, log_factor, sets, forms }
+}
