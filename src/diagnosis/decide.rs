@@ -2,9 +2,7 @@
 //! (DISCOVERY.md 2.8).
 
 use super::bootstrap;
-use super::candidates::Refit;
 use super::evidence::Evidence;
-use super::family::{is_beyond_simple, simple_form};
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 
@@ -17,9 +15,6 @@ pub(super) const AT_THE_FLOOR: f64 = 1.1;
 /// Shares of the explainable error from which a named set is sufficient, and below which nothing is named.
 pub(super) const SUFFICIENT: f64 = 0.9;
 pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
-
-/// Error, in units of the floor, above which the search goes on although the named effects are sufficient.
-const NEAR_THE_FLOOR: f64 = 1.2;
 
 /// Error, in units of the floor, at which a search that goes on until the floor is there (DISCOVERY.md 2.8).
 pub(super) const UNTIL_FLOOR: f64 = 1.08;
@@ -85,12 +80,6 @@ fn shortest_block_s(score: &Score, settings: Settings) -> f64 {
         .max(f64::MIN_POSITIVE)
 }
 
-/// What the decision needs of a score, so that those of many candidates can be kept.
-pub(super) fn condensed(score: Score, settings: Settings) -> Score {
-    let shortest_s = shortest_block_s(&score, settings);
-    score.in_blocks(&[BLOCK_S, settings.block * BLOCK_S, shortest_s])
-}
-
 /// Blocks of far fewer samples than the others, as the last one of a run, would count as much as those.
 fn log_ratios(worse: &Score, better: &Score, block_s: f64) -> Vec<f64> {
     let blocks = worse
@@ -133,17 +122,6 @@ pub(super) fn at_the_floor(evidence: &Evidence, score: &Score) -> bool {
     score.nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
 }
 
-/// Whether the search may end with this model.
-pub(super) fn enough(evidence: &Evidence, base: &Score, now: &Score, until_floor: bool) -> bool {
-    let floor = highest_floor(evidence);
-    if until_floor {
-        return now.nrms < UNTIL_FLOOR * evidence.floor() || now.nrms < floor;
-    }
-    // A strong effect explains nine tenths of the error and may still hide a weak partner well above the floor.
-    explained(base.nrms, now.nrms, floor) >= SUFFICIENT
-        && (floor <= 0.0 || now.nrms < NEAR_THE_FLOOR * floor)
-}
-
 /// Whether a set of effects explains enough to be named: one of it alone a good part, or all of them nearly everything.
 /// Several that each explain a little of an error that is none of them are not an answer.
 pub(super) fn explains(evidence: &Evidence, base: &Score, alone: &Score, all: &Score) -> bool {
@@ -154,11 +132,6 @@ pub(super) fn explains(evidence: &Evidence, base: &Score, alone: &Score, all: &S
         || base.nrms <= floor
 }
 
-/// Whether `better` has a smaller held-out error than `worse` beyond chance.
-pub(super) fn beats(better: &Score, worse: &Score, settings: Settings) -> bool {
-    better.nrms < worse.nrms && z(worse, better, settings) >= settings.significant
-}
-
 /// Whether `candidate` pays on the hold-out.
 pub(super) fn pays(base: &Score, candidate: &Score, settings: Settings) -> bool {
     falls(base, candidate)
@@ -167,7 +140,7 @@ pub(super) fn pays(base: &Score, candidate: &Score, settings: Settings) -> bool 
 }
 
 /// Whether the held-out error falls with `candidate` by what is worth an effect, chance or not.
-pub(super) fn falls(base: &Score, candidate: &Score) -> bool {
+fn falls(base: &Score, candidate: &Score) -> bool {
     candidate.nrms <= (1.0 - WORTHWHILE) * base.nrms
 }
 
@@ -213,86 +186,9 @@ fn mends(base: &Score, candidate: &Score, settings: Settings) -> bool {
     mended >= FEWEST_MENDED && spoilt == 0
 }
 
-/// Share of what a richer effect explains from which its simple form is the answer.
-const SIMPLE_SUFFICES: f64 = 0.8;
-
-/// Whether `a` contains `b` and more.
-fn is_richer(a: &Refit, b: &Refit) -> bool {
-    simple_form(a.id()) == Some(b.id())
-}
-
-/// The simple form of the best candidate where that explains nearly as much: the name says what is there, and what the
-/// richer form adds may be the shape of the simple one.
-fn simple_instead(
-    base: &Score,
-    refits: &[Refit],
-    best: usize,
-    settings: Settings,
-) -> Option<usize> {
-    let simple = simple_form(refits[best].id())?;
-    let index = refits.iter().position(|refit| refit.id() == simple)?;
-    let gained = |index: usize| base.nrms.powi(2) - refits[index].holdout.nrms.powi(2);
-    let is_beyond = refits[best].parameters().iter().any(|own| {
-        own.value
-            .is_some_and(|value| is_beyond_simple(&own.key, value))
-    }) && beats(&refits[best].holdout, &refits[index].holdout, settings);
-    (pays(base, &refits[index].holdout, settings)
-        && !is_beyond
-        && gained(index) >= SIMPLE_SUFFICES * gained(best))
-    .then_some(index)
-}
-
-/// Share of what the best candidate gains that a rival must gain: one that explains much less explains something else.
-const RIVALS: f64 = 0.5;
-
 /// Share of what the best candidate gains or leaves by which a rival may be worse and still be as good (DISCOVERY.md 2.8):
 /// far less than what the forms of two effects differ by, far more than what the fits stop short of their minimum.
 pub(super) const AS_GOOD: f64 = 0.02;
-
-/// Whether the base explains the run to its noise already, or nearly: what is gained from there is little, and by how much
-/// more than another an effect gains is chance.
-fn is_thin(base: &Score) -> bool {
-    let noise = base.noise();
-    noise.source != FloorSource::None && base.nrms < noise.tolerance(AT_THE_FLOOR)
-}
-
-/// Candidates that cannot be told from the best one by this hold-out: indices into `refits`, the preferred one first.
-/// Inside the set the fewer parameters win, then the smaller error. One that cannot be named itself stands behind: that it
-/// serves as well says that the others may only lean on what is there.
-pub(super) fn not_told_apart(
-    base: &Score,
-    refits: &[Refit],
-    best: usize,
-    settings: Settings,
-) -> Vec<usize> {
-    let best_error = refits[best].holdout.nrms.powi(2);
-    let gained = base.nrms.powi(2) - best_error;
-    if let Some(simple) = simple_instead(base, refits, best, settings) {
-        return not_told_apart(base, refits, simple, settings);
-    }
-    let thin = is_thin(base);
-    let mut set: Vec<usize> = (0..refits.len())
-        .filter(|&index| index == best || !is_richer(&refits[index], &refits[best]))
-        .filter(|&index| {
-            let rival = &refits[index].holdout;
-            let close = rival.nrms.powi(2) - best_error < AS_GOOD * best_error.max(gained);
-            let rivals = base.nrms.powi(2) - rival.nrms.powi(2) >= RIVALS * gained;
-            index == best
-                || ((rivals && pays(base, rival, settings) || thin && falls(base, rival))
-                    && !mends(rival, &refits[best].holdout, settings)
-                    && (close || z(rival, &refits[best].holdout, settings) < settings.significant))
-        })
-        .collect();
-    set.sort_by(|&a, &b| {
-        let place = |index: usize| {
-            let refit = &refits[index];
-            (!refit.is_possible(), refit.free_parameters)
-        };
-        let error = |index: usize| refits[index].holdout.nrms;
-        place(a).cmp(&place(b)).then(error(a).total_cmp(&error(b)))
-    });
-    set
-}
 
 /// How much smaller the held-out error of `after` is than that of `before`, and how sure that is, in words. What is asked
 /// stands behind, so that a refusal can be understood.
@@ -344,13 +240,4 @@ pub(super) fn fall(
          hold-outs like this one (z {z:.1}; {:.0} % and z {asked} are asked)",
         100.0 * WORTHWHILE
     )
-}
-
-/// Share of block bootstraps of the hold-out in which each candidate has the smallest error.
-pub(super) fn first_rank_shares(refits: &[Refit]) -> Vec<f64> {
-    let blocks: Vec<Vec<f64>> = refits
-        .iter()
-        .map(|refit| refit.holdout.blocks(BLOCK_S))
-        .collect();
-    bootstrap::first_rank_shares(&blocks)
 }

@@ -1,197 +1,101 @@
 //! Findings in words and figures for a person.
 
-use super::candidates::{Candidate, Refit, Status};
-use super::decide::{self, Settings, explained, first_rank_shares, pays, z};
-use super::diagnose::{Diagnosis, DiagnosisVerdict};
+use super::candidates::{Candidate, Status};
+use super::diagnose::{Diagnosis, DiagnosisVerdict, Standing};
 use super::evidence::Evidence;
+use super::joint::answer::{Inference, Inferred};
 use super::reached;
-use super::score::Score;
-use super::screen::{DETECTION_SIGMA, Detectable};
-use super::search::Found;
 use crate::identification::noise::FloorSource;
-use crate::identification::output_error::Fit;
 use crate::plant::Effect;
 
-/// Every candidate, those of the answer first: these with their sizes beside each other, from the fit of the whole answer;
-/// their errors and the others as they stood alone, when nothing had been added yet. `named`: whether there is an answer.
+/// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
+/// held-out error on its own rung of the ladder and its size beside the others.
 pub(super) fn describe(
-    base: &Score,
-    error_before: f64,
     evidence: &Evidence,
-    found: &Found,
-    named: bool,
+    inference: &Inference,
+    rungs: &[Standing],
 ) -> Vec<Candidate> {
-    let (refits, set) = (&found.first_round, &found.first_set);
+    let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = evidence.floor();
-    let shares = first_rank_shares(refits);
-    let answer = |index: usize| {
-        let id = refits[index].id();
-        let place = found.accepted.iter().position(|other| other.id == id);
-        place.filter(|_| named)
+    let place = |effect: &Inferred| {
+        let id = effect.effect.card().id;
+        inference.named.iter().position(|named| *named == id)
     };
-    let fits: Vec<Option<&Fit>> = (0..refits.len())
-        .map(|index| match answer(index) {
-            Some(_) => Some(&found.best.fit),
-            None => refits[index].refitted.then_some(&refits[index].fit),
-        })
-        .collect();
-    let reached = reached::of_fits(refits, &fits, &evidence.training);
-    let pays_on_holdout: Vec<bool> = refits
-        .iter()
-        .map(|r| pays(base, &r.holdout, found.settings))
-        .collect();
-    // A linear step that pays has earned its figures: a fit would only be better.
-    let computed = |index: usize| refits[index].refitted || pays_on_holdout[index];
-    let mut order: Vec<usize> = (0..refits.len()).collect();
-    order.sort_by(|&a, &b| {
-        let place = |index: usize| {
-            let in_set = set.iter().position(|member| *member == index);
-            let in_set = in_set.map(|place| found.accepted.len() + place);
-            let place = answer(index).or(in_set);
-            place.unwrap_or(usize::MAX - usize::from(computed(index)))
-        };
-        let error = |index: usize| {
-            if computed(index) {
-                refits[index].holdout.nrms
-            } else {
-                -refits[index].screened_share
-            }
-        };
-        place(a).cmp(&place(b)).then(error(a).total_cmp(&error(b)))
+    let mut order: Vec<&Inferred> = inference.effects.iter().collect();
+    order.sort_by(|a, b| {
+        let named = |effect: &Inferred| place(effect).unwrap_or(usize::MAX);
+        named(a)
+            .cmp(&named(b))
+            .then(b.probability.total_cmp(&a.probability))
+            .then(b.log_odds.total_cmp(&a.log_odds))
     });
     order
         .into_iter()
         .enumerate()
-        .map(|(rank, index)| {
-            let refit = &refits[index];
-            let (pays, computed) = (pays_on_holdout[index], computed(index));
-            let against_base = z(base, &refit.holdout, found.settings);
-            let in_answer = found
-                .accepted
-                .iter()
-                .any(|accepted| accepted.id == refit.id());
-            let status = if in_answer {
-                Status::Supported
-            } else if pays {
-                Status::Possible
-            } else if refit.visible < DETECTION_SIGMA || shows_too_little(evidence, base, refit) {
-                Status::NotExcited
-            } else {
-                Status::RuledOut
+        .map(|(rank, inferred)| {
+            let id = inferred.effect.card().id;
+            let status = Status::of(inferred.probability, inferred.excited);
+            let rung = place(inferred).map(|place| (&rungs[place], &rungs[place + 1]));
+            let prefix = format!("{id}.");
+            let parameters = match rung {
+                Some(_) => best.fit.parameters.iter().filter(|p| p.key.starts_with(&prefix)).cloned().collect(),
+                None => Vec::new(),
             };
-            let share = explained(base.nrms, refit.holdout.nrms, floor);
+            let share = rung.map(|(before, after)| {
+                let whole = base.score.nrms.powi(2) - floor * floor;
+                let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
+                if whole > 0.0 { 100.0 * fall / whole } else { 0.0 }
+            });
             Candidate {
-                effect: refit.id(),
+                effect: id,
                 rank: rank + 1,
                 status,
-                probability: shares[index],
-                refitted: fits[index].is_some(),
-                parameters: answer(index)
-                    .map_or_else(|| refit.parameters(), |_| refit.own(&found.best.fit)),
-                interval_factor: fits[index].unwrap_or(&refit.fit).interval_factor,
-                reached: reached[index],
-                error_before,
-                error_after: computed.then_some(refit.fit.nrms),
-                holdout_before: base.nrms,
-                holdout_after: computed.then_some(refit.holdout.nrms),
-                explained_percent: computed.then_some(100.0 * share),
-                minimum_detectable: refit.detectable.smallest(),
-                detectable_below_hz: refit.detectable.softer_than_hz(),
-                evidence: evidence_sentence(
-                    refit,
-                    base,
-                    against_base,
-                    share,
-                    status,
-                    found.settings,
-                    evidence.noise.source.times(),
-                ) + &answer(index)
-                    .map_or_else(String::new, |place| beside_others(found, place)),
+                probability: inferred.probability,
+                parameters,
+                interval_factor: best.fit.interval_factor,
+                reached: rung.and_then(|_| reached::of_fit(&best.fit, inferred.effect, &evidence.training)),
+                error_before: rung.map_or(base, |rung| rung.0).fit.nrms,
+                error_after: rung.map(|(_, after)| after.fit.nrms),
+                holdout_before: rung.map_or(base, |rung| rung.0).score.nrms,
+                holdout_after: rung.map(|(_, after)| after.score.nrms),
+                explained_percent: share,
+                upper_bound: inferred.upper_bound,
+                detectable: inferred.detectable,
+                evidence: evidence_sentence(inferred, status, rung, evidence.noise.source.times()),
             }
         })
         .collect()
 }
 
-/// Whether the error is at the floor without it and yet falls with it, though not beyond chance: the few moments in which
-/// the run would show the effect decide nothing, neither for it nor against it.
-fn shows_too_little(evidence: &Evidence, base: &Score, refit: &Refit) -> bool {
-    let (before, after) = (base.nrms, refit.holdout.nrms);
-    refit.refitted
-        && decide::at_the_floor(evidence, base)
-        && decide::falls(base, &refit.holdout)
-        && explained(before, after, evidence.floor()) >= decide::EXPLAINS_SOMETHING
-}
-
-/// Said of one of several: its error is its own, its size is not.
-fn beside_others(found: &Found, place: usize) -> String {
-    let named = found.accepted.iter().enumerate();
-    let others: Vec<&str> = named
-        .filter(|(other, _)| *other != place)
-        .map(|(_, accepted)| accepted.id)
-        .collect();
-    if others.is_empty() {
-        String::new()
-    } else {
-        format!(
-            " alone; its size is that beside {}, from the fit of the whole answer",
-            others.join(" and ")
-        )
+fn evidence_sentence(
+    inferred: &Inferred,
+    status: Status,
+    rung: Option<(&Standing, &Standing)>,
+    times: &str,
+) -> String {
+    let card = inferred.effect.card();
+    let unit = unit_of_size(inferred.effect);
+    let percent = percent(inferred.probability);
+    let size = |size: f64| format!("{size:.2e} {unit}");
+    let most = inferred.upper_bound.map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
+    let shown = inferred.detectable.map_or_else(String::new, |least| format!("; {} would have shown", size(least)));
+    match (status, rung) {
+        (Status::NotExcited, _) => format!("{}: these runs would not show it; {}", card.name, card.excite),
+        (_, Some((before, after))) => format!(
+            "{} is there with {percent}; with it the held-out error goes from {:.2} to {:.2} {times}",
+            card.name, before.score.nrms, after.score.nrms
+        ),
+        (Status::RuledOut, None) => format!("{} is there with {percent}{most}{shown}", card.name),
+        (_, None) => format!("{} may be there, with {percent}{most}", card.name),
     }
 }
 
-fn evidence_sentence(
-    refit: &Refit,
-    base: &Score,
-    z: f64,
-    share: f64,
-    status: Status,
-    settings: Settings,
-    times: &str,
-) -> String {
-    let asked = settings.significant;
-    let card = refit.effect.card();
-    let (before, after) = (base.nrms, refit.holdout.nrms);
-    let unit = unit_of_size(refit.effect);
-    let (hidden, shown) = match refit.detectable {
-        Detectable::From(size) => (
-            format!("of less than {size:.2e} {unit}"),
-            format!("more than {size:.2e} {unit}"),
-        ),
-        Detectable::SofterThan(frequency_hz) => (
-            format!("stiffer than {frequency_hz:.1} Hz"),
-            format!("one softer than {frequency_hz:.1} Hz"),
-        ),
-    };
-    match status {
-        Status::NotExcited if refit.detectable.is_never() => format!(
-            "{} touches nothing that this run measures: {}",
-            card.name, card.excite
-        ),
-        Status::NotExcited if refit.visible >= DETECTION_SIGMA => format!(
-            "{} would take the held-out error from {before:.2} to {after:.2} {times}, not beyond chance (z {z:.1}, \
-             {asked} is asked): this run shows too little of it; {}",
-            card.name, card.excite
-        ),
-        Status::NotExcited => format!(
-            "{} {hidden} would not show in this run: {}",
-            card.name, card.excite
-        ),
-        Status::RuledOut if !refit.refitted => format!(
-            "{} explains {:.1} % of the error to first order and is not worth a refit; {shown} would have shown",
-            card.name,
-            100.0 * refit.screened_share.max(0.0),
-        ),
-        Status::RuledOut => format!(
-            "{} leaves the held-out error at {after:.2} of {before:.2} {times} (z {z:.1}, {asked} is \
-             asked); {shown} would have shown",
-            card.name
-        ),
-        Status::Supported | Status::Possible => format!(
-            "{} takes the held-out error from {before:.2} to {after:.2} {times} (z {z:.1}) and explains \
-             {:.0} % of what can be explained",
-            card.name,
-            100.0 * share
-        ),
+/// A probability in words that promise no more than it does.
+fn percent(probability: f64) -> String {
+    match 100.0 * probability {
+        p if p > 99.0 => "more than 99 %".to_owned(),
+        p if p < 1.0 => "less than 1 %".to_owned(),
+        p => format!("{p:.0} %"),
     }
 }
 
@@ -210,7 +114,16 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
         }
         DiagnosisVerdict::None => format!("nothing is missing: held-out error {before:.2} {times}"),
         DiagnosisVerdict::Unexplained => {
-            format!("held-out error {before:.2} {times}, and no effect of the catalogue explains it")
+            let known = if names.is_empty() {
+                "no effect of the catalogue explains it".to_owned()
+            } else {
+                format!(
+                    "{names} may be part of it, but most stays unexplained ({:.0} % explained)",
+                    diagnosis.explained_percent
+                )
+            };
+            let parts: String = diagnosis.unknown.iter().map(|part| format!("; {}", part.sentence)).collect();
+            format!("held-out error {before:.2} {times}, and {known}{parts}")
         }
         DiagnosisVerdict::Ambiguous => format!(
             "behaves like {names}, which this run cannot tell from {}",

@@ -1,4 +1,4 @@
-//! Which effect is missing: the search's findings weighed into one answer.
+//! Which effects are missing: what the runs say together, and how the held-out error falls with each.
 
 use serde::Serialize;
 
@@ -8,16 +8,15 @@ use super::confirmation::{self, Confirmation};
 use super::decide::{self, Settings, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom};
-use super::family::curve_of;
 use super::fitted::Fitted;
 use super::ladder::Rung;
 use super::mechanical;
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
-use super::refit::Thoroughness;
-use super::search::{Accepted, Found, Limits, search};
+use super::joint::answer::{Inference, Part, infer};
+use super::score::Score;
 use crate::identification::noise::FloorSource;
-use crate::identification::output_error::FitError;
+use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Input, Model};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -43,6 +42,8 @@ pub struct Diagnosis {
     pub holdout_before: f64,
     pub holdout_after: f64,
     pub candidates: Vec<Candidate>,
+    /// What no effect explains, by what it follows.
+    pub unknown: Vec<Unknown>,
     /// Pairs that these runs do not tell apart, the one in the answer first.
     pub confusable: Vec<[&'static str; 2]>,
     pub ladder: Vec<Rung>,
@@ -64,19 +65,43 @@ pub struct Diagnosis {
     pub baseline: Fitted,
     #[serde(skip)]
     pub model: Fitted,
-    /// Fitted models with a rival of the only effect in its place, where the search has kept them.
-    #[serde(skip)]
-    pub rivals: Vec<(&'static str, Model)>,
+}
+
+/// A part of the error that follows something and that no effect of the catalogue explains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unknown {
+    pub equation: &'static str,
+    pub follows: &'static str,
+    pub probability: f64,
+    pub share_of_error: f64,
+    pub sentence: String,
+}
+
+impl From<&Part> for Unknown {
+    fn from(part: &Part) -> Self {
+        let axis = match part.follows {
+            "angle_rad" => "the angle of the shaft",
+            "current_a" => "the current",
+            _ => "the speed",
+        };
+        let percent = 100.0 * part.share;
+        Self {
+            equation: part.equation,
+            follows: part.follows,
+            probability: part.probability,
+            share_of_error: part.share,
+            sentence: format!(
+                "{percent:.0} % of the error: an unknown {} that follows {axis}",
+                part.equation
+            ),
+        }
+    }
 }
 
 /// How a diagnosis is done.
 #[derive(Clone, Copy)]
 pub struct Options<'a> {
-    /// Goes on until the error is at the floor or nothing more pays; else until the named effects are sufficient and the
-    /// floor is near.
     pub until_floor: bool,
-    pub thoroughness: Thoroughness,
-    pub settings: Settings,
     pub progress: Progress<'a>,
 }
 
@@ -84,8 +109,6 @@ impl Default for Options<'_> {
     fn default() -> Self {
         Self {
             until_floor: false,
-            thoroughness: Thoroughness::Promising,
-            settings: Settings::default(),
             progress: &silent,
         }
     }
@@ -118,102 +141,114 @@ pub fn diagnose_with(
         of: 0,
     });
     let (evidence, baseline) = evidence.with_baseline(model)?;
-    let limits = Limits {
-        until_floor: options.until_floor,
-        settings: options.settings,
-        thoroughness: options.thoroughness,
-        progress: options.progress,
-    };
-    let found = search(&evidence, baseline, model, limits)?;
-    Ok(answer(&evidence, found))
+    (options.progress)(Event::Begun {
+        stage: Stage::Screen,
+        of: 0,
+    });
+    let inference = infer(&baseline, &evidence)?;
+    (options.progress)(Event::Begun {
+        stage: Stage::Refit,
+        of: inference.named.len(),
+    });
+    let rungs = climb(&evidence, baseline, &inference, options.progress)?;
+    Ok(answer(&evidence, &inference, rungs))
 }
 
-fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
-    let floor = evidence.floor();
-    let base = &found.baseline.score;
-    let verdict = if wrong_curve(evidence, &found) {
-        DiagnosisVerdict::Unexplained
-    } else {
-        verdict(evidence, &found)
+/// A model on the ladder, fitted to the fit run alone, and its score on the hold-out.
+pub(super) struct Standing {
+    pub(super) fit: Fit,
+    pub(super) score: Score,
+}
+
+/// The baseline and one named effect more on each rung, what explains most first.
+fn climb(
+    evidence: &Evidence,
+    baseline: Fit,
+    inference: &Inference,
+    progress: Progress<'_>,
+) -> Result<Vec<Standing>, FitError> {
+    let standing = |fit: Fit| -> Result<Standing, FitError> {
+        let score = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+        Ok(Standing { fit, score })
     };
+    let given = baseline.model.effect_ids();
+    let mut rungs = vec![standing(baseline)?];
+    for (place, id) in inference.named.iter().enumerate() {
+        let kept = &inference.named[..=place];
+        let mut start = inference.model.clone();
+        start.effects.retain(|active| given.contains(&active.id()) || kept.contains(&active.id()));
+        if !start.has(id) {
+            start = start.with_effect(id)?;
+        }
+        let fit = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
+        let rung = standing(fit)?;
+        progress(Event::Accepted {
+            effect: id,
+            holdout: rung.score.nrms,
+        });
+        rungs.push(rung);
+    }
+    Ok(rungs)
+}
+
+fn answer(evidence: &Evidence, inference: &Inference, rungs: Vec<Standing>) -> Diagnosis {
+    let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
+    let floor = evidence.floor();
+    let verdict = verdict(evidence, inference, &base.score, &best.score);
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
         // The maps are a help; without them the verdict stands.
-        let model = &found.baseline.fit.model;
-        axis_map(model, &evidence.training, &evidence.noise).unwrap_or_default()
+        axis_map(&best.fit.model, &evidence.training, &evidence.noise).unwrap_or_default()
     } else {
         Vec::new()
     };
-    let named = matches!(
-        verdict,
-        DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
-    );
-    let error_before = found.baseline.fit.nrms;
-    let mut candidates = describe(base, error_before, evidence, &found, named);
-    if !named {
-        // What pays although nothing is named is not in the answer.
-        for candidate in &mut candidates {
-            if candidate.status == Status::Supported {
-                candidate.status = Status::Possible;
-            }
-        }
-    }
-    let rivals = match &found.accepted[..] {
-        [only] => found
-            .first_set
-            .iter()
-            .map(|&index| &found.first_round[index])
-            .filter(|refit| only.rivals.contains(&refit.id()))
-            .map(|refit| (refit.id(), refit.fit.model.clone()))
-            .collect(),
-        _ => Vec::new(),
-    };
-    let (accepted, best) = if named {
-        (found.accepted, &found.best)
-    } else {
-        (Vec::new(), &found.baseline)
-    };
-    let eta = explained(base.nrms, best.score.nrms, floor);
+    let eta = explained(base.score.nrms, best.score.nrms, floor);
     let settled = decide::at_the_floor(evidence, &best.score);
+    let candidates = describe(evidence, inference, &rungs);
     let excited = candidates
         .iter()
         .any(|candidate| candidate.status != Status::NotExcited);
+    let named = &inference.named;
+    let unknown = inference.unknown.iter().map(Unknown::from).collect();
     let mut diagnosis = Diagnosis {
         verdict,
-        effect: accepted.first().map(|accepted| accepted.id),
-        effects: accepted.iter().map(|accepted| accepted.id).collect(),
+        effect: named.first().copied(),
+        effects: named.clone(),
         sufficient: match verdict {
             // Without a floor, or in a run that would show nothing, nobody knows whether something is missing.
             DiagnosisVerdict::None => evidence.noise.source != FloorSource::None && excited,
-            _ => named && (eta >= decide::SUFFICIENT || settled),
+            DiagnosisVerdict::Unexplained => false,
+            _ => eta >= decide::SUFFICIENT || settled,
         },
         noise_floor_from: evidence.noise.source,
         holdout_from: evidence.holdout_from,
-        explained_percent: if named { 100.0 * eta } else { 0.0 },
-        holdout_before: base.nrms,
+        explained_percent: if named.is_empty() { 0.0 } else { 100.0 * eta },
+        holdout_before: base.score.nrms,
         holdout_after: best.score.nrms,
         candidates,
-        confusable: accepted.iter().flat_map(pairs).collect(),
+        unknown,
+        confusable: inference.confusable.clone(),
         axis_map,
-        ladder: if named {
-            found.ladder
-        } else {
-            found.ladder.into_iter().take(1).collect()
-        },
+        ladder: rungs
+            .iter()
+            .map(|rung| Rung {
+                effects: rung.fit.model.effect_ids(),
+                holdout_rmse: rung.score.nrms,
+            })
+            .collect(),
         confirm: None,
         sentence: String::new(),
         limits: evidence.unjudged(),
         equivalences: Vec::new(),
         next_experiment: None,
-        baseline: Fitted::from(&found.baseline.fit),
+        baseline: Fitted::from(&base.fit),
         model: Fitted::from(&best.fit),
-        rivals,
     };
     diagnosis.confirm = confirmation::of_models(
         evidence,
         [&diagnosis.baseline.model, &diagnosis.model.model],
         verdict,
         &diagnosis.effects,
-        found.settings,
+        Settings::default(),
     );
     diagnosis.sentence = sentence(&diagnosis);
     let named = diagnosis.effects.iter();
@@ -221,70 +256,37 @@ fn answer(evidence: &Evidence, found: Found) -> Diagnosis {
     diagnosis
 }
 
-fn pairs(accepted: &Accepted) -> Vec<[&'static str; 2]> {
-    accepted
-        .rivals
-        .iter()
-        .map(|rival| [accepted.id, rival])
-        .collect()
-}
+/// Share of the explainable error that may stay unexplained beside what is named.
+const HALF: f64 = 0.5;
+/// Probability below which a name is not certain, and so may be one of several.
+const CERTAIN: f64 = 0.9;
 
-/// Share of an error at the floor that may be left where it is to be given a name all the same.
-const NO_HAIR: f64 = 0.95;
-/// Share of the error that must be explained for a form to be believed although its own axis still shows the error.
-const BELIEVED: f64 = 0.6;
-/// Share of the remaining error that follows an axis and says so.
-const FOLLOWS: f64 = 0.4;
-
-/// Whether what remains of a large error still runs along the very axis of an effect that is to be named: something is
-/// there, of another form than any known, and the effect only leans on it.
-fn wrong_curve(evidence: &Evidence, found: &Found) -> bool {
-    let (base, best) = (&found.baseline.score, &found.best);
-    if explained(base.nrms, best.score.nrms, evidence.floor()) >= BELIEVED
-        || decide::at_the_floor(evidence, &best.score)
-    {
-        return false;
-    }
-    let Ok(maps) = axis_map(&best.fit.model, &evidence.training, &evidence.noise) else {
-        return false;
+fn verdict(
+    evidence: &Evidence,
+    inference: &Inference,
+    base: &Score,
+    best: &Score,
+) -> DiagnosisVerdict {
+    let at_floor = |score: &Score| {
+        evidence.noise.source == FloorSource::None || decide::at_the_floor(evidence, score)
     };
-    let curves: Vec<(&str, &str)> = found
-        .accepted
+    let eta = decide::explained_beyond_doubt(evidence, base, best);
+    if inference.named.is_empty() && inference.unknown.is_empty() && at_floor(base) {
+        return DiagnosisVerdict::None;
+    }
+    let open = !inference.unknown.is_empty() || !decide::at_the_floor(evidence, best);
+    if inference.named.is_empty() || (open && eta < HALF) {
+        return DiagnosisVerdict::Unexplained;
+    }
+    let first = inference.named[0];
+    let certain = inference
+        .effects
         .iter()
-        .filter_map(|accepted| curve_of(accepted.id))
-        .collect();
-    maps.iter()
-        .any(|map| map.r2 >= FOLLOWS && curves.contains(&(map.equation, map.axis)))
-}
-
-fn verdict(evidence: &Evidence, found: &Found) -> DiagnosisVerdict {
-    let base = &found.baseline.score;
-    let nothing_to_explain =
-        evidence.noise.source == FloorSource::None || decide::at_the_floor(evidence, base);
-    let best = &found.best.score;
-    let alone = found.best_alone.as_ref();
-    let explains = alone.is_some_and(|alone| decide::explains(evidence, base, alone, best));
-    // A hair above the floor is explained by whatever resembles it.
-    let hair = nothing_to_explain
-        && evidence.noise.source != FloorSource::None
-        && best.nrms > NO_HAIR * base.nrms;
-    let open = found
-        .accepted
-        .iter()
-        .any(|accepted| !accepted.rivals.is_empty());
-    // Several that explain the same part of an error, and no more than a part, all lean on something else.
-    let leans = open
-        && explained(base.nrms, best.nrms, evidence.floor()) < BELIEVED
-        && !decide::at_the_floor(evidence, best);
-    if explains && !hair && !leans {
-        if open {
-            DiagnosisVerdict::Ambiguous
-        } else {
-            DiagnosisVerdict::Effect
-        }
-    } else if nothing_to_explain {
-        DiagnosisVerdict::None
+        .any(|other| other.effect.card().id == first && other.probability >= CERTAIN);
+    let is_one_of_several = inference.confusable.iter().any(|pair| pair.contains(&first));
+    if !certain && is_one_of_several {
+        DiagnosisVerdict::Ambiguous
     } else {
-        DiagnosisVerdict::Unexplained
+        DiagnosisVerdict::Effect
     }
 }

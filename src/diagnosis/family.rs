@@ -1,4 +1,4 @@
-//! Effects that say the same thing in more or fewer words.
+//! Effects that say the same thing in more or fewer words, so that a model holds one of them.
 
 /// Pairs of a simple effect and a richer one that contains it, or nearly: the richer one always fits at least as well,
 /// and is named only where the simple one falls short.
@@ -49,22 +49,6 @@ pub(super) fn curve_of(id: &str) -> Option<(&'static str, &'static str)> {
         .iter()
         .find(|(known, _, _)| *known == id)
         .map(|(_, equation, axis)| (*equation, *axis))
-}
-
-/// The simple form of a richer effect.
-pub(super) fn simple_form(id: &str) -> Option<&'static str> {
-    RICHER
-        .iter()
-        .find(|(_, richer)| *richer == id)
-        .map(|(simple, _)| *simple)
-}
-
-/// Currents from which on gaps, not brushes, bend the voltage, A: the drop of brushes has built up at a tenth of it.
-const LEAST_BOUNDARY_A: f64 = 0.9;
-
-/// Whether this value of a richer effect's parameter, by its full key, is one that its simple form cannot stand for.
-pub(super) fn is_beyond_simple(key: &str, value: f64) -> bool {
-    key == "discontinuous_conduction.boundary_a" && value >= LEAST_BOUNDARY_A
 }
 
 /// Whether two effects are of one family, so that a model with one of them does not get the other too.

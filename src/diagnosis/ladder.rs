@@ -50,7 +50,7 @@ pub fn add(
         return mechanical::add(effect, model, &evidence);
     }
     let (evidence, before) = evidence.with_baseline(model)?;
-    let after = refit_one(&evidence, &before, model, effect, Settings::default())?.fit;
+    let after = refit_one(&evidence, &before, model, effect)?;
     change(effect, &evidence, &before, &after, true)
 }
 

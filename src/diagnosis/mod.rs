@@ -5,7 +5,7 @@
 //!    |-> compare    free-run fit and error per signal, beside the floor; residual lights
 //!    |-> location   which equation fails, and over which speeds, currents, angles, times
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
-//!    |-> diagnose   screen (one simulation per effect) -> refit -> decide on the hold-out -> greedy set
+//!    |-> diagnose   joint: every set of effects weighed at once -> ladder of what is named, judged on the hold-out
 //!    |                 -> confirmation: the same on a run that had no part in the answer
 //!    |-> next_experiment  the run that tells what these runs cannot
 //!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
@@ -25,6 +25,7 @@ mod evidence;
 mod family;
 mod fingerprint;
 mod fitted;
+mod joint;
 
 mod ladder;
 mod linear_response;
@@ -37,7 +38,6 @@ mod refit;
 mod residual;
 mod score;
 mod screen;
-mod search;
 mod shapes;
 mod shared;
 
@@ -46,7 +46,7 @@ pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use confirmation::Confirmation;
 pub use decide::Settings;
-pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, diagnose, diagnose_with};
+pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, Unknown, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
 pub use fitted::Fitted;
@@ -59,7 +59,6 @@ pub use next_experiment::{
 };
 pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
-pub use refit::Thoroughness;
 pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
 pub use screen::{ScreenedEffect, screen};

@@ -3,10 +3,8 @@
 //! The terms of the fitted effect are evaluated along the free run of the fitted model. What enters no balance, as a delay
 //! or a second inertia, is the largest change that it makes to the signals.
 
-use rayon::prelude::*;
 use serde::Serialize;
 
-use super::candidates::Refit;
 use crate::identification::output_error::Fit;
 use crate::plant::{
     ActiveEffect, Effect, Instant, Model, MotorKey, Plant, Scenario, State, Trajectory,
@@ -62,21 +60,8 @@ impl Reached {
 type Sizes = [f64; 4];
 const UNITS: [&str; 4] = ["N.m", "V", "rad/s", "A"];
 
-/// What each of these effects reached on `run` in its fit; `None` where there is none, as the screen's step was not
-/// followed up.
-pub(super) fn of_fits(
-    refits: &[Refit],
-    fits: &[Option<&Fit>],
-    run: &Scenario,
-) -> Vec<Option<Reached>> {
-    refits
-        .par_iter()
-        .zip(fits)
-        .map(|(refit, fit)| fit.and_then(|fit| of_fit(fit, refit.effect, run)))
-        .collect()
-}
-
-fn of_fit(fit: &Fit, effect: &'static dyn Effect, run: &Scenario) -> Option<Reached> {
+/// What an effect of a fitted model reached on `run`.
+pub(super) fn of_fit(fit: &Fit, effect: &'static dyn Effect, run: &Scenario) -> Option<Reached> {
     let id = effect.card().id;
     let active = fit.model.effects.iter().find(|active| active.id() == id)?;
     let values: Vec<f64> = active.values.iter().copied().collect::<Option<_>>()?;

@@ -27,17 +27,12 @@ pub struct Score {
     residuals: Residuals,
 }
 
-/// The residuals of a score, or what is left of them.
+/// Current in A and speed in rad/s at each time, NaN where missing.
 #[derive(Clone, Debug)]
-enum Residuals {
-    /// Current in A and speed in rad/s at each time, NaN where missing.
-    Every {
-        time_s: Vec<f64>,
-        current_a: Vec<f64>,
-        speed_rad_s: Vec<f64>,
-    },
-    /// Weighted squares and their number, in blocks of each of these lengths.
-    Summed(Vec<(f64, Vec<(f64, usize)>)>),
+struct Residuals {
+    time_s: Vec<f64>,
+    current_a: Vec<f64>,
+    speed_rad_s: Vec<f64>,
 }
 
 impl Score {
@@ -75,7 +70,7 @@ impl Score {
             nrms,
             noise: *noise,
             duration_s: duration_s(times),
-            residuals: Residuals::Every {
+            residuals: Residuals {
                 time_s: times.to_vec(),
                 current_a,
                 speed_rad_s,
@@ -83,38 +78,14 @@ impl Score {
         })
     }
 
-    /// Without the single residuals: what a decision between many candidates needs. Only blocks of `block_s` and of
-    /// twice, four times, ... as much can be asked for then.
-    #[must_use]
-    pub(super) fn in_blocks(mut self, block_s: &[f64]) -> Self {
-        let summed = block_s
-            .iter()
-            .map(|&block_s| (block_s, self.counted_blocks(block_s)))
-            .collect();
-        self.residuals = Residuals::Summed(summed);
-        self
-    }
-
     /// `(time, residual)` of the current, A.
     pub fn current_residual(&self) -> Vec<(f64, f64)> {
-        match &self.residuals {
-            Residuals::Every {
-                time_s, current_a, ..
-            } => finite_points(time_s, current_a),
-            Residuals::Summed(_) => Vec::new(),
-        }
+        finite_points(&self.residuals.time_s, &self.residuals.current_a)
     }
 
     /// `(time, residual)` of the speed, rad/s.
     pub fn speed_residual(&self) -> Vec<(f64, f64)> {
-        match &self.residuals {
-            Residuals::Every {
-                time_s,
-                speed_rad_s,
-                ..
-            } => finite_points(time_s, speed_rad_s),
-            Residuals::Summed(_) => Vec::new(),
-        }
+        finite_points(&self.residuals.time_s, &self.residuals.speed_rad_s)
     }
 
     /// Sum of the squared weighted residuals in blocks of `block_s`. Every signal counts with its number of samples.
@@ -125,14 +96,11 @@ impl Score {
 
     /// The same with the number of residuals in each block.
     pub(super) fn counted_blocks(&self, block_s: f64) -> Vec<(f64, usize)> {
-        let (time_s, current_a, speed_rad_s) = match &self.residuals {
-            Residuals::Every {
-                time_s,
-                current_a,
-                speed_rad_s,
-            } => (time_s, current_a, speed_rad_s),
-            Residuals::Summed(summed) => return merged(summed, block_s),
-        };
+        let Residuals {
+            time_s,
+            current_a,
+            speed_rad_s,
+        } = &self.residuals;
         let Some(&begin_s) = time_s.first() else {
             return Vec::new();
         };
@@ -174,23 +142,6 @@ pub(super) fn varies(values: &[f64]) -> bool {
 
 fn duration_s(times: &[f64]) -> f64 {
     times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0)
-}
-
-/// Blocks of `block_s` from those of half, a quarter, ... of it; none where there are no such.
-fn merged(summed: &[(f64, Vec<(f64, usize)>)], block_s: f64) -> Vec<(f64, usize)> {
-    let whole_times = |(short_s, blocks): &(f64, Vec<(f64, usize)>)| {
-        let times = whole((block_s / short_s).round());
-        let fits =
-            times.is_power_of_two() && (times as f64 * short_s - block_s).abs() <= 1e-9 * block_s;
-        fits.then(|| {
-            let sum = |part: &[(f64, usize)]| {
-                part.iter()
-                    .fold((0.0, 0), |sum, block| (sum.0 + block.0, sum.1 + block.1))
-            };
-            blocks.chunks(times).map(sum).collect()
-        })
-    };
-    summed.iter().find_map(whole_times).unwrap_or_default()
 }
 
 fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
@@ -251,30 +202,5 @@ mod tests {
         );
         let weighing_samples = (fit.minimum.cost / fit.minimum.residual.len() as f64).sqrt();
         assert!((weighing_samples / score.nrms - 1.0).abs() > 0.05);
-    }
-
-    #[test]
-    fn blocks_put_together_are_those_of_the_single_residuals() {
-        let truth = Model::baseline(Motor::zk_22fc());
-        let run = testing::record(&truth, vec![(0.0, 0.0), (0.4, 40.0)], 1e-3, 7.3, 3);
-        let noise = NoiseFloor::from_standstill(&run).unwrap();
-        let every = Score::of(&truth, &run, &noise).unwrap();
-        let summed = every.clone().in_blocks(&[0.2, 7.3 / 20.0]);
-        assert!(summed.current_residual().is_empty() && !every.current_residual().is_empty());
-        for block_s in [0.2, 0.4, 1.6, 7.3 / 20.0, 7.3 / 5.0] {
-            let (one, other) = (
-                every.counted_blocks(block_s),
-                summed.counted_blocks(block_s),
-            );
-            assert_eq!(one.len(), other.len(), "{block_s}");
-            for (one, other) in one.iter().zip(&other) {
-                assert_eq!(one.1, other.1);
-                assert!(
-                    (one.0 - other.0).abs() <= 1e-12 * one.0,
-                    "{one:?} {other:?}"
-                );
-            }
-        }
-        assert!(summed.counted_blocks(0.3).is_empty());
     }
 }

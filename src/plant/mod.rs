@@ -15,7 +15,7 @@ mod linear;
 mod model;
 mod model_file;
 mod motor;
-pub mod propagator;
+pub(crate) mod propagator;
 mod scenario;
 mod shaft_angle;
 mod simulate;

@@ -1,18 +1,18 @@
 //! Exact propagation of the linear part over one interval: `x(t) = Phi x(0) + Gamma g` for `dx/dt = A x + g`.
 
 /// A two-by-two matrix, row by row.
-pub type M2 = [[f64; 2]; 2];
+pub(crate) type M2 = [[f64; 2]; 2];
 
 /// `Phi = exp(A t)` and `Gamma = integral of exp(A s) ds from 0 to t`, in closed form from the eigenvalues of `A`.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Propagator {
+pub(crate) struct Propagator {
     phi: M2,
     gamma: M2,
 }
 
 /// `A` with what its exponential over any interval needs: most of the work is done once.
 #[derive(Clone, Copy, Debug)]
-pub struct LinearPart {
+pub(crate) struct LinearPart {
     a: M2,
     /// Mean of the eigenvalues, and the square of their half distance.
     mean: f64,
@@ -34,7 +34,7 @@ struct RealEigenvalues {
 const SHORT: f64 = 1e-3;
 
 impl LinearPart {
-    pub fn new(a: &M2) -> Self {
+    pub(crate) fn new(a: &M2) -> Self {
         let mean = 0.5 * (a[0][0] + a[1][1]);
         let half = 0.5 * (a[0][0] - a[1][1]);
         let square = half * half + a[0][1] * a[1][0];
@@ -65,7 +65,7 @@ impl LinearPart {
     }
 
     /// The propagator over `t`.
-    pub fn over(&self, t: f64) -> Propagator {
+    pub(crate) fn over(&self, t: f64) -> Propagator {
         if self.size * t < SHORT {
             return taylor(&self.a, t);
         }
@@ -76,7 +76,7 @@ impl LinearPart {
     }
 
     /// The propagators over `t` and over half of it.
-    pub fn over_both(&self, t: f64) -> (Propagator, Propagator) {
+    pub(crate) fn over_both(&self, t: f64) -> (Propagator, Propagator) {
         match &self.real {
             Some(real) if 0.5 * self.size * t >= SHORT => {
                 // exp(x) - 1 = h (h + 2) with h = exp(x/2) - 1: one exponential serves both.
@@ -149,7 +149,7 @@ impl LinearPart {
 impl Propagator {
     /// State after the interval under a constant forcing `g`.
     #[inline]
-    pub fn apply(&self, x: [f64; 2], g: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn apply(&self, x: [f64; 2], g: [f64; 2]) -> [f64; 2] {
         let (p, q) = (&self.phi, &self.gamma);
         [
             p[0][0] * x[0] + p[0][1] * x[1] + q[0][0] * g[0] + q[0][1] * g[1],

@@ -116,11 +116,6 @@ const fn axis_name(axis: &str) -> &'static str {
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
 pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
     page.section("Effects that were tried");
-    if diagnosis.candidates.iter().any(|c| !c.refitted) {
-        page.paragraph(
-            "A dash stands where the first-order screen was enough to rule an effect out: it was not refitted.",
-        );
-    }
     if diagnosis
         .candidates
         .iter()

@@ -143,7 +143,6 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         rank,
         status,
         probability,
-        refitted: true,
         parameters,
         interval_factor: 1.0,
         reached: None,
@@ -152,8 +151,8 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         holdout_before: 5.1,
         holdout_after: Some(after),
         explained_percent: Some(100.0 * (1.0 - (after * after - 1.0) / (5.1 * 5.1 - 1.0))),
-        minimum_detectable: Some(0.004),
-        detectable_below_hz: None,
+        upper_bound: Some(0.004),
+        detectable: Some(0.004),
         evidence: format!(
             "{effect} takes the held-out error from 5.10 to {after:.2} times the noise"
         ),
@@ -207,7 +206,7 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         limits: vec![],
         equivalences: vec![],
         next_experiment: None,
-        rivals: Vec::new(),
+        unknown: vec![],
         axis_map: Vec::new(),
         baseline: no_fit(),
         model: no_fit(),

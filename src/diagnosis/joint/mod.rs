@@ -1,6 +1,17 @@
 //! Several effects at once: one linear Gaussian model of what the runs' innovations hold, one posterior over all sets.
-pub mod columns;
-pub mod follow;
-pub mod noise;
-pub mod select;
-pub mod search;
+//!
+//! ```text
+//! model, run --(follow: Kalman filter)--> innovations, gains
+//!                 |-> columns   what each effect at its slab would add to the whitened innovations: Gram matrix
+//!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
+//!                 '-> select    posterior over the sets of effects and forms
+//! search: refit of the best set, linearised anew, until set and noise stand
+//! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
+//! ```
+
+pub(super) mod answer;
+mod columns;
+mod follow;
+mod noise;
+mod search;
+mod select;

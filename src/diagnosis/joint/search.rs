@@ -22,6 +22,9 @@ pub struct Found {
     pub mean: Vec<f64>,
     pub covariance: DMatrix<f64>,
     pub columns: Vec<usize>,
+    pub excess: f64,
+    /// For each candidate that is an unknown part, its share of the error.
+    pub unknown_share: Vec<f64>,
     pub log: Vec<String>,
 }
 
@@ -292,16 +295,17 @@ pub fn search(model: &Model, scenarios: &[&Scenario], starts: &[State], floor: N
         let stands = round > 1 && seen[1..].contains(&names) || round == 1 && seen[0] == names;
         if stands || round + 1 == ROUNDS {
             let columns = reduced.columns(&posterior.best);
-            let excess = excess(&linear, &reduced, &posterior.best, &runs);
+            let excess = excess(&linear, &reduced, &posterior.best, &runs).max(1.0);
             log.push(format!("done {:.0} ms, excess {excess:.2}", ms()));
             if excess > 1.0 {
                 let tempered = Reduced::new(&linear, excess, true)?;
                 posterior = select(&tempered, &[sets, vec![posterior.best.clone()]].concat());
             }
             let (mean, covariance) = reduced.sizes(&columns)?;
+            let unknown_share = unknown_shares(&linear, &posterior.best, &columns, mean.as_slice(), &runs);
             drop(reduced);
             drop(runs);
-            return Some(Found { model, noise, posterior, mean: mean.iter().copied().collect(), covariance, columns, linear, log });
+            return Some(Found { model, noise, posterior, mean: mean.iter().copied().collect(), covariance, columns, linear, excess, unknown_share, log });
         }
         seen.push(names);
         let next = at_solution(&model, &linear, &reduced, &posterior.best)?;
@@ -315,6 +319,57 @@ pub fn search(model: &Model, scenarios: &[&Scenario], starts: &[State], floor: N
         }
     }
     None
+}
+
+/// What each unknown part of a set takes from the error of the runs as it would run freely.
+fn unknown_shares(linear: &Linear, set: &Set, columns: &[usize], mean: &[f64], runs: &[Around<'_>]) -> Vec<f64> {
+    let m = linear.nuisances.len();
+    let free = |run: &Around<'_>, white: &dyn Fn(usize) -> [f64; 2]| -> Vec<[f64; 2]> {
+        let mut track = super::follow::Deviation::default();
+        (0..run.scenario.samples())
+            .map(|sample| {
+                let passage = &run.follower.passages[sample];
+                if passage.interval_s > 0.0 {
+                    track.pass(passage, [0.0; 2], run.follower.forgets[sample], &run.dynamics);
+                }
+                let update = &run.follower.updates[sample];
+                let z = track.colour(update, white(sample));
+                [z[0] / run.noise.current_a, z[1] / run.noise.speed_rad_s]
+            })
+            .collect()
+    };
+    linear
+        .candidates
+        .iter()
+        .zip(set)
+        .map(|(candidate, chosen)| {
+            let (true, Some(v)) = (candidate.unknown, chosen) else { return 0.0 };
+            let (mut before, mut after, mut floor) = (0.0, 0.0, 0.0);
+            for (run, w) in runs.iter().zip(&linear.columns) {
+                let mut own = nalgebra::DVector::zeros(w.ncols());
+                for column in &candidate.variants[*v].columns {
+                    if let Some(at) = columns.iter().position(|c| c + m == *column) {
+                        own[*column] = mean[at];
+                    }
+                }
+                let part = w * own;
+                let shift = w * &linear.present;
+                let whole = free(run, &|k| {
+                    let white = run.followed.white[k];
+                    [white[0] + shift[2 * k], white[1] + shift[2 * k + 1]]
+                });
+                let part = free(run, &|k| [part[2 * k], part[2 * k + 1]]);
+                for (z, p) in whole.iter().zip(&part) {
+                    for signal in 0..2 {
+                        before += z[signal].powi(2);
+                        after += (z[signal] - p[signal]).powi(2);
+                    }
+                }
+                floor += run.follower.rows as f64;
+            }
+            if before > floor { ((before - after) / (before - floor)).clamp(0.0, 1.0) } else { 0.0 }
+        })
+        .collect()
 }
 
 /// Lags over which what is left may be alike.
@@ -357,13 +412,12 @@ fn excess(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]
             }
         }
         if count > 0.0 {
-            let variance = sums[0] / count;
             let mut long = sums[0];
             for sum in &sums[1..] {
                 if *sum <= 2.0 * sums[0] / count.sqrt() { break; }
                 long += 2.0 * sum;
             }
-            worst = worst.max(long / count / variance.min(1.0).max(variance * 0.0 + 1.0));
+            worst = worst.max(long / count);
         }
     }
     worst

@@ -177,14 +177,60 @@ impl<'a> Reduced<'a> {
         log
     }
 
+    /// Information on one column beside others, per squared slab.
+    pub fn seen(&self, others: &[usize], column: usize) -> f64 {
+        let Some((factor, _)) = self.factor(others) else { return 0.0 };
+        let cross = DVector::from_fn(others.len(), |r, _| self.gram[(others[r], column)]);
+        self.gram[(column, column)] - cross.dot(&factor.solve(&cross))
+    }
+
+    /// What the odds of a form beside others would be if more of it were in the records.
+    pub fn injection(&self, others: &[usize], candidate: usize, variant: usize) -> Option<Injection> {
+        let m = self.linear.nuisances.len();
+        let candidate = &self.linear.candidates[candidate];
+        let chosen = &candidate.variants[variant];
+        let own: Vec<usize> = chosen.columns.iter().map(|c| c - m).collect();
+        let (factor, _) = self.factor(others)?;
+        let cross = DMatrix::from_fn(others.len(), own.len(), |r, c| self.gram[(others[r], own[c])]);
+        let solved = factor.solve(&cross);
+        // Of the form's own information what the others leave, without and with its prior.
+        let left = DMatrix::from_fn(own.len(), own.len(), |r, c| self.gram[(own[r], own[c])]) - cross.tr_mul(&solved);
+        let schur = (&left + DMatrix::identity(own.len(), own.len())).cholesky()?;
+        Some(Injection { left, schur, log_prior: chosen.log_prior + candidate.log_odds, positive: chosen.positive })
+    }
+
     /// The set without a candidate and without all that it excludes.
-    fn cleared(&self, set: &Set, candidate: usize) -> Set {
+    pub fn cleared(&self, set: &Set, candidate: usize) -> Set {
         let mut set = set.clone();
         set[candidate] = None;
         for other in &self.linear.candidates[candidate].excludes {
             set[*other] = None;
         }
         set
+    }
+}
+
+/// A form beside others, with so much of it in the records as is asked and nothing by chance.
+pub struct Injection {
+    left: DMatrix<f64>,
+    schur: Cholesky<f64, Dyn>,
+    log_prior: f64,
+    positive: bool,
+}
+
+impl Injection {
+    /// Log odds with `size` slabs of each column.
+    pub fn log_odds(&self, size: &[f64]) -> f64 {
+        let added = DVector::from_fn(self.left.nrows(), |r, _| size.get(r).copied().unwrap_or(0.0));
+        let right = &self.left * added;
+        let mean = self.schur.solve(&right);
+        let log_det: f64 = self.schur.l().diagonal().iter().map(|d| d.ln()).sum();
+        let sign = if self.positive {
+            log_positive(mean[0], self.schur.inverse()[(0, 0)].sqrt())
+        } else {
+            0.0
+        };
+        0.5 * right.dot(&mean) - log_det + self.log_prior + sign
     }
 }
 

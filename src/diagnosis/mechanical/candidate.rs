@@ -79,7 +79,6 @@ pub(super) fn of_trials(
             rank: rank + 1,
             status,
             probability,
-            refitted: judged.is_some(),
             parameters: trial.parameters(),
             interval_factor: 1.0,
             reached: None,
@@ -88,10 +87,10 @@ pub(super) fn of_trials(
             holdout_before: base.rmse / scale.unit_n_m,
             holdout_after: judged.map(|judged| judged.holdout.rmse / scale.unit_n_m),
             explained_percent: judged.map(|_| 100.0 * share),
-            minimum_detectable: judged
+            upper_bound: None,
+            detectable: judged
                 .map(|judged| judged.minimum_detectable)
                 .filter(|size| size.is_finite()),
-            detectable_below_hz: None,
             evidence: evidence(trial, status, base, share, sides),
         }
     };

@@ -109,7 +109,7 @@ pub(super) fn diagnose_with(
             .copied()
             .collect(),
         next_experiment: None,
-        rivals: Vec::new(),
+        unknown: Vec::new(),
         axis_map: Vec::new(),
         baseline: fitted(baseline),
         model: fitted(&found.fit),

@@ -9,7 +9,6 @@ use super::reveal::reveal;
 use super::rival::Rival;
 use super::separation::{Response, refitted};
 use super::{MenuEntry, NextExperiment, PairEntry, SEPARATED, words};
-use crate::diagnosis::Settings;
 use crate::diagnosis::refit::refit_one;
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
 use crate::identification::output_error::{self, FitError};
@@ -139,18 +138,13 @@ pub fn recommend(
     }
     let mut others = Vec::new();
     for names in diagnosis.confusable.iter().take(MOST_PAIRS) {
-        let kept = diagnosis.rivals.iter().find(|rival| rival.0 == names[1]);
-        if let Some((_, model)) = kept {
-            others.push((*names, model.clone()));
-            continue;
-        }
         let Some(rival) = effect::find(names[1]) else {
             continue;
         };
         let without = diagnosis.model.model.without_effect(names[0])?;
         let base = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
-        let refit = refit_one(evidence, &base, original, rival, Settings::default())?;
-        others.push((*names, refit.fit.model));
+        let refit = refit_one(evidence, &base, original, rival)?;
+        others.push((*names, refit.model));
     }
     let Some(base) = without_effect(&diagnosis.model.model, &others) else {
         return Ok(None);

@@ -215,7 +215,7 @@ pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
         .find(|spec| spec.key == key)?
         .unit;
     let least = candidate
-        .minimum_detectable
+        .detectable
         .filter(|size| size.is_finite())?;
     Some(
         format!("seen from {least:.1e} {}", shown_unit(unit))

@@ -52,7 +52,6 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
             verdict: Verdict::Settled,
             reason: None,
         }],
-        refitted: true,
         interval_factor: 2.0,
         reached: Some(Reached {
             torque_n_m: Some(Peak {
@@ -69,8 +68,8 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
         holdout_before: 5.1,
         holdout_after: Some(after),
         explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
-        minimum_detectable: Some(0.002),
-        detectable_below_hz: None,
+        upper_bound: Some(0.002),
+        detectable: Some(0.002),
         evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
     }
 }
@@ -99,7 +98,7 @@ pub(super) fn diagnosis() -> Diagnosis {
         limits: Vec::new(),
         equivalences: Vec::new(),
         next_experiment: None,
-        rivals: Vec::new(),
+        unknown: vec![],
         sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
             .to_owned(),
         baseline: fitted(&[]),

@@ -89,7 +89,7 @@ fn state() -> impl Strategy<Value = State> {
             answer.holdout_before = numbers[0];
             for (candidate, number) in answer.candidates.iter_mut().zip(&numbers) {
                 candidate.explained_percent = Some(*number);
-                candidate.minimum_detectable = Some(*number);
+                candidate.detectable = Some(*number);
                 candidate.parameters[0].value = Some(*number);
                 candidate.parameters[0].std = Some(numbers[7]);
             }

@@ -1,0 +1,292 @@
+//! What the posterior says of each effect of the catalogue, and of what none of them explains.
+
+use super::follow::Noise;
+use super::search::{self, Found};
+use super::select::{Reduced, Set};
+use crate::diagnosis::Evidence;
+use crate::diagnosis::evidence::HoldoutFrom;
+use crate::identification::noise::NoiseFloor;
+use crate::identification::output_error::{Fit, FitError};
+use crate::plant::effect::CATALOGUE;
+use crate::plant::{Effect, Model, Scenario, State};
+
+/// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
+const BOUND: f64 = 1.75;
+/// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
+const NAMED_IN_95: f64 = 1.645;
+/// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
+const SAYS_NOTHING: f64 = 0.5;
+/// Plausible sets that bounds are asked of.
+const SETS: usize = 12;
+/// Probability from which on an effect is named.
+pub(in crate::diagnosis) const NAMED: f64 = 0.5;
+
+/// One effect.
+#[derive(Clone)]
+pub(in crate::diagnosis) struct Inferred {
+    pub(in crate::diagnosis) effect: &'static dyn Effect,
+    /// That it is there, beside all others that may be.
+    pub(in crate::diagnosis) probability: f64,
+    /// Whether these runs would show it at its slab.
+    pub(in crate::diagnosis) excited: bool,
+    /// Its size is below this with 95 %, in the unit of its first parameter; an amplitude where it has sine and cosine.
+    pub(in crate::diagnosis) upper_bound: Option<f64>,
+    /// A size that would have been named in 95 of 100 such records.
+    pub(in crate::diagnosis) detectable: Option<f64>,
+    /// Log of the odds given the rest of the best set.
+    pub(in crate::diagnosis) log_odds: f64,
+}
+
+/// A part of the error that follows an axis and is none of the catalogue's effects.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::diagnosis) struct Part {
+    pub(in crate::diagnosis) equation: &'static str,
+    pub(in crate::diagnosis) follows: &'static str,
+    pub(in crate::diagnosis) probability: f64,
+    /// Of the error that the baseline leaves.
+    pub(in crate::diagnosis) share: f64,
+}
+
+/// Everything that the runs say together.
+#[derive(Clone)]
+pub(in crate::diagnosis) struct Inference {
+    /// Every effect that the baseline does not have.
+    pub(in crate::diagnosis) effects: Vec<Inferred>,
+    pub(in crate::diagnosis) unknown: Vec<Part>,
+    /// What is more likely there than not, what explains most first.
+    pub(in crate::diagnosis) named: Vec<&'static str>,
+    /// Pairs of which these runs want one and cannot say which; the likelier first.
+    pub(in crate::diagnosis) confusable: Vec<[&'static str; 2]>,
+    /// The model with the best set, fitted on all runs.
+    pub(in crate::diagnosis) model: Model,
+}
+
+/// Weighs all sets of effects beside `baseline` on the fit run and the hold-out together.
+pub(in crate::diagnosis) fn infer(baseline: &Fit, evidence: &Evidence) -> Result<Inference, FitError> {
+    let failed = || FitError::CannotSimulate { run: evidence.training.name.clone() };
+    // Where one run was split the whole of it speaks.
+    let scenarios: Vec<&Scenario> = match evidence.holdout_from {
+        HoldoutFrom::Run => vec![&evidence.training, &evidence.holdout],
+        HoldoutFrom::Split => vec![&evidence.holdout],
+    };
+    let starts: Vec<State> = scenarios
+        .iter()
+        .enumerate()
+        .map(|(number, _)| if number == 0 { State::at(baseline.start.current_a, baseline.start.speed_rad_s) } else { State::default() })
+        .collect();
+    let noise = beginning(&evidence.noise, baseline, &evidence.training);
+    let given = baseline.model.effect_ids();
+    let found = search::search(&baseline.model, &scenarios, &starts, noise).ok_or_else(failed)?;
+    let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
+    let mut effects: Vec<Inferred> = CATALOGUE
+        .iter()
+        .copied()
+        .filter(|effect| !given.contains(&effect.card().id))
+        .map(|effect| inferred(effect, &found, &reduced))
+        .collect();
+    effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
+    let confusable = confusable(&found, &effects);
+    // Of two that exclude each other the likelier stands for both.
+    let stands = |id: &str| confusable.iter().any(|pair| pair[0] == id);
+    let named = effects
+        .iter()
+        .filter(|e| e.probability > NAMED || stands(e.effect.card().id))
+        .map(|e| e.effect.card().id)
+        .collect();
+    let candidates = found.linear.candidates.iter();
+    let unknown = candidates
+        .zip(&found.posterior.probability)
+        .zip(&found.unknown_share)
+        .filter(|((candidate, p), _)| candidate.unknown && **p > NAMED)
+        .map(|((candidate, p), share)| {
+            let (equation, follows) = axis(candidate.id);
+            Part { equation, follows, probability: *p, share: *share }
+        })
+        .collect();
+    Ok(Inference {
+        confusable,
+        effects,
+        unknown,
+        named,
+        model: found.model,
+    })
+}
+
+/// Equation and axis of an unknown part.
+fn axis(id: &str) -> (&'static str, &'static str) {
+    match id {
+        "torque over angle" => ("torque", "angle_rad"),
+        "voltage over current" => ("voltage", "current_a"),
+        _ => ("torque", "speed_rad_s"),
+    }
+}
+
+/// Noise to begin with: the sensors' as they are known, a disturbance of a per cent.
+fn beginning(floor: &NoiseFloor, baseline: &Fit, run: &Scenario) -> Noise {
+    let most = run.current_a.iter().filter(|i| i.is_finite()).fold(0.0_f64, |most, i| most.max(i.abs()));
+    let largest_v = run.events.iter().fold(0.0_f64, |most, event| most.max(event.1.abs()));
+    let torque = baseline.model.motor.torque_constant().unwrap_or(1.0) * most;
+    Noise {
+        current_a: floor.current_a,
+        speed_rad_s: floor.speed_rad_s,
+        disturbance_n_m: (0.004 * torque).max(f64::MIN_POSITIVE),
+        correlation_s: 0.5,
+        voltage_v: (1e-4 * largest_v).max(f64::MIN_POSITIVE),
+    }
+}
+
+fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -> Inferred {
+    let id = effect.card().id;
+    let mut out = Inferred { effect, probability: 0.0, excited: false, upper_bound: None, detectable: None, log_odds: f64::NEG_INFINITY };
+    let mut absent = 1.0;
+    for (k, candidate) in found.linear.candidates.iter().enumerate() {
+        if candidate.id != id {
+            continue;
+        }
+        absent *= 1.0 - found.posterior.probability[k];
+        out.log_odds = out.log_odds.max(found.posterior.log_factor[k]);
+        let form = found.posterior.forms[k];
+        let variant = &candidate.variants[form];
+        if variant.mean > 0.0 {
+            // There wholly or not at all: seen where that makes a difference beyond the noise.
+            let columns = reduced.columns(&without(&found.posterior.best, k));
+            let own: Vec<usize> = variant.columns.iter().map(|c| c - found.linear.nuisances.len()).collect();
+            out.excited |= reduced.seen(&columns, own[0]) * variant.mean.powi(2) > 25.0;
+            continue;
+        }
+        let mut bound: f64 = 0.0;
+        for (set, _) in found.posterior.sets.iter().take(SETS) {
+            let mut with = reduced.cleared(set, k);
+            with[k] = Some(form);
+            if let Some((size, sd)) = size_in(found, reduced, &with, k) {
+                bound = bound.max(size + BOUND * sd);
+            }
+        }
+        let mut with = reduced.cleared(&found.posterior.best, k);
+        with[k] = Some(form);
+        if let Some((_, sd)) = size_in(found, reduced, &with, k) {
+            let slab = variant.units[0];
+            let excited = sd < SAYS_NOTHING * slab;
+            out.excited |= excited;
+            if excited {
+                out.upper_bound = Some(out.upper_bound.map_or(bound, |b| b.max(bound)));
+                let detectable = detectable(found, reduced, &with, k, sd);
+                out.detectable = match (out.detectable, detectable) {
+                    (Some(a), Some(b)) => Some(a.max(b)),
+                    (a, b) => a.or(b),
+                };
+            }
+        }
+    }
+    out.probability = 1.0 - absent;
+    out
+}
+
+fn without(set: &Set, k: usize) -> Set {
+    let mut set = set.clone();
+    set[k] = None;
+    set
+}
+
+/// Size of candidate `k` in a set and its standard deviation, in the unit of its first parameter.
+fn size_in(found: &Found, reduced: &Reduced<'_>, set: &Set, k: usize) -> Option<(f64, f64)> {
+    let variant = &found.linear.candidates[k].variants[set[k]?];
+    let columns = reduced.columns(set);
+    let (mean, covariance) = reduced.sizes(&columns)?;
+    let m = found.linear.nuisances.len();
+    let is_wave = variant.parameters.len() > 1 && variant.units.len() > 1 && variant.units[1] > 0.0 && variant.parameters[1] == 1 && is_amplitude(found.linear.candidates[k].id);
+    let count = if is_wave { 2 } else { 1 };
+    let (mut square, mut variance) = (0.0, 0.0_f64);
+    for (column, unit) in variant.columns.iter().zip(&variant.units).take(count) {
+        let at = columns.iter().position(|c| *c == column - m)?;
+        let size = mean[at] * unit;
+        square += size * size;
+        variance = variance.max(covariance[(at, at)] * unit * unit);
+    }
+    Some((square.sqrt(), variance.sqrt()))
+}
+
+/// Whether an effect's first two parameters are sine and cosine.
+fn is_amplitude(id: &str) -> bool {
+    let effect = CATALOGUE.iter().find(|effect| effect.card().id == id);
+    effect.is_some_and(|effect| effect.parameters().first().is_some_and(|spec| spec.key.starts_with("sin_")))
+}
+
+/// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
+/// against it.
+fn detectable(found: &Found, reduced: &Reduced<'_>, with: &Set, k: usize, sd: f64) -> Option<f64> {
+    let candidate = &found.linear.candidates[k];
+    let variant = &candidate.variants[with[k]?];
+    let others = reduced.columns(&without(with, k));
+    let wave = is_amplitude(candidate.id);
+    let directions: Vec<(f64, f64)> = if wave {
+        (0..8).map(|n| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos()).collect()
+    } else if variant.positive {
+        vec![(1.0, 0.0)]
+    } else {
+        vec![(1.0, 0.0), (-1.0, 0.0)]
+    };
+    let unit = variant.units[0];
+    let injection = reduced.injection(&others, k, with[k]?)?;
+    let is_named = |size: f64| {
+        let against = (size - NAMED_IN_95 * sd).max(0.0) / unit;
+        let named = |(a, b): &(f64, f64)| {
+            let added = [against * a, if wave { against * b } else { 0.0 }];
+            injection.log_odds(&added) > 0.0
+        };
+        directions.iter().all(named)
+    };
+    let (mut low, mut high) = (0.0, unit);
+    for _ in 0..12 {
+        if is_named(high) {
+            break;
+        }
+        low = high;
+        high *= 2.0;
+    }
+    if !is_named(high) {
+        return None;
+    }
+    for _ in 0..12 {
+        let middle = 0.5 * (low + high);
+        if is_named(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    Some(high)
+}
+
+/// Pairs that are rarely there together and one of which nearly always is.
+fn confusable(found: &Found, effects: &[Inferred]) -> Vec<[&'static str; 2]> {
+    let ids: Vec<(&'static str, f64)> = effects
+        .iter()
+        .filter(|e| (0.1..0.9).contains(&e.probability))
+        .map(|e| (e.effect.card().id, e.probability))
+        .collect();
+    let top = found.posterior.sets.first().map_or(0.0, |s| s.1);
+    let share = |is_in: &dyn Fn(&[&'static str]) -> bool| {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for (set, log) in &found.posterior.sets {
+            let weight = (log - top).exp();
+            let present: Vec<&'static str> = set.iter().zip(&found.linear.candidates).filter(|(v, _)| v.is_some()).map(|(_, c)| c.id).collect();
+            total += weight;
+            if is_in(&present) {
+                sum += weight;
+            }
+        }
+        if total > 0.0 { sum / total } else { 0.0 }
+    };
+    let mut pairs = Vec::new();
+    for (n, (a, pa)) in ids.iter().enumerate() {
+        for (b, pb) in &ids[n + 1..] {
+            let both = share(&|present| present.contains(a) && present.contains(b));
+            let either = share(&|present| present.contains(a) || present.contains(b));
+            if both < 0.3 * pa.min(*pb) && either > 0.8 {
+                pairs.push(if pa >= pb { [*a, *b] } else { [*b, *a] });
+            }
+        }
+    }
+    pairs
+}
