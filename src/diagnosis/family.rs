@@ -51,6 +51,9 @@ pub(super) fn curve_of(id: &str) -> Option<(&'static str, &'static str)> {
         .map(|(_, equation, axis)| (*equation, *axis))
 }
 
+/// Currents from which on gaps, not brushes, bend the voltage, A: the drop of brushes has built up at a tenth of it.
+pub(super) const LEAST_BOUNDARY_A: f64 = 0.9;
+
 /// Whether two effects are of one family, so that a model with one of them does not get the other too.
 pub(super) fn related(a: &str, b: &str) -> bool {
     RICHER

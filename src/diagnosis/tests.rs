@@ -153,7 +153,7 @@ fn two_effects_are_both_found() {
             (torque, 2.5e-6 * fastest * fastest)
         };
         assert!((peak.value / true_peak - 1.0).abs() < 0.05, "{peak:?}");
-        assert!(candidate.evidence.contains("whole answer"));
+        assert!(candidate.probability > 0.99 && candidate.evidence.contains("99 %"));
     }
 }
 

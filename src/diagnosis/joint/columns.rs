@@ -43,6 +43,13 @@ pub struct Candidate {
     pub excludes: Vec<usize>,
 }
 
+impl Candidate {
+    /// Whether it is there wholly or not at all, as a shaft's elasticity: its shape is all that there is.
+    pub fn is_whole(&self) -> bool {
+        self.variants[0].mean > 0.0
+    }
+}
+
 /// The linear problem of one or several runs.
 #[derive(Clone, Debug)]
 pub struct Linear {

@@ -204,7 +204,10 @@ pub fn lead(
     p[2][2] = stationary;
     p[3][3] = noise.voltage_v.powi(2);
     let mut volts = 0.0;
-    p[0][0] = (0.1 * noise.current_a).powi(2);
+    // A signal whose noise is not known is not looked at.
+    if noise.current_a.is_finite() {
+        p[0][0] = (0.1 * noise.current_a).powi(2);
+    }
     let mut load = 0.0;
     let mut direction = start.direction();
     let mut last_s = scenario.begin_s();

@@ -13,5 +13,6 @@ pub(super) mod answer;
 mod columns;
 mod follow;
 mod noise;
+mod prediction_error;
 mod search;
 mod select;

@@ -1,144 +1,80 @@
-//! Rounds of linearising, selecting and refitting, until the set and the noise stand.
+//! Which effects the runs ask for: linearised, weighed, refitted and linearised anew until the set and the noise stand.
+//!
+//! ```text
+//! far from the data   approach: the single effect that, refitted, explains most joins, until the linear solution holds
+//! near                linearise -> noise -> linearise -> posterior over the sets -> refit of the best set -> ...
+//! ```
 
-use nalgebra::DMatrix;
+use nalgebra::DVector;
 
-use super::columns::{Around, Linear, SLAB, linearise};
-use super::follow::{Follower, Noise, follow};
+use super::columns::{Around, Linear, linearise};
+use super::follow::{Deviation, Noise};
 use super::noise::likeliest;
+use super::prediction_error::fit;
 use super::select::{Posterior, Reduced, Set, select};
 use crate::diagnosis::family::takes_power;
-use crate::numerics::levenberg_marquardt::{self, Options, Problem};
-use crate::plant::{ActiveEffect, Effect, Model, ParameterRole, Scenario, Slot, State, effect, typical_size};
+use crate::plant::{ActiveEffect, Model, Scenario, State, effect};
 
 /// Mean square of the innovations above which a linear solution is not believed.
 const FAR: f64 = 3.0;
-const ROUNDS: usize = 10;
+/// Effects that join one by one before the sets are weighed.
+const MOST_STEPS: usize = 4;
+/// Share of the squares that one of them must leave at most.
+const WORTH_A_STEP: f64 = 0.9;
+/// Single effects that are refitted for one step, and the share of the best one's gain from which they are.
+const MOST_SINGLES: usize = 6;
+const WORTH_A_REFIT: f64 = 0.2;
+/// Forms of what is there wholly or not at all from which a refit starts.
+const STARTS: usize = 3;
+/// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.
+const LEAST_START: f64 = 0.02;
+/// Rounds of weighing and refitting; in the first ones the noise is found too.
+const MOST_ROUNDS: usize = 10;
+const NOISE_ROUNDS: usize = 3;
+/// Changes of the logarithms of disturbance and of the voltage's error that ask for another linearisation.
+const SAME_DISTURBANCE: f64 = 0.2;
+const SAME_VOLTAGE: f64 = 0.3;
+/// Growth of the squares from which a refit has lost its way.
+const LOST: f64 = 1.05;
 
-pub struct Found {
-    pub model: Model,
-    pub noise: Noise,
-    pub linear: Linear,
-    pub posterior: Posterior,
-    pub mean: Vec<f64>,
-    pub covariance: DMatrix<f64>,
-    pub columns: Vec<usize>,
-    pub excess: f64,
-    /// For each candidate that is an unknown part, its share of the error.
-    pub unknown_share: Vec<f64>,
-    pub log: Vec<String>,
+/// What the search ends with.
+pub(super) struct Found {
+    /// The best set, fitted on all runs.
+    pub(super) model: Model,
+    pub(super) linear: Linear,
+    pub(super) posterior: Posterior,
+    /// How many times as large as expected what the best set leaves is.
+    pub(super) excess: f64,
+    /// For each candidate that is an unknown part of the best set, its share of the error.
+    pub(super) unknown_share: Vec<f64>,
 }
 
-/// Innovations of the runs as a function of the free parameters, with their priors behind.
-struct Innovations<'a> {
-    model: Model,
-    slots: Vec<Slot>,
-    units: Vec<Unit>,
-    runs: Vec<(&'a Follower, &'a Scenario, State)>,
+fn around<'a>(
+    model: &'a Model,
+    scenarios: &[&'a Scenario],
+    starts: &[State],
     noise: Noise,
-    len: usize,
+) -> Option<Vec<Around<'a>>> {
+    let runs = scenarios.iter().zip(starts);
+    runs.map(|(scenario, start)| Around::new(model, scenario, *start, noise))
+        .collect()
 }
 
-#[derive(Clone, Copy)]
-enum Unit {
-    Logarithm { min: f64, max: f64, sd: f64, at: f64 },
-    Linear { unit: f64, min: f64, max: f64, at: f64 },
+/// Sum of the squares of the innovations.
+fn squares(runs: &[Around<'_>]) -> f64 {
+    let white = runs.iter().flat_map(|run| run.followed.white.iter().flatten());
+    white.map(|value| value * value).sum()
 }
 
-impl<'a> Innovations<'a> {
-    fn new(model: &Model, runs: &'a [Around<'a>], noise: Noise) -> Self {
-        let training = runs[0].scenario;
-        let slots = model.free_slots();
-        let mut free = Vec::new();
-        let mut units = Vec::new();
-        for slot in slots {
-            let Some(value) = model.get(&slot) else { continue };
-            let unit = match &slot {
-                Slot::Motor(_) => Unit::Logarithm { min: 1e-12, max: 1e9, sd: 0.3, at: value.ln() },
-                Slot::Effect { spec, index, parameter, .. } => {
-                    if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
-                        continue;
-                    }
-                    let e = model.effects[*index].effect;
-                    if spec.is_coefficient() {
-                        let min = if takes_power(e.card().id) { 0.0 } else { spec.min };
-                        Unit::Linear { unit: SLAB * typical_size(e, *parameter, model, training), min, max: spec.max, at: 0.0 }
-                    } else if spec.logarithmic {
-                        Unit::Logarithm { min: if spec.key == "boundary_a" { 0.9 } else { spec.min }, max: spec.max, sd: 1.0, at: value.ln() }
-                    } else {
-                        Unit::Linear { unit: spec.scale * 3.0, min: spec.min, max: spec.max, at: value / (3.0 * spec.scale) }
-                    }
-                }
-            };
-            free.push(slot);
-            units.push(unit);
-        }
-        let len = runs.iter().map(|run| 2 * run.scenario.samples()).sum::<usize>() + free.len();
-        Self { model: model.clone(), slots: free, units, runs: runs.iter().map(|run| (&run.follower, run.scenario, run.start)).collect(), noise, len }
-    }
-
-    fn start(&self) -> Vec<f64> {
-        self.slots.iter().zip(&self.units).map(|(slot, unit)| {
-            let value = self.model.get(slot).unwrap_or(f64::NAN);
-            match unit { Unit::Logarithm { min, max, .. } => value.clamp(*min, *max).ln(), Unit::Linear { unit, .. } => value / unit }
-        }).collect()
-    }
-
-    fn model_at(&self, x: &[f64]) -> Model {
-        let mut model = self.model.clone();
-        for ((slot, unit), x) in self.slots.iter().zip(&self.units).zip(x) {
-            let value = match unit { Unit::Logarithm { .. } => x.exp(), Unit::Linear { unit, .. } => x * unit };
-            model.set(slot, value);
-        }
-        model
-    }
-}
-
-impl Problem for Innovations<'_> {
-    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
-        let model = self.model_at(x);
-        let mut at = 0;
-        let mut white = Vec::new();
-        for (follower, scenario, start) in &self.runs {
-            if !follow(follower, &model, scenario, *start, &self.noise, &mut white) {
-                return false;
-            }
-            for w in &white {
-                out[at] = w[0];
-                out[at + 1] = w[1];
-                at += 2;
-            }
-        }
-        for (unit, x) in self.units.iter().zip(x) {
-            out[at] = match unit { Unit::Logarithm { sd, at, .. } => (x - at) / sd, Unit::Linear { at, .. } => x - at };
-            at += 1;
-        }
-        true
-    }
-    fn residual_len(&self) -> usize { self.len }
-    fn difference_step(&self, index: usize) -> f64 {
-        match self.units[index] { Unit::Logarithm { .. } => 2e-3, Unit::Linear { .. } => 5e-3 }
-    }
-    fn clamp(&self, x: &mut [f64]) {
-        for (x, unit) in x.iter_mut().zip(&self.units) {
-            *x = match unit { Unit::Logarithm { min, max, .. } => x.clamp(min.ln(), max.ln()), Unit::Linear { unit, min, max, .. } => x.clamp(min / unit, max / unit) };
-        }
-    }
-}
-
-/// Refits everything of `model` that is free; the cost is the sum of squares.
-fn refit(model: &Model, runs: &[Around<'_>], noise: Noise, carry: bool) -> Option<(Model, f64)> {
-    let problem = Innovations::new(model, runs, noise);
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), Options { most_iterations: 25, relative_cost: 1e-4, longest_step: 1.5, carry_jacobian: carry, one_of_many: false })?;
-    Some((problem.model_at(&minimum.x), minimum.cost))
-}
-
-fn around<'a>(model: &'a Model, scenarios: &[&'a Scenario], starts: &[State], noise: Noise) -> Option<Vec<Around<'a>>> {
-    scenarios.iter().zip(starts).map(|(s, start)| Around::new(model, s, *start, noise)).collect()
+/// The candidates that a model has.
+fn present(linear: &Linear) -> Set {
+    let candidates = linear.candidates.iter();
+    candidates.map(|candidate| candidate.in_model.then_some(0)).collect()
 }
 
 /// The model with a candidate's effect as the linear solution has it.
 fn with_effect(model: &Model, id: &str, values: &[f64]) -> Option<Model> {
-    let effect: &'static dyn Effect = effect::find(id)?;
+    let effect = effect::find(id)?;
     let mut model = model.clone();
     model.effects.retain(|active| active.id() != id);
     model.effects.push(ActiveEffect { effect, values: values.iter().copied().map(Some).collect() });
@@ -165,7 +101,7 @@ fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set)
                 for ((column, unit), parameter) in variant.columns.iter().zip(&variant.units).zip(&variant.parameters) {
                     if specs.get(*parameter).is_some_and(|spec| spec.is_coefficient()) {
                         let mut x = size(*column)?;
-                        if specs[*parameter].min >= 0.0 || takes_power(candidate.id) { x = x.max(0.02); }
+                        if specs[*parameter].min >= 0.0 || takes_power(candidate.id) { x = x.max(LEAST_START); }
                         values[*parameter] = x * unit;
                     }
                 }
@@ -177,247 +113,287 @@ fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set)
     Some(next)
 }
 
-/// Sum of the squares of the innovations.
-fn squares(runs: &[Around<'_>]) -> f64 {
-    let of = |run: &Around<'_>| run.followed.white.iter().map(|w| w[0] * w[0] + w[1] * w[1]).sum::<f64>();
-    runs.iter().map(of).sum()
+/// The candidates of a set by their names.
+fn names(linear: &Linear, set: &Set) -> Vec<&'static str> {
+    let candidates = linear.candidates.iter().zip(set);
+    let present = candidates.filter(|(_, chosen)| chosen.is_some());
+    present.map(|(candidate, _)| candidate.id).collect()
 }
 
-/// Adds, one after the other, the single effects that explain most when refitted, until the linear solution holds or none
-/// explains a tenth of what is left. Only the first run is looked at.
-fn approach(mut model: Model, scenario: &Scenario, start: State, noise: Noise, log: &mut Vec<String>) -> Option<Model> {
-    for _ in 0..4 {
+/// A step towards the data: the model with one effect more, and what it leaves.
+struct Step {
+    model: Model,
+    squares: f64,
+    candidate: usize,
+}
+
+/// Adds the single effects that explain most when refitted, one after the other, until the linear solution holds or none
+/// explains a good part of what is left. Only the first run is looked at.
+fn approach(mut model: Model, scenario: &Scenario, start: State, noise: Noise) -> Option<Model> {
+    for _ in 0..MOST_STEPS {
         let runs = around(&model, &[scenario], &[start], noise)?;
         let rows = runs[0].follower.rows as f64;
         let now = squares(&runs);
-        if now / rows < FAR {
+        if now < FAR * rows {
             break;
         }
-        let linear = linearise(&model, &runs, false)?;
-        let reduced = Reduced::new(&linear, 1.0, false)?;
-        let set: Set = linear.candidates.iter().map(|c| c.in_model.then_some(0)).collect();
-        let columns = reduced.columns(&set);
-        let mut singles: Vec<(f64, Set, &'static str)> = Vec::new();
-        for (k, c) in linear.candidates.iter().enumerate() {
-            if c.in_model || c.excludes.iter().any(|o| set[*o].is_some()) {
-                continue;
-            }
-            let logs = reduced.conditional(&columns, k);
-            let mut order: Vec<usize> = (0..logs.len()).collect();
-            order.sort_by(|a, b| logs[*b].total_cmp(&logs[*a]));
-            // Where the shape is all that there is, it has to be near.
-            let starts = if c.variants[0].mean > 0.0 { 3 } else { 1 };
-            for v in order.into_iter().take(starts) {
-                let mut with = set.clone();
-                with[k] = Some(v);
-                singles.push((logs[v], with, c.id));
-            }
-        }
-        singles.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let most = singles.first()?.0;
-        let mut best: Option<(Model, f64, usize)> = None;
-        for (gain, with, id) in singles.iter().take(6) {
-            if *gain < 0.2 * most {
-                break;
-            }
-            let Some(next) = at_solution(&model, &linear, &reduced, with) else { continue };
-            let Some((next, cost)) = refit(&next, &runs, noise, true) else { continue };
-            log.push(format!("   tries {id} gain {gain:.0} of {:.0} cost {:.3}", 0.5 * now, cost / rows));
-            if best.as_ref().is_none_or(|b| cost < b.1) {
-                let k = (0..set.len()).find(|k| with[*k] != set[*k])?;
-                best = Some((next, cost, k));
-            }
-        }
-        // A search that began too far off ends in a hollow: where the shape is all that there is, the others are tried too.
-        if let Some((_, cost, k)) = &best
-            && *cost > FAR * rows
-            && linear.candidates[*k].variants[0].mean > 0.0
-        {
-            let k = *k;
-            for v in 0..linear.candidates[k].variants.len() {
-                let mut with = set.clone();
-                with[k] = Some(v);
-                if singles.iter().take(6).any(|s| s.1 == with) {
-                    continue;
-                }
-                let Some(next) = at_solution(&model, &linear, &reduced, &with) else { continue };
-                let Some((next, cost)) = refit(&next, &runs, noise, true) else { continue };
-                log.push(format!("   tries again cost {:.3}", cost / rows));
-                if best.as_ref().is_none_or(|b| cost < b.1) {
-                    best = Some((next, cost, k));
-                }
-                if cost < FAR * rows { break; }
-            }
-        }
-        match best {
-            Some((next, cost, _)) if cost < 0.9 * now => model = next,
+        let step = best_step(&model, &runs, FAR * rows)?;
+        match step {
+            Some(step) if step.squares < WORTH_A_STEP * now => model = step.model,
             _ => break,
         }
     }
     Some(model)
 }
 
-pub fn search(model: &Model, scenarios: &[&Scenario], starts: &[State], floor: Noise) -> Option<Found> {
-    let mut log = Vec::new();
-    let clock = std::time::Instant::now();
-    let ms = || clock.elapsed().as_secs_f64() * 1e3;
-    let mut model = approach(model.clone(), scenarios[0], starts[0], floor, &mut log)?;
-    log.push(format!("approached {:.0} ms {:?}", ms(), model.effect_ids()));
+/// The best single effect beside `model`; `near` is where the squares are small enough.
+fn best_step(model: &Model, runs: &[Around<'_>], near: f64) -> Option<Option<Step>> {
+    let linear = linearise(model, runs, false)?;
+    let reduced = Reduced::new(&linear, 1.0, false)?;
+    let set = present(&linear);
+    let columns = reduced.columns(&set);
+    let with = |candidate: usize, variant: usize| {
+        let mut with = set.clone();
+        with[candidate] = Some(variant);
+        with
+    };
+    let mut singles: Vec<(f64, usize, usize)> = Vec::new();
+    for (k, candidate) in linear.candidates.iter().enumerate() {
+        if candidate.in_model || candidate.excludes.iter().any(|other| set[*other].is_some()) {
+            continue;
+        }
+        let logs = reduced.conditional(&columns, k);
+        let mut order: Vec<usize> = (0..logs.len()).collect();
+        order.sort_by(|a, b| logs[*b].total_cmp(&logs[*a]));
+        // Where the shape is all that there is, a start has to be near it.
+        let starts = if candidate.is_whole() { STARTS } else { 1 };
+        singles.extend(order.into_iter().take(starts).map(|v| (logs[v], k, v)));
+    }
+    singles.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let most = singles.first()?.0;
+    singles.truncate(MOST_SINGLES);
+    singles.retain(|single| single.0 >= WORTH_A_REFIT * most);
+    let mut best: Option<Step> = None;
+    let mut take = |candidate: usize, variant: usize| {
+        let start = at_solution(model, &linear, &reduced, &with(candidate, variant))?;
+        let (model, squares) = fit(&start, runs)?;
+        if best.as_ref().is_none_or(|best| squares < best.squares) {
+            best = Some(Step {
+                model,
+                squares,
+                candidate,
+            });
+        }
+        best.as_ref().map(|best| (best.candidate, best.squares))
+    };
+    let mut leads = None;
+    for (_, candidate, variant) in &singles {
+        leads = take(*candidate, *variant).or(leads);
+    }
+    // A fit that began too far off ends in a hollow: the other forms of what leads are tried too.
+    if let Some((candidate, mut squares)) = leads
+        && linear.candidates[candidate].is_whole()
+    {
+        for variant in 0..linear.candidates[candidate].variants.len() {
+            if squares < near {
+                break;
+            }
+            let tried = (candidate, variant);
+            if !singles.iter().any(|single| (single.1, single.2) == tried) {
+                squares = take(candidate, variant).map_or(squares, |leads| leads.1);
+            }
+        }
+    }
+    Some(best)
+}
+
+/// Searches from `model` on; `floor` is the noise to begin with, whose sensors are those at rest. `None` where the model
+/// cannot be followed on the runs.
+pub(super) fn search(
+    model: &Model,
+    scenarios: &[&Scenario],
+    starts: &[State],
+    floor: Noise,
+) -> Option<Found> {
+    let mut model = approach(model.clone(), scenarios[0], starts[0], floor)?;
     let mut noise = floor;
     let mut seen: Vec<Vec<&'static str>> = Vec::new();
-    for round in 0..ROUNDS {
+    for round in 0..MOST_ROUNDS {
+        // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
+        let unknowns = round > 0;
         let mut runs = around(&model, scenarios, starts, noise)?;
-        let now = squares(&runs);
-        let mut linear = linearise(&model, &runs, round > 0)?;
+        let mut linear = linearise(&model, &runs, unknowns)?;
         let mut reduced = Reduced::new(&linear, 1.0, true)?;
-        let present: Set = linear.candidates.iter().map(|c| c.in_model.then_some(0)).collect();
-        let sets: Vec<Set> = vec![vec![None; present.len()], present.clone()];
+        let sets = [vec![None; linear.candidates.len()], present(&linear)];
         let mut posterior = select(&reduced, &sets);
-        let better = if round < 3 { likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, noise) } else { noise };
-        log.push(format!("round {round} {:.0} ms: chi2/n {:.3} noise {:?}", ms(), now / linear.rows as f64, better));
-        let moved = (better.disturbance_n_m / noise.disturbance_n_m).ln().abs() > 0.2 || (better.voltage_v / noise.voltage_v).ln().abs() > 0.3;
-        if moved {
-            noise = better;
-            drop(reduced);
-            runs = around(&model, scenarios, starts, noise)?;
-            linear = linearise(&model, &runs, round > 0)?;
-            reduced = Reduced::new(&linear, 1.0, true)?;
-            posterior = select(&reduced, &sets);
-        }
-        let now = squares(&runs);
-        let names: Vec<&'static str> = linear.candidates.iter().zip(&posterior.best).filter(|(_, v)| v.is_some()).map(|(c, _)| c.id).collect();
-        let promised = reduced.squares - {
-            let columns = reduced.columns(&posterior.best);
-            let (mean, _) = reduced.sizes(&columns)?;
-            columns.iter().zip(mean.iter()).map(|(c, m)| reduced.right[*c] * m).sum::<f64>()
-        };
-        log.push(format!("   {:.0} ms: now {:.3} promised {:.3} best {names:?}", ms(), now / linear.rows as f64, promised / linear.rows as f64));
-        let stands = round > 1 && seen[1..].contains(&names) || round == 1 && seen[0] == names;
-        if stands || round + 1 == ROUNDS {
-            let columns = reduced.columns(&posterior.best);
-            let excess = excess(&linear, &reduced, &posterior.best, &runs).max(1.0);
-            log.push(format!("done {:.0} ms, excess {excess:.2}", ms()));
-            if excess > 1.0 {
-                let tempered = Reduced::new(&linear, excess, true)?;
-                posterior = select(&tempered, &[sets, vec![posterior.best.clone()]].concat());
+        if round < NOISE_ROUNDS {
+            let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, noise);
+            let change = |a: f64, b: f64| (a / b).ln().abs();
+            let moved = change(better.disturbance_n_m, noise.disturbance_n_m) > SAME_DISTURBANCE
+                || change(better.voltage_v, noise.voltage_v) > SAME_VOLTAGE;
+            if moved {
+                noise = better;
+                drop(reduced);
+                runs = around(&model, scenarios, starts, noise)?;
+                linear = linearise(&model, &runs, unknowns)?;
+                reduced = Reduced::new(&linear, 1.0, true)?;
+                posterior = select(&reduced, &sets);
             }
-            let (mean, covariance) = reduced.sizes(&columns)?;
-            let unknown_share = unknown_shares(&linear, &posterior.best, &columns, mean.as_slice(), &runs);
+        }
+        let set = names(&linear, &posterior.best);
+        let stands = seen.iter().skip(1).any(|before| *before == set)
+            || round == 1 && seen[0] == set;
+        if stands || round + 1 == MOST_ROUNDS {
+            let excess = excess(&linear, &reduced, &posterior.best, &runs);
+            let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
+            if excess > 1.0 {
+                let wider = Reduced::new(&linear, excess, true)?;
+                posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
+            }
             drop(reduced);
             drop(runs);
-            return Some(Found { model, noise, posterior, mean: mean.iter().copied().collect(), covariance, columns, linear, excess, unknown_share, log });
+            return Some(Found {
+                model,
+                linear,
+                posterior,
+                excess,
+                unknown_share,
+            });
         }
-        seen.push(names);
-        let next = at_solution(&model, &linear, &reduced, &posterior.best)?;
-        let changed = next.effect_ids() != model.effect_ids();
-        let (next, cost) = refit(&next, &runs, noise, true)?;
-        log.push(format!("   {:.0} ms: refit cost {:.3}", ms(), cost / linear.rows as f64));
-        if cost < 1.05 * now || !changed {
+        seen.push(set);
+        let now = squares(&runs);
+        let start = at_solution(&model, &linear, &reduced, &posterior.best)?;
+        let changes = start.effect_ids() != model.effect_ids();
+        let (next, left) = fit(&start, &runs)?;
+        if left < LOST * now || !changes {
+            drop(reduced);
+            drop(runs);
             model = next;
-        } else {
-            log.push("   refused".to_owned());
         }
     }
     None
 }
 
-/// What each unknown part of a set takes from the error of the runs as it would run freely.
-fn unknown_shares(linear: &Linear, set: &Set, columns: &[usize], mean: &[f64], runs: &[Around<'_>]) -> Vec<f64> {
+/// The linear solution of a set in all columns, the nuisances' first.
+fn solution(linear: &Linear, reduced: &Reduced<'_>, set: &Set) -> Option<DVector<f64>> {
     let m = linear.nuisances.len();
-    let free = |run: &Around<'_>, white: &dyn Fn(usize) -> [f64; 2]| -> Vec<[f64; 2]> {
-        let mut track = super::follow::Deviation::default();
-        (0..run.scenario.samples())
-            .map(|sample| {
-                let passage = &run.follower.passages[sample];
-                if passage.interval_s > 0.0 {
-                    track.pass(passage, [0.0; 2], run.follower.forgets[sample], &run.dynamics);
-                }
-                let update = &run.follower.updates[sample];
-                let z = track.colour(update, white(sample));
-                [z[0] / run.noise.current_a, z[1] / run.noise.speed_rad_s]
-            })
-            .collect()
-    };
-    linear
-        .candidates
-        .iter()
-        .zip(set)
-        .map(|(candidate, chosen)| {
-            let (true, Some(v)) = (candidate.unknown, chosen) else { return 0.0 };
-            let (mut before, mut after, mut floor) = (0.0, 0.0, 0.0);
-            for (run, w) in runs.iter().zip(&linear.columns) {
-                let mut own = nalgebra::DVector::zeros(w.ncols());
-                for column in &candidate.variants[*v].columns {
-                    if let Some(at) = columns.iter().position(|c| c + m == *column) {
-                        own[*column] = mean[at];
-                    }
-                }
-                let part = w * own;
-                let shift = w * &linear.present;
-                let whole = free(run, &|k| {
-                    let white = run.followed.white[k];
-                    [white[0] + shift[2 * k], white[1] + shift[2 * k + 1]]
-                });
-                let part = free(run, &|k| [part[2 * k], part[2 * k + 1]]);
-                for (z, p) in whole.iter().zip(&part) {
-                    for signal in 0..2 {
-                        before += z[signal].powi(2);
-                        after += (z[signal] - p[signal]).powi(2);
-                    }
-                }
-                floor += run.follower.rows as f64;
+    let columns = reduced.columns(set);
+    let (mean, _) = reduced.sizes(&columns)?;
+    let mut solution = DVector::zeros(linear.gram.nrows());
+    for (column, mean) in columns.iter().zip(mean.iter()) {
+        solution[column + m] = *mean;
+    }
+    let mut normal = linear.gram.view((0, 0), (m, m)).into_owned();
+    for (k, sd) in linear.nuisances.iter().enumerate() {
+        normal[(k, k)] += 1.0 / (sd * sd);
+    }
+    let explained = &linear.gram * &solution;
+    let right = linear.right.rows(0, m) - explained.rows(0, m);
+    let nuisances = normal.cholesky()?.solve(&right);
+    solution.rows_mut(0, m).copy_from(&nuisances);
+    Some(solution)
+}
+
+/// What columns do to the readings of a run that is left to itself, in standard deviations of the sensors.
+fn readings(run: &Around<'_>, white: impl Fn(usize) -> [f64; 2]) -> Vec<[f64; 2]> {
+    let mut track = Deviation::default();
+    (0..run.scenario.samples())
+        .map(|sample| {
+            let passage = &run.follower.passages[sample];
+            if passage.interval_s > 0.0 {
+                let forget = run.follower.forgets[sample];
+                track.pass(passage, [0.0; 2], forget, &run.dynamics);
             }
-            if before > floor { ((before - after) / (before - floor)).clamp(0.0, 1.0) } else { 0.0 }
+            let [current_a, speed_rad_s] =
+                track.colour(&run.follower.updates[sample], white(sample));
+            [
+                current_a / run.noise.current_a,
+                speed_rad_s / run.noise.speed_rad_s,
+            ]
         })
         .collect()
 }
 
+/// What each unknown part of a set takes from the error that the runs have without the set.
+fn unknown_shares(
+    linear: &Linear,
+    reduced: &Reduced<'_>,
+    set: &Set,
+    runs: &[Around<'_>],
+) -> Option<Vec<f64>> {
+    let solution = solution(linear, reduced, set)?;
+    let share = |variant: usize, candidate: usize| {
+        let (mut before, mut after, mut floor) = (0.0, 0.0, 0.0);
+        for (run, columns) in runs.iter().zip(&linear.columns) {
+            let mut own = DVector::zeros(solution.len());
+            for column in &linear.candidates[candidate].variants[variant].columns {
+                own[*column] = solution[*column];
+            }
+            let (part, shift) = (columns * own, columns * &linear.present);
+            let whole = readings(run, |sample| {
+                let white = run.followed.white[sample];
+                [0, 1].map(|signal| white[signal] + shift[2 * sample + signal])
+            });
+            let part = readings(run, |sample| [part[2 * sample], part[2 * sample + 1]]);
+            for (whole, part) in whole.iter().flatten().zip(part.iter().flatten()) {
+                before += whole * whole;
+                after += (whole - part).powi(2);
+            }
+            floor += run.follower.rows as f64;
+        }
+        if before > floor {
+            ((before - after) / (before - floor)).clamp(0.0, 1.0)
+        } else {
+            0.0
+        }
+    };
+    let candidates = linear.candidates.iter().zip(set).enumerate();
+    Some(
+        candidates
+            .map(|(k, (candidate, chosen))| match chosen {
+                Some(variant) if candidate.unknown => share(*variant, k),
+                _ => 0.0,
+            })
+            .collect(),
+    )
+}
+
 /// Lags over which what is left may be alike.
 const LAGS: usize = 40;
+/// Standard deviations of chance that a correlation must exceed to count.
+const BY_CHANCE: f64 = 2.0;
 
-/// How many times as large as white noise's the variance of sums of what the best set leaves is; one where it is white.
+/// How many times as large as white noise's the variance of sums of what the best set leaves is, in the worse of the two
+/// signals; at least one.
 fn excess(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]) -> f64 {
-    let m = linear.nuisances.len();
-    let columns = reduced.columns(set);
-    let Some((mean, _)) = reduced.sizes(&columns) else { return 1.0 };
-    // The nuisances' part of the solution.
-    let mut solution = nalgebra::DVector::zeros(linear.gram.nrows());
-    for (column, mean) in columns.iter().zip(mean.iter()) {
-        solution[column + m] = *mean;
-    }
-    let mut base = linear.gram.view((0, 0), (m, m)).into_owned();
-    for (k, sd) in linear.nuisances.iter().enumerate() {
-        base[(k, k)] += 1.0 / (sd * sd);
-    }
-    let right = linear.right.rows(0, m) - (&linear.gram * &solution).rows(0, m);
-    if let Some(factor) = base.cholesky() {
-        let nuisance = factor.solve(&right.into_owned());
-        solution.rows_mut(0, m).copy_from(&nuisance);
-    }
+    let Some(solution) = solution(linear, reduced, set) else {
+        return 1.0;
+    };
+    let explained = &solution - &linear.present;
+    let left: Vec<DVector<f64>> = linear.columns.iter().map(|w| w * &explained).collect();
     let mut worst: f64 = 1.0;
     for signal in 0..2 {
-        let mut sums = vec![0.0; LAGS + 1];
+        let mut sums = [0.0; LAGS + 1];
         let mut count = 0.0;
-        for (run, w) in runs.iter().zip(&linear.columns) {
-            let explained = w * (&solution - &linear.present);
-            let left: Vec<f64> = run.followed.white.iter().enumerate().filter(|(k, _)| {
-                let u = &run.follower.updates[*k];
-                [u.current[4], u.speed[4]][signal] > 0.0
-            }).map(|(k, white)| white[signal] - explained[2 * k + signal]).collect();
+        for (run, explained) in runs.iter().zip(&left) {
+            let is_measured = |sample: &usize| {
+                let update = &run.follower.updates[*sample];
+                [update.current, update.speed][signal][4] > 0.0
+            };
+            let left: Vec<f64> = (0..run.scenario.samples())
+                .filter(is_measured)
+                .map(|k| run.followed.white[k][signal] - explained[2 * k + signal])
+                .collect();
             count += left.len() as f64;
-            for (lag, sum) in sums.iter_mut().enumerate() {
-                if left.len() > lag {
-                    *sum += left.iter().zip(&left[lag..]).map(|(a, b)| a * b).sum::<f64>();
-                }
+            for (lag, sum) in sums.iter_mut().enumerate().take(left.len()) {
+                let products = left.iter().zip(&left[lag..]);
+                *sum += products.map(|(a, b)| a * b).sum::<f64>();
             }
         }
         if count > 0.0 {
-            let mut long = sums[0];
-            for sum in &sums[1..] {
-                if *sum <= 2.0 * sums[0] / count.sqrt() { break; }
-                long += 2.0 * sum;
-            }
-            worst = worst.max(long / count);
+            let chance = BY_CHANCE * sums[0] / f64::sqrt(count);
+            let alike = sums[1..].iter().take_while(|sum| **sum > chance);
+            worst = worst.max((sums[0] + 2.0 * alike.sum::<f64>()) / count);
         }
     }
     worst

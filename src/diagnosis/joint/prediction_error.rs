@@ -1,0 +1,202 @@
+//! Prediction-error fit: every free parameter of a model, and of its effects, from the whitened innovations of the runs.
+
+use super::columns::{Around, SLAB};
+use super::follow::follow;
+use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
+use crate::numerics::levenberg_marquardt::{self, Options, Problem};
+use crate::plant::{Model, ParameterRole, Scenario, Slot, typical_size};
+
+/// Prior standard deviations: of the logarithm of a motor's parameter and of a shape's, and of a shape that may be zero in
+/// units of its scale.
+const MOTOR: f64 = 0.3;
+const SHAPE: f64 = 1.0;
+const LINEAR_SHAPE: f64 = 3.0;
+
+/// How a parameter and its coordinate belong together.
+#[derive(Clone, Copy)]
+enum Unit {
+    /// `p = exp(x)`, with a normal prior about `at`.
+    Logarithm { range: (f64, f64), sd: f64, at: f64 },
+    /// `p = unit x`, with a normal prior of one about `at`.
+    Linear { range: (f64, f64), unit: f64, at: f64 },
+}
+
+impl Unit {
+    /// `None` for what is not fitted: the number of cogs, and the time of an event.
+    fn of(slot: &Slot, value: f64, model: &Model, scenario: &Scenario) -> Option<Self> {
+        let Slot::Effect {
+            spec,
+            index,
+            parameter,
+            ..
+        } = slot
+        else {
+            return Some(Self::Logarithm {
+                range: (1e-12, 1e9),
+                sd: MOTOR,
+                at: value.ln(),
+            });
+        };
+        if matches!(
+            spec.role,
+            ParameterRole::Choice | ParameterRole::EventTime
+        ) {
+            return None;
+        }
+        let effect = model.effects[*index].effect;
+        if spec.is_coefficient() {
+            let least = if takes_power(effect.card().id) {
+                0.0
+            } else {
+                spec.min
+            };
+            return Some(Self::Linear {
+                range: (least, spec.max),
+                unit: SLAB * typical_size(effect, *parameter, model, scenario),
+                at: 0.0,
+            });
+        }
+        if !spec.logarithmic {
+            let unit = LINEAR_SHAPE * spec.scale;
+            return Some(Self::Linear {
+                range: (spec.min, spec.max),
+                unit,
+                at: value / unit,
+            });
+        }
+        let least = if spec.key == "boundary_a" {
+            LEAST_BOUNDARY_A
+        } else {
+            spec.min
+        };
+        Some(Self::Logarithm {
+            range: (least, spec.max),
+            sd: SHAPE,
+            at: value.ln(),
+        })
+    }
+
+    fn to_x(self, value: f64) -> f64 {
+        match self {
+            Self::Logarithm { range, .. } => value.clamp(range.0, range.1).ln(),
+            Self::Linear { unit, .. } => value / unit,
+        }
+    }
+
+    fn to_value(self, x: f64) -> f64 {
+        match self {
+            Self::Logarithm { .. } => x.exp(),
+            Self::Linear { unit, .. } => x * unit,
+        }
+    }
+
+    /// How far from what was believed before, in standard deviations.
+    fn surprise(self, x: f64) -> f64 {
+        match self {
+            Self::Logarithm { sd, at, .. } => (x - at) / sd,
+            Self::Linear { at, .. } => x - at,
+        }
+    }
+}
+
+/// Whitened innovations of the runs, and behind them the priors, as a function of the coordinates.
+struct Innovations<'a> {
+    model: Model,
+    free: Vec<(Slot, Unit)>,
+    runs: &'a [Around<'a>],
+    len: usize,
+}
+
+impl<'a> Innovations<'a> {
+    fn new(model: &Model, runs: &'a [Around<'a>]) -> Self {
+        let free: Vec<(Slot, Unit)> = model
+            .free_slots()
+            .into_iter()
+            .filter_map(|slot| {
+                let unit = Unit::of(&slot, model.get(&slot)?, model, runs[0].scenario)?;
+                Some((slot, unit))
+            })
+            .collect();
+        let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
+        Self {
+            model: model.clone(),
+            len: 2 * samples + free.len(),
+            free,
+            runs,
+        }
+    }
+
+    fn start(&self) -> Vec<f64> {
+        let value = |slot| self.model.get(slot).unwrap_or(f64::NAN);
+        let free = self.free.iter();
+        free.map(|(slot, unit)| unit.to_x(value(slot))).collect()
+    }
+
+    fn model_at(&self, x: &[f64]) -> Model {
+        let mut model = self.model.clone();
+        for ((slot, unit), x) in self.free.iter().zip(x) {
+            model.set(slot, unit.to_value(*x));
+        }
+        model
+    }
+}
+
+impl Problem for Innovations<'_> {
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
+        let model = self.model_at(x);
+        let mut cells = out.iter_mut();
+        let mut white = Vec::new();
+        for run in self.runs {
+            let Around {
+                follower,
+                scenario,
+                start,
+                noise,
+                ..
+            } = run;
+            if !follow(follower, &model, scenario, *start, noise, &mut white) {
+                return false;
+            }
+            for (value, cell) in white.iter().flatten().zip(&mut cells) {
+                *cell = *value;
+            }
+        }
+        for (((_, unit), x), cell) in self.free.iter().zip(x).zip(cells) {
+            *cell = unit.surprise(*x);
+        }
+        true
+    }
+
+    fn residual_len(&self) -> usize {
+        self.len
+    }
+
+    fn difference_step(&self, index: usize) -> f64 {
+        match self.free[index].1 {
+            Unit::Logarithm { .. } => 2e-3,
+            Unit::Linear { .. } => 5e-3,
+        }
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        for (x, (_, unit)) in x.iter_mut().zip(&self.free) {
+            *x = match unit {
+                Unit::Logarithm { range, .. } => x.clamp(range.0.ln(), range.1.ln()),
+                Unit::Linear { range, unit, .. } => x.clamp(range.0 / unit, range.1 / unit),
+            };
+        }
+    }
+}
+
+/// Fits all that is free in `model` to runs that were followed with a model near it, with the noise found there; and the
+/// sum of the squares of what is left. `None` where it cannot be simulated.
+pub(super) fn fit(model: &Model, runs: &[Around<'_>]) -> Option<(Model, f64)> {
+    let problem = Innovations::new(model, runs);
+    let options = Options {
+        relative_cost: 1e-4,
+        carry_jacobian: true,
+        ..Options::default()
+    };
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
+    Some((problem.model_at(&minimum.x), minimum.cost))
+}
