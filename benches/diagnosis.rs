@@ -7,7 +7,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drivebench::diagnosis::{Evidence, Options, Thoroughness, diagnose_with, screen, silent};
+use drivebench::diagnosis::{Evidence, diagnose, screen, silent};
 use drivebench::plant::{Model, Motor};
 
 /// Name of the case, a model for the truth, and the two runs that it gives.
@@ -59,25 +59,16 @@ fn screened(criterion: &mut Criterion) {
 }
 
 fn diagnosed(criterion: &mut Criterion) {
-    for (group, thoroughness) in [
-        ("diagnose", Thoroughness::Promising),
-        ("diagnose_everything", Thoroughness::Everything),
-    ] {
-        let mut group = criterion.benchmark_group(group);
-        group
-            .sample_size(12)
-            .measurement_time(Duration::from_secs(8));
-        for (name, evidence) in cases() {
-            let options = Options {
-                thoroughness,
-                ..Options::default()
-            };
-            group.bench_function(name, |bencher| {
-                bencher.iter(|| diagnose_with(&nameplate(), black_box(evidence.clone()), options));
-            });
-        }
-        group.finish();
+    let mut group = criterion.benchmark_group("diagnose");
+    group
+        .sample_size(12)
+        .measurement_time(Duration::from_secs(8));
+    for (name, evidence) in cases() {
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| diagnose(&nameplate(), black_box(evidence.clone()), false));
+        });
     }
+    group.finish();
 }
 
 criterion_group! {

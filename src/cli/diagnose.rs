@@ -168,12 +168,15 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
             status(candidate.status),
             candidate.evidence
         );
-        if matches!(candidate.status, Status::Supported | Status::Possible) {
+        if !candidate.parameters.is_empty() {
             let _ = writeln!(text, "   {:<12} {}", "", sizes(candidate));
             for peak in candidate.reached.iter().flat_map(Reached::peaks) {
                 let _ = writeln!(text, "   {:<12} {}", "", peak_text(&peak));
             }
         }
+    }
+    for part in &diagnosis.unknown {
+        let _ = writeln!(text, "unknown: {}", part.sentence);
     }
     if let Some(map) = diagnosis.axis_map.first().filter(|map| map.r2 >= FOLLOWS) {
         let _ = writeln!(text, "curve: {}", map.sentence);

@@ -17,6 +17,7 @@ use super::joint::answer::{Inference, Part, infer};
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::{self, Fit, FitError};
+use crate::plant::effect::CATALOGUE;
 use crate::plant::{Input, Model};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -143,9 +144,9 @@ pub fn diagnose_with(
     let (evidence, baseline) = evidence.with_baseline(model)?;
     (options.progress)(Event::Begun {
         stage: Stage::Screen,
-        of: 0,
+        of: CATALOGUE.len(),
     });
-    let inference = infer(&baseline, &evidence)?;
+    let inference = infer(&baseline, &evidence, options.progress)?;
     (options.progress)(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
@@ -181,6 +182,10 @@ fn climb(
             start = start.with_effect(id)?;
         }
         let fit = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
+        progress(Event::Refitted {
+            effect: id,
+            error: fit.nrms,
+        });
         let rung = standing(fit)?;
         progress(Event::Accepted {
             effect: id,

@@ -133,7 +133,7 @@ pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
             "status",
             "held-out error",
             "explains",
-            "ranks first",
+            "probability",
             "size ± 95 %, evidence",
         ],
         rows: diagnosis.candidates.iter().map(row).collect(),
@@ -183,14 +183,25 @@ fn row(candidate: &Candidate) -> Vec<Cell> {
                 .explained_percent
                 .map_or_else(dash, |percent| format!("{} %", number::fixed(percent, 0))),
         ),
-        Cell::text(format!("{:.0} %", 100.0 * candidate.probability)),
+        Cell::text(match candidate.status {
+            Status::NotExcited => dash(),
+            _ => format!("{:.0} %", 100.0 * candidate.probability),
+        }),
         Cell::text(if sizes.is_empty() {
-            dash()
+            at_most(candidate).unwrap_or_else(dash)
         } else {
             sizes.join("; ")
         })
         .with_note(capitalised(&candidate.evidence)),
     ]
+}
+
+/// What the size of an effect that is not named is below.
+fn at_most(candidate: &Candidate) -> Option<String> {
+    let spec = effect::find(candidate.effect)?.parameters().first()?;
+    let unit = if spec.unit == "-" { "" } else { spec.unit };
+    let bound = significant(candidate.upper_bound?, 2);
+    Some(format!("at most {bound} {unit}").trim_end().to_owned())
 }
 
 /// Key, value with its 95 % interval, unit.

@@ -5,6 +5,7 @@ use super::search::{self, Found};
 use super::select::{Reduced, Set};
 use crate::diagnosis::Evidence;
 use crate::diagnosis::evidence::HoldoutFrom;
+use crate::diagnosis::progress::Progress;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError};
 use crate::plant::effect::CATALOGUE;
@@ -62,7 +63,11 @@ pub(in crate::diagnosis) struct Inference {
 }
 
 /// Weighs all sets of effects beside `baseline` on the fit run and the hold-out together.
-pub(in crate::diagnosis) fn infer(baseline: &Fit, evidence: &Evidence) -> Result<Inference, FitError> {
+pub(in crate::diagnosis) fn infer(
+    baseline: &Fit,
+    evidence: &Evidence,
+    progress: Progress<'_>,
+) -> Result<Inference, FitError> {
     let failed = || FitError::CannotSimulate { run: evidence.training.name.clone() };
     // Where one run was split the whole of it speaks.
     let scenarios: Vec<&Scenario> = match evidence.holdout_from {
@@ -76,7 +81,7 @@ pub(in crate::diagnosis) fn infer(baseline: &Fit, evidence: &Evidence) -> Result
         .collect();
     let noise = beginning(&evidence.noise, baseline, &evidence.training);
     let given = baseline.model.effect_ids();
-    let found = search::search(&baseline.model, &scenarios, &starts, noise).ok_or_else(failed)?;
+    let found = search::search(&baseline.model, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
     let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
     let mut effects: Vec<Inferred> = CATALOGUE
         .iter()

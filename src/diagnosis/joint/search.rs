@@ -13,6 +13,7 @@ use super::noise::likeliest;
 use super::prediction_error::fit;
 use super::select::{Posterior, Reduced, Set, select};
 use crate::diagnosis::family::takes_power;
+use crate::diagnosis::progress::{Event, Progress};
 use crate::plant::{ActiveEffect, Model, Scenario, State, effect};
 
 /// Mean square of the innovations above which a linear solution is not believed.
@@ -214,6 +215,7 @@ pub(super) fn search(
     scenarios: &[&Scenario],
     starts: &[State],
     floor: Noise,
+    progress: Progress<'_>,
 ) -> Option<Found> {
     let mut model = approach(model.clone(), scenarios[0], starts[0], floor)?;
     let mut noise = floor;
@@ -224,6 +226,17 @@ pub(super) fn search(
         let mut runs = around(&model, scenarios, starts, noise)?;
         let mut linear = linearise(&model, &runs, unknowns)?;
         let mut reduced = Reduced::new(&linear, 1.0, true)?;
+        if round == 0 {
+            for (k, candidate) in linear.candidates.iter().enumerate() {
+                if k > 0 && linear.candidates[k - 1].id == candidate.id {
+                    continue;
+                }
+                progress(Event::Screened {
+                    effect: candidate.id,
+                    share: reduced.share_alone(k),
+                });
+            }
+        }
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
         let mut posterior = select(&reduced, &sets);
         if round < NOISE_ROUNDS {

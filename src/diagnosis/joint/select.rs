@@ -177,6 +177,21 @@ impl<'a> Reduced<'a> {
         log
     }
 
+    /// Share of the squares that the best form of a candidate alone would take away.
+    pub fn share_alone(&self, candidate: usize) -> f64 {
+        let m = self.linear.nuisances.len();
+        let explained = |columns: &[usize]| {
+            let (mean, _) = self.sizes(columns)?;
+            let parts = columns.iter().zip(mean.iter());
+            Some(parts.map(|(column, mean)| self.right[*column] * mean).sum::<f64>())
+        };
+        let variants = self.linear.candidates[candidate].variants.iter();
+        let most = variants
+            .filter_map(|variant| explained(&variant.columns.iter().map(|c| c - m).collect::<Vec<_>>()))
+            .fold(0.0, f64::max);
+        most / self.squares.max(f64::MIN_POSITIVE)
+    }
+
     /// Information on one column beside others, per squared slab.
     pub fn seen(&self, others: &[usize], column: usize) -> f64 {
         let Some((factor, _)) = self.factor(others) else { return 0.0 };

@@ -34,7 +34,7 @@ pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &
     } else if state.diagnosis.is_none() {
         "effects being judged: share of the error explained, to first order"
     } else {
-        "effects: status, share explained, size ± 95 %"
+        "effects: status, probability, size ± 95 %"
     };
     let rows = state.rows();
     let inner = titled_with(title, &place(state, &rows, area), area, buffer);
@@ -98,26 +98,25 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
                 Span::styled(word, style),
                 Span::raw(format!("{:<24} ", candidate.effect)),
             ];
-            // What would not have shown explains nothing that could be believed.
+            // What would not have shown has no probability but that of before.
             let is_seen = candidate.status != Status::NotExcited;
             let bar_length = match width {
                 WIDE.. => BAR,
                 NARROW.. => NARROW_BAR,
                 _ => 0,
             };
-            let explained = candidate.explained_percent.filter(|_| is_seen);
-            let explained = explained.map(|percent| percent / 100.0);
-            spans.extend(share(explained, bar_length));
-            let is_named = matches!(candidate.status, Status::Supported | Status::Possible);
+            let probability = Some(candidate.probability).filter(|_| is_seen);
+            spans.extend(share(probability, bar_length));
+            let is_named = !candidate.parameters.is_empty();
             let text = if is_named {
                 size(candidate, width >= WIDE)
-            } else if width < SLIM {
-                detectable(candidate).map(|text| text.trim_start_matches("seen ").to_owned())
+            } else if is_seen {
+                at_most(candidate)
             } else {
-                detectable(candidate)
+                None
             };
             spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
-            if let (true, Some(text)) = (width >= WIDE && is_named, detectable(candidate)) {
+            if let (true, Some(text)) = (width >= WIDE && is_seen, detectable(candidate)) {
                 let used: usize = spans.iter().map(Span::width).sum();
                 // Half a unit would be another unit.
                 if used + text.chars().count() + 4 <= width {
@@ -205,21 +204,26 @@ pub(super) fn interval(estimate: &ParameterEstimate) -> String {
         .to_owned()
 }
 
-/// The smallest size that would have been seen.
-pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
+/// A size in the unit of the parameter that gives the effect its size.
+fn in_words(candidate: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
     let effect = crate::plant::effect::find(candidate.effect)?;
     let key = size_key(effect);
-    let unit = effect
-        .parameters()
-        .iter()
-        .find(|spec| spec.key == key)?
-        .unit;
-    let least = candidate
-        .detectable
-        .filter(|size| size.is_finite())?;
+    let specs = effect.parameters().iter();
+    let unit = specs.clone().find(|spec| spec.key == key)?.unit;
+    let size = size.filter(|size| size.is_finite())?;
     Some(
-        format!("seen from {least:.1e} {}", shown_unit(unit))
+        format!("{lead} {size:.1e} {}", shown_unit(unit))
             .trim_end()
             .to_owned(),
     )
+}
+
+/// What its size is below.
+pub(super) fn at_most(candidate: &Candidate) -> Option<String> {
+    in_words(candidate, "at most", candidate.upper_bound)
+}
+
+/// The smallest size that would have been named.
+pub(super) fn detectable(candidate: &Candidate) -> Option<String> {
+    in_words(candidate, "seen from", candidate.detectable)
 }

@@ -3,7 +3,7 @@
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
-use super::candidates::{INTERVAL, detectable, interval, status};
+use super::candidates::{INTERVAL, at_most, detectable, interval, status};
 use super::{block, page, titled};
 use crate::diagnosis::Reached;
 use crate::tui::diagnosis::guess::Guessing;
@@ -39,6 +39,7 @@ pub(in crate::tui::diagnosis) fn card(
             let text = format!("{}{reason}, 95 % interval", interval(parameter));
             lines.push(block(key, text));
         }
+        lines.extend(at_most(candidate).map(|text| block("size", text)));
         lines.extend(detectable(candidate).map(|text| block("visible", text)));
         for peak in candidate.reached.iter().flat_map(Reached::peaks) {
             let std = peak.std.map(|std| INTERVAL * std);
@@ -54,12 +55,11 @@ pub(in crate::tui::diagnosis) fn card(
                 "doubled, as more than noise is left over: they hold if nothing else is missing";
             lines.push(block("intervals", text));
         }
-        let error = candidate.error_after.map_or_else(
-            || "not refitted".to_owned(),
-            |after| format!("training error {:.2} -> {after:.2}", candidate.error_before),
-        );
+        let error = candidate.error_after.map_or_else(String::new, |after| {
+            format!("; training error {:.2} -> {after:.2}", candidate.error_before)
+        });
         let text = format!(
-            "{}; first in {:.0} % of the bootstraps of the hold-out; {error}",
+            "{}; there with {:.0} %{error}",
             candidate.rank,
             100.0 * candidate.probability,
         );

@@ -6,12 +6,11 @@ use ratatui::layout::Rect;
 use crate::tui::diagnosis::keys::HELP;
 use crate::tui::widget;
 
-const MEANING: [&str; 6] = [
+const MEANING: [&str; 5] = [
     "Errors: free-running model, a run that the fit has not seen, in units of the noise.",
-    "supported: pays on the held-out run and is in the answer. possible: pays, but less, or is not told apart.",
-    "ruled out: would have shown and does not pay. not excited: this run would not show it.",
-    "No share stands where the first-order screen was enough to rule an effect out: it was not refitted.",
-    "seen from: the smallest size that this run would have shown.",
+    "Per cent: how likely the effect is there, weighed with all the others at once.",
+    "supported: 90 % and more. possible: 10 to 90 %. ruled out: less; it is at most as large as it says.",
+    "not excited: this run would not show it. seen from: the smallest size that would have been named.",
     "A name is an equation, not a cause: the card lists causes that share it.",
 ];
 
