@@ -93,16 +93,6 @@ fn figures() -> Vec<Figure> {
             Some(500.0 * MS),
         ),
         figure(
-            "diagnose_everything/nothing_missing",
-            "`diagnose` with every candidate refitted from two starts, nothing missing",
-            Some(1200.0 * MS),
-        ),
-        figure(
-            "diagnose_everything/stribeck_missing",
-            "the same, one effect missing",
-            Some(1200.0 * MS),
-        ),
-        figure(
             "free_run/baseline",
             "free run of the baseline, 12 s at 1 kHz",
             Some(0.5 * MS),

@@ -200,3 +200,72 @@ pub(super) fn fit(model: &Model, runs: &[Around<'_>]) -> Option<(Model, f64)> {
     let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
     Some((problem.model_at(&minimum.x), minimum.cost))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::joint::follow::Noise;
+    use crate::diagnosis::tests::{nameplate, record, truth};
+    use crate::identification::noise::NoiseFloor;
+    use crate::plant::{MotorKey, State};
+
+    fn noise(run: &Scenario, disturbance_n_m: f64) -> Noise {
+        let floor = NoiseFloor::from_standstill(run).unwrap();
+        Noise {
+            current_a: floor.current_a,
+            speed_rad_s: floor.speed_rad_s,
+            disturbance_n_m,
+            correlation_s: 0.5,
+            voltage_v: 1e-3,
+        }
+    }
+
+    /// Fits a nameplate that is off, with the effect to be found, on two runs of the truth.
+    fn fitted(disturbance_n_m: f64, load: impl Fn(f64) -> f64) -> Model {
+        let fan = truth("quadratic_load", &[2e-6]);
+        let runs = [0, 1].map(|shift| {
+            let mut run = record(&fan, shift, 7 + shift as u64);
+            // A load that wanders shows in the speed, through the motor's own slope of speed over torque.
+            let times = run.sample_time_s.clone();
+            for (speed, time_s) in run.speed_rad_s.iter_mut().zip(times) {
+                *speed += load(time_s);
+            }
+            run
+        });
+        let mut start = nameplate().with_effect("quadratic_load").unwrap();
+        start.effects[0].values = vec![Some(5e-7)];
+        for (key, factor) in [(MotorKey::Resistance, 1.2), (MotorKey::Inertia, 0.8)] {
+            let value = start.motor.get(key).unwrap();
+            start.motor.set(key, factor * value);
+        }
+        let around: Vec<Around<'_>> = runs
+            .iter()
+            .map(|run| {
+                let noise = noise(run, disturbance_n_m);
+                Around::new(&start, run, State::default(), noise).unwrap()
+            })
+            .collect();
+        fit(&start, &around).unwrap().0
+    }
+
+    #[test]
+    fn it_finds_motor_and_effect_together() {
+        let found = fitted(1e-4, |_| 0.0);
+        let motor = nameplate().motor;
+        for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
+            let ratio = found.motor.get(key).unwrap() / motor.get(key).unwrap();
+            assert!((ratio - 1.0).abs() < 0.01, "{key:?} {ratio}");
+        }
+        let size = found.effects[0].values[0].unwrap();
+        assert!((size / 2e-6 - 1.0).abs() < 0.03, "{size}");
+    }
+
+    #[test]
+    fn a_load_that_wanders_does_not_bend_what_it_finds() {
+        let wander = |time_s: f64| 1.5 * (0.9 * time_s).sin() + (2.3 * time_s).cos() - 1.0;
+        let size = |model: Model| model.effects[0].values[0].unwrap() / 2e-6 - 1.0;
+        let (aware, unaware) = (size(fitted(0.05, wander)), size(fitted(1e-4, wander)));
+        assert!(aware.abs() < 0.1, "{aware}");
+        assert!(unaware.abs() > 1.5 * aware.abs(), "{unaware} {aware}");
+    }
+}

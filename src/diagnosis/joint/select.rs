@@ -348,3 +348,119 @@ pub fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
     sets.retain(|s| s.1 > best_log - 7.0);
     Posterior { probability, best, best_log, log_factor, sets, forms }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::joint::columns::{Candidate, Variant};
+
+    /// One column for each candidate, with this normal matrix and these products with the residual.
+    fn linear(gram: &[&[f64]], right: &[f64]) -> Linear {
+        let n = right.len();
+        let candidate = |column: usize| Candidate {
+            id: ["viscous_friction", "quadratic_load", "voltage_drop"][column],
+            in_model: false,
+            unknown: false,
+            log_odds: (0.1_f64 / 0.9).ln(),
+            variants: vec![Variant {
+                columns: vec![column],
+                values: vec![1.0],
+                units: vec![1.0],
+                parameters: vec![0],
+                present: vec![0.0],
+                mean: 0.0,
+                positive: false,
+                log_prior: 0.0,
+            }],
+            excludes: vec![],
+        };
+        Linear {
+            nuisances: vec![],
+            candidates: (0..n).map(candidate).collect(),
+            gram: DMatrix::from_fn(n, n, |r, c| gram[r][c]),
+            right: DVector::from_column_slice(right),
+            squares: 1000.0,
+            columns: vec![],
+            present: DVector::zeros(n),
+        }
+    }
+
+    fn weighed(linear: &Linear) -> Posterior {
+        let reduced = Reduced::new(linear, 1.0, false).unwrap();
+        let nothing = vec![None; linear.candidates.len()];
+        select(&reduced, &[nothing])
+    }
+
+    #[test]
+    fn one_effect_alone_has_the_odds_of_the_closed_form() {
+        for (g, b) in [(0.0, 0.0), (50.0, 3.0), (400.0, 60.0), (400.0, 75.0)] {
+            let found = weighed(&linear(&[&[g]], &[b]));
+            let odds = 0.1 / 0.9 * (0.5 * b * b / (g + 1.0)).exp() / (g + 1.0_f64).sqrt();
+            let expected = odds / (1.0 + odds);
+            assert!(
+                (found.probability[0] - expected).abs() < 1e-9,
+                "{g} {b}: {} {expected}",
+                found.probability[0]
+            );
+        }
+    }
+
+    #[test]
+    fn two_that_say_the_same_share_what_either_would_have() {
+        // The columns are all but one, and the residual lies along both.
+        let (g, b) = (1e4, 1e3);
+        let found = weighed(&linear(&[&[g, g - 1e-3], &[g - 1e-3, g]], &[b, b]));
+        let [one, other] = [found.probability[0], found.probability[1]];
+        assert!((one - other).abs() < 1e-6, "{one} {other}");
+        // Either alone nearly always, both sometimes: nothing speaks against it but the prior.
+        assert!((0.5..0.6).contains(&one), "{one}");
+        let alone = weighed(&linear(&[&[g]], &[b]));
+        assert!(alone.probability[0] > 0.999);
+    }
+
+    #[test]
+    fn what_a_strong_effect_would_hide_is_found_beside_it() {
+        // Judged alone the second has nothing to say: what it adds lies across what the first leaves.
+        let gram: &[&[f64]] = &[&[1e4, 6e3, 0.0], &[6e3, 1e4, 0.0], &[0.0, 0.0, 1e4]];
+        let truth = DVector::from_column_slice(&[0.5, -0.3, 0.0]);
+        let mut data = linear(gram, &[0.0; 3]);
+        data.right = &data.gram * truth;
+        assert!(data.right[1].abs() < 1e-9);
+        let found = weighed(&data);
+        assert!(found.probability[0] > 0.999 && found.probability[1] > 0.999);
+        assert!(found.probability[2] < 0.01, "{:?}", found.probability);
+    }
+
+    #[test]
+    fn a_sign_that_physics_forbids_takes_its_odds() {
+        let mut data = linear(&[&[400.0]], &[-60.0]);
+        assert!(weighed(&data).probability[0] > 0.3);
+        data.candidates[0].variants[0].positive = true;
+        assert!(weighed(&data).probability[0] < 1e-3);
+    }
+
+    #[test]
+    fn a_hair_of_everything_is_no_effect() {
+        // Fifty standard deviations from zero, and yet no more than a thousandth of its slab.
+        let g = 2.5e9;
+        let data = linear(&[&[g]], &[1e-3 * g]);
+        let bare = Reduced::new(&data, 1.0, false).unwrap();
+        assert!(select(&bare, &[vec![None]]).probability[0] > 0.999);
+        let real = Reduced::new(&data, 1.0, true).unwrap();
+        assert!(select(&real, &[vec![None]]).probability[0] < 0.1);
+    }
+
+    #[test]
+    fn what_is_there_wholly_or_not_at_all_is_not_there_by_halves() {
+        let mean = 1.0 / 0.15;
+        let at = |share: f64| {
+            let g = 400.0;
+            let mut data = linear(&[&[g]], &[share * mean * g]);
+            data.candidates[0].variants[0].mean = mean;
+            weighed(&data).probability[0]
+        };
+        assert!(at(1.0) > 0.999, "{}", at(1.0));
+        assert!(at(0.2) < 1e-6, "{}", at(0.2));
+        assert!(at(0.0) < 1e-6);
+    }
+}

@@ -114,3 +114,29 @@ fn nothing_is_named_with_a_size_that_no_machine_has() {
     let answer = answer(case);
     assert_ne!(answer.outcome, Outcome::Wrong, "{}", answer.sentence);
 }
+
+/// A machine as machines are: a small effect among four others, a load that wanders, sensors three times as noisy.
+#[test]
+#[cfg_attr(
+    debug_assertions,
+    ignore = "diagnoses of two runs at 1 kHz take a minute without optimisation"
+)]
+fn a_small_effect_is_named_beside_four_others_and_nothing_that_is_not_there() {
+    let size = Size {
+        sets: 1,
+        seed: 3,
+        reduced: false,
+    };
+    let wanted = ["eccentric_load", "speed_offset", "stribeck_friction"];
+    let cases = cases::all(size);
+    let harsh = cases
+        .iter()
+        .filter(|case| case.group == Group::Harsh && wanted.contains(&case.hidden[0]));
+    let mut seen = 0;
+    for case in harsh {
+        seen += 1;
+        let answer = answer(case);
+        assert_eq!(answer.outcome, Outcome::Right, "{}", answer.sentence);
+    }
+    assert_eq!(seen, wanted.len());
+}
