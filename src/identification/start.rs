@@ -225,6 +225,7 @@ mod tests {
                 speed_rad_s: vec![],
                 angle: vec![],
                 time_half_width_s: vec![],
+                unknown_input: vec![],
                 scored: 0..samples,
             };
             let out = Plant::new(&truth, Input::Voltage)
@@ -283,6 +284,7 @@ mod tests {
             speed_rad_s: vec![0.0; 20],
             angle: vec![],
             time_half_width_s: vec![],
+            unknown_input: vec![],
             scored: 0..20,
         };
         let mut partial = model.clone();

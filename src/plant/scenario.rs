@@ -7,7 +7,9 @@ use thiserror::Error;
 
 use super::limited::applied;
 use super::shaft_angle::continuous;
+use super::unknown_input::{self, Told, UnknownInput};
 use crate::numerics::count::whole;
+use crate::numerics::statistics::median;
 use crate::sample::{Channel, Origin, Run};
 
 /// What drives the model.
@@ -80,6 +82,8 @@ pub struct Scenario {
     pub angle: Vec<(f64, f64)>,
     /// Half-widths of the stamps of the samples, s, zero where the drive stamped them itself. Empty: it stamped all.
     pub time_half_width_s: Vec<f64>,
+    /// Where the voltage is not known, in order: rows were lost. `events` hold its estimate there. Empty in a whole record.
+    pub unknown_input: Vec<UnknownInput>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
 }
@@ -124,6 +128,7 @@ impl Scenario {
                 &run.points(Channel::Speed).collect::<Vec<_>>(),
             ),
             time_half_width_s: Vec::new(),
+            unknown_input: Vec::new(),
             scored: 0..0,
         };
         for (row, &time_s) in run.time_s().iter().enumerate() {
@@ -154,7 +159,71 @@ impl Scenario {
         }
         scenario.refuse_gaps()?;
         scenario.scored = 0..rows;
+        if input == Input::Voltage {
+            scenario.bridge_lost_rows();
+        }
         Ok(scenario)
+    }
+
+    /// Finds where the voltage is not known and puts its estimate there. What was measured in a long hole, and what a
+    /// simulation begins again with behind it, is no longer there to be met.
+    fn bridge_lost_rows(&mut self) {
+        let times = &self.sample_time_s;
+        let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let mut sample = 0;
+        let measured: Vec<[f64; 2]> = (self.events.iter())
+            .map(|(time_s, _)| {
+                while sample < times.len() && times[sample] < *time_s {
+                    sample += 1;
+                }
+                // Rows are the same where their stamps are, to the bit.
+                let own = times.get(sample).is_some_and(|time| time <= time_s);
+                if own {
+                    [self.current_a[sample], self.speed_rad_s[sample]]
+                } else {
+                    [f64::NAN; 2]
+                }
+            })
+            .collect();
+        let holes = unknown_input::find(&Told {
+            input: &self.events,
+            measured: &measured,
+            sample_period_s: median(&steps),
+        });
+        if holes.is_empty() {
+            return;
+        }
+        let estimates = holes.iter().map(|hole| (hole.from_s, hole.mean));
+        self.events.extend(estimates);
+        self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for hole in holes.iter().filter(|hole| hole.restart.is_some()) {
+            let begin = self.sample_time_s.partition_point(|time| *time < hole.from_s);
+            let end = self.sample_time_s.partition_point(|time| *time <= hole.to_s);
+            self.current_a[begin..end].fill(f64::NAN);
+            self.speed_rad_s[begin..end].fill(f64::NAN);
+        }
+        self.unknown_input = holes;
+    }
+
+    /// Whether the input is not known somewhere between two instants.
+    pub fn input_is_unknown(&self, from_s: f64, to_s: f64) -> bool {
+        let first = self.unknown_input.partition_point(|hole| hole.to_s <= from_s);
+        (self.unknown_input.get(first)).is_some_and(|hole| hole.from_s < to_s)
+    }
+
+    /// Mean square of what is not known of the mean voltage over the interval that ends at a sample, V2; zero where it
+    /// is known. Errors of two holes have nothing to do with each other.
+    pub fn input_variance_v2(&self, sample: usize) -> f64 {
+        let to_s = self.sample_time_s[sample];
+        let from_s = sample.checked_sub(1).map_or_else(|| self.begin_s(), |before| self.sample_time_s[before]);
+        let first = self.unknown_input.partition_point(|hole| hole.to_s <= from_s);
+        (self.unknown_input[first..].iter())
+            .take_while(|hole| hole.from_s < to_s)
+            .map(|hole| {
+                let shared_s = hole.to_s.min(to_s) - hole.from_s.max(from_s);
+                hole.variance * (shared_s / (to_s - from_s)).powi(2)
+            })
+            .sum()
     }
 
     /// A stamp far from its neighbours, or a time column in another unit, would be simulated step by step for ever.

@@ -31,6 +31,7 @@ pub(crate) fn record(
         speed_rad_s: vec![],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..samples,
     };
     let out = Plant::new(model, Input::Voltage)

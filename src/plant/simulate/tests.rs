@@ -12,6 +12,7 @@ pub(super) fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -
         speed_rad_s: vec![f64::NAN; samples],
         angle: Vec::new(),
         time_half_width_s: Vec::new(),
+        unknown_input: vec![],
         scored: 0..samples,
     }
 }
