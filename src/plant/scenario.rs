@@ -82,7 +82,7 @@ pub struct Scenario {
     pub angle: Vec<(f64, f64)>,
     /// Half-widths of the stamps of the samples, s, zero where the drive stamped them itself. Empty: it stamped all.
     pub time_half_width_s: Vec<f64>,
-    /// Where the voltage is not known, in order: rows were lost. `events` hold its estimate there. Empty in a whole record.
+    /// Where rows were lost that told the voltage, in order; `events` hold its estimate there. Empty in a whole record.
     pub unknown_input: Vec<UnknownInput>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
@@ -208,7 +208,9 @@ impl Scenario {
     /// Whether the input is not known somewhere between two instants.
     pub fn input_is_unknown(&self, from_s: f64, to_s: f64) -> bool {
         let first = self.unknown_input.partition_point(|hole| hole.to_s <= from_s);
-        (self.unknown_input.get(first)).is_some_and(|hole| hole.from_s < to_s)
+        (self.unknown_input[first..].iter())
+            .take_while(|hole| hole.from_s < to_s)
+            .any(|hole| hole.variance > 0.0)
     }
 
     /// Mean square of what is not known of the mean voltage over the interval that ends at a sample, V2; zero where it

@@ -3,8 +3,8 @@
 //! ```text
 //! rows     u0    u1    (lost) (lost) u4        a held input: u1 holds for one period, u4 from its own stamp on
 //! known    |-----|-----|             |-----
-//! unknown              |-------------|         mean of u1 and u4, with the variance that the record itself has there;
-//!                                              a few lost rows: and what the current did meanwhile
+//! lost                 |-------------|         mean of u1 and u4, with the variance that the record itself has between such
+//!                                              rows; of a few lost rows also what the current did meanwhile
 //! ```
 //!
 //! Nothing is taken for lost in a record that writes no row while its command stands still, nor in one whose rows come
@@ -15,7 +15,7 @@ use nalgebra::{SMatrix, SVector};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::median;
 
-/// An interval over which the input is not known.
+/// An interval over which no row tells the input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnknownInput {
     pub from_s: f64,
@@ -23,7 +23,8 @@ pub struct UnknownInput {
     pub lost_rows: usize,
     /// Mean of the input over the interval, as far as it is known: what a simulation takes.
     pub mean: f64,
-    /// Mean square of its error.
+    /// Mean square of its error; zero where the record never does anything else between two such rows: the same value on
+    /// both sides where it does not change and come back so soon, a ramp that goes on.
     pub variance: f64,
     /// Where so much is not known that a simulation has to begin again: the measured current and speed at `to_s`, not a
     /// number where missing.
@@ -59,7 +60,7 @@ const NEARLY_KNOWN: f64 = 0.002;
 /// Rows below which no current is predicted.
 const FEWEST_ROWS: usize = 100;
 
-/// The holes of a record, in order. One in whose place the record never does anything is none.
+/// The holes of a record, in order.
 pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
     let Some((period_s, lost)) = lost_rows(told) else {
         return Vec::new();
@@ -81,10 +82,8 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
             0.5 * (before + after),
             variance_at((after - before).abs(), rows, &by_length[place].1),
         );
-        if variance <= 0.0 {
-            continue;
-        }
-        if rows <= FEW
+        if variance > 0.0
+            && rows <= FEW
             && let Some((seen, error)) = winding.as_ref().and_then(|winding| {
                 winding.voltage(told.measured[row], told.measured[row + 1], before, rows)
             })
