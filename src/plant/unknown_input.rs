@@ -92,6 +92,11 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
             mean += share * (seen - mean);
             variance *= 1.0 - share;
         }
+        if rows > FEW {
+            // The machine forgets: what counts at the end of a long hole is not its mean but the input in its last part,
+            // which may have been that of either side.
+            variance += 0.25 * (after - before).powi(2);
+        }
         let needs_restart = rows > FEW && variance.sqrt() > NEARLY_KNOWN * largest;
         holes.push(UnknownInput {
             from_s: begin_s + period_s,
