@@ -5,6 +5,7 @@ use std::cell::OnceCell;
 use super::output;
 use super::sanity_report::Judging;
 use crate::diagnosis::{Fingerprint, Kinship, fingerprint, matches, shared_samples};
+use crate::identification::lost_rows;
 use crate::identification::sanity::{self, Kind};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
@@ -114,7 +115,7 @@ pub(super) fn had_no_part(
 pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let mut cautions = Vec::new();
     let channel = scenario.input_channel;
-    cautions.extend(lost_rows(run, scenario));
+    cautions.extend(lost_rows::sentence(run, scenario));
     let whole = scenario.unknown_input.is_empty();
     if let (true, Channel::Voltage, Some(cells)) = (whole, channel, run.column(channel)) {
         let begin_s = scenario.begin_s();
@@ -166,52 +167,6 @@ pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
         ));
     }
     cautions
-}
-
-/// How many rows of the voltage are missing, and what is made of the time between.
-fn lost_rows(run: &Run, scenario: &Scenario) -> Option<String> {
-    let holes = &scenario.unknown_input;
-    let longest = holes.iter().max_by_key(|hole| hole.lost_rows)?;
-    let lost: usize = holes.iter().map(|hole| hole.lost_rows).sum();
-    let rows = lost + run.points(scenario.input_channel).count();
-    let unknown_s: f64 = (holes.iter())
-        .filter(|hole| hole.variance > 0.0)
-        .map(|hole| hole.to_s - hole.from_s)
-        .sum();
-    let restarts = holes.iter().filter(|hole| hole.restart.is_some()).count();
-    let again = match restarts {
-        0 => String::new(),
-        1 => "; behind the long hole every simulation begins again from what was measured".to_owned(),
-        _ => format!(
-            "; behind {restarts} long holes every simulation begins again from what was measured"
-        ),
-    };
-    Some(format!(
-        "{}: {} of {} rows of {} are missing ({:.1} %), the longest {:.3} s at {:.3} s: what was applied there is not known. \
-         Over {unknown_s:.3} s ({:.1} % of the run) it is estimated from the rows beside it and the current, with its \
-         uncertainty; over the rest the record leaves no doubt{again}",
-        run.name,
-        counted(lost),
-        counted(rows),
-        scenario.input_channel.key(),
-        100.0 * lost as f64 / rows as f64,
-        longest.to_s - longest.from_s,
-        longest.from_s,
-        100.0 * unknown_s / (scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s()),
-    ))
-}
-
-/// A number with its thousands apart.
-fn counted(number: usize) -> String {
-    let digits = number.to_string();
-    let mut out = String::new();
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
 }
 
 /// One sample of so many without a value is worth a word.

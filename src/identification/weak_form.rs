@@ -21,7 +21,9 @@ pub use self::torque_rows::torque_rows;
 use nalgebra::{DMatrix, DVector};
 
 use self::noise_share::Noise;
-use self::window::{Window, half_window, mean_period_s, held_means, held_values, interpolated, thinned};
+use self::window::{
+    Window, half_window, held_means, held_values, interpolated, mean_period_s, thinned,
+};
 use super::output_error::{BLOCK_S, FitError};
 use super::regressor::{PROPORTIONAL, why_no_regressor};
 use super::verdict::judge;

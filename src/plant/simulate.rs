@@ -154,13 +154,18 @@ impl Plant {
         let mut out = Trajectory::default();
         let horizon = horizon.max(1);
         let first = first % horizon;
-        self.run(scenario, start, &mut out, |sample, [current_a, speed_rad_s], _| {
-            (sample % horizon == first).then(|| Correction {
-                current_a: scenario.current_a[sample] - current_a,
-                speed_rad_s: scenario.speed_rad_s[sample] - speed_rad_s,
-                ..Correction::default()
-            })
-        });
+        self.run(
+            scenario,
+            start,
+            &mut out,
+            |sample, [current_a, speed_rad_s], _| {
+                (sample % horizon == first).then(|| Correction {
+                    current_a: scenario.current_a[sample] - current_a,
+                    speed_rad_s: scenario.speed_rad_s[sample] - speed_rad_s,
+                    ..Correction::default()
+                })
+            },
+        );
         out
     }
 

@@ -66,7 +66,9 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
         return Vec::new();
     };
     let input = told.input;
-    let largest = input.iter().fold(0.0, |most, row| f64::max(most, row.1.abs()));
+    let largest = input
+        .iter()
+        .fold(0.0, |most, row| f64::max(most, row.1.abs()));
     let excursions = Excursions::of(input, &lost, period_s);
     let winding = Winding::of(told, &lost);
     let mut by_length: Vec<(usize, Vec<(f64, f64)>)> = Vec::new();
@@ -123,7 +125,10 @@ fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
     let on_the_grid = (steps.iter().zip(&multiples))
         .filter(|(step, multiple)| (*step / period_s - *multiple).abs() <= OFF_THE_GRID)
         .count();
-    let single = multiples.iter().filter(|multiple| **multiple <= 1.0).count();
+    let single = multiples
+        .iter()
+        .filter(|multiple| **multiple <= 1.0)
+        .count();
     let own_rows = (told.sample_period_s / period_s - 1.0).abs() > OFF_THE_GRID;
     if single == steps.len() || own_rows || share(on_the_grid) < NEARLY_ALL || share(single) < MOST
     {
@@ -143,7 +148,9 @@ fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
     if !writes_repeats && mean(&over_holes) < GROWS * mean(&alone) && !mostly_distinct(input) {
         return None;
     }
-    let lost = multiples.iter().map(|multiple| whole((multiple - 1.0).max(0.0)));
+    let lost = multiples
+        .iter()
+        .map(|multiple| whole((multiple - 1.0).max(0.0)));
     Some((period_s, lost.collect()))
 }
 
@@ -171,11 +178,19 @@ impl<'a> Excursions<'a> {
         let mut sum = 0.0;
         for (pair, &rows) in input.windows(2).zip(lost) {
             let length_s = pair[1].0 - pair[0].0;
-            let known_s = if rows > 0 { period_s.min(length_s) } else { length_s };
+            let known_s = if rows > 0 {
+                period_s.min(length_s)
+            } else {
+                length_s
+            };
             sum += pair[0].1 * known_s + 0.5 * (pair[0].1 + pair[1].1) * (length_s - known_s);
             integral.push(sum);
         }
-        let holes = lost.iter().copied().enumerate().filter(|(_, rows)| *rows > 0);
+        let holes = lost
+            .iter()
+            .copied()
+            .enumerate()
+            .filter(|(_, rows)| *rows > 0);
         Self {
             input,
             period_s,
@@ -227,7 +242,11 @@ fn variance_at(change: f64, rows: usize, examples: &[(f64, f64)]) -> f64 {
     let begin = near.saturating_sub(NEIGHBOURS / 2);
     let end = same.max(begin + NEIGHBOURS).min(examples.len());
     // Changes that are the same to the bit are their own best examples.
-    let (begin, end) = if same - near >= NEIGHBOURS { (near, same) } else { (begin, end) };
+    let (begin, end) = if same - near >= NEIGHBOURS {
+        (near, same)
+    } else {
+        (begin, end)
+    };
     let part = &examples[begin..end];
     part.iter().map(|example| example.1).sum::<f64>() / part.len() as f64
 }
@@ -262,7 +281,10 @@ impl Winding {
             right += x * *y;
         }
         let solution = normal.cholesky()?.solve(&right);
-        let left: f64 = rows.iter().map(|(x, y)| (y - x.dot(&solution)).powi(2)).sum();
+        let left: f64 = rows
+            .iter()
+            .map(|(x, y)| (y - x.dot(&solution)).powi(2))
+            .sum();
         let (f, g, h) = (solution[0], solution[1], solution[2]);
         let possible = f > 0.0 && f < 1.0 && g > 0.0 && h.is_finite();
         possible.then(|| Self {
@@ -289,6 +311,165 @@ impl Winding {
             gain = self.f * gain + self.g;
         }
         let volts = (next_i - known) / gain;
-        volts.is_finite().then(|| (volts, self.variance / gain.powi(2)))
+        volts
+            .is_finite()
+            .then(|| (volts, self.variance / gain.powi(2)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Holes of a record of one value a millisecond without the rows that were lost; current and speed follow from
+    /// `i' = 0.9 i + 0.1 u` where `measured`.
+    fn holes(values: &[f64], measured: bool, lost: impl Fn(usize) -> bool) -> Vec<UnknownInput> {
+        let mut current = 0.0;
+        let mut rows = Vec::new();
+        for (row, value) in values.iter().enumerate() {
+            if !lost(row) {
+                let seen = if measured {
+                    [current, 0.1 * (row as f64).sin()]
+                } else {
+                    [f64::NAN; 2]
+                };
+                rows.push(((1e-3 * row as f64, *value), seen));
+            }
+            current = 0.9 * current + 0.1 * value;
+        }
+        let (input, measured): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+        let sample_period_s = 1e-3;
+        find(&Told {
+            input: &input,
+            measured: &measured,
+            sample_period_s,
+        })
+    }
+
+    /// Plus or minus five, held for `rows` at least.
+    fn switched(rows: usize, count: usize) -> Vec<f64> {
+        let mut state = 7_u32;
+        let chips = (0..count.div_ceil(rows)).map(|_| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            if state >> 31 == 0 { -5.0 } else { 5.0 }
+        });
+        let chips: Vec<f64> = chips.collect();
+        (0..count).map(|row| chips[row / rows]).collect()
+    }
+
+    #[test]
+    fn equal_neighbours_prove_the_value_between_only_where_the_input_is_slower_than_the_hole() {
+        let one_row = |row: usize| row % 13 == 6;
+        let slow = holes(&switched(10, 3000), false, one_row);
+        let fast = holes(&switched(1, 3000), false, one_row);
+        assert!(slow.len() > 200 && fast.len() > 200);
+        let equal = |hole: &&UnknownInput| hole.mean != 0.0;
+        assert!(slow.iter().filter(equal).all(|hole| hole.variance == 0.0));
+        // Half of the time the one between two equal values of a random sequence is the other: (2 x 5)^2 / 2.
+        assert!(
+            fast.iter()
+                .filter(equal)
+                .all(|hole| (hole.variance - 50.0).abs() < 20.0)
+        );
+        // Between two that differ it was one of them.
+        assert!(
+            slow.iter()
+                .filter(|hole| hole.mean == 0.0)
+                .all(|hole| (hole.variance - 25.0).abs() < 1.0)
+        );
+    }
+
+    #[test]
+    fn a_ramp_goes_on_through_a_lost_row_and_is_known() {
+        let ramp: Vec<f64> = (0..600)
+            .map(|row| (row as f64 - 50.0).max(0.0) * 0.25)
+            .collect();
+        let found = holes(&ramp, false, |row| row % 40 == 20);
+        let late: Vec<&UnknownInput> = found.iter().filter(|hole| hole.from_s > 0.055).collect();
+        assert!(late.len() > 10);
+        for hole in late {
+            let there = ramp[whole(hole.from_s * 1e3 + 0.5)];
+            assert!(
+                (hole.mean - there).abs() < 1e-9 && hole.variance == 0.0,
+                "{hole:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_current_tells_the_voltage_of_a_lost_row() {
+        let values = switched(10, 3000);
+        let lost = |row: usize| row % 13 == 6;
+        for (measured, most_v) in [(true, 0.1), (false, 5.1)] {
+            let found = holes(&values, measured, lost);
+            let miss =
+                |hole: &UnknownInput| (hole.mean - values[whole(hole.from_s * 1e3 + 0.5)]).abs();
+            let worst = found.iter().map(miss).fold(0.0, f64::max);
+            assert!(worst < most_v && (measured || worst > 4.9), "{worst}");
+        }
+    }
+
+    #[test]
+    fn a_long_hole_asks_for_a_restart_unless_nothing_happens_in_such_a_time() {
+        let found = holes(&switched(10, 3000), true, |row| (1000..1400).contains(&row));
+        assert_eq!(found.len(), 1);
+        assert_eq!(
+            (found[0].lost_rows, found[0].restart.is_some()),
+            (400, true)
+        );
+        assert!((found[0].from_s - 1.0).abs() < 1e-9 && (found[0].to_s - 1.4).abs() < 1e-9);
+        assert!(found[0].variance > 0.5);
+        let still = vec![3.0; 3000];
+        let still = holes(&still, true, |row| (1000..1400).contains(&row));
+        assert_eq!((still[0].variance, still[0].restart), (0.0, None));
+    }
+
+    #[test]
+    fn a_whole_record_one_of_changes_only_and_one_without_a_beat_have_lost_nothing() {
+        let values = switched(10, 3000);
+        assert_eq!(holes(&values, true, |_| false), []);
+        // A row for each change: every time between them is a multiple of the chips'.
+        let changes = |row: usize| row > 0 && values[row] == values[row - 1];
+        assert_eq!(holes(&values, true, changes), []);
+        // A staircase of commands that a recorder wrote in the rows of its samples, where it changed.
+        let chirp: Vec<f64> = (0..3000)
+            .map(|row| (5.0 * (2e-6 * f64::from(row).powi(2)).sin()).round())
+            .collect();
+        assert_eq!(
+            holes(&chirp, true, |row| row > 0 && chirp[row] == chirp[row - 1]),
+            []
+        );
+        let stamps = |row: usize| (row as f64 + 0.4 * (1.7 * row as f64).sin()) * 9e-3;
+        let input: Vec<(f64, f64)> = (0..3000)
+            .filter(|row| row % 10 != 0)
+            .map(|row| (stamps(row), values[row]))
+            .collect();
+        let measured = vec![[0.0; 2]; input.len()];
+        assert_eq!(
+            find(&Told {
+                input: &input,
+                measured: &measured,
+                sample_period_s: 9e-3
+            }),
+            []
+        );
+    }
+
+    #[test]
+    fn commands_on_rows_of_their_own_hold_until_the_next() {
+        let values = switched(1, 3000);
+        let input: Vec<(f64, f64)> = (0..3000)
+            .filter(|row| row % 10 != 3)
+            .map(|row| (0.01 * row as f64, values[row]))
+            .collect();
+        let measured = vec![[f64::NAN; 2]; input.len()];
+        assert_eq!(
+            find(&Told {
+                input: &input,
+                measured: &measured,
+                sample_period_s: 1e-3
+            }),
+            []
+        );
     }
 }

@@ -10,9 +10,15 @@ pub(super) fn estimated(run: &Run, scenario: &Scenario) -> Option<Run> {
 
 fn with_rows(run: &Run, scenario: &Scenario) -> Result<Run, RunError> {
     let (times, holes) = (run.time_s(), &scenario.unknown_input);
-    let is_new = |time_s: f64| !times[times.partition_point(|time| *time < time_s)..].starts_with(&[time_s]);
+    let is_new =
+        |time_s: f64| !times[times.partition_point(|time| *time < time_s)..].starts_with(&[time_s]);
     let mut rows: Vec<(f64, Option<usize>)> = times.iter().copied().zip((0..).map(Some)).collect();
-    rows.extend(holes.iter().filter(|hole| is_new(hole.from_s)).map(|hole| (hole.from_s, None)));
+    rows.extend(
+        holes
+            .iter()
+            .filter(|hole| is_new(hole.from_s))
+            .map(|hole| (hole.from_s, None)),
+    );
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     let place = |time_s: f64| rows.partition_point(|row| row.0 < time_s);
     let mut whole = Run::new(run.name.clone(), rows.iter().map(|row| row.0).collect())?;
@@ -35,7 +41,12 @@ fn with_rows(run: &Run, scenario: &Scenario) -> Result<Run, RunError> {
         }
     }
     let mut limited: Vec<usize> = (run.limited_rows().iter().map(|row| place(times[*row])))
-        .chain(holes.iter().filter(|hole| hole.restart.is_some()).map(|hole| place(hole.to_s)))
+        .chain(
+            holes
+                .iter()
+                .filter(|hole| hole.restart.is_some())
+                .map(|hole| place(hole.to_s)),
+        )
         .collect();
     limited.sort_unstable();
     limited.dedup();
