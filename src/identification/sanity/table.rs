@@ -206,3 +206,21 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
         0.0
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_window_spans_a_pause_and_slow_rows_are_none() {
+        let times: Vec<f64> = (0..1000)
+            .filter(|row| !(400..800).contains(row))
+            .map(|row| 1e-3 * f64::from(row))
+            .collect();
+        let found = windows(&times);
+        let length_s = |window: &Range<usize>| times[window.end] - times[window.start];
+        assert!(found.len() >= 18 && found.iter().all(|window| length_s(window) < 0.05));
+        let slow: Vec<f64> = (0..100).map(|row| 0.1 * f64::from(row)).collect();
+        assert!(windows(&slow).len() > 40);
+    }
+}
