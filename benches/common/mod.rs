@@ -56,6 +56,7 @@ pub(crate) fn record(truth: &Model, seed: u64) -> Scenario {
         speed_rad_s: Vec::new(),
         angle: Vec::new(),
         time_half_width_s: Vec::new(),
+        unknown_input: vec![],
         scored: 0..samples,
     };
     let truth = Plant::new(truth, Input::Voltage)

@@ -5,6 +5,7 @@ use std::cell::OnceCell;
 use super::output;
 use super::sanity_report::Judging;
 use crate::diagnosis::{Fingerprint, Kinship, fingerprint, matches, shared_samples};
+use crate::identification::lost_rows;
 use crate::identification::sanity::{self, Kind};
 use crate::plant::{Model, Scenario};
 use crate::recording::LoadedRun;
@@ -114,7 +115,9 @@ pub(super) fn had_no_part(
 pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let mut cautions = Vec::new();
     let channel = scenario.input_channel;
-    if let (Channel::Voltage, Some(cells)) = (channel, run.column(channel)) {
+    cautions.extend(lost_rows::sentence(run, scenario));
+    let whole = scenario.unknown_input.is_empty();
+    if let (true, Channel::Voltage, Some(cells)) = (whole, channel, run.column(channel)) {
         let begin_s = scenario.begin_s();
         let rows = run.time_s().iter().filter(|time_s| **time_s >= begin_s);
         let missing = run
@@ -153,6 +156,7 @@ pub(super) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
         .windows(2)
         .max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
     if let Some([from_s, to_s]) = longest
+        && whole
         && to_s - from_s > LONG_GAP * period_s
         && to_s - from_s > LONG_GAP_S
     {

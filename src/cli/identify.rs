@@ -17,7 +17,7 @@ use crate::identification::added_inertia::{self, Seen};
 use crate::identification::nameplate::{self, Comparison};
 use crate::identification::repeat::{self, Repeated};
 use crate::identification::scheme::{self, Data, Identified};
-use crate::identification::{claims, temperature, voltage_departure};
+use crate::identification::{claims, lost_rows, temperature, voltage_departure};
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::recording::LoadedRun;
 use crate::sample::{Channel, ParameterEstimate, Verdict};
@@ -243,6 +243,9 @@ fn identify(
     found
         .notes
         .extend(claims::limit(&mut found.parameters, &loaded.run, &scenario));
+    found
+        .notes
+        .extend(lost_rows::sentence(&loaded.run, &scenario));
     let found = temperature::complete(found, &loaded.run, &scenario);
     Ok(OneRun {
         loaded,

@@ -11,6 +11,7 @@
 //! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! scheme: all of these by name, as `identify --scheme` calls them
 //! repeat, added_inertia: what several runs say together
+//! lost_rows: what a record with missing rows says of itself
 //! sanity: what is wrong with the data, asked first; claims: what their origin allows to be said, applied last
 //! ```
 
@@ -20,6 +21,7 @@ pub mod effect_start;
 pub mod escalation;
 pub mod inverse_dynamics;
 pub mod kalman;
+pub mod lost_rows;
 pub mod missing_cells;
 pub mod nameplate;
 pub mod noise;

@@ -8,10 +8,13 @@ use nalgebra::{DMatrix, DVector};
 
 use super::output_error::FitError;
 use super::weak_form;
+use crate::numerics::statistics::median;
 use crate::plant::{Input, Model, ModelError, MotorKey, Scenario};
 
 /// Length of a window, s, and samples it has at least.
 const WINDOW_S: f64 = 0.03;
+/// Periods, and at least a window's length, that may pass between two samples of a window.
+const LONGEST_STEP: f64 = 3.0;
 const FEWEST_SAMPLES: usize = 3;
 
 /// Fills in the motor values that `model` leaves out; what the user gave stays as it is.
@@ -101,12 +104,19 @@ fn integrals(scenario: &Scenario) -> Vec<Integrals> {
             .copied()
             .filter(|w| w.is_finite())
             .fold(0.0, |most, w| f64::max(most, w.abs()));
+    let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let longest_s = WINDOW_S.max(LONGEST_STEP * median(&steps));
     let mut windows = Vec::new();
     let mut begin = 0;
     while begin + FEWEST_SAMPLES <= times.len() {
         let mut end = begin + FEWEST_SAMPLES - 1;
         while end + 1 < times.len() && times[end] - times[begin] < WINDOW_S {
             end += 1;
+        }
+        // Nothing is integrated over a pause: nobody knows what the signals did, and its one window would outweigh all.
+        if let Some(row) = (begin..end).rfind(|row| times[row + 1] - times[*row] > longest_s) {
+            begin = row + 1;
+            continue;
         }
         let trapezoid = |values: &[f64]| -> f64 {
             (begin..end)
@@ -225,6 +235,7 @@ mod tests {
                 speed_rad_s: vec![],
                 angle: vec![],
                 time_half_width_s: vec![],
+                unknown_input: vec![],
                 scored: 0..samples,
             };
             let out = Plant::new(&truth, Input::Voltage)
@@ -283,6 +294,7 @@ mod tests {
             speed_rad_s: vec![0.0; 20],
             angle: vec![],
             time_half_width_s: vec![],
+            unknown_input: vec![],
             scored: 0..20,
         };
         let mut partial = model.clone();

@@ -21,7 +21,9 @@ pub use self::torque_rows::torque_rows;
 use nalgebra::{DMatrix, DVector};
 
 use self::noise_share::Noise;
-use self::window::{Window, half_window, held_means, held_values, interpolated, thinned};
+use self::window::{
+    Window, half_window, held_means, held_values, interpolated, mean_period_s, thinned,
+};
 use super::output_error::{BLOCK_S, FitError};
 use super::regressor::{PROPORTIONAL, why_no_regressor};
 use super::verdict::judge;
@@ -304,8 +306,15 @@ impl System {
         let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
         let mut averages = Vec::new();
         let (mut dropped, mut gain, mut rate_gain) = (0, 0.0, 0.0);
+        let longest_s = half as f64 * mean_period_s(scenario);
         for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
             let end = begin + 2 * half;
+            // Half of the window in one step: it would be made of two ends.
+            let times = &scenario.sample_time_s[begin..=end];
+            if times.windows(2).any(|pair| pair[1] - pair[0] > longest_s) {
+                dropped += 1;
+                continue;
+            }
             let window = Window::new(scenario, begin, end);
             let resting = equation == Balance::Torque
                 && scenario.speed_rad_s[begin..=end]

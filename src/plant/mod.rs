@@ -22,6 +22,7 @@ mod simulate;
 #[cfg(test)]
 pub(crate) mod testing;
 mod typical_size;
+mod unknown_input;
 
 pub use effect::{
     Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path, Sums,
@@ -34,3 +35,4 @@ pub use motor::{Motor, MotorKey};
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
 pub use simulate::{Correction, Plant, State, Trajectory};
 pub use typical_size::typical_size;
+pub use unknown_input::UnknownInput;

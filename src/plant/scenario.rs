@@ -7,7 +7,9 @@ use thiserror::Error;
 
 use super::limited::applied;
 use super::shaft_angle::continuous;
+use super::unknown_input::{self, Told, UnknownInput};
 use crate::numerics::count::whole;
+use crate::numerics::statistics::median;
 use crate::sample::{Channel, Origin, Run};
 
 /// What drives the model.
@@ -80,6 +82,8 @@ pub struct Scenario {
     pub angle: Vec<(f64, f64)>,
     /// Half-widths of the stamps of the samples, s, zero where the drive stamped them itself. Empty: it stamped all.
     pub time_half_width_s: Vec<f64>,
+    /// Where rows were lost that told the voltage, in order; `events` hold its estimate there. Empty in a whole record.
+    pub unknown_input: Vec<UnknownInput>,
     /// The samples that count in residuals: all, or the tail where a run was split for validation.
     pub scored: Range<usize>,
 }
@@ -124,6 +128,7 @@ impl Scenario {
                 &run.points(Channel::Speed).collect::<Vec<_>>(),
             ),
             time_half_width_s: Vec::new(),
+            unknown_input: Vec::new(),
             scored: 0..0,
         };
         for (row, &time_s) in run.time_s().iter().enumerate() {
@@ -154,7 +159,82 @@ impl Scenario {
         }
         scenario.refuse_gaps()?;
         scenario.scored = 0..rows;
+        if input == Input::Voltage {
+            scenario.bridge_lost_rows();
+        }
         Ok(scenario)
+    }
+
+    /// Finds where the voltage is not known and puts its estimate there. What was measured in a long hole, and what a
+    /// simulation begins again with behind it, is no longer there to be met.
+    fn bridge_lost_rows(&mut self) {
+        let times = &self.sample_time_s;
+        let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let mut sample = 0;
+        let measured: Vec<[f64; 2]> = (self.events.iter())
+            .map(|(time_s, _)| {
+                while sample < times.len() && times[sample] < *time_s {
+                    sample += 1;
+                }
+                // Rows are the same where their stamps are, to the bit.
+                let own = times.get(sample).is_some_and(|time| time <= time_s);
+                if own {
+                    [self.current_a[sample], self.speed_rad_s[sample]]
+                } else {
+                    [f64::NAN; 2]
+                }
+            })
+            .collect();
+        let holes = unknown_input::find(&Told {
+            input: &self.events,
+            measured: &measured,
+            sample_period_s: median(&steps),
+        });
+        if holes.is_empty() {
+            return;
+        }
+        let estimates = holes.iter().map(|hole| (hole.from_s, hole.mean));
+        self.events.extend(estimates);
+        self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for hole in holes.iter().filter(|hole| hole.restart.is_some()) {
+            let begin = self
+                .sample_time_s
+                .partition_point(|time| *time < hole.from_s);
+            let end = self
+                .sample_time_s
+                .partition_point(|time| *time <= hole.to_s);
+            self.current_a[begin..end].fill(f64::NAN);
+            self.speed_rad_s[begin..end].fill(f64::NAN);
+        }
+        self.unknown_input = holes;
+    }
+
+    /// Whether the input is not known somewhere between two instants.
+    pub fn input_is_unknown(&self, from_s: f64, to_s: f64) -> bool {
+        let first = self
+            .unknown_input
+            .partition_point(|hole| hole.to_s <= from_s);
+        (self.unknown_input[first..].iter())
+            .take_while(|hole| hole.from_s < to_s)
+            .any(|hole| hole.variance > 0.0)
+    }
+
+    /// Mean square of what is not known of the mean voltage over the interval that ends at a sample, V2; zero where it
+    /// is known. Errors of two holes have nothing to do with each other.
+    pub fn input_variance_v2(&self, sample: usize) -> f64 {
+        let to_s = self.sample_time_s[sample];
+        let from_s = sample
+            .checked_sub(1)
+            .map_or_else(|| self.begin_s(), |before| self.sample_time_s[before]);
+        let first = self
+            .unknown_input
+            .partition_point(|hole| hole.to_s <= from_s);
+        (self.unknown_input[first..].iter())
+            .take_while(|hole| hole.from_s < to_s)
+            .fold(0.0, |sum, hole| {
+                let shared_s = hole.to_s.min(to_s) - hole.from_s.max(from_s);
+                sum + hole.variance * (shared_s / (to_s - from_s)).powi(2)
+            })
     }
 
     /// A stamp far from its neighbours, or a time column in another unit, would be simulated step by step for ever.
@@ -462,5 +542,65 @@ mod tests {
             Scenario::from_run(&Run::new("empty", vec![]).unwrap()),
             Err(ScenarioError::NoInput { .. })
         ));
+    }
+
+    /// A switched voltage at 1 kHz of which a row and 0.2 s are lost.
+    fn with_holes() -> Scenario {
+        let rows: Vec<usize> = (0..2000)
+            .filter(|row| *row != 500 && !(1200..1400).contains(row))
+            .collect();
+        let cells =
+            |value: &dyn Fn(usize) -> f64| rows.iter().map(|row| value(*row)).collect::<Vec<f64>>();
+        let mut run = Run::new("r", cells(&|row| 1e-3 * row as f64)).unwrap();
+        let volts = |row: usize| {
+            if (row / 7 * row / 7) % 3 == 0 {
+                5.0
+            } else {
+                -5.0
+            }
+        };
+        run.set_column(Channel::Voltage, cells(&volts), Origin::Unknown)
+            .unwrap();
+        run.set_column(Channel::Speed, cells(&|row| row as f64), Origin::Measured)
+            .unwrap();
+        Scenario::from_run(&run).unwrap()
+    }
+
+    #[test]
+    fn lost_rows_have_a_variance_and_a_whole_record_none() {
+        let holes = with_holes();
+        assert_eq!(holes.unknown_input.len(), 2);
+        let long = holes.unknown_input[1];
+        assert!(holes.input_is_unknown(1.15, 1.25) && !holes.input_is_unknown(0.6, 1.1999));
+        let at = |time_s: f64| {
+            holes
+                .sample_time_s
+                .partition_point(|time| *time < time_s - 1e-9)
+        };
+        let share = (0.2 / 0.201_f64).powi(2);
+        assert!(
+            (holes.input_variance_v2(at(1.4)) - share * long.variance).abs() < 1e-9 * long.variance
+        );
+        assert_eq!(
+            holes.input_variance_v2(at(0.7)).to_bits(),
+            0.0_f64.to_bits()
+        );
+        assert!((holes.input_at(1.3) - long.mean).abs() < 1e-12);
+        let whole = Scenario::from_run(&run(Origin::Unknown)).unwrap();
+        assert!(whole.unknown_input.is_empty() && !whole.input_is_unknown(0.0, 1.0));
+        assert_eq!(whole.events.len(), 40);
+    }
+
+    #[test]
+    fn what_a_simulation_begins_again_with_is_not_met_by_it() {
+        let holes = with_holes();
+        let restart = holes.unknown_input[1].restart.unwrap();
+        assert!(restart[0].is_nan() && (restart[1] - 1400.0).abs() < 1e-9);
+        let missing = holes
+            .speed_rad_s
+            .iter()
+            .filter(|speed| speed.is_nan())
+            .count();
+        assert_eq!(missing, 1);
     }
 }

@@ -154,13 +154,18 @@ impl Plant {
         let mut out = Trajectory::default();
         let horizon = horizon.max(1);
         let first = first % horizon;
-        self.run(scenario, start, &mut out, |sample, [current_a, speed_rad_s], _| {
-            (sample % horizon == first).then(|| Correction {
-                current_a: scenario.current_a[sample] - current_a,
-                speed_rad_s: scenario.speed_rad_s[sample] - speed_rad_s,
-                ..Correction::default()
-            })
-        });
+        self.run(
+            scenario,
+            start,
+            &mut out,
+            |sample, [current_a, speed_rad_s], _| {
+                (sample % horizon == first).then(|| Correction {
+                    current_a: scenario.current_a[sample] - current_a,
+                    speed_rad_s: scenario.speed_rad_s[sample] - speed_rad_s,
+                    ..Correction::default()
+                })
+            },
+        );
         out
     }
 
@@ -181,6 +186,9 @@ impl Plant {
             two_mass.start(&state);
         }
         let mut event = 0;
+        let mut restarts = (scenario.unknown_input.iter())
+            .filter_map(|hole| hole.restart.map(|measured| (hole.to_s, measured)))
+            .peekable();
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
         self.equations.set_supply(scenario.supply_v());
@@ -199,9 +207,14 @@ impl Plant {
                 while event + 1 < events.len() && events[event + 1].0 <= now_s {
                     event += 1;
                 }
-                let next_s = events
+                let mut next_s = events
                     .get(event + 1)
                     .map_or(sample_s, |next| next.0.min(sample_s));
+                // One that lies before the simulation begins is none of its own.
+                let again = restarts.next_if(|restart| restart.0 <= next_s);
+                if let Some((at_s, _)) = again {
+                    next_s = at_s.max(now_s);
+                }
                 self.advance(
                     &mut state,
                     now_s,
@@ -210,6 +223,9 @@ impl Plant {
                     &mut angle,
                 );
                 now_s = next_s;
+                if let Some((_, measured)) = again {
+                    self.take_over(&mut state, measured);
+                }
             }
             if self.equations.input != Input::Voltage {
                 let held = events.partition_point(|(time, _)| *time <= sample_s).max(1) - 1;
@@ -222,18 +238,31 @@ impl Plant {
             out.current_a.push(current_a);
             out.speed_rad_s.push(speed_rad_s);
             if let Some(change) = correct(sample, [current_a, speed_rad_s], &state) {
-                // What lies between motion and reading (a filter, an offset) stays between them.
-                if let Some(sensors) = &mut self.sensors {
-                    sensors.anchor(change.current_a, change.speed_rad_s);
-                }
-                if let Some(two_mass) = &mut self.two_mass {
-                    two_mass.anchor(change.speed_rad_s);
-                }
-                state.anchor(change.current_a, change.speed_rad_s);
+                self.anchor(&mut state, change.current_a, change.speed_rad_s);
                 self.equations.load_n_m = change.load_n_m;
                 self.equations.extra_v = change.voltage_v;
             }
         }
+    }
+
+    /// Moves the state. What lies between motion and reading (a filter, an offset) stays between them.
+    fn anchor(&mut self, state: &mut State, current_a: f64, speed_rad_s: f64) {
+        if let Some(sensors) = &mut self.sensors {
+            sensors.anchor(current_a, speed_rad_s);
+        }
+        if let Some(two_mass) = &mut self.two_mass {
+            two_mass.anchor(speed_rad_s);
+        }
+        state.anchor(current_a, speed_rad_s);
+    }
+
+    /// Goes on from what was measured behind a hole in the input: how the state came there is not known.
+    fn take_over(&mut self, state: &mut State, [current_a, speed_rad_s]: [f64; 2]) {
+        let shown = self
+            .sensors
+            .as_ref()
+            .map_or((state.current_a, state.speed_rad_s), Sensors::read);
+        self.anchor(state, current_a - shown.0, speed_rad_s - shown.1);
     }
 
     /// Simulates `scenario` from `start`.

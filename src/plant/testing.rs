@@ -6,7 +6,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::{ActiveEffect, Input, Model, Motor, Plant, Scenario, State, effect};
 use crate::numerics::count::whole;
-use crate::sample::Channel;
+use crate::sample::{Channel, Origin, Run};
 
 /// Standard deviations of the sensors: 30 mA and 0.15 rad/s, as in DISCOVERY.md.
 pub(crate) const CURRENT_NOISE_A: f64 = 0.03;
@@ -31,6 +31,7 @@ pub(crate) fn record(
         speed_rad_s: vec![],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..samples,
     };
     let out = Plant::new(model, Input::Voltage)
@@ -47,6 +48,36 @@ pub(crate) fn record(
     scenario.current_a = noisy(&out.current_a, CURRENT_NOISE_A);
     scenario.speed_rad_s = noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S);
     scenario
+}
+
+/// A record with its voltage in every row, without the rows that were lost.
+pub(crate) fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run {
+    let rows: Vec<usize> = (0..scenario.samples()).filter(|row| !lost(*row)).collect();
+    let pick =
+        |value: &dyn Fn(usize) -> f64| rows.iter().map(|row| value(*row)).collect::<Vec<f64>>();
+    let times = &scenario.sample_time_s;
+    let mut run = Run::new("lossy", pick(&|row| times[row])).expect("stamps grow");
+    for (channel, cells, origin) in [
+        (
+            Channel::Voltage,
+            pick(&|row| scenario.input_at(times[row])),
+            Origin::Unknown,
+        ),
+        (
+            Channel::Current,
+            pick(&|row| scenario.current_a[row]),
+            Origin::Measured,
+        ),
+        (
+            Channel::Speed,
+            pick(&|row| scenario.speed_rad_s[row]),
+            Origin::Measured,
+        ),
+    ] {
+        run.set_column(channel, cells, origin)
+            .expect("as many cells as rows");
+    }
+    run
 }
 
 /// Steps both ways of the motor of paper A with a fan on its shaft, from rest; `shift` makes another run of it.

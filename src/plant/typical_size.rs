@@ -107,6 +107,7 @@ mod tests {
             speed_rad_s: vec![f64::NAN, speed],
             angle: vec![],
             time_half_width_s: vec![],
+            unknown_input: vec![],
             scored: 0..2,
         };
         let model = Model::baseline(Motor::zk_22fc());

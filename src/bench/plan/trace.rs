@@ -75,6 +75,7 @@ impl Trace {
             speed_rad_s: vec![f64::NAN; POINTS_PER_PERIOD],
             angle: Vec::new(),
             time_half_width_s: Vec::new(),
+            unknown_input: vec![],
             scored: 0..POINTS_PER_PERIOD,
         };
         let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);

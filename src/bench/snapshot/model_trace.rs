@@ -40,6 +40,7 @@ impl ModelTrace {
                 speed_rad_s: vec![f64::NAN],
                 angle: Vec::new(),
                 time_half_width_s: Vec::new(),
+                unknown_input: vec![],
                 scored: 0..1,
             },
             out: Trajectory::default(),

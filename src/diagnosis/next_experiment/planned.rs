@@ -125,6 +125,7 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
         speed_rad_s: vec![0.0; rows],
         angle: Vec::new(),
         time_half_width_s: Vec::new(),
+        unknown_input: vec![],
         scored: 0..rows,
         sample_time_s: times,
     })

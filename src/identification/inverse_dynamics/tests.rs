@@ -131,6 +131,7 @@ fn bench(seed: u64, times: Vec<f64>) -> Run {
         speed_rad_s: vec![],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..samples,
     };
     let out = Plant::new(&Model::baseline(Motor::zk_22fc()), Input::Voltage)

@@ -10,7 +10,7 @@ use super::friction::KnownEffects;
 use super::load::{LoadPoint, good};
 use crate::identification::recursive::{Memory, Scheme3};
 use crate::identification::verdict;
-use crate::plant::{Model, MotorKey, Slot};
+use crate::plant::{Model, MotorKey, Slot, UnknownInput};
 use crate::sample::{Channel, ParameterEstimate, Run, Sample, Verdict};
 
 /// The five parameters and the states that carry them.
@@ -199,6 +199,17 @@ impl Kalman {
             if self.samples.is_multiple_of(LOOK) {
                 self.look_at_starter();
             }
+        }
+    }
+
+    /// Takes every row of a run.
+    fn follow(&mut self, run: &Run, lost: &[UnknownInput]) {
+        let mut torn = lost.iter().filter(|hole| hole.restart.is_some()).peekable();
+        for sample in run.samples() {
+            while torn.next_if(|hole| hole.to_s <= sample.time_s).is_some() {
+                self.filter.voltage.torn = true;
+            }
+            self.push(&sample);
         }
     }
 
@@ -440,9 +451,11 @@ impl Kalman {
 /// count once (and by a hundredth again), and what the first rows do to the parameters stays within the linear range.
 /// With a start 30 % wide the first few rows, at thousands of times the noise, throw the parameters so far that the
 /// derivatives are off and the Coulomb torque comes out 1.5 standard deviations high.
-pub fn identify(config: &KalmanConfig, run: &Run) -> Kalman {
+///
+/// `lost`: where rows are missing; behind a long such hole the filter begins again from what was measured.
+pub fn identify(config: &KalmanConfig, run: &Run, lost: &[UnknownInput]) -> Kalman {
     let mut found = Kalman::new(config);
-    run.samples().for_each(|sample| found.push(&sample));
+    found.follow(run, lost);
     for _ in 0..MOST_PASSES {
         let values = found.values();
         let usable = found.begun
@@ -452,7 +465,7 @@ pub fn identify(config: &KalmanConfig, run: &Run) -> Kalman {
             break;
         }
         let mut next = Kalman::again(config, &found);
-        run.samples().for_each(|sample| next.push(&sample));
+        next.follow(run, lost);
         let still = PARAMETERS.iter().all(|(_, state)| {
             let step = next.filter.belief.x[*state] - found.filter.belief.x[*state];
             step.abs() <= SETTLED_STEP * next.filter.belief.p[*state][*state].sqrt()

@@ -33,7 +33,7 @@ fn statistics(record: &Record, noise: [f64; 2], truth: &Truth, seeds: u64) -> St
         .into_par_iter()
         .filter_map(|seed| {
             let run = record.run(noise, seed);
-            let found = identify(&unknown(), &run);
+            let found = identify(&unknown(), &run, &[]);
             let estimates = found.estimates();
             let mut row = [[0.0; 2]; 5];
             for k in 0..5 {
@@ -89,7 +89,7 @@ fn without_noise_every_parameter_is_found() {
             steps(seconds, scale, hold_s),
             every(period_s, seconds),
         );
-        let found = identify(&unknown(), &record.run([0.0; 2], 0));
+        let found = identify(&unknown(), &record.run([0.0; 2], 0), &[]);
         let found = errors(&found, &truth);
         println!("{name} {found:.6?}");
         assert!(found.iter().all(|e| e.abs() < 0.001), "{name} {found:?}");
@@ -149,7 +149,7 @@ fn standstill_claims_nothing_and_says_why_in_numbers() {
     let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 1);
     let known = KalmanConfig { model, ..unknown() };
     for config in [unknown(), known] {
-        for estimate in identify(&config, &run).estimates() {
+        for estimate in identify(&config, &run, &[]).estimates() {
             assert_eq!(estimate.verdict, Verdict::NotObservable, "{estimate:?}");
             let reason = estimate.reason.unwrap();
             assert!(reason.contains(|c: char| c.is_ascii_digit()), "{reason}");
@@ -166,7 +166,7 @@ fn constant_voltage_settles_neither_inductance_nor_inertia() {
     let steady = run.slice(1500, run.rows(), "steady");
     let known = KalmanConfig { model, ..unknown() };
     for config in [unknown(), known] {
-        let found = identify(&config, &steady);
+        let found = identify(&config, &steady, &[]);
         let estimates = found.estimates();
         for estimate in &estimates {
             println!("steady {estimate:?}");
@@ -234,7 +234,7 @@ fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
     truth.effects.push(active);
     let record = Record::of(&truth, steps(6.0, 1.0, 0.0613), every(0.001, 6.0));
     let run = record.run([CURRENT_NOISE_A, SPEED_NOISE_RAD_S], 5);
-    let blind = identify(&unknown(), &run);
+    let blind = identify(&unknown(), &run, &[]);
     for estimate in blind.estimates() {
         println!("blind {estimate:?}");
         assert_ne!(estimate.verdict, Verdict::Settled);
@@ -242,7 +242,7 @@ fn a_model_that_misses_an_effect_settles_nothing_and_says_by_how_much() {
     // Told of the effect, it finds the motor.
     let mut model = Model::baseline(Motor::new("?"));
     model.effects = truth.effects;
-    let told = identify(&KalmanConfig { model, ..unknown() }, &run);
+    let told = identify(&KalmanConfig { model, ..unknown() }, &run, &[]);
     let found = errors(&told, &PAPER);
     println!("told {found:.5?} {}", told.summary());
     assert!(found.iter().all(|e| e.abs() < 0.005), "{found:?}");

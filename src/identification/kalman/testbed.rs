@@ -78,6 +78,7 @@ impl Record {
             input: Input::Voltage,
             input_channel: Channel::VoltageCmd,
             events: events.clone(),
+            unknown_input: vec![],
             scored: 0..times.len(),
             sample_time_s: times.clone(),
             current_a: vec![],

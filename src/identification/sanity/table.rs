@@ -46,13 +46,13 @@ impl Table {
 
     /// Median distance of the samples, s.
     pub(super) fn period_s(&self) -> f64 {
-        let gaps: Vec<f64> = self
-            .time_s
-            .windows(2)
-            .map(|pair| pair[1] - pair[0])
-            .collect();
-        crate::numerics::statistics::median(&gaps)
+        period_s(&self.time_s)
     }
+}
+
+fn period_s(times: &[f64]) -> f64 {
+    let gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    crate::numerics::statistics::median(&gaps)
 }
 
 /// Length of a window, s, samples it has at least, and windows that are looked at.
@@ -60,14 +60,24 @@ const WINDOW_S: f64 = 0.03;
 const FEWEST_SAMPLES: usize = 3;
 const MOST_WINDOWS: usize = 3000;
 
+/// Periods of a record, and at least a window's length, that may pass between two rows of a window: nothing is integrated
+/// over a pause, where nobody knows what the signals did, and whose one window would outweigh all others.
+const LONGEST_STEP: f64 = 3.0;
+
 /// First and last row of each window; a long record is looked at in places, evenly.
 fn windows(times: &[f64]) -> Vec<Range<usize>> {
     let mut windows = Vec::new();
+    let longest_s = WINDOW_S.max(LONGEST_STEP * period_s(times));
     let mut begin = 0;
     while begin + FEWEST_SAMPLES <= times.len() {
         let mut end = begin + FEWEST_SAMPLES - 1;
         while end + 1 < times.len() && times[end] - times[begin] < WINDOW_S {
             end += 1;
+        }
+        let pause = (begin..end).rfind(|row| times[row + 1] - times[*row] > longest_s);
+        if let Some(row) = pause {
+            begin = row + 1;
+            continue;
         }
         windows.push(begin..end);
         begin = end;
@@ -194,5 +204,23 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
         ab / (aa * bb).sqrt()
     } else {
         0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_window_spans_a_pause_and_slow_rows_are_none() {
+        let times: Vec<f64> = (0..1000)
+            .filter(|row| !(400..800).contains(row))
+            .map(|row| 1e-3 * f64::from(row))
+            .collect();
+        let found = windows(&times);
+        let length_s = |window: &Range<usize>| times[window.end] - times[window.start];
+        assert!(found.len() >= 18 && found.iter().all(|window| length_s(window) < 0.05));
+        let slow: Vec<f64> = (0..100).map(|row| 0.1 * f64::from(row)).collect();
+        assert!(windows(&slow).len() > 40);
     }
 }

@@ -28,7 +28,7 @@ impl Scheme for Ekf {
             model: data.model.clone(),
             ..KalmanConfig::default()
         };
-        let found = kalman::identify(&config, &data.run_as_used());
+        let found = kalman::identify(&config, &data.run_as_used(), &data.scenario.unknown_input);
         let identified = Identified::new(self.id(), data.model, found.estimates());
         let left_out = kalman::effects_left_out(data.model);
         let why = |active: &ActiveEffect| {

@@ -11,6 +11,7 @@ mod ekf;
 mod error;
 mod inverse_dynamics;
 mod left_out;
+mod lost_rows;
 mod online;
 mod output_error;
 mod scheme_1;
@@ -39,13 +40,18 @@ pub struct Data<'a> {
 
 impl Data<'_> {
     /// The run with the voltage that the scenario takes, and no other: a foreign file may hold a command besides a
-    /// voltage that was applied, and every scheme has to see the same one.
+    /// voltage that was applied, and every scheme has to see the same one. Where rows were lost its estimate stands in a
+    /// row of its own, and what is not known well enough counts as held back by a limit of the drive.
     fn run_as_used(&self) -> Cow<'_, Run> {
         let command = Channel::VoltageCmd;
+        let mut run = Cow::Borrowed(self.run);
         if self.scenario.input_channel == Channel::Voltage && self.run.column(command).is_some() {
-            return Cow::Owned(self.run.without(command));
+            run = Cow::Owned(self.run.without(command));
         }
-        Cow::Borrowed(self.run)
+        if self.scenario.unknown_input.is_empty() {
+            return run;
+        }
+        lost_rows::estimated(&run, self.scenario).map_or(run, Cow::Owned)
     }
 }
 

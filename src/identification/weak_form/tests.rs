@@ -22,6 +22,7 @@ fn scenario(input: Input, events: Vec<(f64, f64)>, period_s: f64, until_s: f64) 
         speed_rad_s: vec![f64::NAN; samples],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..samples,
     }
 }

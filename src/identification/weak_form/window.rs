@@ -72,13 +72,17 @@ impl Window {
     reason = "a positive count of samples"
 )]
 pub(super) fn half_window(scenario: &Scenario, equation: Balance) -> usize {
-    let times = &scenario.sample_time_s;
-    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let period_s = mean_period_s(scenario);
     let half_s = match equation {
         Balance::Voltage => VOLTAGE_HALF_S,
         Balance::Torque => TORQUE_HALF_S,
     };
     ((half_s / period_s).round() as usize).max(FEWEST_HALF)
+}
+
+pub(super) fn mean_period_s(scenario: &Scenario) -> f64 {
+    let times = &scenario.sample_time_s;
+    (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64
 }
 
 /// Linear interpolation; NaN outside the points.

@@ -149,6 +149,7 @@ fn scenario() -> Scenario {
         speed_rad_s,
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..1000,
     }
 }

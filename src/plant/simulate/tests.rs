@@ -12,6 +12,7 @@ pub(super) fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -
         speed_rad_s: vec![f64::NAN; samples],
         angle: Vec::new(),
         time_half_width_s: Vec::new(),
+        unknown_input: vec![],
         scored: 0..samples,
     }
 }
@@ -314,5 +315,29 @@ fn no_place_is_steep_on_an_ordinary_motor() {
             Steep::of(equations, LONGEST_STEP_WITH_EFFECTS_S).is_empty(),
             "{id}"
         );
+    }
+}
+
+#[test]
+fn behind_a_long_hole_the_simulation_goes_on_from_the_measurement() {
+    let model = Model::baseline(Motor::zk_22fc());
+    let whole = crate::plant::testing::record(&model, vec![(0.0, 20.0)], 1e-3, 1.0, 3);
+    let mut lossy = whole.clone();
+    lossy.events = vec![(0.0, 20.0), (0.5, -40.0), (0.7, 20.0)];
+    let there = State::at(whole.current_a[700], whole.speed_rad_s[700]);
+    let hole = crate::plant::UnknownInput {
+        from_s: 0.5,
+        to_s: whole.sample_time_s[700],
+        lost_rows: 200,
+        mean: -40.0,
+        variance: 1.0,
+        restart: Some([there.current_a, there.speed_rad_s]),
+    };
+    lossy.unknown_input = vec![hole];
+    let mut plant = Plant::new(&model, Input::Voltage).unwrap();
+    let out = plant.simulate(&lossy, State::default());
+    for sample in 700..1000 {
+        let miss = out.speed_rad_s[sample] - whole.speed_rad_s[sample];
+        assert!(miss.abs() < 1.0, "{sample}: {miss}");
     }
 }

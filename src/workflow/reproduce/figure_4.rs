@@ -82,6 +82,7 @@ pub(super) fn start(motor: &Motor, period_s: f64, samples: usize) -> Trajectory 
         speed_rad_s: vec![],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..samples,
     };
     Plant::new(&Model::baseline(motor.clone()), Input::Voltage)

@@ -154,6 +154,7 @@ mod tests {
                 speed_rad_s: vec![],
                 angle: vec![],
                 time_half_width_s: vec![],
+                unknown_input: vec![],
                 scored: 0..200,
             };
             let truth = Plant::new(&Model::baseline(motor.clone()), Input::Voltage)

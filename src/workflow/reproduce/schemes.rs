@@ -106,6 +106,7 @@ pub(super) fn record(
         speed_rad_s: vec![],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..samples,
     };
     let clean = Plant::new(&Model::baseline(motor.clone()), Input::Voltage)

@@ -59,6 +59,7 @@ fn record(truth: &Model, seed: u64, mess: f64) -> Scenario {
         speed_rad_s: vec![],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..samples,
         sample_time_s,
     };

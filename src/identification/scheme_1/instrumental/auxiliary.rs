@@ -45,6 +45,7 @@ impl Auxiliary {
             speed_rad_s: Vec::new(),
             angle: Vec::new(),
             time_half_width_s: Vec::new(),
+            unknown_input: vec![],
             scored: 0..samples,
         };
         let speed = Plant::new(&Model::baseline(motor), Input::Voltage)

@@ -69,6 +69,7 @@ impl Record {
             speed_rad_s: vec![],
             angle: vec![],
             time_half_width_s: vec![],
+            unknown_input: vec![],
             scored: 0..samples,
         };
         let out = Plant::new(&Model::baseline(motor), Input::Voltage)

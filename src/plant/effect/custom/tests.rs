@@ -121,6 +121,7 @@ fn its_own_coulomb_friction_holds_the_shaft_as_the_baseline_does() {
         speed_rad_s: vec![0.0; 3000],
         angle: vec![],
         time_half_width_s: vec![],
+        unknown_input: vec![],
         scored: 0..3000,
     };
     let run = |level: f64, own: f64| {

@@ -1,0 +1,475 @@
+//! Where the input of a record is not known: rows that were lost between two that tell it, and what is known all the same.
+//!
+//! ```text
+//! rows     u0    u1    (lost) (lost) u4        a held input: u1 holds for one period, u4 from its own stamp on
+//! known    |-----|-----|             |-----
+//! lost                 |-------------|         mean of u1 and u4, with the variance that the record itself has between such
+//!                                              rows; of a few lost rows also what the current did meanwhile
+//! ```
+//!
+//! Nothing is taken for lost in a record that writes no row while its command stands still, nor in one whose rows come
+//! irregularly, nor where commands stand on rows of their own: there the value before holds until the next.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::numerics::count::whole;
+use crate::numerics::statistics::median;
+
+/// An interval over which no row tells the input.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnknownInput {
+    pub from_s: f64,
+    pub to_s: f64,
+    pub lost_rows: usize,
+    /// Mean of the input over the interval, as far as it is known: what a simulation takes.
+    pub mean: f64,
+    /// Mean square of its error; zero where the record never does anything else between two such rows: the same value on
+    /// both sides where it does not change and come back so soon, a ramp that goes on.
+    pub variance: f64,
+    /// Where so much is not known that a simulation has to begin again: the measured current and speed at `to_s`, not a
+    /// number where missing.
+    pub restart: Option<[f64; 2]>,
+}
+
+/// Rows of a record that tell the input, as the search for lost ones needs them.
+pub(super) struct Told<'a> {
+    /// `(time, value)`.
+    pub(super) input: &'a [(f64, f64)],
+    /// Current and speed in the same rows, NaN where missing.
+    pub(super) measured: &'a [[f64; 2]],
+    /// Median time between the samples, s.
+    pub(super) sample_period_s: f64,
+}
+
+/// Share of a period by which the time between rows may miss a multiple of it, and the share of rows that keep to it.
+const OFF_THE_GRID: f64 = 0.1;
+const NEARLY_ALL: f64 = 0.95;
+/// Share of rows that follow one period after the last one, at least.
+const MOST: f64 = 0.5;
+/// Share of rows that repeat the value before from which a record writes rows without a change.
+const REPEATS: f64 = 0.005;
+/// A change over a hole that is so many times that over a period took place in several rows.
+const GROWS: f64 = 1.5;
+/// Lost rows up to which the current before and after tells the voltage between, and up to which no restart is needed.
+const FEW: usize = 3;
+/// Neighbours, in the size of the change, that a variance is taken from, and places that are looked at.
+const NEIGHBOURS: usize = 50;
+const PLACES: usize = 4000;
+/// Deviation of the mean, as a share of the largest input, that needs no restart.
+const NEARLY_KNOWN: f64 = 0.002;
+/// Rows below which no current is predicted.
+const FEWEST_ROWS: usize = 100;
+
+/// The holes of a record, in order.
+pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
+    let Some((period_s, lost)) = lost_rows(told) else {
+        return Vec::new();
+    };
+    let input = told.input;
+    let largest = input
+        .iter()
+        .fold(0.0, |most, row| f64::max(most, row.1.abs()));
+    let excursions = Excursions::of(input, &lost, period_s);
+    let winding = Winding::of(told, &lost);
+    let mut by_length: Vec<(usize, Vec<(f64, f64)>)> = Vec::new();
+    let mut holes = Vec::new();
+    for (row, &rows) in lost.iter().enumerate().filter(|(_, rows)| **rows > 0) {
+        let ((begin_s, before), (to_s, after)) = (input[row], input[row + 1]);
+        let place = by_length.iter().position(|(length, _)| *length == rows);
+        let place = place.unwrap_or_else(|| {
+            by_length.push((rows, excursions.over(rows)));
+            by_length.len() - 1
+        });
+        let (mut mean, mut variance) = (
+            0.5 * (before + after),
+            variance_at((after - before).abs(), rows, &by_length[place].1),
+        );
+        if variance > 0.0
+            && rows <= FEW
+            && let Some((seen, error)) = winding.as_ref().and_then(|winding| {
+                winding.voltage(told.measured[row], told.measured[row + 1], before, rows)
+            })
+        {
+            let share = variance / (variance + error);
+            mean += share * (seen - mean);
+            variance *= 1.0 - share;
+        }
+        if rows > FEW {
+            // The machine forgets: what counts at the end of a long hole is not its mean but the input in its last part,
+            // which may have been that of either side.
+            variance += 0.25 * (after - before).powi(2);
+        }
+        let needs_restart = rows > FEW && variance.sqrt() > NEARLY_KNOWN * largest;
+        holes.push(UnknownInput {
+            from_s: begin_s + period_s,
+            to_s,
+            lost_rows: rows,
+            mean,
+            variance,
+            restart: needs_restart.then_some(told.measured[row + 1]),
+        });
+    }
+    holes
+}
+
+/// The period, and how many rows were lost after each row; `None` where the record is whole, or does not tell.
+fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
+    let input = told.input;
+    let steps: Vec<f64> = input.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+    if steps.len() < FEWEST_ROWS {
+        return None;
+    }
+    let period_s = median(&steps);
+    let multiples: Vec<f64> = steps.iter().map(|step| (step / period_s).round()).collect();
+    let share = |count: usize| count as f64 / steps.len() as f64;
+    let on_the_grid = (steps.iter().zip(&multiples))
+        .filter(|(step, multiple)| (*step / period_s - *multiple).abs() <= OFF_THE_GRID)
+        .count();
+    let single = multiples
+        .iter()
+        .filter(|multiple| **multiple <= 1.0)
+        .count();
+    let own_rows = (told.sample_period_s / period_s - 1.0).abs() > OFF_THE_GRID;
+    if single == steps.len() || own_rows || share(on_the_grid) < NEARLY_ALL || share(single) < MOST
+    {
+        return None;
+    }
+    // A record that only writes what changes repeats nothing, and changes over two periods by as much as over one.
+    let changes = |alone: bool| -> Vec<f64> {
+        (input.windows(2).zip(&multiples))
+            .filter(|(_, multiple)| (**multiple <= 1.0) == alone)
+            .map(|(pair, _)| (pair[1].1 - pair[0].1).abs())
+            .collect()
+    };
+    let (alone, over_holes) = (changes(true), changes(false));
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let repeats = alone.iter().filter(|change| **change <= 0.0).count();
+    let writes_repeats = repeats as f64 > REPEATS * alone.len() as f64;
+    if !writes_repeats && mean(&over_holes) < GROWS * mean(&alone) && !mostly_distinct(input) {
+        return None;
+    }
+    let lost = multiples
+        .iter()
+        .map(|multiple| whole((multiple - 1.0).max(0.0)));
+    Some((period_s, lost.collect()))
+}
+
+/// Values that hardly ever come again would not be left out for being the same.
+fn mostly_distinct(input: &[(f64, f64)]) -> bool {
+    let mut values: Vec<f64> = input.iter().map(|row| row.1).collect();
+    values.sort_by(f64::total_cmp);
+    values.dedup();
+    2 * values.len() > input.len()
+}
+
+/// By how much the mean between two rows misses the middle of their values, where the record tells it.
+struct Excursions<'a> {
+    input: &'a [(f64, f64)],
+    period_s: f64,
+    /// Integral of the held input up to each row, holes filled by the middle of their neighbours.
+    integral: Vec<f64>,
+    /// Each hole's row and rows lost.
+    holes: Vec<(usize, usize)>,
+}
+
+impl<'a> Excursions<'a> {
+    fn of(input: &'a [(f64, f64)], lost: &[usize], period_s: f64) -> Self {
+        let mut integral = vec![0.0];
+        let mut sum = 0.0;
+        for (pair, &rows) in input.windows(2).zip(lost) {
+            let length_s = pair[1].0 - pair[0].0;
+            let known_s = if rows > 0 {
+                period_s.min(length_s)
+            } else {
+                length_s
+            };
+            sum += pair[0].1 * known_s + 0.5 * (pair[0].1 + pair[1].1) * (length_s - known_s);
+            integral.push(sum);
+        }
+        let holes = lost
+            .iter()
+            .copied()
+            .enumerate()
+            .filter(|(_, rows)| *rows > 0);
+        Self {
+            input,
+            period_s,
+            integral,
+            holes: holes.collect(),
+        }
+    }
+
+    /// `(change, squared miss)` of places as long as a hole of `rows`, sorted by the change, without such as hold a hole
+    /// of that size themselves.
+    fn over(&self, rows: usize) -> Vec<(f64, f64)> {
+        let mut found = Vec::new();
+        let length_s = (rows + 1) as f64 * self.period_s;
+        let stride = self.input.len().div_ceil(PLACES).max(1);
+        for row in (0..self.input.len().saturating_sub(1)).step_by(stride) {
+            let (begin_s, before) = self.input[row];
+            let end_s = begin_s + length_s;
+            let close = 0.5 * self.period_s;
+            let end = self.input.partition_point(|at| at.0 < end_s - close);
+            let Some(&(to_s, after)) = self.input.get(end).filter(|at| at.0 < end_s + close) else {
+                continue;
+            };
+            let first = self.holes.partition_point(|hole| hole.0 < row);
+            let mut within = self.holes[first..].iter().take_while(|hole| hole.0 < end);
+            if within.any(|hole| hole.1 >= rows) {
+                continue;
+            }
+            let unknown_s = to_s - begin_s - self.period_s;
+            let integral = self.integral[end] - self.integral[row] - before * self.period_s;
+            let miss = integral / unknown_s - 0.5 * (before + after);
+            // What sums of decimals leave is nothing.
+            let rounding = 1e-6 * (before.abs() + after.abs());
+            let miss = if miss.abs() <= rounding { 0.0 } else { miss };
+            found.push(((after - before).abs(), miss * miss));
+        }
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found
+    }
+}
+
+/// Mean square of the miss where the input changed by about as much; without examples, that of one edge somewhere.
+fn variance_at(change: f64, rows: usize, examples: &[(f64, f64)]) -> f64 {
+    if examples.len() < NEIGHBOURS {
+        let n = rows as f64;
+        return change.powi(2) * (n + 2.0) / (12.0 * n);
+    }
+    let near = examples.partition_point(|example| example.0 < change);
+    let same = examples.partition_point(|example| example.0 <= change);
+    let begin = near.saturating_sub(NEIGHBOURS / 2);
+    let end = same.max(begin + NEIGHBOURS).min(examples.len());
+    // Changes that are the same to the bit are their own best examples.
+    let (begin, end) = if same - near >= NEIGHBOURS {
+        (near, same)
+    } else {
+        (begin, end)
+    };
+    let part = &examples[begin..end];
+    part.iter().map(|example| example.1).sum::<f64>() / part.len() as f64
+}
+
+/// The current one period on, `i' = f i + g u + h (w + w')/2`, as the whole intervals of the record have it: good enough
+/// to tell a voltage from it, not to identify.
+struct Winding {
+    f: f64,
+    g: f64,
+    h: f64,
+    /// Mean square of what it misses, A2.
+    variance: f64,
+}
+
+impl Winding {
+    fn of(told: &Told<'_>, lost: &[usize]) -> Option<Self> {
+        let rows: Vec<(SVector<f64, 3>, f64)> = (0..lost.len())
+            .filter(|row| lost[*row] == 0)
+            .filter_map(|row| {
+                let ([i, w], [next_i, next_w]) = (told.measured[row], told.measured[row + 1]);
+                let x = SVector::<f64, 3>::new(i, told.input[row].1, 0.5 * (w + next_w));
+                let all = x.iter().all(|x| x.is_finite()) && next_i.is_finite();
+                all.then_some((x, next_i))
+            })
+            .collect();
+        if rows.len() < FEWEST_ROWS {
+            return None;
+        }
+        let (mut normal, mut right) = (SMatrix::<f64, 3, 3>::zeros(), SVector::<f64, 3>::zeros());
+        for (x, y) in &rows {
+            normal += x * x.transpose();
+            right += x * *y;
+        }
+        let solution = normal.cholesky()?.solve(&right);
+        let left: f64 = rows
+            .iter()
+            .map(|(x, y)| (y - x.dot(&solution)).powi(2))
+            .sum();
+        let (f, g, h) = (solution[0], solution[1], solution[2]);
+        let possible = f > 0.0 && f < 1.0 && g > 0.0 && h.is_finite();
+        possible.then(|| Self {
+            f,
+            g,
+            h,
+            variance: left / rows.len() as f64,
+        })
+    }
+
+    /// Mean voltage over the lost rows between two measured ones, of which the first held `before_v` for a period, and
+    /// the mean square of its error.
+    fn voltage(
+        &self,
+        [i, w]: [f64; 2],
+        [next_i, next_w]: [f64; 2],
+        before_v: f64,
+        rows: usize,
+    ) -> Option<(f64, f64)> {
+        let mut known = self.f * i + self.g * before_v + self.h * 0.5 * (w + next_w);
+        let mut gain = 0.0;
+        for _ in 0..rows {
+            known = self.f * known + self.h * 0.5 * (w + next_w);
+            gain = self.f * gain + self.g;
+        }
+        let volts = (next_i - known) / gain;
+        volts
+            .is_finite()
+            .then(|| (volts, self.variance / gain.powi(2)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Holes of a record of one value a millisecond without the rows that were lost; current and speed follow from
+    /// `i' = 0.9 i + 0.1 u` where `measured`.
+    fn holes(values: &[f64], measured: bool, lost: impl Fn(usize) -> bool) -> Vec<UnknownInput> {
+        let mut current = 0.0;
+        let mut rows = Vec::new();
+        for (row, value) in values.iter().enumerate() {
+            if !lost(row) {
+                let seen = if measured {
+                    [current, 0.1 * (row as f64).sin()]
+                } else {
+                    [f64::NAN; 2]
+                };
+                rows.push(((1e-3 * row as f64, *value), seen));
+            }
+            current = 0.9 * current + 0.1 * value;
+        }
+        let (input, measured): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+        let sample_period_s = 1e-3;
+        find(&Told {
+            input: &input,
+            measured: &measured,
+            sample_period_s,
+        })
+    }
+
+    /// Plus or minus five, held for `rows` at least.
+    fn switched(rows: usize, count: usize) -> Vec<f64> {
+        let mut state = 7_u32;
+        let chips = (0..count.div_ceil(rows)).map(|_| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            if state >> 31 == 0 { -5.0 } else { 5.0 }
+        });
+        let chips: Vec<f64> = chips.collect();
+        (0..count).map(|row| chips[row / rows]).collect()
+    }
+
+    #[test]
+    fn equal_neighbours_prove_the_value_between_only_where_the_input_is_slower_than_the_hole() {
+        let one_row = |row: usize| row % 13 == 6;
+        let slow = holes(&switched(10, 3000), false, one_row);
+        let fast = holes(&switched(1, 3000), false, one_row);
+        assert!(slow.len() > 200 && fast.len() > 200);
+        let equal = |hole: &&UnknownInput| hole.mean != 0.0;
+        assert!(slow.iter().filter(equal).all(|hole| hole.variance == 0.0));
+        // Half of the time the one between two equal values of a random sequence is the other: (2 x 5)^2 / 2.
+        assert!(
+            fast.iter()
+                .filter(equal)
+                .all(|hole| (hole.variance - 50.0).abs() < 20.0)
+        );
+        // Between two that differ it was one of them.
+        assert!(
+            slow.iter()
+                .filter(|hole| hole.mean == 0.0)
+                .all(|hole| (hole.variance - 25.0).abs() < 1.0)
+        );
+    }
+
+    #[test]
+    fn a_ramp_goes_on_through_a_lost_row_and_is_known() {
+        let ramp: Vec<f64> = (0..600)
+            .map(|row| (row as f64 - 50.0).max(0.0) * 0.25)
+            .collect();
+        let found = holes(&ramp, false, |row| row % 40 == 20);
+        let late: Vec<&UnknownInput> = found.iter().filter(|hole| hole.from_s > 0.055).collect();
+        assert!(late.len() > 10);
+        for hole in late {
+            let there = ramp[whole(hole.from_s * 1e3 + 0.5)];
+            assert!(
+                (hole.mean - there).abs() < 1e-9 && hole.variance == 0.0,
+                "{hole:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_current_tells_the_voltage_of_a_lost_row() {
+        let values = switched(10, 3000);
+        let lost = |row: usize| row % 13 == 6;
+        for (measured, most_v) in [(true, 0.1), (false, 5.1)] {
+            let found = holes(&values, measured, lost);
+            let miss =
+                |hole: &UnknownInput| (hole.mean - values[whole(hole.from_s * 1e3 + 0.5)]).abs();
+            let worst = found.iter().map(miss).fold(0.0, f64::max);
+            assert!(worst < most_v && (measured || worst > 4.9), "{worst}");
+        }
+    }
+
+    #[test]
+    fn a_long_hole_asks_for_a_restart_unless_nothing_happens_in_such_a_time() {
+        let found = holes(&switched(10, 3000), true, |row| (1000..1400).contains(&row));
+        assert_eq!(found.len(), 1);
+        assert_eq!(
+            (found[0].lost_rows, found[0].restart.is_some()),
+            (400, true)
+        );
+        assert!((found[0].from_s - 1.0).abs() < 1e-9 && (found[0].to_s - 1.4).abs() < 1e-9);
+        assert!(found[0].variance > 0.5);
+        let still = vec![3.0; 3000];
+        let still = holes(&still, true, |row| (1000..1400).contains(&row));
+        assert_eq!((still[0].variance, still[0].restart), (0.0, None));
+    }
+
+    #[test]
+    fn a_whole_record_one_of_changes_only_and_one_without_a_beat_have_lost_nothing() {
+        let values = switched(10, 3000);
+        assert_eq!(holes(&values, true, |_| false), []);
+        // A row for each change: every time between them is a multiple of the chips'.
+        let changes = |row: usize| row > 0 && values[row] == values[row - 1];
+        assert_eq!(holes(&values, true, changes), []);
+        // A staircase of commands that a recorder wrote in the rows of its samples, where it changed.
+        let chirp: Vec<f64> = (0..3000)
+            .map(|row| (5.0 * (2e-6 * f64::from(row).powi(2)).sin()).round())
+            .collect();
+        assert_eq!(
+            holes(&chirp, true, |row| row > 0 && chirp[row] == chirp[row - 1]),
+            []
+        );
+        let stamps = |row: usize| (row as f64 + 0.4 * (1.7 * row as f64).sin()) * 9e-3;
+        let input: Vec<(f64, f64)> = (0..3000)
+            .filter(|row| row % 10 != 0)
+            .map(|row| (stamps(row), values[row]))
+            .collect();
+        let measured = vec![[0.0; 2]; input.len()];
+        assert_eq!(
+            find(&Told {
+                input: &input,
+                measured: &measured,
+                sample_period_s: 9e-3
+            }),
+            []
+        );
+    }
+
+    #[test]
+    fn commands_on_rows_of_their_own_hold_until_the_next() {
+        let values = switched(1, 3000);
+        let input: Vec<(f64, f64)> = (0..3000)
+            .filter(|row| row % 10 != 3)
+            .map(|row| (0.01 * row as f64, values[row]))
+            .collect();
+        let measured = vec![[f64::NAN; 2]; input.len()];
+        assert_eq!(
+            find(&Told {
+                input: &input,
+                measured: &measured,
+                sample_period_s: 1e-3
+            }),
+            []
+        );
+    }
+}
