@@ -380,6 +380,8 @@ mod tests {
             gram: DMatrix::from_fn(n, n, |r, c| gram[r][c]),
             right: DVector::from_column_slice(right),
             squares: 1000.0,
+            rows: 1000,
+            log_variance: 0.0,
             columns: vec![],
             present: DVector::zeros(n),
         }
