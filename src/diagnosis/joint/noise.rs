@@ -1,28 +1,34 @@
 //! How much is random in a run: by marginal likelihood with every effect in under its slab.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::columns::{Around, Linear};
-use super::follow::{Deviation, Noise, corrected, jump_of, predicted, Passage, P, VOLTAGE_S};
+use super::follow::{Noise, P, Passage, VOLTAGE_S, corrected, jump_of, predicted};
 use super::select::Reduced;
+use super::tangent::{Deviations, LANES, Lane, Step};
+use super::whitened::Whitened;
+use crate::numerics::count::whole;
 use crate::plant::Input;
 
 /// Interval over which samples are averaged, s: the disturbance is slower.
 const BLOCK_S: f64 = 6e-3;
+/// Blocks whose innovations are multiplied at once.
+const AT_ONCE: usize = 128;
 
 /// One run in averages, whatever noise it was whitened with.
 struct Averaged {
     passages: Vec<(Passage, bool)>,
     /// Samples that were averaged: current, speed.
     counts: Vec<[f64; 2]>,
-    /// Block by block: current and speed of every column, the residual last.
-    values: Vec<Vec<[f64; 2]>>,
+    /// Block by block the currents, then the speeds, of all columns, the residual last; padded to whole lanes.
+    values: Vec<f64>,
+    /// Columns with their padding.
+    width: usize,
 }
 
 /// Columns that stand for all: the motor's, and each candidate's likeliest form.
-fn representatives(linear: &Linear, reduced: &Reduced<'_>, likeliest: &[usize]) -> Vec<usize> {
-    let _ = reduced;
+fn representatives(linear: &Linear, likeliest: &[usize]) -> Vec<usize> {
     let mut columns: Vec<usize> = (0..linear.nuisances.len()).collect();
     for (candidate, variant) in linear.candidates.iter().zip(likeliest) {
         columns.extend(&candidate.variants[*variant].columns);
@@ -30,157 +36,159 @@ fn representatives(linear: &Linear, reduced: &Reduced<'_>, likeliest: &[usize]) 
     columns
 }
 
-fn averaged(run: &Around<'_>, whitened: &DMatrix<f64>, present: &DVector<f64>, columns: &[usize]) -> Averaged {
+fn averaged(run: &Around<'_>, whitened: &Whitened, present: &DVector<f64>, columns: &[usize]) -> Averaged {
     let n = run.scenario.samples();
     let times = &run.scenario.sample_time_s;
     let period_s = (times[n - 1] - times[0]) / (n - 1) as f64;
-    let size = ((BLOCK_S / period_s).floor() as usize).max(1);
+    let size = whole((BLOCK_S / period_s).floor()).max(1);
     let blocks = n.div_ceil(size);
     let mut counts = vec![[0.0; 2]; blocks];
-    for sample in 0..n {
-        let update = &run.follower.updates[sample];
-        counts[sample / size][0] += f64::from(u8::from(update.current[4] > 0.0));
-        counts[sample / size][1] += f64::from(u8::from(update.speed[4] > 0.0));
+    for (sample, update) in run.follower.updates.iter().enumerate() {
+        for (count, gains) in counts[sample / size].iter_mut().zip([&update.current, &update.speed]) {
+            *count += f64::from(u8::from(gains[4] > 0.0));
+        }
     }
-    let mut passages = Vec::with_capacity(blocks);
-    for block in 0..blocks {
-        let range = block * size..((block + 1) * size).min(n);
-        let mut kept = 1.0;
-        let mut form = [0.0; 2];
-        let mut interval_s = 0.0;
-        let mut jumps = false;
-        let mut direction = 0.0;
-        for sample in range {
-            let passage = &run.follower.passages[sample];
-            kept *= passage.kept;
-            for k in 0..2 { form[k] += passage.form[k] / size as f64; }
-            interval_s += passage.interval_s;
-            let last = if sample > 0 { run.followed.direction[sample - 1] } else { 0.0 };
-            jumps |= passage.direction != 0.0 && passage.direction != last && sample > 0;
-            direction = passage.direction;
-        }
-        passages.push((
-            Passage {
-                propagator: run.dynamics.over(interval_s, direction == 0.0),
-                interval_s,
-                direction,
-                kept,
-                form,
-                voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
-            },
-            jumps,
-        ));
+    let passages = (0..blocks).map(|block| passage_of(run, block * size..((block + 1) * size).min(n), size)).collect();
+    let mut residual = whitened * present.clone();
+    for (sum, white) in residual.iter_mut().zip(run.followed.white.iter().flatten()) {
+        *sum += white;
     }
-    let shift: DVector<f64> = whitened * present;
-    let turn = |value: &dyn Fn(usize) -> [f64; 2]| -> Vec<[f64; 2]> {
-        let mut sums = vec![[0.0; 2]; blocks];
-        let mut track = Deviation::default();
-        for sample in 0..n {
-            let passage = &run.follower.passages[sample];
-            if passage.interval_s > 0.0 {
-                track.pass(passage, [0.0; 2], run.follower.forgets[sample], &run.dynamics);
+    let width = (columns.len() + 1).next_multiple_of(LANES);
+    let mut values = vec![0.0; 2 * blocks * width];
+    let groups: Vec<Vec<[Lane; 2]>> = (0..width / LANES)
+        .into_par_iter()
+        .map(|group| {
+            let value = |column: usize, row: usize| match columns.get(column) {
+                Some(number) => f64::from(whitened.columns[*number][row]),
+                None if column == columns.len() => residual[row],
+                None => 0.0,
+            };
+            let mut sums = vec![[[0.0; LANES]; 2]; blocks];
+            let mut track = Deviations::default();
+            for (sample, (step, update)) in run.steps.iter().zip(&run.follower.updates).enumerate() {
+                track.drift(step);
+                let mut white = [[0.0; LANES]; 2];
+                for lane in 0..LANES {
+                    for (signal, white) in white.iter_mut().enumerate() {
+                        white[lane] = value(group * LANES + lane, 2 * sample + signal);
+                    }
+                }
+                let readings = track.colour(update, &white);
+                for (sum, reading) in sums[sample / size].iter_mut().flatten().zip(readings.iter().flatten()) {
+                    *sum += reading;
+                }
             }
-            let z = track.colour(&run.follower.updates[sample], value(sample));
-            let update = &run.follower.updates[sample];
-            if update.current[4] > 0.0 { sums[sample / size][0] += z[0]; }
-            if update.speed[4] > 0.0 { sums[sample / size][1] += z[1]; }
-        }
-        for (sum, count) in sums.iter_mut().zip(&counts) {
-            for k in 0..2 {
-                if count[k] > 0.0 { sum[k] /= count[k]; }
-            }
-        }
-        sums
-    };
-    let mut each: Vec<Vec<[f64; 2]>> = columns
-        .par_iter()
-        .map(|c| turn(&|sample| [whitened[(2 * sample, *c)], whitened[(2 * sample + 1, *c)]]))
+            sums
+        })
         .collect();
-    each.push(turn(&|sample| {
-        let white = run.followed.white[sample];
-        [white[0] + shift[2 * sample], white[1] + shift[2 * sample + 1]]
-    }));
-    let values = (0..blocks).map(|block| each.iter().map(|column| column[block]).collect()).collect();
-    Averaged { passages, counts, values }
+    for (group, sums) in groups.iter().enumerate() {
+        for (block, (sum, count)) in sums.iter().zip(&counts).enumerate() {
+            for signal in 0..2 {
+                let from = (2 * block + signal) * width + group * LANES;
+                for (value, sum) in values[from..from + LANES].iter_mut().zip(&sum[signal]) {
+                    *value = sum / count[signal].max(1.0);
+                }
+            }
+        }
+    }
+    Averaged { passages, counts, values, width }
+}
+
+/// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
+fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) -> (Passage, bool) {
+    let mut kept = 1.0;
+    let mut form = [0.0; 2];
+    let mut interval_s = 0.0;
+    let mut jumps = false;
+    let mut direction = 0.0;
+    for sample in samples {
+        let passage = &run.follower.passages[sample];
+        kept *= passage.kept;
+        for (sum, part) in form.iter_mut().zip(passage.form) {
+            *sum += part / size as f64;
+        }
+        interval_s += passage.interval_s;
+        let last = if sample > 0 { run.followed.direction[sample - 1] } else { 0.0 };
+        jumps |= sample > 0 && passage.direction != 0.0 && passage.direction != last;
+        direction = passage.direction;
+    }
+    let passage = Passage {
+        propagator: run.dynamics.over(interval_s, direction == 0.0),
+        interval_s,
+        direction,
+        kept,
+        form,
+        voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
+    };
+    (passage, jumps)
 }
 
 impl Averaged {
-    /// Adds to the normal matrix (residual last) and returns the sum of the logarithms of the variances.
-    fn filter(&self, run: &Around<'_>, noise: &Noise, sums: &mut DMatrix<f64>) -> f64 {
-        let k = self.values[0].len();
+    /// The normal matrix (residual last, then the padding) and the sum of the logarithms of the variances.
+    fn filter(&self, run: &Around<'_>, noise: &Noise) -> (DMatrix<f64>, f64) {
+        let width = self.width;
         let jump = jump_of(run.scenario);
-        let mut states = vec![Deviation::default(); k];
+        let mut states = vec![Deviations::default(); width / LANES];
         let mut p: P = [[0.0; 4]; 4];
-        let stationary = noise.disturbance_n_m.powi(2);
-        p[2][2] = stationary;
+        p[2][2] = noise.disturbance_n_m.powi(2);
         p[3][3] = noise.voltage_v.powi(2);
         let mut log = 0.0;
-        let mut rows = vec![[0.0; 2]; k];
-        let mut buffer: Vec<f64> = Vec::with_capacity(256 * k);
-        let mut flush = |buffer: &mut Vec<f64>, sums: &mut DMatrix<f64>| {
-            let m = DMatrix::from_column_slice(k, buffer.len() / k, buffer);
-            let t = m.transpose();
-            sums.gemm(1.0, &m, &t, 1.0);
-            buffer.clear();
-        };
+        let mut sums = DMatrix::zeros(width, width);
+        let mut buffer: Vec<f64> = Vec::with_capacity(2 * AT_ONCE * width);
         for (block, (passage, jumps)) in self.passages.iter().enumerate() {
             let forget = (-passage.interval_s / noise.correlation_s).exp();
             p = predicted(&p, passage, &run.dynamics, noise, forget);
-            if *jumps { p[1][1] += jump; }
+            if *jumps {
+                p[1][1] += jump;
+            }
             if passage.direction == 0.0 {
-                for j in 0..4 { p[1][j] = 0.0; p[j][1] = 0.0; }
+                for j in 0..4 {
+                    p[1][j] = 0.0;
+                    p[j][1] = 0.0;
+                }
             }
+            let step = Step::of(passage, forget, &run.dynamics);
             for state in &mut states {
-                state.pass(passage, [0.0; 2], forget, &run.dynamics);
+                state.drift(&step);
             }
-            let counts = self.counts[block];
-            for signal in 0..2 {
-                if counts[signal] == 0.0 {
-                    for row in &mut rows { row[signal] = 0.0; }
+            for (signal, count) in self.counts[block].into_iter().enumerate() {
+                if count == 0.0 {
                     continue;
                 }
                 let sigma = if signal == 0 { noise.current_a } else { noise.speed_rad_s };
-                let s = p[signal][signal] + sigma * sigma / counts[signal];
+                let s = p[signal][signal] + sigma * sigma / count;
                 let gain = [p[0][signal] / s, p[1][signal] / s, p[2][signal] / s, p[3][signal] / s];
                 p = corrected(&p, &gain, signal);
                 log += s.ln();
-                let over = 1.0 / s.sqrt();
-                for ((state, value), row) in states.iter_mut().zip(&self.values[block]).zip(&mut rows) {
-                    let e = value[signal] - state.0[signal];
-                    for (state, gain) in state.0.iter_mut().zip(gain) { *state += gain * e; }
-                    row[signal] = e * over;
+                let gains = [gain[0], gain[1], gain[2], gain[3], 1.0 / s.sqrt()];
+                let values = &self.values[(2 * block + signal) * width..][..width];
+                for (state, values) in states.iter_mut().zip(values.chunks_exact(LANES)) {
+                    buffer.extend(state.measure(signal, values, &gains));
                 }
             }
-            for signal in 0..2 {
-                if counts[signal] > 0.0 { buffer.extend(rows.iter().map(|row| row[signal])); }
+            if buffer.len() >= 2 * AT_ONCE * width || block + 1 == self.passages.len() {
+                let rows = buffer.len() / width;
+                let innovations = DMatrixView::from_slice(&buffer, width, rows);
+                let turned = DMatrixView::from_slice_with_strides_generic(&buffer, Dyn(rows), Dyn(width), Dyn(width), Dyn(1));
+                sums.gemm(1.0, &innovations, &turned, 1.0);
+                buffer.clear();
             }
-            if buffer.len() >= 256 * k { flush(&mut buffer, sums); }
         }
-        flush(&mut buffer, sums);
-        log
+        (sums, log)
     }
 }
 
 /// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest.
 pub fn likeliest(runs: &[Around<'_>], linear: &Linear, reduced: &Reduced<'_>, forms: &[usize], floor: &Noise, start: Noise) -> Noise {
-    let columns = representatives(linear, reduced, forms);
+    let columns = representatives(linear, forms);
     let m = linear.nuisances.len();
     let data: Vec<Averaged> = runs.iter().zip(&linear.columns).map(|(run, w)| averaged(run, w, &linear.present, &columns)).collect();
     let k = columns.len();
     let voltage_driven = runs[0].scenario.input == Input::Voltage;
     let log_likelihood = |noise: &Noise| -> f64 {
-        let parts: Vec<(f64, DMatrix<f64>)> = runs
-            .par_iter()
-            .zip(&data)
-            .map(|(run, data)| {
-                let mut sums = DMatrix::zeros(k + 1, k + 1);
-                let log = data.filter(run, noise, &mut sums);
-                (log, sums)
-            })
-            .collect();
-        let mut sums = DMatrix::zeros(k + 1, k + 1);
-        let mut log = 0.0;
-        for (l, s) in parts { log += l; sums += s; }
+        let parts: Vec<(DMatrix<f64>, f64)> = runs.par_iter().zip(&data).map(|(run, data)| data.filter(run, noise)).collect();
+        let zero = (DMatrix::zeros(data[0].width, data[0].width), 0.0);
+        let (sums, log) = parts.into_iter().fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let mut a = sums.view((0, 0), (k, k)).into_owned();
         for d in 0..k { a[(d, d)] += if d < m { 1.0 / linear.nuisances[d].powi(2) } else { 1.0 }; }
         let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();

@@ -1,0 +1,89 @@
+//! Whitened columns of one run, and their products.
+
+use std::ops::{Mul, Range};
+
+use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
+use rayon::prelude::*;
+
+/// Whitened innovations of each column: current and speed, sample by sample. Single precision halves what a long run
+/// needs; its rounding is like white noise ten million times smaller than the column. Sums are in double precision.
+#[derive(Clone, Debug, Default)]
+pub struct Whitened {
+    pub columns: Vec<Vec<f32>>,
+    rows: usize,
+}
+
+/// Rows that are multiplied at once.
+const ROWS: usize = 512;
+/// Parts of a run that are summed side by side.
+const PARTS: usize = 8;
+/// Columns of one block of a product: blocks below the diagonal are not needed.
+const BLOCK: usize = 64;
+
+impl Whitened {
+    pub const fn new(columns: Vec<Vec<f32>>, rows: usize) -> Self {
+        Self { columns, rows }
+    }
+
+    /// `w' w` with `w` these columns and `last` behind them.
+    pub fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
+        let p = self.columns.len() + 1;
+        // In parts that do not depend on who is free: sums come out the same every time.
+        let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
+        let sums: Vec<DMatrix<f64>> = (0..self.rows.div_ceil(part))
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|number| {
+                let mut sum = DMatrix::zeros(p, p);
+                let mut buffer = Vec::with_capacity(p * ROWS);
+                let end = ((number + 1) * part).min(self.rows);
+                for first in (number * part..end).step_by(ROWS) {
+                    let range = first..(first + ROWS).min(end);
+                    self.chunk(range.clone(), last, &mut buffer);
+                    add_upper(&mut sum, &buffer, range.len());
+                }
+                sum
+            })
+            .collect();
+        let mut sum = sums.into_iter().fold(DMatrix::zeros(p, p), |sum, part| sum + part);
+        sum.fill_lower_triangle_with_upper_triangle();
+        sum
+    }
+
+    fn chunk(&self, range: Range<usize>, last: &[[f64; 2]], buffer: &mut Vec<f64>) {
+        buffer.clear();
+        for column in &self.columns {
+            buffer.extend(column[range.clone()].iter().map(|value| f64::from(*value)));
+        }
+        buffer.extend(range.map(|row| last[row / 2][row % 2]));
+    }
+}
+
+/// Adds the blocks on and above the diagonal of `w' w`; `w` is column by column in `buffer`.
+fn add_upper(sum: &mut DMatrix<f64>, buffer: &[f64], rows: usize) {
+    let p = sum.ncols();
+    for from in (0..p).step_by(BLOCK) {
+        let width = BLOCK.min(p - from);
+        let left = &buffer[from * rows..(from + width) * rows];
+        let turned = DMatrixView::from_slice_with_strides_generic(left, Dyn(width), Dyn(rows), Dyn(rows), Dyn(1));
+        let right = DMatrixView::from_slice(&buffer[from * rows..], rows, p - from);
+        sum.view_mut((from, from), (width, p - from)).gemm(1.0, &turned, &right, 1.0);
+    }
+}
+
+/// The columns' sum with these weights.
+impl Mul<DVector<f64>> for &Whitened {
+    type Output = DVector<f64>;
+
+    fn mul(self, weights: DVector<f64>) -> DVector<f64> {
+        let mut sum = DVector::zeros(self.rows);
+        for (column, weight) in self.columns.iter().zip(weights.iter()) {
+            if *weight != 0.0 {
+                for (sum, value) in sum.iter_mut().zip(column) {
+                    *sum += weight * f64::from(*value);
+                }
+            }
+        }
+        sum
+    }
+}
