@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
-use super::forms::keep_likeliest;
+use super::forms::{drop_refuted, keep_likeliest};
 use super::tangent::{Axis, LANES, Step, Tangent, Wave, carry};
 use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
@@ -115,11 +115,12 @@ impl<'a> Around<'a> {
         Some(Self { model, scenario, start, noise, follower, followed, dynamics, instants, turns, steps })
     }
 
-    /// What another model does to the whitened innovations, over `step`; nothing where it cannot follow.
-    fn difference(&self, model: &Model, step: f64) -> Vec<f32> {
-        let mut out = Vec::with_capacity(self.scenario.samples());
-        if !follow(&self.follower, model, self.scenario, self.start, &self.noise, &mut out) {
-            return vec![0.0; self.rows()];
+    /// What another model does to the whitened innovations, over `step`, in the whole run or the beginning of it that
+    /// `scenario` is; nothing where it cannot follow.
+    pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
+        let mut out = Vec::with_capacity(scenario.samples());
+        if !follow(&self.follower, model, scenario, self.start, &self.noise, &mut out) {
+            return vec![0.0; 2 * scenario.samples()];
         }
         let over = 1.0 / step;
         let change = |(a, b): (&[f64; 2], &[f64; 2])| [single((b[0] - a[0]) * over), single((b[1] - a[1]) * over)];
@@ -431,6 +432,7 @@ pub fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<L
     let base = columns_of(&sources.collect::<Vec<_>>(), runs);
     let precision: Vec<f64> = (0..base[0].columns.len()).map(|k| nuisances.get(k).map_or(1.0, |sd| 1.0 / (sd * sd))).collect();
     keep_likeliest(&mut parts, runs, &base, &precision);
+    drop_refuted(&mut parts, &runs[0], &base[0], &precision);
     let outside = flat(&parts, false);
     let sources = outside.iter().flat_map(|k| parts[*k].sources.iter().flatten());
     let others = columns_of(&sources.collect::<Vec<_>>(), runs);
@@ -489,7 +491,7 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
         .map(|(number, work)| {
             let run = &runs[number];
             let columns = match work {
-                Work::Difference(k, model, step) => vec![(k, run.difference(model, step))],
+                Work::Difference(k, model, step) => vec![(k, run.difference(model, run.scenario, step))],
                 Work::Nothing(k) => vec![(k, vec![0.0; run.rows()])],
                 Work::Tangents(some) => {
                     let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();

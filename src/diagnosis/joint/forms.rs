@@ -6,11 +6,20 @@ use rayon::prelude::*;
 use super::columns::{Around, Part, Source};
 use super::tangent::{LANES, Lane, Tangent, carry};
 use super::whitened::Whitened;
+use crate::plant::Scenario;
 
 /// Forms of one effect that are kept.
 const KEPT: usize = 6;
+/// The beginning of a run that is looked at first is one part of so many.
+const LOOK: usize = 6;
+/// Standard deviations by which the beginning has to tell all of an effect from none of it.
+const PLAIN: f64 = 20.0;
+/// Share of an effect, as the beginning has it, below which it is not there wholly.
+const REFUTED: f64 = 0.2;
+/// Mean square of the innovations above which a linear solution refutes nothing.
+const FAR: f64 = 3.0;
 
-/// Forms that are carried side by side, and what they have in common with the base, the residual and each other.
+/// Forms of one column or two that are carried side by side, and their products with all that matters.
 struct Group {
     part: usize,
     forms: Vec<usize>,
@@ -23,7 +32,7 @@ struct Group {
 pub(super) fn keep_likeliest(parts: &mut [Part], runs: &[Around<'_>], base: &[Whitened], precision: &[f64]) {
     let mut groups = Vec::new();
     for (number, part) in parts.iter().enumerate() {
-        let many = part.sources.len() > KEPT;
+        let many = part.sources.len() > KEPT && part.sources[0].len() <= 2;
         let tangents = part.sources.iter().flatten().all(|source| !matches!(source, Source::Difference { .. }));
         if many && tangents {
             let width = part.sources[0].len();
@@ -31,10 +40,11 @@ pub(super) fn keep_likeliest(parts: &mut [Part], runs: &[Around<'_>], base: &[Wh
             groups.extend(forms.chunks(LANES / width).map(|forms| Group { part: number, forms: forms.to_vec(), products: vec![] }));
         }
     }
-    let Some((factor, right)) = base_of(runs, base, precision) else { return };
+    let residuals: Vec<&[[f64; 2]]> = runs.iter().map(|run| &run.followed.white[..]).collect();
+    let Some((factor, right)) = base_of(&residuals, base, precision) else { return };
     groups.par_iter_mut().with_max_len(1).for_each(|group| {
         let sources: Vec<&Source> = group.forms.iter().flat_map(|form| &parts[group.part].sources[*form]).collect();
-        group.products = vec![[0.0; LANES]; precision.len() + 1 + LANES];
+        group.products = vec![[0.0; LANES]; precision.len() + 3];
         for (number, (run, base)) in runs.iter().zip(base).enumerate() {
             let tangents: Vec<&Tangent> = sources.iter().filter_map(|source| source.tangent(number)).collect();
             if tangents.len() == sources.len() {
@@ -55,22 +65,77 @@ pub(super) fn keep_likeliest(parts: &mut [Part], runs: &[Around<'_>], base: &[Wh
         }
         gains.sort_by(|a, b| b.1.total_cmp(&a.1));
         gains.truncate(KEPT);
-        let mut form = 0..;
-        let mut kept = || form.next().is_some_and(|form| gains.iter().any(|gain| gain.0 == form));
-        let keep: Vec<bool> = parts[number].sources.iter().map(|_| kept()).collect();
-        let mut each = keep.iter();
-        parts[number].sources.retain(|_| each.next().is_some_and(|keep| *keep));
-        let mut each = keep.iter();
-        parts[number].candidate.variants.retain(|_| each.next().is_some_and(|keep| *keep));
+        parts[number].keep(|form| gains.iter().any(|gain| gain.0 == form));
     }
 }
 
+impl Part {
+    fn keep(&mut self, wanted: impl Fn(usize) -> bool) {
+        let mut form = 0..;
+        self.sources.retain(|_| form.next().is_some_and(&wanted));
+        let mut form = 0..;
+        self.candidate.variants.retain(|_| form.next().is_some_and(&wanted));
+    }
+}
+
+/// Leaves out forms of what is there wholly or not at all that the beginning of a run refutes already, all but the two
+/// that come nearest: each that is left costs a simulation of every run. Nothing is refuted where the model is far off,
+/// or where the beginning says too little.
+pub(super) fn drop_refuted(parts: &mut [Part], run: &Around<'_>, base: &Whitened, precision: &[f64]) {
+    let squares: f64 = run.followed.white.iter().flatten().map(|white| white * white).sum();
+    if squares > FAR * run.follower.rows as f64 {
+        return;
+    }
+    let beginning = beginning(run.scenario, run.scenario.samples().div_ceil(LOOK));
+    let rows = 2 * beginning.samples();
+    let base = base.beginning(rows);
+    let residual = &run.followed.white[..beginning.samples()];
+    let Some((factor, right)) = base_of(&[residual], std::slice::from_ref(&base), precision) else { return };
+    let whole = |part: &Part| !part.candidate.in_model && part.candidate.variants.len() > 2 && part.candidate.variants[0].mean > 0.0;
+    parts.par_iter_mut().filter(|part| whole(part)).for_each(|part| {
+        let shares: Vec<f64> = part
+            .sources
+            .par_iter()
+            .zip(&part.candidate.variants)
+            .with_max_len(1)
+            .map(|(sources, variant)| {
+                let [Source::Difference { model, step }] = &sources[..] else { return f64::INFINITY };
+                let column = run.difference(model, &beginning, *step);
+                let products = base.with(column).gram(residual);
+                let m = precision.len();
+                let cross = products.view((0, m), (m, 1)).column(0).into_owned();
+                let solved = factor.solve(&cross);
+                let own = products[(m, m)] - cross.dot(&solved);
+                if own * variant.mean * variant.mean < PLAIN * PLAIN {
+                    return f64::INFINITY;
+                }
+                (products[(m, m + 1)] - solved.dot(&right)) / own / variant.mean
+            })
+            .collect();
+        let mut order = shares.clone();
+        order.sort_by(|a, b| b.total_cmp(a));
+        let least = order[1].min(REFUTED);
+        part.keep(|form| shares[form] >= least);
+    });
+}
+
+/// The run's first samples.
+fn beginning(scenario: &Scenario, samples: usize) -> Scenario {
+    let mut beginning = scenario.clone();
+    beginning.sample_time_s.truncate(samples);
+    beginning.current_a.truncate(samples);
+    beginning.speed_rad_s.truncate(samples);
+    beginning.time_half_width_s.truncate(samples);
+    beginning.scored = 0..samples;
+    beginning
+}
+
 /// The normal equations of the base.
-fn base_of(runs: &[Around<'_>], base: &[Whitened], precision: &[f64]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
+fn base_of(residuals: &[&[[f64; 2]]], base: &[Whitened], precision: &[f64]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
     let k = precision.len();
     let mut products = DMatrix::zeros(k + 1, k + 1);
-    for (run, base) in runs.iter().zip(base) {
-        products += base.gram(&run.followed.white);
+    for (residual, base) in residuals.iter().zip(base) {
+        products += base.gram(residual);
     }
     let mut gram = products.view((0, 0), (k, k)).into_owned();
     for (d, precision) in precision.iter().enumerate() {
@@ -79,10 +144,11 @@ fn base_of(runs: &[Around<'_>], base: &[Whitened], precision: &[f64]) -> Option<
     Some((gram.cholesky()?, products.view((0, k), (k, 1)).column(0).into_owned()))
 }
 
-/// Products of the tangents with the base's columns, with the residual, and with each other.
+/// Products of the tangents with the base's columns, with the residual, with themselves, and of each even one with the
+/// next.
 fn add_products(run: &Around<'_>, base: &Whitened, tangents: &[&Tangent], products: &mut [Lane]) {
     let (with_base, others) = products.split_at_mut(base.columns.len());
-    let Some((with_rest, with_each)) = others.split_first_mut() else { return };
+    let [with_rest, squares, pairs] = others else { return };
     carry(run, tangents, |first, white| {
         for (sum, column) in with_base.iter_mut().zip(&base.columns) {
             let mut part = [0.0; LANES];
@@ -103,15 +169,12 @@ fn add_products(run: &Around<'_>, base: &Whitened, tangents: &[&Tangent], produc
                 }
             }
         }
-        for (lane, sum) in with_each.iter_mut().enumerate() {
-            let mut part = [0.0; LANES];
-            for row in white {
-                for k in 0..LANES {
-                    part[k] += row[lane] * row[k];
-                }
-            }
+        for row in white {
             for k in 0..LANES {
-                sum[k] += part[k];
+                squares[k] += row[k] * row[k];
+            }
+            for k in (0..LANES).step_by(2) {
+                pairs[k] += row[k] * row[k + 1];
             }
         }
     });
@@ -122,7 +185,7 @@ fn gain(factor: &Cholesky<f64, Dyn>, right: &DVector<f64>, products: &[Lane], la
     let m = right.len();
     let cross = DMatrix::from_fn(m, width, |r, c| products[r][lane + c]);
     let solved = factor.solve(&cross);
-    let own = DMatrix::from_fn(width, width, |r, c| products[m + 1 + lane + r][lane + c] + f64::from(u8::from(r == c)));
+    let own = DMatrix::from_fn(width, width, |r, c| if r == c { products[m + 1][lane + r] + 1.0 } else { products[m + 2][lane] });
     let rest = DVector::from_fn(width, |r, _| products[m][lane + r]) - solved.tr_mul(right);
     let Some(schur) = (own - cross.tr_mul(&solved)).cholesky() else { return f64::NEG_INFINITY };
     let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();

@@ -25,6 +25,18 @@ impl Whitened {
         Self { columns, rows }
     }
 
+    /// The first rows of all columns.
+    pub fn beginning(&self, rows: usize) -> Self {
+        Self { columns: self.columns.iter().map(|column| column[..rows].to_vec()).collect(), rows }
+    }
+
+    /// The same and one column more.
+    pub fn with(&self, column: Vec<f32>) -> Self {
+        let mut columns = self.columns.clone();
+        columns.push(column);
+        Self { columns, rows: self.rows }
+    }
+
     /// `w' w` with `w` these columns and `last` behind them.
     pub fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
         let p = self.columns.len() + 1;
