@@ -11,7 +11,7 @@ use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
 use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, Scenario, Slot, State, typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, Path, Scenario, Slot, State, typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -68,6 +68,8 @@ pub(super) enum Source {
     Tangent(Tangent),
     /// Likewise, in one of the runs only.
     In(usize, Tangent),
+    /// Known at the beginning of the first run already, and of no interest beyond.
+    Known(Vec<f32>),
 }
 
 impl Source {
@@ -396,6 +398,10 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
     if path.measures_directly() && !path.delays_command() && terms.coupling().is_none() {
         return Source::Tangent(Tangent::Terms(terms));
     }
+    let Path { current_offset_a, speed_offset_rad_s, .. } = path;
+    if path == (Path { current_offset_a, speed_offset_rad_s, ..Path::default() }) {
+        return Source::Tangent(Tangent::Offset([current_offset_a, speed_offset_rad_s]));
+    }
     let mut with = model.clone();
     let mut values = values.to_vec();
     values[index] *= PROBE;
@@ -467,6 +473,7 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
     enum Work<'a> {
         Difference(usize, &'a Model, f64),
         Tangents(Vec<(usize, &'a Tangent)>),
+        Known(usize, &'a [f32]),
         Nothing(usize),
     }
     // Simulations first: they take longest, and what is short then fills the gaps.
@@ -475,6 +482,7 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
         for (k, source) in sources.iter().enumerate() {
             match source {
                 Source::Difference { model, step } => works.push((number, Work::Difference(k, model, *step))),
+                Source::Known(column) if number == 0 => works.push((number, Work::Known(k, column))),
                 source if source.tangent(number).is_none() => works.push((number, Work::Nothing(k))),
                 _ => {}
             }
@@ -492,6 +500,11 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
             let run = &runs[number];
             let columns = match work {
                 Work::Difference(k, model, step) => vec![(k, run.difference(model, run.scenario, step))],
+                Work::Known(k, beginning) => {
+                    let mut column = beginning.to_vec();
+                    column.resize(run.rows(), 0.0);
+                    vec![(k, column)]
+                }
                 Work::Nothing(k) => vec![(k, vec![0.0; run.rows()])],
                 Work::Tangents(some) => {
                     let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();

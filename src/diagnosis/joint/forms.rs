@@ -78,44 +78,43 @@ impl Part {
     }
 }
 
-/// Leaves out forms of what is there wholly or not at all that the beginning of a run refutes already, all but the two
-/// that come nearest: each that is left costs a simulation of every run. Nothing is refuted where the model is far off,
-/// or where the beginning says too little.
+/// Leaves out forms of what is there wholly or not at all that the beginning of a run refutes already: each that is left
+/// costs a simulation of every run. Where it refutes all, that which comes nearest stays with what is known of it. Nothing
+/// is refuted where the model is far off, or where the beginning says too little.
 pub(super) fn drop_refuted(parts: &mut [Part], run: &Around<'_>, base: &Whitened, precision: &[f64]) {
     let squares: f64 = run.followed.white.iter().flatten().map(|white| white * white).sum();
     if squares > FAR * run.follower.rows as f64 {
         return;
     }
     let beginning = beginning(run.scenario, run.scenario.samples().div_ceil(LOOK));
-    let rows = 2 * beginning.samples();
-    let base = base.beginning(rows);
+    let base = base.beginning(2 * beginning.samples());
     let residual = &run.followed.white[..beginning.samples()];
     let Some((factor, right)) = base_of(&[residual], std::slice::from_ref(&base), precision) else { return };
-    let whole = |part: &Part| !part.candidate.in_model && part.candidate.variants.len() > 2 && part.candidate.variants[0].mean > 0.0;
+    // How much of the effect is there, and its column.
+    let look = |source: &Source, mean: f64| -> Option<(f64, Vec<f32>)> {
+        let Source::Difference { model, step } = source else { return None };
+        let column = run.difference(model, &beginning, *step);
+        let products = base.products(&column, residual);
+        let cross = products.rows(0, precision.len());
+        let solved = factor.solve(&cross);
+        let [own, rest] = [products[precision.len()] - cross.dot(&solved), products[precision.len() + 1] - right.dot(&solved)];
+        (own * mean * mean > PLAIN * PLAIN).then(|| (rest / own / mean, column))
+    };
+    let whole = |part: &Part| !part.candidate.in_model && part.candidate.variants[0].mean > 0.0;
     parts.par_iter_mut().filter(|part| whole(part)).for_each(|part| {
-        let shares: Vec<f64> = part
-            .sources
-            .par_iter()
-            .zip(&part.candidate.variants)
-            .with_max_len(1)
-            .map(|(sources, variant)| {
-                let [Source::Difference { model, step }] = &sources[..] else { return f64::INFINITY };
-                let column = run.difference(model, &beginning, *step);
-                let products = base.with(column).gram(residual);
-                let m = precision.len();
-                let cross = products.view((0, m), (m, 1)).column(0).into_owned();
-                let solved = factor.solve(&cross);
-                let own = products[(m, m)] - cross.dot(&solved);
-                if own * variant.mean * variant.mean < PLAIN * PLAIN {
-                    return f64::INFINITY;
-                }
-                (products[(m, m + 1)] - solved.dot(&right)) / own / variant.mean
-            })
-            .collect();
-        let mut order = shares.clone();
-        order.sort_by(|a, b| b.total_cmp(a));
-        let least = order[1].min(REFUTED);
-        part.keep(|form| shares[form] >= least);
+        let mean = part.candidate.variants[0].mean;
+        let looks: Vec<Option<(f64, Vec<f32>)>> =
+            part.sources.par_iter().with_max_len(1).map(|sources| look(&sources[0], mean)).collect();
+        let refuted = |look: &Option<(f64, Vec<f32>)>| look.as_ref().is_some_and(|look| look.0 < REFUTED);
+        if !looks.iter().all(refuted) {
+            part.keep(|form| !refuted(&looks[form]));
+            return;
+        }
+        let nearest = looks.into_iter().enumerate().filter_map(|(form, look)| Some((form, look?)));
+        if let Some((nearest, (_, column))) = nearest.max_by(|a, b| a.1.0.total_cmp(&b.1.0)) {
+            part.sources[nearest] = vec![Source::Known(column)];
+            part.keep(|form| form == nearest);
+        }
     });
 }
 

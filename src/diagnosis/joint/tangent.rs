@@ -90,12 +90,16 @@ impl Deviations {
         }
     }
 
-    /// At a sample: whitened innovations of a prediction that deviates like this from a measurement of nothing.
+    /// At a sample: whitened innovations of a prediction that deviates like this from a measurement of nothing, given
+    /// what the readings have beside.
     #[inline]
-    pub fn correct(&mut self, update: &Update) -> [Lane; 2] {
+    pub fn correct(&mut self, update: &Update, beside: &[Lane; 2]) -> [Lane; 2] {
         let mut white = [[0.0; LANES]; 2];
         for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
-            let error = self.0[signal];
+            let mut error = self.0[signal];
+            for k in 0..LANES {
+                error[k] += beside[signal][k];
+            }
             self.shift(gains, &error, -1.0);
             for k in 0..LANES {
                 white[signal][k] = error[k] * gains[4];
@@ -151,6 +155,8 @@ pub enum Tangent {
     Wave(Wave),
     /// Falls to zero on both sides of the centre.
     Hat { axis: Axis, centre: f64, width: f64, size: f64 },
+    /// What a sensor adds to every reading: A and rad/s.
+    Offset([f64; 2]),
 }
 
 /// A torque over the angle, in N.m, or in proportion to the current, of which it then is this share.
@@ -270,6 +276,12 @@ pub fn carry(run: &Around<'_>, tangents: &[&Tangent], mut hand_on: impl FnMut(us
     let mut deviations = Deviations::default();
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
+    let mut beside = [[0.0; LANES]; 2];
+    for (lane, tangent) in tangents.iter().enumerate() {
+        if let Tangent::Offset(offset) = tangent {
+            (beside[0][lane], beside[1][lane]) = (offset[0], offset[1]);
+        }
+    }
     let n = run.scenario.samples();
     for first in (0..n).step_by(CHUNK) {
         let range = first..(first + CHUNK).min(n);
@@ -283,7 +295,7 @@ pub fn carry(run: &Around<'_>, tangents: &[&Tangent], mut hand_on: impl FnMut(us
         }
         for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2)) {
             deviations.pass(&run.steps[sample], forcing);
-            white.copy_from_slice(&deviations.correct(&run.follower.updates[sample]));
+            white.copy_from_slice(&deviations.correct(&run.follower.updates[sample], &beside));
         }
         hand_on(first, &white[..2 * range.len()]);
     }
@@ -306,6 +318,7 @@ fn force(
         ]
     };
     match traveller.tangent {
+        Tangent::Offset(_) => {}
         Tangent::Terms(terms) => {
             let value = |key| run.model.motor.get(key).unwrap_or(0.0);
             let (r, ke) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));

@@ -30,11 +30,12 @@ impl Whitened {
         Self { columns: self.columns.iter().map(|column| column[..rows].to_vec()).collect(), rows }
     }
 
-    /// The same and one column more.
-    pub fn with(&self, column: Vec<f32>) -> Self {
-        let mut columns = self.columns.clone();
-        columns.push(column);
-        Self { columns, rows: self.rows }
+    /// Products of another column with each of these, with itself, and with the residual.
+    pub fn products(&self, other: &[f32], residual: &[[f64; 2]]) -> DVector<f64> {
+        let dot = |column: &[f32]| -> f64 { column.iter().zip(other).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum() };
+        let rest: f64 = residual.iter().flatten().zip(other).map(|(a, b)| a * f64::from(*b)).sum();
+        let each = self.columns.iter().map(|column| dot(column));
+        DVector::from_iterator(self.columns.len() + 2, each.chain([dot(other), rest]))
     }
 
     /// `w' w` with `w` these columns and `last` behind them.
