@@ -473,17 +473,15 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
     enum Work<'a> {
         Difference(usize, &'a Model, f64),
         Tangents(Vec<(usize, &'a Tangent)>),
-        Known(usize, &'a [f32]),
-        Nothing(usize),
     }
+    let mut out: Vec<Whitened> = runs.iter().map(|run| Whitened::new(vec![vec![]; sources.len()], run.rows())).collect();
     // Simulations first: they take longest, and what is short then fills the gaps.
     let mut works = Vec::new();
     for (number, _) in runs.iter().enumerate() {
         for (k, source) in sources.iter().enumerate() {
             match source {
                 Source::Difference { model, step } => works.push((number, Work::Difference(k, model, *step))),
-                Source::Known(column) if number == 0 => works.push((number, Work::Known(k, column))),
-                source if source.tangent(number).is_none() => works.push((number, Work::Nothing(k))),
+                Source::Known(column) if number == 0 => out[0].columns[k].clone_from(column),
                 _ => {}
             }
         }
@@ -500,12 +498,6 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
             let run = &runs[number];
             let columns = match work {
                 Work::Difference(k, model, step) => vec![(k, run.difference(model, run.scenario, step))],
-                Work::Known(k, beginning) => {
-                    let mut column = beginning.to_vec();
-                    column.resize(run.rows(), 0.0);
-                    vec![(k, column)]
-                }
-                Work::Nothing(k) => vec![(k, vec![0.0; run.rows()])],
                 Work::Tangents(some) => {
                     let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
                     numbers.into_iter().zip(run.along(&tangents)).collect()
@@ -514,7 +506,6 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
             (number, columns)
         })
         .collect();
-    let mut out: Vec<Whitened> = runs.iter().map(|run| Whitened::new(vec![vec![]; sources.len()], run.rows())).collect();
     for (number, columns) in done {
         for (k, column) in columns {
             out[number].columns[k] = column;

@@ -33,7 +33,8 @@ pub(super) fn keep_likeliest(parts: &mut [Part], runs: &[Around<'_>], base: &[Wh
     let mut groups = Vec::new();
     for (number, part) in parts.iter().enumerate() {
         let many = part.sources.len() > KEPT && part.sources[0].len() <= 2;
-        let tangents = part.sources.iter().flatten().all(|source| !matches!(source, Source::Difference { .. }));
+        // Steps of the load at all times, a hair of each, stand for a load that wanders: they are not dropped.
+        let tangents = part.sources.iter().flatten().all(|source| matches!(source, Source::Tangent(_)));
         if many && tangents {
             let width = part.sources[0].len();
             let forms: Vec<usize> = (0..part.sources.len()).collect();
@@ -47,9 +48,7 @@ pub(super) fn keep_likeliest(parts: &mut [Part], runs: &[Around<'_>], base: &[Wh
         group.products = vec![[0.0; LANES]; precision.len() + 3];
         for (number, (run, base)) in runs.iter().zip(base).enumerate() {
             let tangents: Vec<&Tangent> = sources.iter().filter_map(|source| source.tangent(number)).collect();
-            if tangents.len() == sources.len() {
-                add_products(run, base, &tangents, &mut group.products);
-            }
+            add_products(run, base, &tangents, &mut group.products);
         }
     });
     for number in 0..parts.len() {

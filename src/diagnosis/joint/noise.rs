@@ -59,7 +59,7 @@ fn averaged(run: &Around<'_>, whitened: &Whitened, present: &DVector<f64>, colum
         .into_par_iter()
         .map(|group| {
             let value = |column: usize, row: usize| match columns.get(column) {
-                Some(number) => f64::from(whitened.columns[*number][row]),
+                Some(number) => whitened.at(*number, row),
                 None if column == columns.len() => residual[row],
                 None => 0.0,
             };

@@ -5,7 +5,7 @@ use std::ops::{Mul, Range};
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use rayon::prelude::*;
 
-/// Whitened innovations of each column: current and speed, sample by sample. Single precision halves what a long run
+/// Whitened innovations of each column: current and speed, sample by sample; one that ends early is zero beyond. Single precision halves what a long run
 /// needs; its rounding is like white noise ten million times smaller than the column. Sums are in double precision.
 #[derive(Clone, Debug, Default)]
 pub struct Whitened {
@@ -27,7 +27,7 @@ impl Whitened {
 
     /// The first rows of all columns.
     pub fn beginning(&self, rows: usize) -> Self {
-        Self { columns: self.columns.iter().map(|column| column[..rows].to_vec()).collect(), rows }
+        Self { columns: self.columns.iter().map(|column| column[..rows.min(column.len())].to_vec()).collect(), rows }
     }
 
     /// Products of another column with each of these, with itself, and with the residual.
@@ -38,37 +38,54 @@ impl Whitened {
         DVector::from_iterator(self.columns.len() + 2, each.chain([dot(other), rest]))
     }
 
+    /// One number of a column.
+    pub fn at(&self, column: usize, row: usize) -> f64 {
+        self.columns[column].get(row).map_or(0.0, |value| f64::from(*value))
+    }
+
     /// `w' w` with `w` these columns and `last` behind them.
     pub fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
-        let p = self.columns.len() + 1;
+        let filled: Vec<usize> = (0..self.columns.len()).filter(|k| !self.columns[*k].is_empty()).collect();
+        let k = filled.len() + 1;
         // In parts that do not depend on who is free: sums come out the same every time.
         let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
         let sums: Vec<DMatrix<f64>> = (0..self.rows.div_ceil(part))
             .into_par_iter()
             .with_max_len(1)
             .map(|number| {
-                let mut sum = DMatrix::zeros(p, p);
-                let mut buffer = Vec::with_capacity(p * ROWS);
+                let mut sum = DMatrix::zeros(k, k);
+                let mut buffer = Vec::with_capacity(k * ROWS);
                 let end = ((number + 1) * part).min(self.rows);
                 for first in (number * part..end).step_by(ROWS) {
                     let range = first..(first + ROWS).min(end);
-                    self.chunk(range.clone(), last, &mut buffer);
+                    buffer.clear();
+                    for column in &filled {
+                        self.extend(*column, range.clone(), &mut buffer);
+                    }
+                    buffer.extend(range.clone().map(|row| last[row / 2][row % 2]));
                     add_upper(&mut sum, &buffer, range.len());
                 }
                 sum
             })
             .collect();
-        let mut sum = sums.into_iter().fold(DMatrix::zeros(p, p), |sum, part| sum + part);
-        sum.fill_lower_triangle_with_upper_triangle();
-        sum
+        let sum = sums.into_iter().fold(DMatrix::zeros(k, k), |sum, part| sum + part);
+        let p = self.columns.len() + 1;
+        let place = |k: usize| filled.get(k).copied().unwrap_or(p - 1);
+        let mut gram = DMatrix::zeros(p, p);
+        for column in 0..k {
+            for row in 0..=column {
+                gram[(place(row), place(column))] = sum[(row, column)];
+                gram[(place(column), place(row))] = sum[(row, column)];
+            }
+        }
+        gram
     }
 
-    fn chunk(&self, range: Range<usize>, last: &[[f64; 2]], buffer: &mut Vec<f64>) {
-        buffer.clear();
-        for column in &self.columns {
-            buffer.extend(column[range.clone()].iter().map(|value| f64::from(*value)));
-        }
-        buffer.extend(range.map(|row| last[row / 2][row % 2]));
+    fn extend(&self, column: usize, rows: Range<usize>, buffer: &mut Vec<f64>) {
+        let column = &self.columns[column];
+        let there = &column[rows.start.min(column.len())..rows.end.min(column.len())];
+        buffer.extend(there.iter().map(|value| f64::from(*value)));
+        buffer.extend((there.len()..rows.len()).map(|_| 0.0));
     }
 }
 
