@@ -202,39 +202,120 @@ pub fn likeliest(runs: &[Around<'_>], linear: &Linear, reduced: &Reduced<'_>, fo
             - 0.5 * ((noise.correlation_s / 0.5).ln() / 0.8).powi(2);
         -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + prior
     };
+    let unknowns: &[Unknown] = if voltage_driven { &UNKNOWNS } else { &WITHOUT_VOLTAGE };
+    climb(start, unknowns, floor, log_likelihood)
+}
+
+/// A logarithm that is searched.
+#[derive(Clone, Copy, PartialEq)]
+enum Unknown {
+    Disturbance,
+    Voltage,
+    Correlation,
+    Current,
+    Speed,
+}
+
+const UNKNOWNS: [Unknown; 5] = [Unknown::Disturbance, Unknown::Voltage, Unknown::Correlation, Unknown::Current, Unknown::Speed];
+const WITHOUT_VOLTAGE: [Unknown; 3] = [Unknown::Disturbance, Unknown::Correlation, Unknown::Speed];
+
+impl Unknown {
+    fn of(self, noise: &mut Noise) -> &mut f64 {
+        match self {
+            Self::Disturbance => &mut noise.disturbance_n_m,
+            Self::Voltage => &mut noise.voltage_v,
+            Self::Correlation => &mut noise.correlation_s,
+            Self::Current => &mut noise.current_a,
+            Self::Speed => &mut noise.speed_rad_s,
+        }
+    }
+
+    fn log(self, noise: &Noise) -> f64 {
+        self.of(&mut noise.clone()).ln()
+    }
+
+    /// The noise with this logarithm, as far as it may go.
+    fn set(self, noise: &Noise, floor: &Noise, log: f64) -> Noise {
+        let (least, most) = match self {
+            Self::Disturbance => (1e-6 * floor.disturbance_n_m, f64::MAX),
+            Self::Voltage => (1e-6, f64::MAX),
+            Self::Correlation => (0.02, 3.0),
+            Self::Current => (0.9 * floor.current_a, 1.1 * floor.current_a),
+            Self::Speed => (0.9 * floor.speed_rad_s, 1.1 * floor.speed_rad_s),
+        };
+        let mut noise = *noise;
+        *self.of(&mut noise) = log.exp().clamp(least, most);
+        noise
+    }
+
+    /// First step: sensors are known to a few per cent, the rest hardly.
+    const fn step(self) -> f64 {
+        match self {
+            Self::Current | Self::Speed => 0.05,
+            _ => 0.8,
+        }
+    }
+}
+
+/// Gain below which a step is not worth its filter run, and that of a round below which no other is made, nats.
+const LEAST_GAIN: f64 = 0.05;
+const LEAST_ROUND: f64 = 0.5;
+const MOST_ROUNDS: usize = 6;
+
+/// Climbs one unknown after the other: outwards while it rises, then to the top of the parabola through the last three.
+fn climb(start: Noise, unknowns: &[Unknown], floor: &Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
     let mut now = start;
     let mut best = log_likelihood(&now);
-    let mut step = 0.8;
-    let change = |noise: &Noise, which: usize, by: f64| -> Noise {
-        let mut n = *noise;
-        match which {
-            0 => n.disturbance_n_m = (n.disturbance_n_m * by.exp()).max(1e-6 * floor.disturbance_n_m),
-            1 => n.voltage_v = (n.voltage_v * by.exp()).max(1e-6),
-            2 => n.correlation_s = (n.correlation_s * by.exp()).clamp(0.02, 3.0),
-            3 => n.current_a = (n.current_a * (0.1 * by).exp()).clamp(0.9 * floor.current_a, 1.1 * floor.current_a),
-            _ => n.speed_rad_s = (n.speed_rad_s * (0.1 * by).exp()).clamp(0.9 * floor.speed_rad_s, 1.1 * floor.speed_rad_s),
-        }
-        n
-    };
-    while step > 0.15 {
-        let mut moved = false;
-        for which in 0..5 {
-            if !voltage_driven && (which == 1 || which == 3) { continue; }
+    for _ in 0..MOST_ROUNDS {
+        let before = best;
+        for unknown in unknowns {
+            // Known points of this line: logarithm and likelihood.
+            let mut known = vec![(unknown.log(&now), best)];
             for sign in [1.0, -1.0] {
-                let mut stride = sign * step;
+                let mut stride = sign * unknown.step();
                 loop {
-                    let next = change(&now, which, stride);
+                    let next = unknown.set(&now, floor, unknown.log(&now) + stride);
+                    if next == now {
+                        break;
+                    }
                     let log = log_likelihood(&next);
-                    if log > best + 0.05 {
-                        best = log;
-                        now = next;
-                        moved = true;
-                        stride *= 1.6;
-                    } else { break; }
+                    known.push((unknown.log(&next), log));
+                    if log <= best + LEAST_GAIN {
+                        break;
+                    }
+                    (best, now) = (log, next);
+                    stride *= 1.6;
+                }
+                // Who rises on one side comes from lower on the other.
+                if known.len() > 2 {
+                    break;
+                }
+            }
+            if let Some((log, gain)) = top(&mut known)
+                && gain > LEAST_GAIN
+            {
+                let next = unknown.set(&now, floor, log);
+                let log = log_likelihood(&next);
+                if log > best {
+                    (best, now) = (log, next);
                 }
             }
         }
-        if !moved { step *= 0.4; }
+        if best - before < LEAST_ROUND {
+            break;
+        }
     }
     now
+}
+
+/// The top of the parabola through the best of the points and its neighbours, and how far it is above.
+fn top(known: &mut [(f64, f64)]) -> Option<(f64, f64)> {
+    known.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let at = (0..known.len()).max_by(|a, b| known[*a].1.total_cmp(&known[*b].1))?;
+    let (left, middle, right) = (known.get(at.checked_sub(1)?)?, known[at], known.get(at + 1)?);
+    let (back, ahead) = (middle.0 - left.0, right.0 - middle.0);
+    let (fall, rise) = ((middle.1 - left.1) / back, (right.1 - middle.1) / ahead);
+    let bend = (fall - rise) / (back + ahead);
+    let slope = (fall * ahead + rise * back) / (back + ahead);
+    (bend > 0.0 && bend.is_finite()).then(|| (middle.0 + 0.5 * slope / bend, 0.25 * slope * slope / bend))
 }
