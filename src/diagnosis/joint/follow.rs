@@ -424,58 +424,40 @@ impl Followed {
     }
 }
 
-/// A deviation in one column as it passes a run.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Deviation(pub [f64; 4]);
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Motor;
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
 
-impl Deviation {
-    /// To the next sample, under a forcing of current (A/s) and speed (rad/s2).
-    #[inline]
-    pub fn pass(&mut self, passage: &Passage, forcing: [f64; 2], forget: f64, dynamics: &Dynamics) {
-        let [i, w, d, v] = self.0;
-        let moves = passage.direction != 0.0;
-        let speed = if moves {
-            forcing[1] - d * dynamics.inverse_inertia
-        } else {
-            0.0
+    #[test]
+    fn innovations_under_the_right_noise_are_white() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = record(&model, vec![(0.0, 0.0), (0.2, 40.0), (1.2, 80.0), (2.4, 30.0)], 1e-3, 4.0, 3);
+        let noise = Noise {
+            current_a: CURRENT_NOISE_A,
+            speed_rad_s: SPEED_NOISE_RAD_S,
+            disturbance_n_m: 1e-6,
+            correlation_s: 0.5,
+            voltage_v: 1e-6,
         };
-        let [i, w] = passage
-            .propagator
-            .apply([i, w * passage.kept], [forcing[0] + v * dynamics.inverse_inductance, speed]);
-        self.0 = [i, if moves { w } else { 0.0 }, d * forget, v * passage.voltage_keeps];
-    }
-
-    /// At a sample: the column's whitened innovation (of the prediction), given what it adds to the readings directly.
-    #[inline]
-    pub fn correct(&mut self, update: &Update, direct: [f64; 2]) -> [f64; 2] {
-        let e = self.0[0] + direct[0];
-        let c = &update.current;
-        for (state, gain) in self.0.iter_mut().zip(c) {
-            *state -= gain * e;
-        }
-        let first = e * c[4];
-        let e = self.0[1] + direct[1];
-        let s = &update.speed;
-        for (state, gain) in self.0.iter_mut().zip(s) {
-            *state -= gain * e;
-        }
-        [first, e * s[4]]
-    }
-
-    /// The inverse of `correct`: what the column does to the readings, from its whitened innovations.
-    #[inline]
-    pub fn colour(&mut self, update: &Update, white: [f64; 2]) -> [f64; 2] {
-        let mut out = [0.0; 2];
-        for (signal, gains) in [update.current, update.speed].iter().enumerate() {
-            if gains[4] <= 0.0 {
-                continue;
-            }
-            let e = white[signal] / gains[4];
-            out[signal] = e + self.0[signal];
-            for (state, gain) in self.0.iter_mut().zip(gains) {
-                *state += gain * e;
+        let (follower, followed) = lead(&model, &scenario, State::default(), &noise).unwrap();
+        assert_eq!(follower.rows, 2 * scenario.samples());
+        let n = scenario.samples() as f64;
+        for signal in 0..2 {
+            let white: Vec<f64> = followed.white.iter().map(|white| white[signal]).collect();
+            let alike = |lag: usize| white.iter().zip(&white[lag..]).map(|(a, b)| a * b).sum::<f64>() / n;
+            // Four standard deviations of what 4,000 numbers show.
+            assert!((alike(0) - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "variance {}", alike(0));
+            for lag in 1..20 {
+                assert!(alike(lag).abs() < 4.0 / n.sqrt(), "lag {lag}: {}", alike(lag));
             }
         }
-        out
+        // The same model follows as it led.
+        let mut again = Vec::new();
+        assert!(follow(&follower, &model, &scenario, State::default(), &noise, &mut again));
+        for (a, b) in again.iter().flatten().zip(followed.white.iter().flatten()) {
+            assert!((a - b).abs() < 1e-9);
+        }
     }
 }

@@ -189,3 +189,51 @@ fn gain(factor: &Cholesky<f64, Dyn>, right: &DVector<f64>, products: &[Lane], la
     let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
     0.5 * rest.dot(&schur.solve(&rest)) - log_det
 }
+
+#[cfg(test)]
+mod tests {
+    use super::KEPT;
+    use crate::diagnosis::joint::columns::{Around, Candidate, linearise};
+    use crate::diagnosis::joint::follow::Noise;
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
+    use crate::plant::{ActiveEffect, Model, Motor, State, effect};
+
+    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut truth = model.clone();
+        let effect = effect::find(hidden).unwrap();
+        truth.effects.push(ActiveEffect { effect, values: values.iter().copied().map(Some).collect() });
+        let levels = [30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0];
+        let events = levels.iter().enumerate().map(|(k, level)| (0.25 * k as f64, *level)).collect();
+        let scenario = record(&truth, events, 1e-3, 2.5, 5);
+        let noise = Noise {
+            current_a: CURRENT_NOISE_A,
+            speed_rad_s: SPEED_NOISE_RAD_S,
+            disturbance_n_m: 0.01,
+            correlation_s: 0.5,
+            voltage_v: 0.05,
+        };
+        let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
+        linearise(&model, &runs, false).unwrap().candidates
+    }
+
+    #[test]
+    fn the_right_order_is_among_those_that_are_kept_and_what_is_not_there_keeps_one_form() {
+        let candidates = candidates("cogging", &[0.01, 0.01, 7.0]);
+        let find = |id: &str| candidates.iter().find(|candidate| candidate.id == id).unwrap();
+        let cogging = find("cogging");
+        assert_eq!(cogging.variants.len(), KEPT);
+        assert!(cogging.variants.iter().any(|variant| (variant.values[2] - 7.0).abs() < 1e-9));
+        // Those that were dropped keep their share beforehand.
+        assert!((cogging.variants[0].log_prior + 23.0_f64.ln()).abs() < 1e-9);
+        assert_eq!(find("elastic_coupling").variants.len(), 1);
+        assert_eq!(find("backlash").variants.len(), 1);
+    }
+
+    #[test]
+    fn a_coupling_that_is_there_is_not_refuted() {
+        let candidates = candidates("elastic_coupling", &[28.0, 0.35, 0.03, 0.5]);
+        let elastic = candidates.iter().find(|candidate| candidate.id == "elastic_coupling").unwrap();
+        assert!(elastic.variants.iter().any(|variant| (variant.values[0] - 28.0).abs() < 1e-9));
+    }
+}

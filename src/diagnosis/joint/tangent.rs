@@ -352,3 +352,119 @@ fn force(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::joint::follow::Noise;
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
+    use crate::plant::{ActiveEffect, Model, Motor, Scenario, State, effect};
+
+    const NOISE: Noise = Noise {
+        current_a: CURRENT_NOISE_A,
+        speed_rad_s: SPEED_NOISE_RAD_S,
+        disturbance_n_m: 0.01,
+        correlation_s: 0.5,
+        voltage_v: 0.05,
+    };
+
+    /// Moves one way only: where a shaft breaks away differences are no tangents.
+    fn run(model: &Model) -> Scenario {
+        record(model, vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)], 1e-3, 2.5, 11)
+    }
+
+    fn columns(run: &Around<'_>, tangents: &[&Tangent]) -> Vec<Vec<f64>> {
+        let mut columns = vec![Vec::new(); tangents.len()];
+        carry(run, tangents, |first, white| {
+            assert_eq!(columns[0].len(), 2 * first);
+            for (lane, column) in columns.iter_mut().enumerate() {
+                column.extend(white.iter().map(|row| row[lane]));
+            }
+        });
+        columns
+    }
+
+    fn distance(a: &[f64], b: &[f64]) -> f64 {
+        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|value| value * value).sum::<f64>().sqrt();
+        norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / norm(&mut b.iter().copied())
+    }
+
+    #[test]
+    fn a_tangent_is_what_two_followed_runs_differ_by() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = run(&model);
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        for (id, values) in [
+            ("viscous_friction", vec![1e-4]),
+            ("quadratic_load", vec![5e-7]),
+            ("constant_load", vec![5e-3]),
+            ("voltage_offset", vec![0.05]),
+            ("supply_sag", vec![0.01]),
+            ("cogging", vec![0.004, 0.0, 3.0]),
+            ("current_offset", vec![0.02]),
+            ("speed_offset", vec![0.1]),
+        ] {
+            let effect = effect::find(id).unwrap();
+            let terms = effect.terms(&values);
+            let path = terms.path();
+            let tangent = if path.measures_directly() {
+                Tangent::Terms(terms)
+            } else {
+                Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s])
+            };
+            let mut with = model.clone();
+            with.effects.push(ActiveEffect { effect, values: values.into_iter().map(Some).collect() });
+            let difference: Vec<f64> =
+                around.difference(&with, &scenario, 1.0).into_iter().map(f64::from).collect();
+            let apart = distance(&columns(&around, &[&tangent])[0], &difference);
+            assert!(apart < 0.05, "{id}: {apart}");
+        }
+    }
+
+    #[test]
+    fn waves_side_by_side_are_what_each_effect_says() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = run(&model);
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        let mut waves = Vec::new();
+        let mut terms = Vec::new();
+        for order in [5.0, 6.0, 23.0, 2.5] {
+            for sine in [true, false] {
+                for (id, of_current) in [("cogging", false), ("torque_ripple", true)] {
+                    let size = if of_current { 0.02 } else { 0.01 };
+                    waves.push(Tangent::Wave(Wave { order, sine, size, of_current }));
+                    let values = if sine { [size, 0.0, order] } else { [0.0, size, order] };
+                    terms.push(Tangent::Terms(effect::find(id).unwrap().terms(&values)));
+                }
+            }
+        }
+        for (waves, terms) in waves.chunks(LANES).zip(terms.chunks(LANES)) {
+            let waves = columns(&around, &waves.iter().collect::<Vec<_>>());
+            let terms = columns(&around, &terms.iter().collect::<Vec<_>>());
+            for (wave, term) in waves.iter().zip(&terms) {
+                let apart = distance(wave, term);
+                assert!(apart < 1e-9, "{apart}");
+            }
+        }
+    }
+
+    #[test]
+    fn colouring_undoes_the_whitening() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = run(&model);
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        let forcing = [[300.0; LANES], [-20.0; LANES]];
+        let (mut free, mut filtered, mut back) = <(Deviations, Deviations, Deviations)>::default();
+        for (step, update) in around.steps.iter().zip(&around.follower.updates) {
+            free.pass(step, &forcing);
+            filtered.pass(step, &forcing);
+            back.drift(step);
+            let white = filtered.correct(update, &[[0.0; LANES]; 2]);
+            let readings = back.colour(update, &white);
+            for (reading, free) in readings.iter().flatten().zip(free.0[..2].iter().flatten()) {
+                assert!((reading - free).abs() < 1e-6 * free.abs().max(1.0), "{reading} {free}");
+            }
+        }
+        assert!(free.0[1][0].abs() > 1.0, "the forcing does something");
+    }
+}

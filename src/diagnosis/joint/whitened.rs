@@ -2,7 +2,7 @@
 
 use std::ops::{Mul, Range};
 
-use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
 /// Whitened innovations of each column: current and speed, sample by sample; one that ends early is zero beyond. Single precision halves what a long run
@@ -95,7 +95,7 @@ fn add_upper(sum: &mut DMatrix<f64>, buffer: &[f64], rows: usize) {
     for from in (0..p).step_by(BLOCK) {
         let width = BLOCK.min(p - from);
         let left = &buffer[from * rows..(from + width) * rows];
-        let turned = DMatrixView::from_slice_with_strides_generic(left, Dyn(width), Dyn(rows), Dyn(rows), Dyn(1));
+        let turned = DMatrixView::from_slice(left, rows, width).transpose();
         let right = DMatrixView::from_slice(&buffer[from * rows..], rows, p - from);
         sum.view_mut((from, from), (width, p - from)).gemm(1.0, &turned, &right, 1.0);
     }
@@ -115,5 +115,40 @@ impl Mul<DVector<f64>> for &Whitened {
             }
         }
         sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_are_those_of_columns_that_end_early_too() {
+        let rows = 2 * ROWS + 38;
+        let column = |k: usize, rows: usize| -> Vec<f32> { (0..rows).map(|row| ((row * (k + 3)) % 17) as f32 - 8.0).collect() };
+        let lengths = [rows, 0, ROWS + 5, rows, 7];
+        let each: Vec<Vec<f32>> = lengths.into_iter().enumerate().map(|(k, rows)| column(k, rows)).collect();
+        let whitened = Whitened::new(each.clone(), rows);
+        let last: Vec<[f64; 2]> = (0..rows / 2).map(|k| [k as f64 % 5.0, -1.0]).collect();
+        let mut w = DMatrix::zeros(rows, 6);
+        for (k, column) in each.iter().enumerate() {
+            for (row, value) in column.iter().enumerate() {
+                w[(row, k)] = f64::from(*value);
+                assert!((whitened.at(k, row) - w[(row, k)]).abs() < 1e-12);
+            }
+        }
+        for (row, value) in last.iter().flatten().enumerate() {
+            w[(row, 5)] = *value;
+        }
+        let expected = w.tr_mul(&w);
+        assert!((whitened.gram(&last) - &expected).amax() < 1e-6);
+        let products = whitened.products(&each[3], &last);
+        for k in 0..5 {
+            assert!((products[k] - expected[(3, k)]).abs() < 1e-6);
+        }
+        assert!((products[5] - expected[(3, 3)]).abs() < 1e-6);
+        assert!((products[6] - expected[(3, 5)]).abs() < 1e-6);
+        let weights = DVector::from_vec(vec![1.0, 2.0, -0.5, 0.0, 3.0]);
+        assert!((&whitened * weights.clone() - w.columns(0, 5) * weights).amax() < 1e-6);
     }
 }
