@@ -11,7 +11,8 @@ use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
 use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, Path, Scenario, Slot, State, typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, Path, Scenario, Slot, State,
+    typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -64,7 +65,10 @@ pub struct Linear {
 /// How a column comes about.
 pub(super) enum Source {
     /// The difference that another model makes, over a step.
-    Difference { model: Model, step: f64 },
+    Difference {
+        model: Model,
+        step: f64,
+    },
     Tangent(Tangent),
     /// Likewise, in one of the runs only.
     In(usize, Tangent),
@@ -101,7 +105,12 @@ pub struct Around<'a> {
 }
 
 impl<'a> Around<'a> {
-    pub fn new(model: &'a Model, scenario: &'a Scenario, start: State, noise: Noise) -> Option<Self> {
+    pub fn new(
+        model: &'a Model,
+        scenario: &'a Scenario,
+        start: State,
+        noise: Noise,
+    ) -> Option<Self> {
         let (follower, followed) = lead(model, scenario, start, &noise)?;
         let dynamics = Dynamics::of(model, scenario.input)?;
         let instants = instants(model, scenario, &followed);
@@ -111,22 +120,54 @@ impl<'a> Around<'a> {
         };
         let turns = instants.iter().map(turn).collect();
         let step = |(passage, forget): (&Passage, &f64)| {
-            if passage.interval_s > 0.0 { Step::of(passage, *forget, &dynamics) } else { Step::still() }
+            if passage.interval_s > 0.0 {
+                Step::of(passage, *forget, &dynamics)
+            } else {
+                Step::still()
+            }
         };
-        let steps = follower.passages.iter().zip(&follower.forgets).map(step).collect();
-        Some(Self { model, scenario, start, noise, follower, followed, dynamics, instants, turns, steps })
+        let steps = follower
+            .passages
+            .iter()
+            .zip(&follower.forgets)
+            .map(step)
+            .collect();
+        Some(Self {
+            model,
+            scenario,
+            start,
+            noise,
+            follower,
+            followed,
+            dynamics,
+            instants,
+            turns,
+            steps,
+        })
     }
 
     /// What another model does to the whitened innovations, over `step`, in the whole run or the beginning of it that
     /// `scenario` is; nothing where it cannot follow.
     pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
         let mut out = Vec::with_capacity(scenario.samples());
-        if !follow(&self.follower, model, scenario, self.start, &self.noise, &mut out) {
+        if !follow(
+            &self.follower,
+            model,
+            scenario,
+            self.start,
+            &self.noise,
+            &mut out,
+        ) {
             return vec![0.0; 2 * scenario.samples()];
         }
         let over = 1.0 / step;
-        let change = |(a, b): (&[f64; 2], &[f64; 2])| [single((b[0] - a[0]) * over), single((b[1] - a[1]) * over)];
-        out.iter().zip(&self.followed.white).flat_map(change).collect()
+        let change = |(a, b): (&[f64; 2], &[f64; 2])| {
+            [single((b[0] - a[0]) * over), single((b[1] - a[1]) * over)]
+        };
+        out.iter()
+            .zip(&self.followed.white)
+            .flat_map(change)
+            .collect()
     }
 
     /// Columns of as many tangents as there are lanes, or fewer.
@@ -207,8 +248,18 @@ pub(super) struct Part {
 
 impl Part {
     fn new(id: &'static str, log_odds: f64) -> Self {
-        let candidate = Candidate { id, in_model: false, unknown: false, log_odds, variants: vec![], excludes: vec![] };
-        Self { candidate, sources: vec![] }
+        let candidate = Candidate {
+            id,
+            in_model: false,
+            unknown: false,
+            log_odds,
+            variants: vec![],
+            excludes: vec![],
+        };
+        Self {
+            candidate,
+            sources: vec![],
+        }
     }
 
     fn push(&mut self, mut form: Form) {
@@ -229,8 +280,20 @@ const NO_PARAMETER: usize = usize::MAX;
 
 impl Form {
     const fn new(values: Vec<f64>, log_prior: f64) -> Self {
-        let variant = Variant { columns: vec![], values, units: vec![], parameters: vec![], present: vec![], mean: 0.0, positive: false, log_prior };
-        Self { variant, sources: vec![] }
+        let variant = Variant {
+            columns: vec![],
+            values,
+            units: vec![],
+            parameters: vec![],
+            present: vec![],
+            mean: 0.0,
+            positive: false,
+            log_prior,
+        };
+        Self {
+            variant,
+            sources: vec![],
+        }
     }
 
     fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
@@ -243,7 +306,10 @@ impl Form {
 
 /// The effect with these values.
 fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
-    ActiveEffect { effect, values: values.iter().copied().map(Some).collect() }
+    ActiveEffect {
+        effect,
+        values: values.iter().copied().map(Some).collect(),
+    }
 }
 
 /// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
@@ -255,7 +321,13 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
             let mut moved = model.clone();
             let value = model.get(&slot)?;
             moved.set(&slot, value * STEP.exp());
-            nuisances.push((Source::Difference { model: moved, step: STEP }, MOTOR));
+            nuisances.push((
+                Source::Difference {
+                    model: moved,
+                    step: STEP,
+                },
+                MOTOR,
+            ));
         }
     }
     if scenario.input != Input::Voltage {
@@ -264,7 +336,9 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     for id in ["command_delay", "current_filter", "speed_delay"] {
-        let Some(effect) = effect::find(id) else { continue };
+        let Some(effect) = effect::find(id) else {
+            continue;
+        };
         let mut moved = model.clone();
         match moved.effects.iter_mut().find(|active| active.id() == id) {
             Some(active) => {
@@ -273,7 +347,13 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
             }
             None => moved.effects.push(active(effect, &[STAMP * period_s])),
         }
-        nuisances.push((Source::Difference { model: moved, step: 1.0 }, 1.0));
+        nuisances.push((
+            Source::Difference {
+                model: moved,
+                step: 1.0,
+            },
+            1.0,
+        ));
     }
     Some(nuisances)
 }
@@ -291,12 +371,24 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     let specs = effect.parameters();
     let mut part = Part::new(id, LOG_ODDS);
     part.candidate.in_model = true;
-    let values = model.effects.iter().find(|active| active.id() == id)?.values_or_guess();
+    let values = model
+        .effects
+        .iter()
+        .find(|active| active.id() == id)?
+        .values_or_guess();
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(|spec| spec.is_coefficient()) {
         let without = model.without_effect(id).ok()?;
         form.variant.mean = 1.0 / WHOLE;
-        form.column(Source::Difference { model: without, step: -1.0 / WHOLE }, NO_PARAMETER, 0.0, 1.0 / WHOLE);
+        form.column(
+            Source::Difference {
+                model: without,
+                step: -1.0 / WHOLE,
+            },
+            NO_PARAMETER,
+            0.0,
+            1.0 / WHOLE,
+        );
     }
     for (index, spec) in specs.iter().enumerate() {
         if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
@@ -307,7 +399,11 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             (unit, values[index] / unit, 0.02 * unit)
         } else {
             // A shape's logarithm, known to a factor of two beforehand.
-            let unit = if spec.logarithmic { 0.7 * values[index] } else { spec.scale };
+            let unit = if spec.logarithmic {
+                0.7 * values[index]
+            } else {
+                spec.scale
+            };
             (unit, 0.0, 0.01 * unit)
         };
         let mut moved = model.clone();
@@ -319,24 +415,56 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             }
         }
         form.variant.positive |= spec.is_coefficient() && (spec.min >= 0.0 || takes_power(id));
-        form.column(Source::Difference { model: moved, step: step / unit }, index, unit, present);
+        form.column(
+            Source::Difference {
+                model: moved,
+                step: step / unit,
+            },
+            index,
+            unit,
+            present,
+        );
     }
     let terms = effect.terms(&values);
     let path = terms.path();
     if effect.card().needs_angle {
-        let squares = specs.iter().zip(&values).filter(|(spec, _)| spec.is_coefficient()).map(|(_, value)| value * value);
+        let squares = specs
+            .iter()
+            .zip(&values)
+            .filter(|(spec, _)| spec.is_coefficient())
+            .map(|(_, value)| value * value);
         let amplitude = squares.sum::<f64>().sqrt();
-        let order = specs.iter().position(|spec| spec.key == "order").map_or(1.0, |k| values[k]);
-        let gain = if id == "torque_ripple" { model.motor.torque_constant().unwrap_or(1.0) * 2.0 } else { 1.0 };
+        let order = specs
+            .iter()
+            .position(|spec| spec.key == "order")
+            .map_or(1.0, |k| values[k]);
+        let gain = if id == "torque_ripple" {
+            model.motor.torque_constant().unwrap_or(1.0) * 2.0
+        } else {
+            1.0
+        };
         for harmonic in [2.0, 3.0] {
             for sine in [true, false] {
-                let wave = Wave { order: harmonic * order, sine, size: FORM * amplitude * gain, of_current: false };
+                let wave = Wave {
+                    order: harmonic * order,
+                    sine,
+                    size: FORM * amplitude * gain,
+                    of_current: false,
+                };
                 form.column(Source::Tangent(Tangent::Wave(wave)), NO_PARAMETER, 0.0, 0.0);
             }
         }
-    } else if terms.states() == 0 && terms.coupling().is_none() && path.measures_directly() && !path.delays_command() {
+    } else if terms.states() == 0
+        && terms.coupling().is_none()
+        && path.measures_directly()
+        && !path.delays_command()
+    {
         for power in [1, 2] {
-            let bent = Tangent::Bent { terms: effect.terms(&values), power, share: FORM };
+            let bent = Tangent::Bent {
+                terms: effect.terms(&values),
+                power,
+                share: FORM,
+            };
             form.column(Source::Tangent(bent), NO_PARAMETER, 0.0, 0.0);
         }
     }
@@ -349,15 +477,23 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     let id = effect.card().id;
     let specs = effect.parameters();
     let mut part = Part::new(id, LOG_ODDS);
-    let coefficients: Vec<usize> = (0..specs.len()).filter(|k| specs[*k].is_coefficient()).collect();
-    let slabs: Vec<f64> = coefficients.iter().map(|k| SLAB * typical_size(effect, *k, model, scenario)).collect();
+    let coefficients: Vec<usize> = (0..specs.len())
+        .filter(|k| specs[*k].is_coefficient())
+        .collect();
+    let slabs: Vec<f64> = coefficients
+        .iter()
+        .map(|k| SLAB * typical_size(effect, *k, model, scenario))
+        .collect();
     let grid = shape_grid(effect, scenario);
     let log_prior = -(grid.len() as f64).ln();
     for shape in grid {
         if id == "discontinuous_conduction" && shape[1] < 0.9 {
             continue;
         }
-        if specs.iter().any(|spec| spec.role == ParameterRole::EventTime) {
+        if specs
+            .iter()
+            .any(|spec| spec.role == ParameterRole::EventTime)
+        {
             continue;
         }
         let mut form = Form::new(shape.clone(), log_prior);
@@ -365,7 +501,15 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
             let mut with = model.clone();
             with.effects.push(active(effect, &shape));
             form.variant.mean = 1.0 / WHOLE;
-            form.column(Source::Difference { model: with, step: 1.0 / WHOLE }, NO_PARAMETER, 0.0, 0.0);
+            form.column(
+                Source::Difference {
+                    model: with,
+                    step: 1.0 / WHOLE,
+                },
+                NO_PARAMETER,
+                0.0,
+                0.0,
+            );
         }
         for (index, slab) in coefficients.iter().zip(&slabs) {
             let mut values = shape.clone();
@@ -391,28 +535,47 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
         _ => None,
     };
     if let Some(of_current) = wave {
-        return Source::Tangent(Tangent::Wave(Wave { order: values[2], sine: index == 0, size: values[index], of_current }));
+        return Source::Tangent(Tangent::Wave(Wave {
+            order: values[2],
+            sine: index == 0,
+            size: values[index],
+            of_current,
+        }));
     }
     let terms = effect.terms(values);
     let path = terms.path();
     if path.measures_directly() && !path.delays_command() && terms.coupling().is_none() {
         return Source::Tangent(Tangent::Terms(terms));
     }
-    let Path { current_offset_a, speed_offset_rad_s, .. } = path;
-    if path == (Path { current_offset_a, speed_offset_rad_s, ..Path::default() }) {
+    let Path {
+        current_offset_a,
+        speed_offset_rad_s,
+        ..
+    } = path;
+    if path
+        == (Path {
+            current_offset_a,
+            speed_offset_rad_s,
+            ..Path::default()
+        })
+    {
         return Source::Tangent(Tangent::Offset([current_offset_a, speed_offset_rad_s]));
     }
     let mut with = model.clone();
     let mut values = values.to_vec();
     values[index] *= PROBE;
     with.effects.push(active(effect, &values));
-    Source::Difference { model: with, step: PROBE }
+    Source::Difference {
+        model: with,
+        step: PROBE,
+    }
 }
 
 /// The linear problem of `runs` around one model. Every run must be followed with that same model.
 pub fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<Linear> {
     let training = runs[0].scenario;
-    let (always, nuisances): (Vec<Source>, Vec<f64>) = nuisances(model, training)?.into_iter().unzip();
+    let (always, nuisances): (Vec<Source>, Vec<f64>) =
+        nuisances(model, training)?.into_iter().unzip();
     let of_effect = |effect: &&'static dyn Effect| {
         if model.has(effect.card().id) {
             of_model(model, *effect, training)
@@ -431,23 +594,37 @@ pub fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<L
 
     // What the model has comes first: it tells which of many forms are worth a place among the columns.
     let flat = |parts: &[Part], in_model: bool| -> Vec<usize> {
-        (0..parts.len()).filter(|k| parts[*k].candidate.in_model == in_model).collect()
+        (0..parts.len())
+            .filter(|k| parts[*k].candidate.in_model == in_model)
+            .collect()
     };
     let inside = flat(&parts, true);
-    let sources = always.iter().chain(inside.iter().flat_map(|k| parts[*k].sources.iter().flatten()));
+    let sources = always.iter().chain(
+        inside
+            .iter()
+            .flat_map(|k| parts[*k].sources.iter().flatten()),
+    );
     let base = columns_of(&sources.collect::<Vec<_>>(), runs);
-    let precision: Vec<f64> = (0..base[0].columns.len()).map(|k| nuisances.get(k).map_or(1.0, |sd| 1.0 / (sd * sd))).collect();
+    let precision: Vec<f64> = (0..base[0].columns.len())
+        .map(|k| nuisances.get(k).map_or(1.0, |sd| 1.0 / (sd * sd)))
+        .collect();
     keep_likeliest(&mut parts, runs, &base, &precision);
     drop_refuted(&mut parts, &runs[0], &base[0], &precision);
     let outside = flat(&parts, false);
-    let sources = outside.iter().flat_map(|k| parts[*k].sources.iter().flatten());
+    let sources = outside
+        .iter()
+        .flat_map(|k| parts[*k].sources.iter().flatten());
     let others = columns_of(&sources.collect::<Vec<_>>(), runs);
 
     // Numbered in the candidates' order.
     let mut order: Vec<(bool, usize)> = (0..always.len()).map(|k| (true, k)).collect();
     let (mut next_in, mut next_out) = (always.len(), 0);
     for part in &mut parts {
-        let next = if part.candidate.in_model { &mut next_in } else { &mut next_out };
+        let next = if part.candidate.in_model {
+            &mut next_in
+        } else {
+            &mut next_out
+        };
         for (variant, sources) in part.candidate.variants.iter_mut().zip(&part.sources) {
             variant.columns = (order.len()..order.len() + sources.len()).collect();
             order.extend((*next..*next + sources.len()).map(|k| (part.candidate.in_model, k)));
@@ -461,7 +638,13 @@ pub fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<L
         .zip(others)
         .zip(runs)
         .map(|((mut base, mut others), run)| {
-            let take = |(inside, k): &(bool, usize)| std::mem::take(if *inside { &mut base.columns[*k] } else { &mut others.columns[*k] });
+            let take = |(inside, k): &(bool, usize)| {
+                std::mem::take(if *inside {
+                    &mut base.columns[*k]
+                } else {
+                    &mut others.columns[*k]
+                })
+            };
             Whitened::new(order.iter().map(take).collect(), run.rows())
         })
         .collect();
@@ -474,22 +657,34 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
         Difference(usize, &'a Model, f64),
         Tangents(Vec<(usize, &'a Tangent)>),
     }
-    let mut out: Vec<Whitened> = runs.iter().map(|run| Whitened::new(vec![vec![]; sources.len()], run.rows())).collect();
+    let mut out: Vec<Whitened> = runs
+        .iter()
+        .map(|run| Whitened::new(vec![vec![]; sources.len()], run.rows()))
+        .collect();
     // Simulations first: they take longest, and what is short then fills the gaps.
     let mut works = Vec::new();
     for (number, _) in runs.iter().enumerate() {
         for (k, source) in sources.iter().enumerate() {
             match source {
-                Source::Difference { model, step } => works.push((number, Work::Difference(k, model, *step))),
+                Source::Difference { model, step } => {
+                    works.push((number, Work::Difference(k, model, *step)))
+                }
                 Source::Known(column) if number == 0 => out[0].columns[k].clone_from(column),
                 _ => {}
             }
         }
     }
     for (number, _) in runs.iter().enumerate() {
-        let tangents: Vec<(usize, &Tangent)> =
-            sources.iter().enumerate().filter_map(|(k, source)| Some((k, source.tangent(number)?))).collect();
-        works.extend(tangents.chunks(LANES).map(|some| (number, Work::Tangents(some.to_vec()))));
+        let tangents: Vec<(usize, &Tangent)> = sources
+            .iter()
+            .enumerate()
+            .filter_map(|(k, source)| Some((k, source.tangent(number)?)))
+            .collect();
+        works.extend(
+            tangents
+                .chunks(LANES)
+                .map(|some| (number, Work::Tangents(some.to_vec()))),
+        );
     }
     let done: Vec<(usize, Vec<(usize, Vec<f32>)>)> = works
         .into_par_iter()
@@ -497,7 +692,9 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
         .map(|(number, work)| {
             let run = &runs[number];
             let columns = match work {
-                Work::Difference(k, model, step) => vec![(k, run.difference(model, run.scenario, step))],
+                Work::Difference(k, model, step) => {
+                    vec![(k, run.difference(model, run.scenario, step))]
+                }
                 Work::Tangents(some) => {
                     let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
                     numbers.into_iter().zip(run.along(&tangents)).collect()
@@ -514,7 +711,12 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
     out
 }
 
-fn assemble(nuisances: Vec<f64>, candidates: Vec<Candidate>, runs: &[Around<'_>], columns: Vec<Whitened>) -> Linear {
+fn assemble(
+    nuisances: Vec<f64>,
+    candidates: Vec<Candidate>,
+    runs: &[Around<'_>],
+    columns: Vec<Whitened>,
+) -> Linear {
     let p = columns[0].columns.len();
     let mut products = DMatrix::zeros(p + 1, p + 1);
     let (mut rows, mut log_variance) = (0, 0.0);
@@ -536,15 +738,28 @@ fn assemble(nuisances: Vec<f64>, candidates: Vec<Candidate>, runs: &[Around<'_>]
     let shift = &gram * &present;
     squares += 2.0 * right.dot(&present) + present.dot(&shift);
     right += shift;
-    Linear { nuisances, candidates, gram, right, squares, rows, log_variance, columns, present }
+    Linear {
+        nuisances,
+        candidates,
+        gram,
+        right,
+        squares,
+        rows,
+        log_variance,
+        columns,
+        present,
+    }
 }
 
 /// A step of the load in one run, at any of many times.
 fn load_steps(model: &Model, runs: &[Around<'_>]) -> Vec<Part> {
     const PLACES: usize = 24;
-    let Some(effect) = effect::find("load_step") else { return vec![] };
+    let Some(effect) = effect::find("load_step") else {
+        return vec![];
+    };
     let of_run = |(number, run): (usize, &Around<'_>)| {
-        let length_s = run.scenario.sample_time_s[run.scenario.samples() - 1] - run.scenario.begin_s();
+        let length_s =
+            run.scenario.sample_time_s[run.scenario.samples() - 1] - run.scenario.begin_s();
         let slab = SLAB * typical_size(effect, 0, model, run.scenario);
         let mut part = Part::new("load_step", LOG_ODDS_STEP);
         for place in 1..PLACES {
@@ -567,10 +782,13 @@ fn exclusions(candidates: &mut [Candidate]) {
         id => curve_of(id),
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
-        related(a.id, b.id) || (a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
+        related(a.id, b.id)
+            || (a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
     };
     for k in 0..candidates.len() {
-        let excludes = (0..candidates.len()).filter(|o| *o != k && says_the_same(&candidates[k], &candidates[*o])).collect();
+        let excludes = (0..candidates.len())
+            .filter(|o| *o != k && says_the_same(&candidates[k], &candidates[*o]))
+            .collect();
         candidates[k].excludes = excludes;
     }
 }
@@ -581,10 +799,20 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
     if run.scenario.input != Input::Voltage {
         return vec![];
     }
-    let most = |k: usize| run.followed.after.iter().fold(0.0_f64, |most, state| most.max(state[k].abs()));
+    let most = |k: usize| {
+        run.followed
+            .after
+            .iter()
+            .fold(0.0_f64, |most, state| most.max(state[k].abs()))
+    };
     let (current, speed) = (most(0), most(1));
     let torque = 0.06 * run.model.motor.torque_constant().unwrap_or(1.0) * current;
-    let volts = 0.06 * run.scenario.events.iter().fold(0.0_f64, |most, event| most.max(event.1.abs()));
+    let volts = 0.06
+        * run
+            .scenario
+            .events
+            .iter()
+            .fold(0.0_f64, |most, event| most.max(event.1.abs()));
     let part = |id: &'static str, curves: Vec<Tangent>| {
         let mut part = Part::new(id, LOG_ODDS_UNKNOWN);
         part.candidate.unknown = true;
@@ -598,12 +826,34 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
     };
     let hats = |axis: Axis, count: i32, most: f64, size: f64| -> Vec<Tangent> {
         let width = 2.0 * most / f64::from(count - 1);
-        (0..count).map(|k| Tangent::Hat { axis, centre: width * f64::from(k) - most, width, size }).collect()
+        (0..count)
+            .map(|k| Tangent::Hat {
+                axis,
+                centre: width * f64::from(k) - most,
+                width,
+                size,
+            })
+            .collect()
     };
-    let wave = |order: i32, sine: bool| Tangent::Wave(Wave { order: f64::from(order), sine, size: torque, of_current: false });
+    let wave = |order: i32, sine: bool| {
+        Tangent::Wave(Wave {
+            order: f64::from(order),
+            sine,
+            size: torque,
+            of_current: false,
+        })
+    };
     vec![
         part("torque over speed", hats(Axis::Speed, 11, speed, torque)),
-        part("torque over angle", (1..=6).flat_map(|order| [true, false].map(|sine| wave(order, sine))).collect()),
-        part("voltage over current", hats(Axis::Current, 7, current, volts)),
+        part(
+            "torque over angle",
+            (1..=6)
+                .flat_map(|order| [true, false].map(|sine| wave(order, sine)))
+                .collect(),
+        ),
+        part(
+            "voltage over current",
+            hats(Axis::Current, 7, current, volts),
+        ),
     ]
 }

@@ -36,7 +36,12 @@ fn representatives(linear: &Linear, likeliest: &[usize]) -> Vec<usize> {
     columns
 }
 
-fn averaged(run: &Around<'_>, whitened: &Whitened, present: &DVector<f64>, columns: &[usize]) -> Averaged {
+fn averaged(
+    run: &Around<'_>,
+    whitened: &Whitened,
+    present: &DVector<f64>,
+    columns: &[usize],
+) -> Averaged {
     let n = run.scenario.samples();
     let times = &run.scenario.sample_time_s;
     let period_s = (times[n - 1] - times[0]) / (n - 1) as f64;
@@ -44,11 +49,16 @@ fn averaged(run: &Around<'_>, whitened: &Whitened, present: &DVector<f64>, colum
     let blocks = n.div_ceil(size);
     let mut counts = vec![[0.0; 2]; blocks];
     for (sample, update) in run.follower.updates.iter().enumerate() {
-        for (count, gains) in counts[sample / size].iter_mut().zip([&update.current, &update.speed]) {
+        for (count, gains) in counts[sample / size]
+            .iter_mut()
+            .zip([&update.current, &update.speed])
+        {
             *count += f64::from(u8::from(gains[4] > 0.0));
         }
     }
-    let passages = (0..blocks).map(|block| passage_of(run, block * size..((block + 1) * size).min(n), size)).collect();
+    let passages = (0..blocks)
+        .map(|block| passage_of(run, block * size..((block + 1) * size).min(n), size))
+        .collect();
     let mut residual = whitened * present.clone();
     for (sum, white) in residual.iter_mut().zip(run.followed.white.iter().flatten()) {
         *sum += white;
@@ -65,7 +75,8 @@ fn averaged(run: &Around<'_>, whitened: &Whitened, present: &DVector<f64>, colum
             };
             let mut sums = vec![[[0.0; LANES]; 2]; blocks];
             let mut track = Deviations::default();
-            for (sample, (step, update)) in run.steps.iter().zip(&run.follower.updates).enumerate() {
+            for (sample, (step, update)) in run.steps.iter().zip(&run.follower.updates).enumerate()
+            {
                 track.drift(step);
                 let mut white = [[0.0; LANES]; 2];
                 for lane in 0..LANES {
@@ -74,7 +85,11 @@ fn averaged(run: &Around<'_>, whitened: &Whitened, present: &DVector<f64>, colum
                     }
                 }
                 let readings = track.colour(update, &white);
-                for (sum, reading) in sums[sample / size].iter_mut().flatten().zip(readings.iter().flatten()) {
+                for (sum, reading) in sums[sample / size]
+                    .iter_mut()
+                    .flatten()
+                    .zip(readings.iter().flatten())
+                {
                     *sum += reading;
                 }
             }
@@ -91,7 +106,12 @@ fn averaged(run: &Around<'_>, whitened: &Whitened, present: &DVector<f64>, colum
             }
         }
     }
-    Averaged { passages, counts, values, width }
+    Averaged {
+        passages,
+        counts,
+        values,
+        width,
+    }
 }
 
 /// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
@@ -108,7 +128,11 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
             *sum += part / size as f64;
         }
         interval_s += passage.interval_s;
-        let last = if sample > 0 { run.followed.direction[sample - 1] } else { 0.0 };
+        let last = if sample > 0 {
+            run.followed.direction[sample - 1]
+        } else {
+            0.0
+        };
         jumps |= sample > 0 && passage.direction != 0.0 && passage.direction != last;
         direction = passage.direction;
     }
@@ -155,9 +179,18 @@ impl Averaged {
                 if count == 0.0 {
                     continue;
                 }
-                let sigma = if signal == 0 { noise.current_a } else { noise.speed_rad_s };
+                let sigma = if signal == 0 {
+                    noise.current_a
+                } else {
+                    noise.speed_rad_s
+                };
                 let s = p[signal][signal] + sigma * sigma / count;
-                let gain = [p[0][signal] / s, p[1][signal] / s, p[2][signal] / s, p[3][signal] / s];
+                let gain = [
+                    p[0][signal] / s,
+                    p[1][signal] / s,
+                    p[2][signal] / s,
+                    p[3][signal] / s,
+                ];
                 p = corrected(&p, &gain, signal);
                 log += s.ln();
                 let gains = [gain[0], gain[1], gain[2], gain[3], 1.0 / s.sqrt()];
@@ -178,30 +211,62 @@ impl Averaged {
 }
 
 /// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest.
-pub fn likeliest(runs: &[Around<'_>], linear: &Linear, reduced: &Reduced<'_>, forms: &[usize], floor: &Noise, start: Noise) -> Noise {
+pub fn likeliest(
+    runs: &[Around<'_>],
+    linear: &Linear,
+    reduced: &Reduced<'_>,
+    forms: &[usize],
+    floor: &Noise,
+    start: Noise,
+) -> Noise {
     let columns = representatives(linear, forms);
     let m = linear.nuisances.len();
-    let data: Vec<Averaged> = runs.iter().zip(&linear.columns).map(|(run, w)| averaged(run, w, &linear.present, &columns)).collect();
+    let data: Vec<Averaged> = runs
+        .iter()
+        .zip(&linear.columns)
+        .map(|(run, w)| averaged(run, w, &linear.present, &columns))
+        .collect();
     let k = columns.len();
     let voltage_driven = runs[0].scenario.input == Input::Voltage;
     let log_likelihood = |noise: &Noise| -> f64 {
-        let parts: Vec<(DMatrix<f64>, f64)> = runs.par_iter().zip(&data).map(|(run, data)| data.filter(run, noise)).collect();
+        let parts: Vec<(DMatrix<f64>, f64)> = runs
+            .par_iter()
+            .zip(&data)
+            .map(|(run, data)| data.filter(run, noise))
+            .collect();
         let zero = (DMatrix::zeros(data[0].width, data[0].width), 0.0);
-        let (sums, log) = parts.into_iter().fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
+        let (sums, log) = parts
+            .into_iter()
+            .fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let mut a = sums.view((0, 0), (k, k)).into_owned();
-        for d in 0..k { a[(d, d)] += if d < m { 1.0 / linear.nuisances[d].powi(2) } else { 1.0 }; }
+        for d in 0..k {
+            a[(d, d)] += if d < m {
+                1.0 / linear.nuisances[d].powi(2)
+            } else {
+                1.0
+            };
+        }
         let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();
         for (b, column) in b.iter_mut().zip(&columns) {
-            if *column >= m { *b += reduced.prior[*column - m]; }
+            if *column >= m {
+                *b += reduced.prior[*column - m];
+            }
         }
-        let Some(factor) = a.cholesky() else { return f64::NEG_INFINITY };
+        let Some(factor) = a.cholesky() else {
+            return f64::NEG_INFINITY;
+        };
         let explained = b.dot(&factor.solve(&b));
         let det: f64 = factor.l().diagonal().iter().map(|d| d.ln()).sum();
-        let prior = -0.5 * ((noise.current_a / floor.current_a).ln() / 0.1).powi(2) - 0.5 * ((noise.speed_rad_s / floor.speed_rad_s).ln() / 0.1).powi(2)
+        let prior = -0.5 * ((noise.current_a / floor.current_a).ln() / 0.1).powi(2)
+            - 0.5 * ((noise.speed_rad_s / floor.speed_rad_s).ln() / 0.1).powi(2)
             - 0.5 * ((noise.correlation_s / 0.5).ln() / 0.8).powi(2);
         -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + prior
     };
-    let unknowns: &[Unknown] = if voltage_driven { &UNKNOWNS } else { &WITHOUT_VOLTAGE };
+    let unknowns: &[Unknown] = if voltage_driven {
+        &UNKNOWNS
+    } else {
+        &WITHOUT_VOLTAGE
+    };
     climb(start, unknowns, floor, log_likelihood)
 }
 
@@ -215,7 +280,13 @@ enum Unknown {
     Speed,
 }
 
-const UNKNOWNS: [Unknown; 5] = [Unknown::Disturbance, Unknown::Voltage, Unknown::Correlation, Unknown::Current, Unknown::Speed];
+const UNKNOWNS: [Unknown; 5] = [
+    Unknown::Disturbance,
+    Unknown::Voltage,
+    Unknown::Correlation,
+    Unknown::Current,
+    Unknown::Speed,
+];
 const WITHOUT_VOLTAGE: [Unknown; 3] = [Unknown::Disturbance, Unknown::Correlation, Unknown::Speed];
 
 impl Unknown {
@@ -262,7 +333,12 @@ const LEAST_ROUND: f64 = 0.5;
 const MOST_ROUNDS: usize = 6;
 
 /// Climbs one unknown after the other: outwards while it rises, then to the top of the parabola through the last three.
-fn climb(start: Noise, unknowns: &[Unknown], floor: &Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
+fn climb(
+    start: Noise,
+    unknowns: &[Unknown],
+    floor: &Noise,
+    log_likelihood: impl Fn(&Noise) -> f64,
+) -> Noise {
     let mut now = start;
     let mut best = log_likelihood(&now);
     for _ in 0..MOST_ROUNDS {
@@ -311,12 +387,17 @@ fn climb(start: Noise, unknowns: &[Unknown], floor: &Noise, log_likelihood: impl
 fn top(known: &mut [(f64, f64)]) -> Option<(f64, f64)> {
     known.sort_by(|a, b| a.0.total_cmp(&b.0));
     let at = (0..known.len()).max_by(|a, b| known[*a].1.total_cmp(&known[*b].1))?;
-    let (left, middle, right) = (known.get(at.checked_sub(1)?)?, known[at], known.get(at + 1)?);
+    let (left, middle, right) = (
+        known.get(at.checked_sub(1)?)?,
+        known[at],
+        known.get(at + 1)?,
+    );
     let (back, ahead) = (middle.0 - left.0, right.0 - middle.0);
     let (fall, rise) = ((middle.1 - left.1) / back, (right.1 - middle.1) / ahead);
     let bend = (fall - rise) / (back + ahead);
     let slope = (fall * ahead + rise * back) / (back + ahead);
-    (bend > 0.0 && bend.is_finite()).then(|| (middle.0 + 0.5 * slope / bend, 0.25 * slope * slope / bend))
+    (bend > 0.0 && bend.is_finite())
+        .then(|| (middle.0 + 0.5 * slope / bend, 0.25 * slope * slope / bend))
 }
 
 #[cfg(test)]
@@ -327,12 +408,27 @@ mod tests {
 
     #[test]
     fn the_climb_reaches_the_top_in_few_runs_of_the_filter() {
-        let floor = Noise { current_a: 0.03, speed_rad_s: 0.15, disturbance_n_m: 0.01, correlation_s: 0.5, voltage_v: 0.01 };
+        let floor = Noise {
+            current_a: 0.03,
+            speed_rad_s: 0.15,
+            disturbance_n_m: 0.01,
+            correlation_s: 0.5,
+            voltage_v: 0.01,
+        };
         let count = Cell::new(0);
         let likelihood = |noise: &Noise| {
             count.set(count.get() + 1);
-            let [d, t, v] = [noise.disturbance_n_m / 3e-4, noise.correlation_s / 0.2, noise.voltage_v / 0.05].map(f64::ln);
-            -3.0 * d * d - 2.0 * d * t - 2.0 * t * t - 5.0 * v * v - ((noise.current_a / 0.031).ln() / 0.01).powi(2)
+            let [d, t, v] = [
+                noise.disturbance_n_m / 3e-4,
+                noise.correlation_s / 0.2,
+                noise.voltage_v / 0.05,
+            ]
+            .map(f64::ln);
+            -3.0 * d * d
+                - 2.0 * d * t
+                - 2.0 * t * t
+                - 5.0 * v * v
+                - ((noise.current_a / 0.031).ln() / 0.01).powi(2)
         };
         let found = climb(floor, &UNKNOWNS, &floor, likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");

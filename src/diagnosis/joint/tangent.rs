@@ -151,10 +151,19 @@ impl Deviations {
 pub enum Tangent {
     Terms(Box<dyn Terms>),
     /// Terms times a power of their own size: another form of the same effect.
-    Bent { terms: Box<dyn Terms>, power: i32, share: f64 },
+    Bent {
+        terms: Box<dyn Terms>,
+        power: i32,
+        share: f64,
+    },
     Wave(Wave),
     /// Falls to zero on both sides of the centre.
-    Hat { axis: Axis, centre: f64, width: f64, size: f64 },
+    Hat {
+        axis: Axis,
+        centre: f64,
+        width: f64,
+        size: f64,
+    },
     /// What a sensor adds to every reading: A and rad/s.
     Offset([f64; 2]),
 }
@@ -187,17 +196,29 @@ struct Traveller<'a> {
 
 impl<'a> Traveller<'a> {
     fn new(tangent: &'a Tangent, run: &Around<'_>) -> Self {
-        let states = if let Tangent::Terms(terms) = tangent { terms.states() } else { 0 };
+        let states = if let Tangent::Terms(terms) = tangent {
+            terms.states()
+        } else {
+            0
+        };
         let mut most = [0.0_f64; 3];
         if let Tangent::Bent { terms, .. } = tangent {
             for at in &run.instants {
                 let sums = terms.sums(at, &[]);
-                for (most, value) in most.iter_mut().zip([sums.voltage_v, sums.torque_n_m, sums.friction_n_m]) {
+                for (most, value) in
+                    most.iter_mut()
+                        .zip([sums.voltage_v, sums.torque_n_m, sums.friction_n_m])
+                {
                     *most = most.max(value.abs());
                 }
             }
         }
-        Self { tangent, own: vec![0.0; states], rate: vec![0.0; states], most }
+        Self {
+            tangent,
+            own: vec![0.0; states],
+            rate: vec![0.0; states],
+            most,
+        }
     }
 
     fn terms(&mut self, terms: &dyn Terms, at: &Instant, interval_s: f64) -> Sums {
@@ -213,7 +234,11 @@ impl<'a> Traveller<'a> {
 
     fn bent(&self, sums: &Sums, power: i32, share: f64) -> Sums {
         let bend = |value: f64, most: f64| {
-            if most > 0.0 { share * value * (value / most).abs().powi(power) } else { 0.0 }
+            if most > 0.0 {
+                share * value * (value / most).abs().powi(power)
+            } else {
+                0.0
+            }
         };
         Sums {
             voltage_v: bend(sums.voltage_v, self.most[0]),
@@ -242,7 +267,11 @@ impl Turns {
             *turn = if next {
                 times(*turn, *once)
             } else if whole {
-                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole and small")]
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    reason = "whole and small"
+                )]
                 power(*once, order as u32)
             } else {
                 let (sine, cosine) = (order * at.angle_rad).sin_cos();
@@ -272,7 +301,10 @@ fn power(mut base: [f64; 2], mut exponent: u32) -> [f64; 2] {
 /// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
 /// whitened innovations of its samples: current, speed, current, ...
 pub fn carry(run: &Around<'_>, tangents: &[&Tangent], mut hand_on: impl FnMut(usize, &[Lane])) {
-    let mut travellers: Vec<Traveller<'_>> = tangents.iter().map(|tangent| Traveller::new(tangent, run)).collect();
+    let mut travellers: Vec<Traveller<'_>> = tangents
+        .iter()
+        .map(|tangent| Traveller::new(tangent, run))
+        .collect();
     let mut deviations = Deviations::default();
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
@@ -286,14 +318,24 @@ pub fn carry(run: &Around<'_>, tangents: &[&Tangent], mut hand_on: impl FnMut(us
     for first in (0..n).step_by(CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No order is this: the first wave of a chunk is computed anew.
-        let mut turns = Turns { order: f64::NEG_INFINITY, each: [[1.0, 0.0]; CHUNK] };
+        let mut turns = Turns {
+            order: f64::NEG_INFINITY,
+            each: [[1.0, 0.0]; CHUNK],
+        };
         for (lane, traveller) in travellers.iter_mut().enumerate() {
-            force(run, traveller, range.clone(), &mut turns, |k, [current, speed]| {
-                forcing[k][0][lane] = current;
-                forcing[k][1][lane] = speed;
-            });
+            force(
+                run,
+                traveller,
+                range.clone(),
+                &mut turns,
+                |k, [current, speed]| {
+                    forcing[k][0][lane] = current;
+                    forcing[k][1][lane] = speed;
+                },
+            );
         }
-        for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2)) {
+        for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2))
+        {
             deviations.pass(&run.steps[sample], forcing);
             white.copy_from_slice(&deviations.correct(&run.follower.updates[sample], &beside));
         }
@@ -309,8 +351,14 @@ fn force(
     turns: &mut Turns,
     mut put: impl FnMut(usize, [f64; 2]),
 ) {
-    let (instants, passages) = (&run.instants[range.clone()], &run.follower.passages[range.clone()]);
-    let (inductance, inertia) = (run.dynamics.inverse_inductance, run.dynamics.inverse_inertia);
+    let (instants, passages) = (
+        &run.instants[range.clone()],
+        &run.follower.passages[range.clone()],
+    );
+    let (inductance, inertia) = (
+        run.dynamics.inverse_inductance,
+        run.dynamics.inverse_inertia,
+    );
     let of = |sums: &Sums, direction: f64, inductive_v: f64| {
         [
             (sums.current_rate_gain * inductive_v - sums.voltage_v) * inductance,
@@ -328,7 +376,11 @@ fn force(
                 put(k, of(&sums, passage.direction, inductive_v));
             }
         }
-        Tangent::Bent { terms, power, share } => {
+        Tangent::Bent {
+            terms,
+            power,
+            share,
+        } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let sums = traveller.bent(&terms.sums(at, &[]), *power, *share);
                 put(k, of(&sums, passage.direction, 0.0));
@@ -337,17 +389,29 @@ fn force(
         Tangent::Wave(wave) => {
             turns.to(wave.order, &run.turns[range], instants);
             for (k, (at, turn)) in instants.iter().zip(&turns.each).enumerate() {
-                let size = if wave.of_current { wave.size * at.torque_n_m_per_a * at.current_a } else { wave.size };
+                let size = if wave.of_current {
+                    wave.size * at.torque_n_m_per_a * at.current_a
+                } else {
+                    wave.size
+                };
                 put(k, [0.0, -size * turn[usize::from(wave.sine)] * inertia]);
             }
         }
-        Tangent::Hat { axis, centre, width, size } => {
+        Tangent::Hat {
+            axis,
+            centre,
+            width,
+            size,
+        } => {
             let hat = |x: f64| size * (1.0 - ((x - centre) / width).abs()).max(0.0);
             for (k, at) in instants.iter().enumerate() {
-                put(k, match axis {
-                    Axis::Speed => [0.0, -hat(at.speed_rad_s) * inertia],
-                    Axis::Current => [-hat(at.current_a) * inductance, 0.0],
-                });
+                put(
+                    k,
+                    match axis {
+                        Axis::Speed => [0.0, -hat(at.speed_rad_s) * inertia],
+                        Axis::Current => [-hat(at.current_a) * inductance, 0.0],
+                    },
+                );
             }
         }
     }
@@ -370,7 +434,13 @@ mod tests {
 
     /// Moves one way only: where a shaft breaks away differences are no tangents.
     fn run(model: &Model) -> Scenario {
-        record(model, vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)], 1e-3, 2.5, 11)
+        record(
+            model,
+            vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)],
+            1e-3,
+            2.5,
+            11,
+        )
     }
 
     fn columns(run: &Around<'_>, tangents: &[&Tangent]) -> Vec<Vec<f64>> {
@@ -385,7 +455,9 @@ mod tests {
     }
 
     fn distance(a: &[f64], b: &[f64]) -> f64 {
-        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|value| value * value).sum::<f64>().sqrt();
+        let norm = |values: &mut dyn Iterator<Item = f64>| {
+            values.map(|value| value * value).sum::<f64>().sqrt()
+        };
         norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / norm(&mut b.iter().copied())
     }
 
@@ -413,9 +485,15 @@ mod tests {
                 Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s])
             };
             let mut with = model.clone();
-            with.effects.push(ActiveEffect { effect, values: values.into_iter().map(Some).collect() });
-            let difference: Vec<f64> =
-                around.difference(&with, &scenario, 1.0).into_iter().map(f64::from).collect();
+            with.effects.push(ActiveEffect {
+                effect,
+                values: values.into_iter().map(Some).collect(),
+            });
+            let difference: Vec<f64> = around
+                .difference(&with, &scenario, 1.0)
+                .into_iter()
+                .map(f64::from)
+                .collect();
             let apart = distance(&columns(&around, &[&tangent])[0], &difference);
             assert!(apart < 0.05, "{id}: {apart}");
         }
@@ -432,8 +510,17 @@ mod tests {
             for sine in [true, false] {
                 for (id, of_current) in [("cogging", false), ("torque_ripple", true)] {
                     let size = if of_current { 0.02 } else { 0.01 };
-                    waves.push(Tangent::Wave(Wave { order, sine, size, of_current }));
-                    let values = if sine { [size, 0.0, order] } else { [0.0, size, order] };
+                    waves.push(Tangent::Wave(Wave {
+                        order,
+                        sine,
+                        size,
+                        of_current,
+                    }));
+                    let values = if sine {
+                        [size, 0.0, order]
+                    } else {
+                        [0.0, size, order]
+                    };
                     terms.push(Tangent::Terms(effect::find(id).unwrap().terms(&values)));
                 }
             }
@@ -462,7 +549,10 @@ mod tests {
             let white = filtered.correct(update, &[[0.0; LANES]; 2]);
             let readings = back.colour(update, &white);
             for (reading, free) in readings.iter().flatten().zip(free.0[..2].iter().flatten()) {
-                assert!((reading - free).abs() < 1e-6 * free.abs().max(1.0), "{reading} {free}");
+                assert!(
+                    (reading - free).abs() < 1e-6 * free.abs().max(1.0),
+                    "{reading} {free}"
+                );
             }
         }
         assert!(free.0[1][0].abs() > 1.0, "the forcing does something");

@@ -27,25 +27,47 @@ impl Whitened {
 
     /// The first rows of all columns.
     pub fn beginning(&self, rows: usize) -> Self {
-        Self { columns: self.columns.iter().map(|column| column[..rows.min(column.len())].to_vec()).collect(), rows }
+        Self {
+            columns: self
+                .columns
+                .iter()
+                .map(|column| column[..rows.min(column.len())].to_vec())
+                .collect(),
+            rows,
+        }
     }
 
     /// Products of another column with each of these, with itself, and with the residual.
     pub fn products(&self, other: &[f32], residual: &[[f64; 2]]) -> DVector<f64> {
-        let dot = |column: &[f32]| -> f64 { column.iter().zip(other).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum() };
-        let rest: f64 = residual.iter().flatten().zip(other).map(|(a, b)| a * f64::from(*b)).sum();
+        let dot = |column: &[f32]| -> f64 {
+            column
+                .iter()
+                .zip(other)
+                .map(|(a, b)| f64::from(*a) * f64::from(*b))
+                .sum()
+        };
+        let rest: f64 = residual
+            .iter()
+            .flatten()
+            .zip(other)
+            .map(|(a, b)| a * f64::from(*b))
+            .sum();
         let each = self.columns.iter().map(|column| dot(column));
         DVector::from_iterator(self.columns.len() + 2, each.chain([dot(other), rest]))
     }
 
     /// One number of a column.
     pub fn at(&self, column: usize, row: usize) -> f64 {
-        self.columns[column].get(row).map_or(0.0, |value| f64::from(*value))
+        self.columns[column]
+            .get(row)
+            .map_or(0.0, |value| f64::from(*value))
     }
 
     /// `w' w` with `w` these columns and `last` behind them.
     pub fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
-        let filled: Vec<usize> = (0..self.columns.len()).filter(|k| !self.columns[*k].is_empty()).collect();
+        let filled: Vec<usize> = (0..self.columns.len())
+            .filter(|k| !self.columns[*k].is_empty())
+            .collect();
         let k = filled.len() + 1;
         // In parts that do not depend on who is free: sums come out the same every time.
         let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
@@ -68,7 +90,9 @@ impl Whitened {
                 sum
             })
             .collect();
-        let sum = sums.into_iter().fold(DMatrix::zeros(k, k), |sum, part| sum + part);
+        let sum = sums
+            .into_iter()
+            .fold(DMatrix::zeros(k, k), |sum, part| sum + part);
         let p = self.columns.len() + 1;
         let place = |k: usize| filled.get(k).copied().unwrap_or(p - 1);
         let mut gram = DMatrix::zeros(p, p);
@@ -97,7 +121,8 @@ fn add_upper(sum: &mut DMatrix<f64>, buffer: &[f64], rows: usize) {
         let left = &buffer[from * rows..(from + width) * rows];
         let turned = DMatrixView::from_slice(left, rows, width).transpose();
         let right = DMatrixView::from_slice(&buffer[from * rows..], rows, p - from);
-        sum.view_mut((from, from), (width, p - from)).gemm(1.0, &turned, &right, 1.0);
+        sum.view_mut((from, from), (width, p - from))
+            .gemm(1.0, &turned, &right, 1.0);
     }
 }
 
@@ -125,9 +150,17 @@ mod tests {
     #[test]
     fn products_are_those_of_columns_that_end_early_too() {
         let rows = 2 * ROWS + 38;
-        let column = |k: usize, rows: usize| -> Vec<f32> { (0..rows).map(|row| ((row * (k + 3)) % 17) as f32 - 8.0).collect() };
+        let column = |k: usize, rows: usize| -> Vec<f32> {
+            (0..rows)
+                .map(|row| ((row * (k + 3)) % 17) as f32 - 8.0)
+                .collect()
+        };
         let lengths = [rows, 0, ROWS + 5, rows, 7];
-        let each: Vec<Vec<f32>> = lengths.into_iter().enumerate().map(|(k, rows)| column(k, rows)).collect();
+        let each: Vec<Vec<f32>> = lengths
+            .into_iter()
+            .enumerate()
+            .map(|(k, rows)| column(k, rows))
+            .collect();
         let whitened = Whitened::new(each.clone(), rows);
         let last: Vec<[f64; 2]> = (0..rows / 2).map(|k| [k as f64 % 5.0, -1.0]).collect();
         let mut w = DMatrix::zeros(rows, 6);
