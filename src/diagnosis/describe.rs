@@ -38,13 +38,23 @@ pub(super) fn describe(
             let rung = place(inferred).map(|place| (&rungs[place], &rungs[place + 1]));
             let prefix = format!("{id}.");
             let parameters = match rung {
-                Some(_) => best.fit.parameters.iter().filter(|p| p.key.starts_with(&prefix)).cloned().collect(),
+                Some(_) => best
+                    .fit
+                    .parameters
+                    .iter()
+                    .filter(|p| p.key.starts_with(&prefix))
+                    .cloned()
+                    .collect(),
                 None => Vec::new(),
             };
             let share = rung.map(|(before, after)| {
                 let whole = base.score.nrms.powi(2) - floor * floor;
                 let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
-                if whole > 0.0 { 100.0 * fall / whole } else { 0.0 }
+                if whole > 0.0 {
+                    100.0 * fall / whole
+                } else {
+                    0.0
+                }
             });
             Candidate {
                 effect: id,
@@ -53,7 +63,8 @@ pub(super) fn describe(
                 probability: inferred.probability,
                 parameters,
                 interval_factor: best.fit.interval_factor,
-                reached: rung.and_then(|_| reached::of_fit(&best.fit, inferred.effect, &evidence.training)),
+                reached: rung
+                    .and_then(|_| reached::of_fit(&best.fit, inferred.effect, &evidence.training)),
                 error_before: rung.map_or(base, |rung| rung.0).fit.nrms,
                 error_after: rung.map(|(_, after)| after.fit.nrms),
                 holdout_before: rung.map_or(base, |rung| rung.0).score.nrms,
@@ -77,10 +88,17 @@ fn evidence_sentence(
     let unit = unit_of_size(inferred.effect);
     let percent = percent(inferred.probability);
     let size = |size: f64| format!("{size:.2e} {unit}");
-    let most = inferred.upper_bound.map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
-    let shown = inferred.detectable.map_or_else(String::new, |least| format!("; {} would have shown", size(least)));
+    let most = inferred
+        .upper_bound
+        .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
+    let shown = inferred.detectable.map_or_else(String::new, |least| {
+        format!("; {} would have shown", size(least))
+    });
     match (status, rung) {
-        (Status::NotExcited, _) => format!("{}: these runs would not show it; {}", card.name, card.excite),
+        (Status::NotExcited, _) => format!(
+            "{}: these runs would not show it; {}",
+            card.name, card.excite
+        ),
         (_, Some((before, after))) => format!(
             "{} is there with {percent}; with it the held-out error goes from {:.2} to {:.2} {times}",
             card.name, before.score.nrms, after.score.nrms

@@ -9,11 +9,11 @@ use super::decide::{self, Settings, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::fitted::Fitted;
+use super::joint::answer::{Inference, Part, infer};
 use super::ladder::Rung;
 use super::mechanical;
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
-use super::joint::answer::{Inference, Part, infer};
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::{self, Fit, FitError};
@@ -177,7 +177,9 @@ fn climb(
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
         let mut start = inference.model.clone();
-        start.effects.retain(|active| given.contains(&active.id()) || kept.contains(&active.id()));
+        start
+            .effects
+            .retain(|active| given.contains(&active.id()) || kept.contains(&active.id()));
         if !start.has(id) {
             start = start.with_effect(id)?;
         }
@@ -288,7 +290,10 @@ fn verdict(
         .effects
         .iter()
         .any(|other| other.effect.card().id == first && other.probability >= CERTAIN);
-    let is_one_of_several = inference.confusable.iter().any(|pair| pair.contains(&first));
+    let is_one_of_several = inference
+        .confusable
+        .iter()
+        .any(|pair| pair.contains(&first));
     if !certain && is_one_of_several {
         DiagnosisVerdict::Ambiguous
     } else {

@@ -14,7 +14,11 @@ pub(super) fn refit_one(
 ) -> Result<Fit, FitError> {
     let candidate = Screen::new(baseline, &evidence.training).effect(effect)?;
     let from = |start: &Model| {
-        output_error::fit(std::slice::from_ref(start), &evidence.training, &evidence.noise)
+        output_error::fit(
+            std::slice::from_ref(start),
+            &evidence.training,
+            &evidence.noise,
+        )
     };
     match second_start(&candidate, baseline, original) {
         Some(second) => {

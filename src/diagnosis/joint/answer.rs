@@ -68,7 +68,9 @@ pub(in crate::diagnosis) fn infer(
     evidence: &Evidence,
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
-    let failed = || FitError::CannotSimulate { run: evidence.training.name.clone() };
+    let failed = || FitError::CannotSimulate {
+        run: evidence.training.name.clone(),
+    };
     // Where one run was split the whole of it speaks.
     let scenarios: Vec<&Scenario> = match evidence.holdout_from {
         HoldoutFrom::Run => vec![&evidence.training, &evidence.holdout],
@@ -77,11 +79,18 @@ pub(in crate::diagnosis) fn infer(
     let starts: Vec<State> = scenarios
         .iter()
         .enumerate()
-        .map(|(number, _)| if number == 0 { State::at(baseline.start.current_a, baseline.start.speed_rad_s) } else { State::default() })
+        .map(|(number, _)| {
+            if number == 0 {
+                State::at(baseline.start.current_a, baseline.start.speed_rad_s)
+            } else {
+                State::default()
+            }
+        })
         .collect();
     let noise = beginning(&evidence.noise, baseline, &evidence.training);
     let given = baseline.model.effect_ids();
-    let found = search::search(&baseline.model, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
+    let found =
+        search::search(&baseline.model, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
     let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
     let mut effects: Vec<Inferred> = CATALOGUE
         .iter()
@@ -105,7 +114,12 @@ pub(in crate::diagnosis) fn infer(
         .filter(|((candidate, p), _)| candidate.unknown && **p > NAMED)
         .map(|((candidate, p), share)| {
             let (equation, follows) = axis(candidate.id);
-            Part { equation, follows, probability: *p, share: *share }
+            Part {
+                equation,
+                follows,
+                probability: *p,
+                share: *share,
+            }
         })
         .collect();
     Ok(Inference {
@@ -128,8 +142,15 @@ fn axis(id: &str) -> (&'static str, &'static str) {
 
 /// Noise to begin with: the sensors' as they are known, a disturbance of a per cent.
 fn beginning(floor: &NoiseFloor, baseline: &Fit, run: &Scenario) -> Noise {
-    let most = run.current_a.iter().filter(|i| i.is_finite()).fold(0.0_f64, |most, i| most.max(i.abs()));
-    let largest_v = run.events.iter().fold(0.0_f64, |most, event| most.max(event.1.abs()));
+    let most = run
+        .current_a
+        .iter()
+        .filter(|i| i.is_finite())
+        .fold(0.0_f64, |most, i| most.max(i.abs()));
+    let largest_v = run
+        .events
+        .iter()
+        .fold(0.0_f64, |most, event| most.max(event.1.abs()));
     let torque = baseline.model.motor.torque_constant().unwrap_or(1.0) * most;
     Noise {
         current_a: floor.current_a,
@@ -142,7 +163,14 @@ fn beginning(floor: &NoiseFloor, baseline: &Fit, run: &Scenario) -> Noise {
 
 fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -> Inferred {
     let id = effect.card().id;
-    let mut out = Inferred { effect, probability: 0.0, excited: false, upper_bound: None, detectable: None, log_odds: f64::NEG_INFINITY };
+    let mut out = Inferred {
+        effect,
+        probability: 0.0,
+        excited: false,
+        upper_bound: None,
+        detectable: None,
+        log_odds: f64::NEG_INFINITY,
+    };
     let mut absent = 1.0;
     for (k, candidate) in found.linear.candidates.iter().enumerate() {
         if candidate.id != id {
@@ -155,7 +183,11 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
         if variant.mean > 0.0 {
             // There wholly or not at all: seen where that makes a difference beyond the noise.
             let columns = reduced.columns(&without(&found.posterior.best, k));
-            let own: Vec<usize> = variant.columns.iter().map(|c| c - found.linear.nuisances.len()).collect();
+            let own: Vec<usize> = variant
+                .columns
+                .iter()
+                .map(|c| c - found.linear.nuisances.len())
+                .collect();
             out.excited |= reduced.seen(&columns, own[0]) * variant.mean.powi(2) > 25.0;
             continue;
         }
@@ -199,7 +231,11 @@ fn size_in(found: &Found, reduced: &Reduced<'_>, set: &Set, k: usize) -> Option<
     let columns = reduced.columns(set);
     let (mean, covariance) = reduced.sizes(&columns)?;
     let m = found.linear.nuisances.len();
-    let is_wave = variant.parameters.len() > 1 && variant.units.len() > 1 && variant.units[1] > 0.0 && variant.parameters[1] == 1 && is_amplitude(found.linear.candidates[k].id);
+    let is_wave = variant.parameters.len() > 1
+        && variant.units.len() > 1
+        && variant.units[1] > 0.0
+        && variant.parameters[1] == 1
+        && is_amplitude(found.linear.candidates[k].id);
     let count = if is_wave { 2 } else { 1 };
     let (mut square, mut variance) = (0.0, 0.0_f64);
     for (column, unit) in variant.columns.iter().zip(&variant.units).take(count) {
@@ -214,7 +250,12 @@ fn size_in(found: &Found, reduced: &Reduced<'_>, set: &Set, k: usize) -> Option<
 /// Whether an effect's first two parameters are sine and cosine.
 fn is_amplitude(id: &str) -> bool {
     let effect = CATALOGUE.iter().find(|effect| effect.card().id == id);
-    effect.is_some_and(|effect| effect.parameters().first().is_some_and(|spec| spec.key.starts_with("sin_")))
+    effect.is_some_and(|effect| {
+        effect
+            .parameters()
+            .first()
+            .is_some_and(|spec| spec.key.starts_with("sin_"))
+    })
 }
 
 /// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
@@ -225,7 +266,9 @@ fn detectable(found: &Found, reduced: &Reduced<'_>, with: &Set, k: usize, sd: f6
     let others = reduced.columns(&without(with, k));
     let wave = is_amplitude(candidate.id);
     let directions: Vec<(f64, f64)> = if wave {
-        (0..8).map(|n| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos()).collect()
+        (0..8)
+            .map(|n| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos())
+            .collect()
     } else if variant.positive {
         vec![(1.0, 0.0)]
     } else {
@@ -275,7 +318,12 @@ fn confusable(found: &Found, effects: &[Inferred]) -> Vec<[&'static str; 2]> {
         let (mut sum, mut total) = (0.0, 0.0);
         for (set, log) in &found.posterior.sets {
             let weight = (log - top).exp();
-            let present: Vec<&'static str> = set.iter().zip(&found.linear.candidates).filter(|(v, _)| v.is_some()).map(|(_, c)| c.id).collect();
+            let present: Vec<&'static str> = set
+                .iter()
+                .zip(&found.linear.candidates)
+                .filter(|(v, _)| v.is_some())
+                .map(|(_, c)| c.id)
+                .collect();
             total += weight;
             if is_in(&present) {
                 sum += weight;

@@ -3,13 +3,16 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::follow::{Deviation, Followed, Follower, Noise, follow, lead, Dynamics};
+use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
+use super::forms::{drop_refuted, keep_likeliest};
+use super::tangent::{Axis, LANES, Step, Tangent, Wave, carry};
+use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
-use crate::plant::effect::CATALOGUE;
+use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{
-    ActiveEffect, Input, Instant, Model, MotorKey, ParameterRole, Scenario, Slot, State,
-    Terms, typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, Path, Scenario, Slot, State,
+    typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -62,38 +65,31 @@ pub struct Linear {
     pub rows: usize,
     pub log_variance: f64,
     /// Whitened columns of each run.
-    pub columns: Vec<DMatrix<f64>>,
+    pub columns: Vec<Whitened>,
     pub present: DVector<f64>,
 }
 
-enum Source {
-    Fd(Model, f64),
-    Terms { terms: Box<dyn Terms>, scale: f64 },
-    /// Another form of a term: itself times a power of its own size (1, 2), its square (3), or late (0).
-    Form { terms: Box<dyn Terms>, power: i32 },
-    /// Torque against positive motion, and voltage drop, at each interval.
-    Curve(Curve),
-    /// In one of the runs only.
-    In(usize, Box<Source>),
+/// How a column comes about.
+pub(super) enum Source {
+    /// The difference that another model makes, over a step.
+    Difference {
+        model: Model,
+        step: f64,
+    },
+    Tangent(Tangent),
+    /// Likewise, in one of the runs only.
+    In(usize, Tangent),
+    /// Known at the beginning of the first run already, and of no interest beyond.
+    Known(Vec<f32>),
 }
 
-#[derive(Clone, Copy)]
-enum Curve {
-    TorqueOverSpeed { centre: f64, width: f64, size: f64 },
-    TorqueOverAngle { order: f64, sine: bool, size: f64 },
-    VoltageOverCurrent { centre: f64, width: f64, size: f64 },
-}
-
-impl Curve {
-    fn at(self, at: &Instant) -> [f64; 2] {
-        let hat = |x: f64, centre: f64, width: f64| (1.0 - ((x - centre) / width).abs()).max(0.0);
+impl Source {
+    /// Its tangent in the run of this number, if it has one there.
+    pub(super) const fn tangent(&self, number: usize) -> Option<&Tangent> {
         match self {
-            Self::TorqueOverSpeed { centre, width, size } => [0.0, size * hat(at.speed_rad_s, centre, width)],
-            Self::TorqueOverAngle { order, sine, size } => {
-                let (s, c) = (order * at.angle_rad).sin_cos();
-                [0.0, size * if sine { s } else { c }]
-            }
-            Self::VoltageOverCurrent { centre, width, size } => [size * hat(at.current_a, centre, width), 0.0],
+            Self::Tangent(tangent) => Some(tangent),
+            Self::In(run, tangent) if *run == number => Some(tangent),
+            _ => None,
         }
     }
 }
@@ -107,100 +103,100 @@ pub struct Around<'a> {
     pub follower: Follower,
     pub followed: Followed,
     pub dynamics: Dynamics,
-    instants: Vec<Instant>,
+    /// The middle of the interval before each sample.
+    pub(super) instants: Vec<Instant>,
+    /// Cosine and sine of the angle there.
+    pub(super) turns: Vec<[f64; 2]>,
+    /// How deviations pass the interval.
+    pub(super) steps: Vec<Step>,
 }
 
 impl<'a> Around<'a> {
-    pub fn new(model: &'a Model, scenario: &'a Scenario, start: State, noise: Noise) -> Option<Self> {
+    pub fn new(
+        model: &'a Model,
+        scenario: &'a Scenario,
+        start: State,
+        noise: Noise,
+    ) -> Option<Self> {
         let (follower, followed) = lead(model, scenario, start, &noise)?;
         let dynamics = Dynamics::of(model, scenario.input)?;
         let instants = instants(model, scenario, &followed);
-        Some(Self { model, scenario, start, noise, follower, followed, dynamics, instants })
-    }
-
-    fn difference(&self, model: &Model, step: f64) -> Option<Vec<f64>> {
-        let mut out = Vec::with_capacity(self.scenario.samples());
-        if !follow(&self.follower, model, self.scenario, self.start, &self.noise, &mut out) {
-            return None;
-        }
-        Some(
-            out.iter()
-                .zip(&self.followed.white)
-                .flat_map(|(a, b)| [(b[0] - a[0]) / step, (b[1] - a[1]) / step])
-                .collect(),
-        )
-    }
-
-    fn along(&self, mut forcing: impl FnMut(usize, &Instant, f64) -> [f64; 2]) -> Vec<f64> {
-        let n = self.scenario.samples();
-        let mut out = Vec::with_capacity(2 * n);
-        let mut deviation = Deviation::default();
-        for sample in 0..n {
-            let passage = &self.follower.passages[sample];
+        let turn = |at: &Instant| {
+            let (sine, cosine) = at.angle_rad.sin_cos();
+            [cosine, sine]
+        };
+        let turns = instants.iter().map(turn).collect();
+        let step = |(passage, forget): (&Passage, &f64)| {
             if passage.interval_s > 0.0 {
-                let forcing = forcing(sample, &self.instants[sample], passage.direction);
-                deviation.pass(passage, forcing, self.follower.forgets[sample], &self.dynamics);
+                Step::of(passage, *forget, &dynamics)
+            } else {
+                Step::still()
             }
-            let white = deviation.correct(&self.follower.updates[sample], [0.0; 2]);
-            out.extend(white);
-        }
-        out
-    }
-
-    fn column(&self, source: &Source, number: usize) -> Option<Vec<f64>> {
-        let (inductance, inertia) = (self.dynamics.inverse_inductance, self.dynamics.inverse_inertia);
-        Some(match source {
-            Source::Fd(model, step) => self.difference(model, *step)?,
-            Source::Terms { terms, scale } => {
-                let mut own = vec![0.0; terms.states()];
-                let mut rate = own.clone();
-                let motor = &self.model.motor;
-                let (r, ke) = (motor.get(MotorKey::Resistance).unwrap_or(0.0), motor.get(MotorKey::BackEmf).unwrap_or(0.0));
-                self.along(|sample, at, direction| {
-                    let sums = terms.sums(at, &own);
-                    if !own.is_empty() {
-                        terms.derivative(at, &own, &mut rate);
-                        let h = self.follower.passages[sample].interval_s;
-                        for (own, rate) in own.iter_mut().zip(&rate) {
-                            *own += h * rate;
-                        }
-                    }
-                    let inductive = at.voltage_v - r * at.current_a - ke * at.speed_rad_s;
-                    [
-                        (-sums.voltage_v + sums.current_rate_gain * inductive) * inductance * scale,
-                        -(sums.torque_n_m + direction * sums.friction_n_m) * inertia * scale,
-                    ]
-                })
-            }
-            Source::Form { terms, power } => {
-                let mut most = [0.0_f64; 3];
-                for at in &self.instants {
-                    let sums = terms.sums(at, &[]);
-                    for (most, value) in most.iter_mut().zip([sums.voltage_v, sums.torque_n_m, sums.friction_n_m]) {
-                        *most = most.max(value.abs());
-                    }
-                }
-                let bent = |value: f64, most: f64| {
-                    if most <= 0.0 { return 0.0; }
-                    FORM * value * (value / most).abs().powi(*power)
-                };
-                self.along(|_, at, direction| {
-                    let sums = terms.sums(at, &[]);
-                    [
-                        -bent(sums.voltage_v, most[0]) * inductance,
-                        -(bent(sums.torque_n_m, most[1]) + direction * bent(sums.friction_n_m, most[2])) * inertia,
-                    ]
-                })
-            }
-            Source::In(run, source) => {
-                if *run == number { self.column(source, number)? } else { vec![0.0; 2 * self.scenario.samples()] }
-            }
-            Source::Curve(curve) => self.along(|_, at, _| {
-                let [v, t] = curve.at(at);
-                [-v * inductance, -t * inertia]
-            }),
+        };
+        let steps = follower
+            .passages
+            .iter()
+            .zip(&follower.forgets)
+            .map(step)
+            .collect();
+        Some(Self {
+            model,
+            scenario,
+            start,
+            noise,
+            follower,
+            followed,
+            dynamics,
+            instants,
+            turns,
+            steps,
         })
     }
+
+    /// What another model does to the whitened innovations, over `step`, in the whole run or the beginning of it that
+    /// `scenario` is; nothing where it cannot follow.
+    pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
+        let mut out = Vec::with_capacity(scenario.samples());
+        if !follow(
+            &self.follower,
+            model,
+            scenario,
+            self.start,
+            &self.noise,
+            &mut out,
+        ) {
+            return vec![0.0; 2 * scenario.samples()];
+        }
+        let over = 1.0 / step;
+        let change = |(a, b): (&[f64; 2], &[f64; 2])| {
+            [single((b[0] - a[0]) * over), single((b[1] - a[1]) * over)]
+        };
+        out.iter()
+            .zip(&self.followed.white)
+            .flat_map(change)
+            .collect()
+    }
+
+    /// Columns of as many tangents as there are lanes, or fewer.
+    fn along(&self, tangents: &[&Tangent]) -> Vec<Vec<f32>> {
+        let mut columns = vec![Vec::with_capacity(self.rows()); tangents.len()];
+        carry(self, tangents, |_, white| {
+            for (lane, column) in columns.iter_mut().enumerate() {
+                column.extend(white.iter().map(|row| single(row[lane])));
+            }
+        });
+        columns
+    }
+
+    /// Two for each sample, whether measured or not.
+    fn rows(&self) -> usize {
+        2 * self.scenario.samples()
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "stored like this")]
+const fn single(value: f64) -> f32 {
+    value as f32
 }
 
 fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Instant> {
@@ -250,245 +246,539 @@ const WHOLE: f64 = 0.15;
 /// What the form of an effect may differ from its equation by.
 const FORM: f64 = 0.1;
 
-/// What the stamps of command, current and speed may be wrong by, for all samples alike.
-fn timing(model: &Model, scenario: &Scenario, sources: &mut Vec<Source>, nuisances: &mut Vec<f64>) {
+/// A candidate whose columns have no numbers yet.
+pub(super) struct Part {
+    pub(super) candidate: Candidate,
+    /// Where the columns of each variant come from.
+    pub(super) sources: Vec<Vec<Source>>,
+}
+
+impl Part {
+    fn new(id: &'static str, log_odds: f64) -> Self {
+        let candidate = Candidate {
+            id,
+            in_model: false,
+            unknown: false,
+            log_odds,
+            variants: vec![],
+            excludes: vec![],
+        };
+        Self {
+            candidate,
+            sources: vec![],
+        }
+    }
+
+    fn push(&mut self, mut form: Form) {
+        form.variant.columns.clear();
+        self.candidate.variants.push(form.variant);
+        self.sources.push(form.sources);
+    }
+}
+
+/// A variant under construction.
+struct Form {
+    variant: Variant,
+    sources: Vec<Source>,
+}
+
+/// Of a column that is no parameter's.
+const NO_PARAMETER: usize = usize::MAX;
+
+impl Form {
+    const fn new(values: Vec<f64>, log_prior: f64) -> Self {
+        let variant = Variant {
+            columns: vec![],
+            values,
+            units: vec![],
+            parameters: vec![],
+            present: vec![],
+            mean: 0.0,
+            positive: false,
+            log_prior,
+        };
+        Self {
+            variant,
+            sources: vec![],
+        }
+    }
+
+    fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
+        self.sources.push(source);
+        self.variant.parameters.push(parameter);
+        self.variant.units.push(unit);
+        self.variant.present.push(present);
+    }
+}
+
+/// The effect with these values.
+fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
+    ActiveEffect {
+        effect,
+        values: values.iter().copied().map(Some).collect(),
+    }
+}
+
+/// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
+/// samples alike; each with its standard deviation beforehand.
+fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
+    let mut nuisances = Vec::new();
+    for slot in model.free_slots() {
+        if let Slot::Motor(_) = slot {
+            let mut moved = model.clone();
+            let value = model.get(&slot)?;
+            moved.set(&slot, value * STEP.exp());
+            nuisances.push((
+                Source::Difference {
+                    model: moved,
+                    step: STEP,
+                },
+                MOTOR,
+            ));
+        }
+    }
     if scenario.input != Input::Voltage {
-        return;
+        return Some(nuisances);
     }
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     for id in ["command_delay", "current_filter", "speed_delay"] {
-        let Some(effect) = crate::plant::effect::find(id) else { continue };
+        let Some(effect) = effect::find(id) else {
+            continue;
+        };
         let mut moved = model.clone();
         match moved.effects.iter_mut().find(|active| active.id() == id) {
             Some(active) => {
                 let now = active.values_or_guess()[0];
                 active.values = vec![Some(now + STAMP * period_s)];
             }
-            None => moved.effects.push(ActiveEffect { effect, values: vec![Some(STAMP * period_s)] }),
+            None => moved.effects.push(active(effect, &[STAMP * period_s])),
         }
-        sources.push(Source::Fd(moved, 1.0));
-        nuisances.push(1.0);
+        nuisances.push((
+            Source::Difference {
+                model: moved,
+                step: 1.0,
+            },
+            1.0,
+        ));
     }
+    Some(nuisances)
 }
 
 /// Step of a difference of two runs with a motor's parameter, relative.
 const STEP: f64 = 2e-3;
+/// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run, of an unknown curve.
+const LOG_ODDS: f64 = -2.197_224_577_336_219_6;
+const LOG_ODDS_STEP: f64 = -2.995_732_273_553_991;
+const LOG_ODDS_UNKNOWN: f64 = -4.605_170_185_988_091;
+
+/// An effect of the model: its parameters, and what else its form may be.
+fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Option<Part> {
+    let id = effect.card().id;
+    let specs = effect.parameters();
+    let mut part = Part::new(id, LOG_ODDS);
+    part.candidate.in_model = true;
+    let values = model
+        .effects
+        .iter()
+        .find(|active| active.id() == id)?
+        .values_or_guess();
+    let mut form = Form::new(values.clone(), 0.0);
+    if !specs.iter().any(|spec| spec.is_coefficient()) {
+        let without = model.without_effect(id).ok()?;
+        form.variant.mean = 1.0 / WHOLE;
+        form.column(
+            Source::Difference {
+                model: without,
+                step: -1.0 / WHOLE,
+            },
+            NO_PARAMETER,
+            0.0,
+            1.0 / WHOLE,
+        );
+    }
+    for (index, spec) in specs.iter().enumerate() {
+        if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
+            continue;
+        }
+        let (unit, present, step) = if spec.is_coefficient() {
+            let unit = SLAB * typical_size(effect, index, model, scenario);
+            (unit, values[index] / unit, 0.02 * unit)
+        } else {
+            // A shape's logarithm, known to a factor of two beforehand.
+            let unit = if spec.logarithmic {
+                0.7 * values[index]
+            } else {
+                spec.scale
+            };
+            (unit, 0.0, 0.01 * unit)
+        };
+        let mut moved = model.clone();
+        let mut there = values.clone();
+        there[index] += step;
+        for other in &mut moved.effects {
+            if other.id() == id {
+                *other = active(effect, &there);
+            }
+        }
+        form.variant.positive |= spec.is_coefficient() && (spec.min >= 0.0 || takes_power(id));
+        form.column(
+            Source::Difference {
+                model: moved,
+                step: step / unit,
+            },
+            index,
+            unit,
+            present,
+        );
+    }
+    let terms = effect.terms(&values);
+    let path = terms.path();
+    if effect.card().needs_angle {
+        let squares = specs
+            .iter()
+            .zip(&values)
+            .filter(|(spec, _)| spec.is_coefficient())
+            .map(|(_, value)| value * value);
+        let amplitude = squares.sum::<f64>().sqrt();
+        let order = specs
+            .iter()
+            .position(|spec| spec.key == "order")
+            .map_or(1.0, |k| values[k]);
+        let gain = if id == "torque_ripple" {
+            model.motor.torque_constant().unwrap_or(1.0) * 2.0
+        } else {
+            1.0
+        };
+        for harmonic in [2.0, 3.0] {
+            for sine in [true, false] {
+                let wave = Wave {
+                    order: harmonic * order,
+                    sine,
+                    size: FORM * amplitude * gain,
+                    of_current: false,
+                };
+                form.column(Source::Tangent(Tangent::Wave(wave)), NO_PARAMETER, 0.0, 0.0);
+            }
+        }
+    } else if terms.states() == 0
+        && terms.coupling().is_none()
+        && path.measures_directly()
+        && !path.delays_command()
+    {
+        for power in [1, 2] {
+            let bent = Tangent::Bent {
+                terms: effect.terms(&values),
+                power,
+                share: FORM,
+            };
+            form.column(Source::Tangent(bent), NO_PARAMETER, 0.0, 0.0);
+        }
+    }
+    part.push(form);
+    Some(part)
+}
+
+/// An effect that the model lacks, in each form of its grid.
+fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Part {
+    let id = effect.card().id;
+    let specs = effect.parameters();
+    let mut part = Part::new(id, LOG_ODDS);
+    let coefficients: Vec<usize> = (0..specs.len())
+        .filter(|k| specs[*k].is_coefficient())
+        .collect();
+    let slabs: Vec<f64> = coefficients
+        .iter()
+        .map(|k| SLAB * typical_size(effect, *k, model, scenario))
+        .collect();
+    let grid = shape_grid(effect, scenario);
+    let log_prior = -(grid.len() as f64).ln();
+    for shape in grid {
+        if id == "discontinuous_conduction" && shape[1] < 0.9 {
+            continue;
+        }
+        if specs
+            .iter()
+            .any(|spec| spec.role == ParameterRole::EventTime)
+        {
+            continue;
+        }
+        let mut form = Form::new(shape.clone(), log_prior);
+        if coefficients.is_empty() {
+            let mut with = model.clone();
+            with.effects.push(active(effect, &shape));
+            form.variant.mean = 1.0 / WHOLE;
+            form.column(
+                Source::Difference {
+                    model: with,
+                    step: 1.0 / WHOLE,
+                },
+                NO_PARAMETER,
+                0.0,
+                0.0,
+            );
+        }
+        for (index, slab) in coefficients.iter().zip(&slabs) {
+            let mut values = shape.clone();
+            for other in &coefficients {
+                values[*other] = 0.0;
+            }
+            values[*index] = *slab;
+            form.variant.values[*index] = *slab;
+            form.variant.positive |= specs[*index].min >= 0.0 || takes_power(id);
+            form.column(alone(model, effect, &values, *index), *index, *slab, 0.0);
+        }
+        part.push(form);
+    }
+    part
+}
+
+/// What one coefficient of an effect adds, all others at zero.
+fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usize) -> Source {
+    const PROBE: f64 = 0.25;
+    let wave = match effect.card().id {
+        "cogging" => Some(false),
+        "torque_ripple" => Some(true),
+        _ => None,
+    };
+    if let Some(of_current) = wave {
+        return Source::Tangent(Tangent::Wave(Wave {
+            order: values[2],
+            sine: index == 0,
+            size: values[index],
+            of_current,
+        }));
+    }
+    let terms = effect.terms(values);
+    let path = terms.path();
+    if path.measures_directly() && !path.delays_command() && terms.coupling().is_none() {
+        return Source::Tangent(Tangent::Terms(terms));
+    }
+    let Path {
+        current_offset_a,
+        speed_offset_rad_s,
+        ..
+    } = path;
+    if path
+        == (Path {
+            current_offset_a,
+            speed_offset_rad_s,
+            ..Path::default()
+        })
+    {
+        return Source::Tangent(Tangent::Offset([current_offset_a, speed_offset_rad_s]));
+    }
+    let mut with = model.clone();
+    let mut values = values.to_vec();
+    values[index] *= PROBE;
+    with.effects.push(active(effect, &values));
+    Source::Difference {
+        model: with,
+        step: PROBE,
+    }
+}
 
 /// The linear problem of `runs` around one model. Every run must be followed with that same model.
 pub fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<Linear> {
     let training = runs[0].scenario;
-    let mut sources: Vec<Source> = Vec::new();
-    let mut nuisances = Vec::new();
-    for slot in model.free_slots() {
-        if let Slot::Motor(key) = slot {
-            let mut moved = model.clone();
-            let value = model.get(&slot)?;
-            moved.set(&slot, value * STEP.exp());
-            sources.push(Source::Fd(moved, STEP));
-            let _ = key;
-            nuisances.push(MOTOR);
-        }
-    }
-    timing(model, training, &mut sources, &mut nuisances);
-    let mut candidates = Vec::new();
-    for effect in CATALOGUE.iter().copied() {
-        let id = effect.card().id;
-        let specs = effect.parameters();
-        let mut candidate = Candidate { id, in_model: model.has(id), unknown: false, log_odds: (0.1_f64 / 0.9).ln(), variants: vec![], excludes: vec![] };
-        if candidate.in_model {
-            let active = model.effects.iter().find(|a| a.id() == id)?;
-            let values: Vec<f64> = active.values_or_guess();
-            let mut variant = Variant { columns: vec![], values: values.clone(), units: vec![], parameters: vec![], present: vec![], mean: 0.0, positive: false, log_prior: 0.0 };
-            if !specs.iter().any(|spec| spec.is_coefficient()) {
-                let without = model.without_effect(id).ok()?;
-                variant.columns.push(sources.len());
-                variant.units.push(0.0);
-                variant.parameters.push(usize::MAX);
-                variant.present.push(1.0 / WHOLE);
-                variant.mean = 1.0 / WHOLE;
-                sources.push(Source::Fd(without, -1.0 / WHOLE));
-            }
-            for (index, spec) in specs.iter().enumerate() {
-                if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
-                    continue;
-                }
-                let (unit, present, step) = if spec.is_coefficient() {
-                    let unit = SLAB * typical_size(effect, index, model, training);
-                    (unit, values[index] / unit, 0.02 * unit)
-                } else {
-                    // A shape's logarithm, known to a factor of two beforehand.
-                    let unit = if spec.logarithmic { 0.7 * values[index] } else { spec.scale };
-                    (unit, 0.0, 0.01 * unit)
-                };
-                let mut moved = model.clone();
-                let mut there = values.clone();
-                there[index] += step;
-                for a in &mut moved.effects {
-                    if a.id() == id {
-                        *a = ActiveEffect { effect, values: there.iter().copied().map(Some).collect() };
-                    }
-                }
-                variant.columns.push(sources.len());
-                variant.units.push(unit);
-                variant.parameters.push(index);
-                variant.present.push(present);
-                variant.positive |= spec.is_coefficient() && (spec.min >= 0.0 || takes_power(id));
-                sources.push(Source::Fd(moved, step / unit));
-            }
-            let terms = effect.terms(&values);
-            let path = terms.path();
-            if effect.card().needs_angle {
-                let amplitude = specs.iter().zip(&values).filter(|(s, _)| s.is_coefficient()).map(|(_, v)| v * v).sum::<f64>().sqrt();
-                let order = specs.iter().position(|s| s.key == "order").map_or(1.0, |k| values[k]);
-                let gain = if id == "torque_ripple" { model.motor.torque_constant().unwrap_or(1.0) * 2.0 } else { 1.0 };
-                for harmonic in [2.0, 3.0] {
-                    for sine in [true, false] {
-                        variant.columns.push(sources.len());
-                        variant.units.push(0.0);
-                        variant.parameters.push(usize::MAX);
-                        variant.present.push(0.0);
-                        sources.push(Source::Curve(Curve::TorqueOverAngle { order: harmonic * order, sine, size: FORM * amplitude * gain }));
-                    }
-                }
-            } else if terms.states() == 0 && terms.coupling().is_none() && path.measures_directly() && !path.delays_command() {
-                for power in [1, 2] {
-                    variant.columns.push(sources.len());
-                    variant.units.push(0.0);
-                    variant.parameters.push(usize::MAX);
-                    variant.present.push(0.0);
-                    sources.push(Source::Form { terms: effect.terms(&values), power });
-                }
-            }
-            candidate.variants.push(variant);
+    let (always, nuisances): (Vec<Source>, Vec<f64>) =
+        nuisances(model, training)?.into_iter().unzip();
+    let of_effect = |effect: &&'static dyn Effect| {
+        if model.has(effect.card().id) {
+            of_model(model, *effect, training)
         } else {
-            let grid = shape_grid(effect, training);
-            let count = grid.len() as f64;
-            for shape in grid {
-                let ones: Vec<usize> = (0..specs.len()).filter(|k| specs[*k].is_coefficient()).collect();
-                let mut variant = Variant { columns: vec![], values: shape.clone(), units: vec![], parameters: vec![], present: vec![], mean: 0.0, positive: false, log_prior: -count.ln() };
-                if id == "discontinuous_conduction" && shape[1] < 0.9 {
-                    continue;
-                }
-                if specs.iter().any(|s| s.role == ParameterRole::EventTime) {
-                    continue;
-                }
-                if ones.is_empty() {
-                    let mut with = model.clone();
-                    with.effects.push(ActiveEffect { effect, values: shape.iter().copied().map(Some).collect() });
-                    variant.columns.push(sources.len());
-                    variant.units.push(0.0);
-                    variant.parameters.push(usize::MAX);
-                    variant.present.push(0.0);
-                    variant.mean = 1.0 / WHOLE;
-                    sources.push(Source::Fd(with, 1.0 / WHOLE));
-                    candidate.variants.push(variant);
-                    continue;
-                }
-                for &index in &ones {
-                    let slab = SLAB * typical_size(effect, index, model, training);
-                    let mut values = shape.clone();
-                    for &other in &ones {
-                        values[other] = 0.0;
-                    }
-                    values[index] = slab;
-                    variant.values[index] = slab;
-                    let terms = effect.terms(&values);
-                    let path = terms.path();
-                    let direct = path.measures_directly() && !path.delays_command();
-                    variant.columns.push(sources.len());
-                    variant.units.push(slab);
-                    variant.parameters.push(index);
-                    variant.present.push(0.0);
-                    variant.positive |= specs[index].min >= 0.0 || takes_power(id);
-                    if direct && terms.coupling().is_none() {
-                        sources.push(Source::Terms { terms, scale: 1.0 });
-                    } else {
-                        let mut with = model.clone();
-                        let probe = 0.25;
-                        values[index] = slab * probe;
-                        with.effects.push(ActiveEffect { effect, values: values.iter().copied().map(Some).collect() });
-                        sources.push(Source::Fd(with, probe));
-                    }
-                }
-                candidate.variants.push(variant);
-            }
+            Some(beside_model(model, *effect, training))
         }
-        if !candidate.variants.is_empty() {
-            candidates.push(candidate);
-        }
-    }
+    };
+    let mut parts: Vec<Part> = CATALOGUE.par_iter().map(of_effect).collect::<Option<_>>()?;
+    parts.retain(|part| !part.sources.is_empty());
     if !model.has("load_step") {
-        events(model, runs, &mut sources, &mut candidates);
+        parts.extend(load_steps(model, runs));
     }
     if unknowns {
-        unknown_curves(&mut sources, &mut candidates, runs);
+        parts.extend(unknown_curves(runs));
     }
-    exclusions(&mut candidates);
-    let p = sources.len();
-    let mut gram = DMatrix::zeros(p, p);
-    let mut right = DVector::zeros(p);
-    let (mut squares, mut rows, mut log_variance) = (0.0, 0, 0.0);
-    let mut kept = Vec::new();
-    for (number, run) in runs.iter().enumerate() {
-        let columns: Vec<Vec<f64>> = sources
-            .par_iter()
-            .map(|source| run.column(source, number).unwrap_or_else(|| vec![0.0; 2 * run.scenario.samples()]))
-            .collect();
-        let residual: Vec<f64> = run.followed.white.iter().flatten().copied().collect();
-        let n = residual.len();
-        let mut w = DMatrix::zeros(n, p);
-        for (c, column) in columns.iter().enumerate() {
-            w.column_mut(c).copy_from_slice(column);
+
+    // What the model has comes first: it tells which of many forms are worth a place among the columns.
+    let flat = |parts: &[Part], in_model: bool| -> Vec<usize> {
+        (0..parts.len())
+            .filter(|k| parts[*k].candidate.in_model == in_model)
+            .collect()
+    };
+    let inside = flat(&parts, true);
+    let sources = always.iter().chain(
+        inside
+            .iter()
+            .flat_map(|k| parts[*k].sources.iter().flatten()),
+    );
+    let base = columns_of(&sources.collect::<Vec<_>>(), runs);
+    let precision: Vec<f64> = (0..base[0].columns.len())
+        .map(|k| nuisances.get(k).map_or(1.0, |sd| 1.0 / (sd * sd)))
+        .collect();
+    keep_likeliest(&mut parts, runs, &base, &precision);
+    drop_refuted(&mut parts, &runs[0], &base[0], &precision);
+    let outside = flat(&parts, false);
+    let sources = outside
+        .iter()
+        .flat_map(|k| parts[*k].sources.iter().flatten());
+    let others = columns_of(&sources.collect::<Vec<_>>(), runs);
+
+    // Numbered in the candidates' order.
+    let mut order: Vec<(bool, usize)> = (0..always.len()).map(|k| (true, k)).collect();
+    let (mut next_in, mut next_out) = (always.len(), 0);
+    for part in &mut parts {
+        let next = if part.candidate.in_model {
+            &mut next_in
+        } else {
+            &mut next_out
+        };
+        for (variant, sources) in part.candidate.variants.iter_mut().zip(&part.sources) {
+            variant.columns = (order.len()..order.len() + sources.len()).collect();
+            order.extend((*next..*next + sources.len()).map(|k| (part.candidate.in_model, k)));
+            *next += sources.len();
         }
-        let r = DVector::from_vec(residual);
-        gram += product(&w);
-        right += w.tr_mul(&r);
-        squares += r.norm_squared();
+    }
+    let mut candidates: Vec<Candidate> = parts.into_iter().map(|part| part.candidate).collect();
+    exclusions(&mut candidates);
+    let columns: Vec<Whitened> = base
+        .into_iter()
+        .zip(others)
+        .zip(runs)
+        .map(|((mut base, mut others), run)| {
+            let take = |(inside, k): &(bool, usize)| {
+                std::mem::take(if *inside {
+                    &mut base.columns[*k]
+                } else {
+                    &mut others.columns[*k]
+                })
+            };
+            Whitened::new(order.iter().map(take).collect(), run.rows())
+        })
+        .collect();
+    Some(assemble(nuisances, candidates, runs, columns))
+}
+
+/// Columns of the runs, each from these sources.
+fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
+    enum Work<'a> {
+        Difference(usize, &'a Model, f64),
+        Tangents(Vec<(usize, &'a Tangent)>),
+    }
+    let mut out: Vec<Whitened> = runs
+        .iter()
+        .map(|run| Whitened::new(vec![vec![]; sources.len()], run.rows()))
+        .collect();
+    // Simulations first: they take longest, and what is short then fills the gaps.
+    let mut works = Vec::new();
+    for (number, _) in runs.iter().enumerate() {
+        for (k, source) in sources.iter().enumerate() {
+            match source {
+                Source::Difference { model, step } => {
+                    works.push((number, Work::Difference(k, model, *step)))
+                }
+                Source::Known(column) if number == 0 => out[0].columns[k].clone_from(column),
+                _ => {}
+            }
+        }
+    }
+    for (number, _) in runs.iter().enumerate() {
+        let tangents: Vec<(usize, &Tangent)> = sources
+            .iter()
+            .enumerate()
+            .filter_map(|(k, source)| Some((k, source.tangent(number)?)))
+            .collect();
+        works.extend(
+            tangents
+                .chunks(LANES)
+                .map(|some| (number, Work::Tangents(some.to_vec()))),
+        );
+    }
+    let done: Vec<(usize, Vec<(usize, Vec<f32>)>)> = works
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|(number, work)| {
+            let run = &runs[number];
+            let columns = match work {
+                Work::Difference(k, model, step) => {
+                    vec![(k, run.difference(model, run.scenario, step))]
+                }
+                Work::Tangents(some) => {
+                    let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
+                    numbers.into_iter().zip(run.along(&tangents)).collect()
+                }
+            };
+            (number, columns)
+        })
+        .collect();
+    for (number, columns) in done {
+        for (k, column) in columns {
+            out[number].columns[k] = column;
+        }
+    }
+    out
+}
+
+fn assemble(
+    nuisances: Vec<f64>,
+    candidates: Vec<Candidate>,
+    runs: &[Around<'_>],
+    columns: Vec<Whitened>,
+) -> Linear {
+    let p = columns[0].columns.len();
+    let mut products = DMatrix::zeros(p + 1, p + 1);
+    let (mut rows, mut log_variance) = (0, 0.0);
+    for (run, columns) in runs.iter().zip(&columns) {
+        products += columns.gram(&run.followed.white);
         rows += run.follower.rows;
         log_variance += run.follower.log_variance;
-        kept.push(w);
     }
+    let gram = products.view((0, 0), (p, p)).into_owned();
+    let mut right: DVector<f64> = products.view((0, p), (p, 1)).column(0).into_owned();
+    let mut squares = products[(p, p)];
     // Effects that are in the model are taken out linearly.
     let mut present = DVector::zeros(p);
-    for candidate in &candidates {
-        for variant in &candidate.variants {
-            for (column, value) in variant.columns.iter().zip(&variant.present) {
-                present[*column] = *value;
-            }
+    for variant in candidates.iter().flat_map(|candidate| &candidate.variants) {
+        for (column, value) in variant.columns.iter().zip(&variant.present) {
+            present[*column] = *value;
         }
     }
     let shift = &gram * &present;
     squares += 2.0 * right.dot(&present) + present.dot(&shift);
     right += shift;
-    Some(Linear { nuisances, candidates, gram, right, squares, rows, log_variance, columns: kept, present })
+    Linear {
+        nuisances,
+        candidates,
+        gram,
+        right,
+        squares,
+        rows,
+        log_variance,
+        columns,
+        present,
+    }
 }
 
 /// A step of the load in one run, at any of many times.
-fn events(model: &Model, runs: &[Around<'_>], sources: &mut Vec<Source>, candidates: &mut Vec<Candidate>) {
+fn load_steps(model: &Model, runs: &[Around<'_>]) -> Vec<Part> {
     const PLACES: usize = 24;
-    let Some(effect) = crate::plant::effect::find("load_step") else { return };
-    for (number, run) in runs.iter().enumerate() {
-        let length_s = run.scenario.sample_time_s[run.scenario.samples() - 1] - run.scenario.begin_s();
+    let Some(effect) = effect::find("load_step") else {
+        return vec![];
+    };
+    let of_run = |(number, run): (usize, &Around<'_>)| {
+        let length_s =
+            run.scenario.sample_time_s[run.scenario.samples() - 1] - run.scenario.begin_s();
         let slab = SLAB * typical_size(effect, 0, model, run.scenario);
-        let variants = (1..PLACES)
-            .map(|place| {
-                let values = vec![slab, length_s * place as f64 / PLACES as f64];
-                sources.push(Source::In(number, Box::new(Source::Terms { terms: effect.terms(&values), scale: 1.0 })));
-                Variant {
-                    columns: vec![sources.len() - 1],
-                    values,
-                    units: vec![slab],
-                    parameters: vec![0],
-                    present: vec![0.0],
-                    mean: 0.0,
-                    positive: false,
-                    log_prior: -(PLACES as f64).ln(),
-                }
-            })
-            .collect();
-        candidates.push(Candidate { id: "load_step", in_model: false, unknown: false, log_odds: (0.05_f64).ln(), variants, excludes: vec![] });
-    }
+        let mut part = Part::new("load_step", LOG_ODDS_STEP);
+        for place in 1..PLACES {
+            let values = vec![slab, length_s * place as f64 / PLACES as f64];
+            let terms = effect.terms(&values);
+            let mut form = Form::new(values, -(PLACES as f64).ln());
+            form.column(Source::In(number, Tangent::Terms(terms)), 0, slab, 0.0);
+            part.push(form);
+        }
+        part
+    };
+    runs.iter().enumerate().map(of_run).collect()
 }
 
 fn exclusions(candidates: &mut [Candidate]) {
@@ -499,61 +789,78 @@ fn exclusions(candidates: &mut [Candidate]) {
         id => curve_of(id),
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
-        related(a.id, b.id) || (a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
+        related(a.id, b.id)
+            || (a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
     };
     for k in 0..candidates.len() {
-        let excludes = (0..candidates.len()).filter(|o| *o != k && says_the_same(&candidates[k], &candidates[*o])).collect();
+        let excludes = (0..candidates.len())
+            .filter(|o| *o != k && says_the_same(&candidates[k], &candidates[*o]))
+            .collect();
         candidates[k].excludes = excludes;
     }
 }
 
-/// `w' w`, by blocks of rows in parallel.
-pub fn product(w: &DMatrix<f64>) -> DMatrix<f64> {
-    const ROWS: usize = 2048;
-    let p = w.ncols();
-    let blocks = w.nrows().div_ceil(ROWS);
-    (0..blocks)
-        .into_par_iter()
-        .fold(
-            || DMatrix::zeros(p, p),
-            |mut sum, block| {
-                let from = block * ROWS;
-                let part = w.rows(from, ROWS.min(w.nrows() - from));
-                let turned = part.transpose();
-                sum.gemm(1.0, &turned, &part, 1.0);
-                sum
-            },
-        )
-        .reduce(|| DMatrix::zeros(p, p), |a, b| a + b)
-}
-
-fn unknown_curves(sources: &mut Vec<Source>, candidates: &mut Vec<Candidate>, runs: &[Around<'_>]) {
+/// Torque and voltage as functions that no effect of the catalogue gives.
+fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
     let run = &runs[0];
     if run.scenario.input != Input::Voltage {
-        return;
+        return vec![];
     }
-    let most = |k: usize| run.followed.after.iter().fold(0.0_f64, |m, s| m.max(s[k].abs()));
+    let most = |k: usize| {
+        run.followed
+            .after
+            .iter()
+            .fold(0.0_f64, |most, state| most.max(state[k].abs()))
+    };
     let (current, speed) = (most(0), most(1));
     let torque = 0.06 * run.model.motor.torque_constant().unwrap_or(1.0) * current;
-    let volts = 0.06 * run.scenario.events.iter().fold(0.0_f64, |m, e| m.max(e.1.abs()));
-    let mut add = |id: &'static str, curves: Vec<Curve>| {
-        let columns: Vec<usize> = (0..curves.len()).map(|k| sources.len() + k).collect();
-        sources.extend(curves.into_iter().map(Source::Curve));
-        let k = columns.len();
-        candidates.push(Candidate {
-            id,
-            in_model: false,
-            unknown: true,
-            log_odds: (0.01_f64).ln(),
-            variants: vec![Variant { columns, values: vec![], units: vec![1.0; k], parameters: vec![], present: vec![0.0; k], mean: 0.0, positive: false, log_prior: 0.0 }],
-            excludes: vec![],
-        });
+    let volts = 0.06
+        * run
+            .scenario
+            .events
+            .iter()
+            .fold(0.0_f64, |most, event| most.max(event.1.abs()));
+    let part = |id: &'static str, curves: Vec<Tangent>| {
+        let mut part = Part::new(id, LOG_ODDS_UNKNOWN);
+        part.candidate.unknown = true;
+        let mut form = Form::new(vec![], 0.0);
+        for curve in curves {
+            form.column(Source::Tangent(curve), NO_PARAMETER, 1.0, 0.0);
+        }
+        form.variant.parameters.clear();
+        part.push(form);
+        part
     };
-    let hats = |count: i32, from: f64, to: f64| -> Vec<(f64, f64)> {
-        let width = (to - from) / f64::from(count - 1);
-        (0..count).map(|k| (from + width * f64::from(k), width)).collect()
+    let hats = |axis: Axis, count: i32, most: f64, size: f64| -> Vec<Tangent> {
+        let width = 2.0 * most / f64::from(count - 1);
+        (0..count)
+            .map(|k| Tangent::Hat {
+                axis,
+                centre: width * f64::from(k) - most,
+                width,
+                size,
+            })
+            .collect()
     };
-    add("torque over speed", hats(11, -speed, speed).into_iter().map(|(centre, width)| Curve::TorqueOverSpeed { centre, width, size: torque }).collect());
-    add("torque over angle", (1..=6).flat_map(|n| [true, false].map(|sine| Curve::TorqueOverAngle { order: f64::from(n), sine, size: torque })).collect());
-    add("voltage over current", hats(7, -current, current).into_iter().map(|(centre, width)| Curve::VoltageOverCurrent { centre, width, size: volts }).collect());
+    let wave = |order: i32, sine: bool| {
+        Tangent::Wave(Wave {
+            order: f64::from(order),
+            sine,
+            size: torque,
+            of_current: false,
+        })
+    };
+    vec![
+        part("torque over speed", hats(Axis::Speed, 11, speed, torque)),
+        part(
+            "torque over angle",
+            (1..=6)
+                .flat_map(|order| [true, false].map(|sine| wave(order, sine)))
+                .collect(),
+        ),
+        part(
+            "voltage over current",
+            hats(Axis::Current, 7, current, volts),
+        ),
+    ]
 }

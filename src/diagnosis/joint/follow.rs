@@ -5,7 +5,9 @@
 //! over their standard deviations, are independent under the model whatever the disturbance did.
 
 use crate::plant::propagator::{LinearPart, Propagator};
-use crate::plant::{Correction, Input, Instant, Model, Terms, MotorKey, Plant, Scenario, State, Trajectory};
+use crate::plant::{
+    Correction, Input, Instant, Model, MotorKey, Plant, Scenario, State, Terms, Trajectory,
+};
 
 /// What is random in a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,22 +42,45 @@ struct Forms {
 
 impl Forms {
     fn of(model: &Model, scenario: &Scenario) -> Self {
-        let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(|active| active.effect.terms(&active.values_or_guess())).collect();
-        let coupling = terms.iter().filter_map(|terms| terms.coupling()).fold(0.0, |most: f64, c| most.max(c.inertia_ratio));
+        let terms: Vec<Box<dyn Terms>> = model
+            .effects
+            .iter()
+            .map(|active| active.effect.terms(&active.values_or_guess()))
+            .collect();
+        let coupling = terms
+            .iter()
+            .filter_map(|terms| terms.coupling())
+            .fold(0.0, |most: f64, c| most.max(c.inertia_ratio));
         let mut motor = Instant::of(&model.motor);
         motor.supply_v = scenario.supply_v();
-        Self { terms, motor, coupling, inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0) }
+        Self {
+            terms,
+            motor,
+            coupling,
+            inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
+        }
     }
 
     fn at(&self, time_s: f64, voltage_v: f64, state: &State, acceleration: f64) -> [f64; 2] {
-        let at = Instant { time_s, voltage_v, current_a: state.current_a, speed_rad_s: state.speed_rad_s, angle_rad: state.angle_rad, ..self.motor };
+        let at = Instant {
+            time_s,
+            voltage_v,
+            current_a: state.current_a,
+            speed_rad_s: state.speed_rad_s,
+            angle_rad: state.angle_rad,
+            ..self.motor
+        };
         let (mut volts, mut torque) = (0.0, (self.coupling * self.inertia * acceleration).powi(2));
         let mut own = state.own();
         for terms in &self.terms {
-            if terms.coupling().is_some() { continue; }
+            if terms.coupling().is_some() {
+                continue;
+            }
             let sums = terms.sums(&at, own);
             own = &own[terms.states().min(own.len())..];
-            let inductive = at.voltage_v - at.resistance_ohm * at.current_a - at.back_emf_v_s_per_rad * at.speed_rad_s;
+            let inductive = at.voltage_v
+                - at.resistance_ohm * at.current_a
+                - at.back_emf_v_s_per_rad * at.speed_rad_s;
             volts += sums.voltage_v.powi(2) + (sums.current_rate_gain * inductive).powi(2);
             torque += sums.torque_n_m.powi(2) + sums.friction_n_m.powi(2);
         }
@@ -104,7 +129,11 @@ impl Dynamics {
 
     /// How deviations go on over an interval.
     pub fn over(&self, interval_s: f64, rests: bool) -> Propagator {
-        if rests { self.stuck.over(interval_s) } else { self.moving.over(interval_s) }
+        if rests {
+            self.stuck.over(interval_s)
+        } else {
+            self.moving.over(interval_s)
+        }
     }
 }
 
@@ -121,6 +150,10 @@ pub struct Passage {
     pub form: [f64; 2],
     /// What the voltage's error keeps.
     pub voltage_keeps: f64,
+    /// Variances of current and speed that an unknown voltage adds, and whether the model was taken over from the
+    /// measurement behind a hole in the record.
+    pub fresh: [f64; 2],
+    pub begins_again: bool,
 }
 
 /// What a sample corrects, one scalar after the other: current, then speed.
@@ -211,116 +244,157 @@ pub fn lead(
     let mut load = 0.0;
     let mut direction = start.direction();
     let mut last_s = scenario.begin_s();
-    let mut cached: (f64, [Propagator; 2]) = (
-        -1.0,
-        [dynamics.moving.over(0.0), dynamics.stuck.over(0.0)],
-    );
+    let mut cached: (f64, [Propagator; 2]) =
+        (-1.0, [dynamics.moving.over(0.0), dynamics.stuck.over(0.0)]);
     let mut trajectory = Trajectory::default();
     let forms = Forms::of(model, scenario);
     let mut event = 0;
     let mut last_speed = start.speed_rad_s;
-    plant.follow_into(scenario, start, &mut trajectory, |sample, reading, state| {
-        let time_s = scenario.sample_time_s[sample];
-        let interval_s = time_s - last_s;
-        last_s = time_s;
-        if (interval_s - cached.0).abs() > 1e-6 * interval_s {
-            cached = (
-                interval_s,
-                [
-                    dynamics.moving.over(interval_s),
-                    dynamics.stuck.over(interval_s),
-                ],
+    let restarted = scenario.unknown_input.iter();
+    let mut holes = restarted
+        .filter(|hole| hole.restart.is_some())
+        .map(|hole| hole.to_s)
+        .peekable();
+    plant.follow_into(
+        scenario,
+        start,
+        &mut trajectory,
+        |sample, reading, state| {
+            let time_s = scenario.sample_time_s[sample];
+            let interval_s = time_s - last_s;
+            last_s = time_s;
+            if (interval_s - cached.0).abs() > 1e-6 * interval_s {
+                cached = (
+                    interval_s,
+                    [
+                        dynamics.moving.over(interval_s),
+                        dynamics.stuck.over(interval_s),
+                    ],
+                );
+            }
+            let now = state.direction();
+            let rests = now == 0.0;
+            let crossed = now * direction < 0.0;
+            let released = direction == 0.0 && !rests && sample > 0;
+            let propagator = cached.1[usize::from(rests)];
+            let forget = (-interval_s / noise.correlation_s).exp();
+            while event + 1 < scenario.events.len() && scenario.events[event + 1].0 < time_s {
+                event += 1;
+            }
+            let acceleration = if interval_s > 0.0 {
+                (state.speed_rad_s - last_speed) / interval_s
+            } else {
+                0.0
+            };
+            let [volts_2, torque_2] = forms.at(
+                time_s - scenario.begin_s(),
+                scenario.events[event].1,
+                state,
+                acceleration,
             );
-        }
-        let now = state.direction();
-        let rests = now == 0.0;
-        let crossed = now * direction < 0.0;
-        let released = direction == 0.0 && !rests && sample > 0;
-        let propagator = cached.1[usize::from(rests)];
-        let forget = (-interval_s / noise.correlation_s).exp();
-        while event + 1 < scenario.events.len() && scenario.events[event + 1].0 < time_s {
-            event += 1;
-        }
-        let acceleration = if interval_s > 0.0 { (state.speed_rad_s - last_speed) / interval_s } else { 0.0 };
-        let [volts_2, torque_2] = forms.at(time_s - scenario.begin_s(), scenario.events[event].1, state, acceleration);
-        let passage = Passage {
-            propagator,
-            interval_s,
-            direction: now,
-            kept: if rests || released { 0.0 } else { 1.0 },
-            form: [FORM * FORM * volts_2, FORM * FORM * torque_2],
-            voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
-        };
-        p = predicted(&p, &passage, &dynamics, noise, forget);
-        if crossed || released {
-            p[1][1] += jump;
-        }
-        if rests {
-            for k in 0..4 {
-                p[1][k] = 0.0;
-                p[k][1] = 0.0;
+            let begins_again = holes.next_if(|to_s| *to_s <= time_s).is_some();
+            let unknown_v2 = scenario.input_variance_v2(sample);
+            let fresh = if begins_again {
+                [noise.current_a, noise.speed_rad_s].map(|level| {
+                    // A signal whose noise is not known is not looked at.
+                    if level.is_finite() {
+                        level * level
+                    } else {
+                        0.0
+                    }
+                })
+            } else if unknown_v2 > 0.0 {
+                let moved = propagator.apply([0.0; 2], [dynamics.inverse_inductance, 0.0]);
+                moved.map(|moved| moved * moved * unknown_v2)
+            } else {
+                [0.0; 2]
+            };
+            let passage = Passage {
+                propagator: if begins_again {
+                    Propagator::default()
+                } else {
+                    propagator
+                },
+                fresh,
+                begins_again,
+                interval_s,
+                direction: now,
+                kept: if rests || released { 0.0 } else { 1.0 },
+                form: [FORM * FORM * volts_2, FORM * FORM * torque_2],
+                voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
+            };
+            p = predicted(&p, &passage, &dynamics, noise, forget);
+            if crossed || released {
+                p[1][1] += jump;
             }
-        }
-        load *= forget;
-        volts *= passage.voltage_keeps;
-        let [current, speed] = measured(scenario, noise, sample);
-        let mut change = [0.0; 4];
-        let mut update = Update::default();
-        let mut white = [0.0; 2];
-        if let Some(value) = current {
-            let s = p[0][0] + noise.current_a * noise.current_a;
-            let k = [p[0][0] / s, p[1][0] / s, p[2][0] / s, p[3][0] / s];
-            let e = value - reading[0];
-            for row in 0..4 {
-                change[row] += k[row] * e;
+            if rests {
+                for k in 0..4 {
+                    p[1][k] = 0.0;
+                    p[k][1] = 0.0;
+                }
             }
-            p = corrected(&p, &k, 0);
-            update.current = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
-            white[0] = e / s.sqrt();
-            follower.log_variance += s.ln();
-            follower.rows += 1;
-        }
-        if let Some(value) = speed {
-            let e = value - reading[1] - change[1];
-            let sigma = noise.speed_rad_s;
-            if rests && e.abs() > RELEASED * sigma {
-                p[1][1] += e * e;
+            load *= forget;
+            volts *= passage.voltage_keeps;
+            let [current, speed] = measured(scenario, noise, sample);
+            let mut change = [0.0; 4];
+            let mut update = Update::default();
+            let mut white = [0.0; 2];
+            if let Some(value) = current {
+                let s = p[0][0] + noise.current_a * noise.current_a;
+                let k = [p[0][0] / s, p[1][0] / s, p[2][0] / s, p[3][0] / s];
+                let e = value - reading[0];
+                for row in 0..4 {
+                    change[row] += k[row] * e;
+                }
+                p = corrected(&p, &k, 0);
+                update.current = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
+                white[0] = e / s.sqrt();
+                follower.log_variance += s.ln();
+                follower.rows += 1;
             }
-            let s = p[1][1] + sigma * sigma;
-            let k = [p[0][1] / s, p[1][1] / s, p[2][1] / s, p[3][1] / s];
-            for row in 0..4 {
-                change[row] += k[row] * e;
+            if let Some(value) = speed {
+                let e = value - reading[1] - change[1];
+                let sigma = noise.speed_rad_s;
+                if rests && e.abs() > RELEASED * sigma {
+                    p[1][1] += e * e;
+                }
+                let s = p[1][1] + sigma * sigma;
+                let k = [p[0][1] / s, p[1][1] / s, p[2][1] / s, p[3][1] / s];
+                for row in 0..4 {
+                    change[row] += k[row] * e;
+                }
+                p = corrected(&p, &k, 1);
+                update.speed = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
+                white[1] = e / s.sqrt();
+                follower.log_variance += s.ln();
+                follower.rows += 1;
             }
-            p = corrected(&p, &k, 1);
-            update.speed = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
-            white[1] = e / s.sqrt();
-            follower.log_variance += s.ln();
-            follower.rows += 1;
-        }
-        load += change[2];
-        volts += change[3];
-        follower.updates.push(update);
-        follower.forgets.push(forget);
-        follower.passages.push(passage);
-        let before = [state.current_a, state.speed_rad_s];
-        out.before.push(before);
-        out.after.push([before[0] + change[0], before[1] + change[1]]);
-        out.load_n_m.push(load);
-        out.white.push(white);
-        last_speed = before[1] + change[1];
-        direction = if change[1] == 0.0 {
-            now
-        } else {
-            (before[1] + change[1]).signum()
-        };
-        out.direction.push(now);
-        Some(Correction {
-            current_a: change[0],
-            speed_rad_s: change[1],
-            load_n_m: load,
-            voltage_v: volts,
-        })
-    });
+            load += change[2];
+            volts += change[3];
+            follower.updates.push(update);
+            follower.forgets.push(forget);
+            follower.passages.push(passage);
+            let before = [state.current_a, state.speed_rad_s];
+            out.before.push(before);
+            out.after
+                .push([before[0] + change[0], before[1] + change[1]]);
+            out.load_n_m.push(load);
+            out.white.push(white);
+            last_speed = before[1] + change[1];
+            direction = if change[1] == 0.0 {
+                now
+            } else {
+                (before[1] + change[1]).signum()
+            };
+            out.direction.push(now);
+            Some(Correction {
+                current_a: change[0],
+                speed_rad_s: change[1],
+                load_n_m: load,
+                voltage_v: volts,
+            })
+        },
+    );
     Some((follower, out))
 }
 
@@ -370,7 +444,8 @@ pub fn follow(
             voltage_v: volts,
         })
     });
-    out.iter().all(|white| white[0].is_finite() && white[1].is_finite())
+    out.iter()
+        .all(|white| white[0].is_finite() && white[1].is_finite())
 }
 
 pub fn predicted(p: &P, passage: &Passage, dynamics: &Dynamics, noise: &Noise, forget: f64) -> P {
@@ -382,8 +457,18 @@ pub fn predicted(p: &P, passage: &Passage, dynamics: &Dynamics, noise: &Noise, f
     let moving = if passage.direction == 0.0 { 0.0 } else { 1.0 };
     let keeps = passage.voltage_keeps;
     let f = [
-        [first[0], second[0] * passage.kept, load[0] * moving, volts[0]],
-        [first[1] * moving, second[1] * passage.kept, load[1] * moving, volts[1] * moving],
+        [
+            first[0],
+            second[0] * passage.kept,
+            load[0] * moving,
+            volts[0],
+        ],
+        [
+            first[1] * moving,
+            second[1] * passage.kept,
+            load[1] * moving,
+            volts[1] * moving,
+        ],
         [0.0, 0.0, forget, 0.0],
         [0.0, 0.0, 0.0, keeps],
     ];
@@ -400,6 +485,8 @@ pub fn predicted(p: &P, passage: &Passage, dynamics: &Dynamics, noise: &Noise, f
             out[column][row] = out[row][column];
         }
     }
+    out[0][0] += passage.fresh[0];
+    out[1][1] += passage.fresh[1] * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
     out[3][3] += (noise.voltage_v.powi(2) + passage.form[0]) * (1.0 - keeps * keeps);
     out
@@ -427,58 +514,68 @@ impl Followed {
     }
 }
 
-/// A deviation in one column as it passes a run.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Deviation(pub [f64; 4]);
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Motor;
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
 
-impl Deviation {
-    /// To the next sample, under a forcing of current (A/s) and speed (rad/s2).
-    #[inline]
-    pub fn pass(&mut self, passage: &Passage, forcing: [f64; 2], forget: f64, dynamics: &Dynamics) {
-        let [i, w, d, v] = self.0;
-        let moves = passage.direction != 0.0;
-        let speed = if moves {
-            forcing[1] - d * dynamics.inverse_inertia
-        } else {
-            0.0
+    #[test]
+    fn innovations_under_the_right_noise_are_white() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = record(
+            &model,
+            vec![(0.0, 0.0), (0.2, 40.0), (1.2, 80.0), (2.4, 30.0)],
+            1e-3,
+            4.0,
+            3,
+        );
+        let noise = Noise {
+            current_a: CURRENT_NOISE_A,
+            speed_rad_s: SPEED_NOISE_RAD_S,
+            disturbance_n_m: 1e-6,
+            correlation_s: 0.5,
+            voltage_v: 1e-6,
         };
-        let [i, w] = passage
-            .propagator
-            .apply([i, w * passage.kept], [forcing[0] + v * dynamics.inverse_inductance, speed]);
-        self.0 = [i, if moves { w } else { 0.0 }, d * forget, v * passage.voltage_keeps];
-    }
-
-    /// At a sample: the column's whitened innovation (of the prediction), given what it adds to the readings directly.
-    #[inline]
-    pub fn correct(&mut self, update: &Update, direct: [f64; 2]) -> [f64; 2] {
-        let e = self.0[0] + direct[0];
-        let c = &update.current;
-        for (state, gain) in self.0.iter_mut().zip(c) {
-            *state -= gain * e;
-        }
-        let first = e * c[4];
-        let e = self.0[1] + direct[1];
-        let s = &update.speed;
-        for (state, gain) in self.0.iter_mut().zip(s) {
-            *state -= gain * e;
-        }
-        [first, e * s[4]]
-    }
-
-    /// The inverse of `correct`: what the column does to the readings, from its whitened innovations.
-    #[inline]
-    pub fn colour(&mut self, update: &Update, white: [f64; 2]) -> [f64; 2] {
-        let mut out = [0.0; 2];
-        for (signal, gains) in [update.current, update.speed].iter().enumerate() {
-            if gains[4] <= 0.0 {
-                continue;
-            }
-            let e = white[signal] / gains[4];
-            out[signal] = e + self.0[signal];
-            for (state, gain) in self.0.iter_mut().zip(gains) {
-                *state += gain * e;
+        let (follower, followed) = lead(&model, &scenario, State::default(), &noise).unwrap();
+        assert_eq!(follower.rows, 2 * scenario.samples());
+        let n = scenario.samples() as f64;
+        for signal in 0..2 {
+            let white: Vec<f64> = followed.white.iter().map(|white| white[signal]).collect();
+            let alike = |lag: usize| {
+                white
+                    .iter()
+                    .zip(&white[lag..])
+                    .map(|(a, b)| a * b)
+                    .sum::<f64>()
+                    / n
+            };
+            // Four standard deviations of what 4,000 numbers show.
+            assert!(
+                (alike(0) - 1.0).abs() < 4.0 * (2.0 / n).sqrt(),
+                "variance {}",
+                alike(0)
+            );
+            for lag in 1..20 {
+                assert!(
+                    alike(lag).abs() < 4.0 / n.sqrt(),
+                    "lag {lag}: {}",
+                    alike(lag)
+                );
             }
         }
-        out
+        // The same model follows as it led.
+        let mut again = Vec::new();
+        assert!(follow(
+            &follower,
+            &model,
+            &scenario,
+            State::default(),
+            &noise,
+            &mut again
+        ));
+        for (a, b) in again.iter().flatten().zip(followed.white.iter().flatten()) {
+            assert!((a - b).abs() < 1e-9);
+        }
     }
 }

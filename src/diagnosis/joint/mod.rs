@@ -3,16 +3,20 @@
 //! ```text
 //! model, run --(follow: Kalman filter)--> innovations, gains
 //!                 |-> columns   what each effect at its slab would add to the whitened innovations: Gram matrix
+//!                 |             (tangent: eight side by side; forms: the few worth a column; whitened: their storage)
 //!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
 //!                 '-> select    posterior over the sets of effects and forms
-//! search: refit of the best set, linearised anew, until set and noise stand
+//! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
 //! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
 pub(super) mod answer;
 mod columns;
 mod follow;
+mod forms;
 mod noise;
 mod prediction_error;
 mod search;
 mod select;
+mod tangent;
+mod whitened;

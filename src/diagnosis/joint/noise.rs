@@ -1,28 +1,35 @@
 //! How much is random in a run: by marginal likelihood with every effect in under its slab.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
 use super::columns::{Around, Linear};
-use super::follow::{Deviation, Noise, corrected, jump_of, predicted, Passage, P, VOLTAGE_S};
+use super::follow::{Noise, P, Passage, VOLTAGE_S, corrected, jump_of, predicted};
 use super::select::Reduced;
+use super::tangent::{Deviations, LANES, Lane, Step};
+use super::whitened::Whitened;
+use crate::numerics::count::whole;
 use crate::plant::Input;
+use crate::plant::propagator::Propagator;
 
 /// Interval over which samples are averaged, s: the disturbance is slower.
 const BLOCK_S: f64 = 6e-3;
+/// Blocks whose innovations are multiplied at once.
+const AT_ONCE: usize = 128;
 
 /// One run in averages, whatever noise it was whitened with.
 struct Averaged {
     passages: Vec<(Passage, bool)>,
     /// Samples that were averaged: current, speed.
     counts: Vec<[f64; 2]>,
-    /// Block by block: current and speed of every column, the residual last.
-    values: Vec<Vec<[f64; 2]>>,
+    /// Block by block the currents, then the speeds, of all columns, the residual last; padded to whole lanes.
+    values: Vec<f64>,
+    /// Columns with their padding.
+    width: usize,
 }
 
 /// Columns that stand for all: the motor's, and each candidate's likeliest form.
-fn representatives(linear: &Linear, reduced: &Reduced<'_>, likeliest: &[usize]) -> Vec<usize> {
-    let _ = reduced;
+fn representatives(linear: &Linear, likeliest: &[usize]) -> Vec<usize> {
     let mut columns: Vec<usize> = (0..linear.nuisances.len()).collect();
     for (candidate, variant) in linear.candidates.iter().zip(likeliest) {
         columns.extend(&candidate.variants[*variant].columns);
@@ -30,203 +37,438 @@ fn representatives(linear: &Linear, reduced: &Reduced<'_>, likeliest: &[usize]) 
     columns
 }
 
-fn averaged(run: &Around<'_>, whitened: &DMatrix<f64>, present: &DVector<f64>, columns: &[usize]) -> Averaged {
+fn averaged(
+    run: &Around<'_>,
+    whitened: &Whitened,
+    present: &DVector<f64>,
+    columns: &[usize],
+) -> Averaged {
     let n = run.scenario.samples();
     let times = &run.scenario.sample_time_s;
     let period_s = (times[n - 1] - times[0]) / (n - 1) as f64;
-    let size = ((BLOCK_S / period_s).floor() as usize).max(1);
+    let size = whole((BLOCK_S / period_s).floor()).max(1);
     let blocks = n.div_ceil(size);
     let mut counts = vec![[0.0; 2]; blocks];
-    for sample in 0..n {
-        let update = &run.follower.updates[sample];
-        counts[sample / size][0] += f64::from(u8::from(update.current[4] > 0.0));
-        counts[sample / size][1] += f64::from(u8::from(update.speed[4] > 0.0));
+    for (sample, update) in run.follower.updates.iter().enumerate() {
+        for (count, gains) in counts[sample / size]
+            .iter_mut()
+            .zip([&update.current, &update.speed])
+        {
+            *count += f64::from(u8::from(gains[4] > 0.0));
+        }
     }
-    let mut passages = Vec::with_capacity(blocks);
-    for block in 0..blocks {
-        let range = block * size..((block + 1) * size).min(n);
-        let mut kept = 1.0;
-        let mut form = [0.0; 2];
-        let mut interval_s = 0.0;
-        let mut jumps = false;
-        let mut direction = 0.0;
-        for sample in range {
-            let passage = &run.follower.passages[sample];
-            kept *= passage.kept;
-            for k in 0..2 { form[k] += passage.form[k] / size as f64; }
-            interval_s += passage.interval_s;
-            let last = if sample > 0 { run.followed.direction[sample - 1] } else { 0.0 };
-            jumps |= passage.direction != 0.0 && passage.direction != last && sample > 0;
-            direction = passage.direction;
-        }
-        passages.push((
-            Passage {
-                propagator: run.dynamics.over(interval_s, direction == 0.0),
-                interval_s,
-                direction,
-                kept,
-                form,
-                voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
-            },
-            jumps,
-        ));
-    }
-    let shift: DVector<f64> = whitened * present;
-    let turn = |value: &dyn Fn(usize) -> [f64; 2]| -> Vec<[f64; 2]> {
-        let mut sums = vec![[0.0; 2]; blocks];
-        let mut track = Deviation::default();
-        for sample in 0..n {
-            let passage = &run.follower.passages[sample];
-            if passage.interval_s > 0.0 {
-                track.pass(passage, [0.0; 2], run.follower.forgets[sample], &run.dynamics);
-            }
-            let z = track.colour(&run.follower.updates[sample], value(sample));
-            let update = &run.follower.updates[sample];
-            if update.current[4] > 0.0 { sums[sample / size][0] += z[0]; }
-            if update.speed[4] > 0.0 { sums[sample / size][1] += z[1]; }
-        }
-        for (sum, count) in sums.iter_mut().zip(&counts) {
-            for k in 0..2 {
-                if count[k] > 0.0 { sum[k] /= count[k]; }
-            }
-        }
-        sums
-    };
-    let mut each: Vec<Vec<[f64; 2]>> = columns
-        .par_iter()
-        .map(|c| turn(&|sample| [whitened[(2 * sample, *c)], whitened[(2 * sample + 1, *c)]]))
+    let passages = (0..blocks)
+        .map(|block| passage_of(run, block * size..((block + 1) * size).min(n), size))
         .collect();
-    each.push(turn(&|sample| {
-        let white = run.followed.white[sample];
-        [white[0] + shift[2 * sample], white[1] + shift[2 * sample + 1]]
-    }));
-    let values = (0..blocks).map(|block| each.iter().map(|column| column[block]).collect()).collect();
-    Averaged { passages, counts, values }
+    let mut residual = whitened * present;
+    for (sum, white) in residual.iter_mut().zip(run.followed.white.iter().flatten()) {
+        *sum += white;
+    }
+    let width = (columns.len() + 1).next_multiple_of(LANES);
+    let mut values = vec![0.0; 2 * blocks * width];
+    let groups: Vec<Vec<[Lane; 2]>> = (0..width / LANES)
+        .into_par_iter()
+        .map(|group| {
+            let value = |column: usize, row: usize| match columns.get(column) {
+                Some(number) => whitened.at(*number, row),
+                None if column == columns.len() => residual[row],
+                None => 0.0,
+            };
+            let mut sums = vec![[[0.0; LANES]; 2]; blocks];
+            let mut track = Deviations::default();
+            for (sample, (step, update)) in run.steps.iter().zip(&run.follower.updates).enumerate()
+            {
+                track.drift(step);
+                let mut white = [[0.0; LANES]; 2];
+                for lane in 0..LANES {
+                    for (signal, white) in white.iter_mut().enumerate() {
+                        white[lane] = value(group * LANES + lane, 2 * sample + signal);
+                    }
+                }
+                let readings = track.colour(update, &white);
+                for (sum, reading) in sums[sample / size]
+                    .iter_mut()
+                    .flatten()
+                    .zip(readings.iter().flatten())
+                {
+                    *sum += reading;
+                }
+            }
+            sums
+        })
+        .collect();
+    for (group, sums) in groups.iter().enumerate() {
+        for (block, (sum, count)) in sums.iter().zip(&counts).enumerate() {
+            for signal in 0..2 {
+                let from = (2 * block + signal) * width + group * LANES;
+                for (value, sum) in values[from..from + LANES].iter_mut().zip(&sum[signal]) {
+                    *value = sum / count[signal].max(1.0);
+                }
+            }
+        }
+    }
+    Averaged {
+        passages,
+        counts,
+        values,
+        width,
+    }
+}
+
+/// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
+fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) -> (Passage, bool) {
+    let mut kept = 1.0;
+    let mut form = [0.0; 2];
+    let mut interval_s = 0.0;
+    let mut jumps = false;
+    let mut direction = 0.0;
+    let mut fresh = [0.0; 2];
+    let mut begins_again = false;
+    for sample in samples {
+        let passage = &run.follower.passages[sample];
+        kept *= passage.kept;
+        for (sum, part) in form.iter_mut().zip(passage.form) {
+            *sum += part / size as f64;
+        }
+        // What was not known before the model was taken over is no longer there.
+        if passage.begins_again {
+            begins_again = true;
+            fresh = [0.0; 2];
+        }
+        for (sum, part) in fresh.iter_mut().zip(passage.fresh) {
+            *sum += part;
+        }
+        interval_s += passage.interval_s;
+        let last = if sample > 0 {
+            run.followed.direction[sample - 1]
+        } else {
+            0.0
+        };
+        jumps |= sample > 0 && passage.direction != 0.0 && passage.direction != last;
+        direction = passage.direction;
+    }
+    let passage = Passage {
+        propagator: if begins_again {
+            Propagator::default()
+        } else {
+            run.dynamics.over(interval_s, direction == 0.0)
+        },
+        fresh,
+        begins_again,
+        interval_s,
+        direction,
+        kept,
+        form,
+        voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
+    };
+    (passage, jumps)
 }
 
 impl Averaged {
-    /// Adds to the normal matrix (residual last) and returns the sum of the logarithms of the variances.
-    fn filter(&self, run: &Around<'_>, noise: &Noise, sums: &mut DMatrix<f64>) -> f64 {
-        let k = self.values[0].len();
+    /// The normal matrix (residual last, then the padding) and the sum of the logarithms of the variances.
+    fn filter(&self, run: &Around<'_>, noise: &Noise) -> (DMatrix<f64>, f64) {
+        let width = self.width;
         let jump = jump_of(run.scenario);
-        let mut states = vec![Deviation::default(); k];
+        let mut states = vec![Deviations::default(); width / LANES];
         let mut p: P = [[0.0; 4]; 4];
-        let stationary = noise.disturbance_n_m.powi(2);
-        p[2][2] = stationary;
+        p[2][2] = noise.disturbance_n_m.powi(2);
         p[3][3] = noise.voltage_v.powi(2);
         let mut log = 0.0;
-        let mut rows = vec![[0.0; 2]; k];
-        let mut buffer: Vec<f64> = Vec::with_capacity(256 * k);
-        let mut flush = |buffer: &mut Vec<f64>, sums: &mut DMatrix<f64>| {
-            let m = DMatrix::from_column_slice(k, buffer.len() / k, buffer);
-            let t = m.transpose();
-            sums.gemm(1.0, &m, &t, 1.0);
-            buffer.clear();
-        };
+        let mut sums = DMatrix::zeros(width, width);
+        let mut buffer: Vec<f64> = Vec::with_capacity(2 * AT_ONCE * width);
         for (block, (passage, jumps)) in self.passages.iter().enumerate() {
             let forget = (-passage.interval_s / noise.correlation_s).exp();
             p = predicted(&p, passage, &run.dynamics, noise, forget);
-            if *jumps { p[1][1] += jump; }
+            if *jumps {
+                p[1][1] += jump;
+            }
             if passage.direction == 0.0 {
-                for j in 0..4 { p[1][j] = 0.0; p[j][1] = 0.0; }
+                for j in 0..4 {
+                    p[1][j] = 0.0;
+                    p[j][1] = 0.0;
+                }
             }
+            let step = Step::of(passage, forget, &run.dynamics);
             for state in &mut states {
-                state.pass(passage, [0.0; 2], forget, &run.dynamics);
+                state.drift(&step);
             }
-            let counts = self.counts[block];
-            for signal in 0..2 {
-                if counts[signal] == 0.0 {
-                    for row in &mut rows { row[signal] = 0.0; }
+            for (signal, count) in self.counts[block].into_iter().enumerate() {
+                if count == 0.0 {
                     continue;
                 }
-                let sigma = if signal == 0 { noise.current_a } else { noise.speed_rad_s };
-                let s = p[signal][signal] + sigma * sigma / counts[signal];
-                let gain = [p[0][signal] / s, p[1][signal] / s, p[2][signal] / s, p[3][signal] / s];
+                let sigma = if signal == 0 {
+                    noise.current_a
+                } else {
+                    noise.speed_rad_s
+                };
+                let s = p[signal][signal] + sigma * sigma / count;
+                let gain = [
+                    p[0][signal] / s,
+                    p[1][signal] / s,
+                    p[2][signal] / s,
+                    p[3][signal] / s,
+                ];
                 p = corrected(&p, &gain, signal);
                 log += s.ln();
-                let over = 1.0 / s.sqrt();
-                for ((state, value), row) in states.iter_mut().zip(&self.values[block]).zip(&mut rows) {
-                    let e = value[signal] - state.0[signal];
-                    for (state, gain) in state.0.iter_mut().zip(gain) { *state += gain * e; }
-                    row[signal] = e * over;
+                let gains = [gain[0], gain[1], gain[2], gain[3], 1.0 / s.sqrt()];
+                let values = &self.values[(2 * block + signal) * width..][..width];
+                for (state, values) in states.iter_mut().zip(values.chunks_exact(LANES)) {
+                    buffer.extend(state.measure(signal, values, &gains));
                 }
             }
-            for signal in 0..2 {
-                if counts[signal] > 0.0 { buffer.extend(rows.iter().map(|row| row[signal])); }
+            if buffer.len() >= 2 * AT_ONCE * width || block + 1 == self.passages.len() {
+                let rows = buffer.len() / width;
+                let innovations = DMatrixView::from_slice(&buffer, width, rows);
+                sums.gemm(1.0, &innovations, &innovations.transpose(), 1.0);
+                buffer.clear();
             }
-            if buffer.len() >= 256 * k { flush(&mut buffer, sums); }
         }
-        flush(&mut buffer, sums);
-        log
+        (sums, log)
     }
 }
 
 /// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest.
-pub fn likeliest(runs: &[Around<'_>], linear: &Linear, reduced: &Reduced<'_>, forms: &[usize], floor: &Noise, start: Noise) -> Noise {
-    let columns = representatives(linear, reduced, forms);
+pub fn likeliest(
+    runs: &[Around<'_>],
+    linear: &Linear,
+    reduced: &Reduced<'_>,
+    forms: &[usize],
+    floor: &Noise,
+    start: Noise,
+) -> Noise {
+    let columns = representatives(linear, forms);
     let m = linear.nuisances.len();
-    let data: Vec<Averaged> = runs.iter().zip(&linear.columns).map(|(run, w)| averaged(run, w, &linear.present, &columns)).collect();
+    let data: Vec<Averaged> = runs
+        .iter()
+        .zip(&linear.columns)
+        .map(|(run, w)| averaged(run, w, &linear.present, &columns))
+        .collect();
     let k = columns.len();
     let voltage_driven = runs[0].scenario.input == Input::Voltage;
     let log_likelihood = |noise: &Noise| -> f64 {
-        let parts: Vec<(f64, DMatrix<f64>)> = runs
+        let parts: Vec<(DMatrix<f64>, f64)> = runs
             .par_iter()
             .zip(&data)
-            .map(|(run, data)| {
-                let mut sums = DMatrix::zeros(k + 1, k + 1);
-                let log = data.filter(run, noise, &mut sums);
-                (log, sums)
-            })
+            .map(|(run, data)| data.filter(run, noise))
             .collect();
-        let mut sums = DMatrix::zeros(k + 1, k + 1);
-        let mut log = 0.0;
-        for (l, s) in parts { log += l; sums += s; }
+        let zero = (DMatrix::zeros(data[0].width, data[0].width), 0.0);
+        let (sums, log) = parts
+            .into_iter()
+            .fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let mut a = sums.view((0, 0), (k, k)).into_owned();
-        for d in 0..k { a[(d, d)] += if d < m { 1.0 / linear.nuisances[d].powi(2) } else { 1.0 }; }
+        for d in 0..k {
+            a[(d, d)] += if d < m {
+                1.0 / linear.nuisances[d].powi(2)
+            } else {
+                1.0
+            };
+        }
         let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();
         for (b, column) in b.iter_mut().zip(&columns) {
-            if *column >= m { *b += reduced.prior[*column - m]; }
+            if *column >= m {
+                *b += reduced.prior[*column - m];
+            }
         }
-        let Some(factor) = a.cholesky() else { return f64::NEG_INFINITY };
+        let Some(factor) = a.cholesky() else {
+            return f64::NEG_INFINITY;
+        };
         let explained = b.dot(&factor.solve(&b));
         let det: f64 = factor.l().diagonal().iter().map(|d| d.ln()).sum();
-        let prior = -0.5 * ((noise.current_a / floor.current_a).ln() / 0.1).powi(2) - 0.5 * ((noise.speed_rad_s / floor.speed_rad_s).ln() / 0.1).powi(2)
-            - 0.5 * ((noise.correlation_s / 0.5).ln() / 0.8).powi(2);
-        -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + prior
+        -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + log_prior(noise, floor)
     };
+    let unknowns: Vec<Unknown> = UNKNOWNS
+        .into_iter()
+        .filter(|unknown| unknown.log(floor).is_finite())
+        .filter(|unknown| voltage_driven || !unknown.is_electrical())
+        .collect();
+    climb(start, &unknowns, floor, log_likelihood)
+}
+
+/// How far sensors may be from what they show at rest, and the correlation time from half a second, in logarithms.
+const SENSOR: f64 = 0.1;
+const CORRELATION: f64 = 0.8;
+const USUAL_CORRELATION_S: f64 = 0.5;
+
+fn log_prior(noise: &Noise, floor: &Noise) -> f64 {
+    let surprises = [
+        (noise.current_a / floor.current_a).ln() / SENSOR,
+        (noise.speed_rad_s / floor.speed_rad_s).ln() / SENSOR,
+        (noise.correlation_s / USUAL_CORRELATION_S).ln() / CORRELATION,
+    ];
+    // A signal whose noise is not known is not looked at.
+    let known = surprises.iter().filter(|surprise| surprise.is_finite());
+    -0.5 * known.map(|surprise| surprise * surprise).sum::<f64>()
+}
+
+/// A logarithm that is searched.
+#[derive(Clone, Copy, PartialEq)]
+enum Unknown {
+    Disturbance,
+    Voltage,
+    Correlation,
+    Current,
+    Speed,
+}
+
+const UNKNOWNS: [Unknown; 5] = [
+    Unknown::Disturbance,
+    Unknown::Voltage,
+    Unknown::Correlation,
+    Unknown::Current,
+    Unknown::Speed,
+];
+
+impl Unknown {
+    const fn is_electrical(self) -> bool {
+        matches!(self, Self::Voltage | Self::Current)
+    }
+
+    fn of(self, noise: &mut Noise) -> &mut f64 {
+        match self {
+            Self::Disturbance => &mut noise.disturbance_n_m,
+            Self::Voltage => &mut noise.voltage_v,
+            Self::Correlation => &mut noise.correlation_s,
+            Self::Current => &mut noise.current_a,
+            Self::Speed => &mut noise.speed_rad_s,
+        }
+    }
+
+    fn log(self, noise: &Noise) -> f64 {
+        self.of(&mut noise.clone()).ln()
+    }
+
+    /// The noise with this logarithm, as far as it may go.
+    fn set(self, noise: &Noise, floor: &Noise, log: f64) -> Noise {
+        let (least, most) = match self {
+            Self::Disturbance => (1e-6 * floor.disturbance_n_m, f64::MAX),
+            Self::Voltage => (1e-6, f64::MAX),
+            Self::Correlation => (0.02, 3.0),
+            Self::Current => (0.9 * floor.current_a, 1.1 * floor.current_a),
+            Self::Speed => (0.9 * floor.speed_rad_s, 1.1 * floor.speed_rad_s),
+        };
+        let mut noise = *noise;
+        *self.of(&mut noise) = log.exp().clamp(least, most);
+        noise
+    }
+
+    /// First step: sensors are known to a few per cent, the rest hardly.
+    const fn step(self) -> f64 {
+        match self {
+            Self::Current | Self::Speed => 0.05,
+            _ => 0.8,
+        }
+    }
+}
+
+/// Gain below which a step is not worth its filter run, and that of a round below which no other is made, nats.
+const LEAST_GAIN: f64 = 0.05;
+const LEAST_ROUND: f64 = 0.5;
+const MOST_ROUNDS: usize = 6;
+
+/// Climbs one unknown after the other: outwards while it rises, then to the top of the parabola through the last three.
+fn climb(
+    start: Noise,
+    unknowns: &[Unknown],
+    floor: &Noise,
+    log_likelihood: impl Fn(&Noise) -> f64,
+) -> Noise {
     let mut now = start;
     let mut best = log_likelihood(&now);
-    let mut step = 0.8;
-    let change = |noise: &Noise, which: usize, by: f64| -> Noise {
-        let mut n = *noise;
-        match which {
-            0 => n.disturbance_n_m = (n.disturbance_n_m * by.exp()).max(1e-6 * floor.disturbance_n_m),
-            1 => n.voltage_v = (n.voltage_v * by.exp()).max(1e-6),
-            2 => n.correlation_s = (n.correlation_s * by.exp()).clamp(0.02, 3.0),
-            3 => n.current_a = (n.current_a * (0.1 * by).exp()).clamp(0.9 * floor.current_a, 1.1 * floor.current_a),
-            _ => n.speed_rad_s = (n.speed_rad_s * (0.1 * by).exp()).clamp(0.9 * floor.speed_rad_s, 1.1 * floor.speed_rad_s),
-        }
-        n
-    };
-    while step > 0.15 {
-        let mut moved = false;
-        for which in 0..5 {
-            if !voltage_driven && (which == 1 || which == 3) { continue; }
+    for _ in 0..MOST_ROUNDS {
+        let before = best;
+        for unknown in unknowns {
+            // Known points of this line: logarithm and likelihood.
+            let mut known = vec![(unknown.log(&now), best)];
             for sign in [1.0, -1.0] {
-                let mut stride = sign * step;
+                let mut stride = sign * unknown.step();
                 loop {
-                    let next = change(&now, which, stride);
+                    let next = unknown.set(&now, floor, unknown.log(&now) + stride);
+                    if next == now {
+                        break;
+                    }
                     let log = log_likelihood(&next);
-                    if log > best + 0.05 {
-                        best = log;
-                        now = next;
-                        moved = true;
-                        stride *= 1.6;
-                    } else { break; }
+                    known.push((unknown.log(&next), log));
+                    if log <= best + LEAST_GAIN {
+                        break;
+                    }
+                    (best, now) = (log, next);
+                    stride *= 1.6;
+                }
+                // Who rises on one side comes from lower on the other.
+                if known.len() > 2 {
+                    break;
+                }
+            }
+            if let Some((log, gain)) = top(&mut known)
+                && gain > LEAST_GAIN
+            {
+                let next = unknown.set(&now, floor, log);
+                let log = log_likelihood(&next);
+                if log > best {
+                    (best, now) = (log, next);
                 }
             }
         }
-        if !moved { step *= 0.4; }
+        if best - before < LEAST_ROUND {
+            break;
+        }
     }
     now
+}
+
+/// The top of the parabola through the best of the points and its neighbours, and how far it is above.
+fn top(known: &mut [(f64, f64)]) -> Option<(f64, f64)> {
+    known.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let at = (0..known.len()).max_by(|a, b| known[*a].1.total_cmp(&known[*b].1))?;
+    let (left, middle, right) = (
+        known.get(at.checked_sub(1)?)?,
+        known[at],
+        known.get(at + 1)?,
+    );
+    let (back, ahead) = (middle.0 - left.0, right.0 - middle.0);
+    let (fall, rise) = ((middle.1 - left.1) / back, (right.1 - middle.1) / ahead);
+    let bend = (fall - rise) / (back + ahead);
+    let slope = (fall * ahead + rise * back) / (back + ahead);
+    (bend > 0.0 && bend.is_finite())
+        .then(|| (middle.0 + 0.5 * slope / bend, 0.25 * slope * slope / bend))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    #[test]
+    fn the_climb_reaches_the_top_in_few_runs_of_the_filter() {
+        let floor = Noise {
+            current_a: 0.03,
+            speed_rad_s: 0.15,
+            disturbance_n_m: 0.01,
+            correlation_s: 0.5,
+            voltage_v: 0.01,
+        };
+        let count = Cell::new(0);
+        let likelihood = |noise: &Noise| {
+            count.set(count.get() + 1);
+            let [d, t, v] = [
+                noise.disturbance_n_m / 3e-4,
+                noise.correlation_s / 0.2,
+                noise.voltage_v / 0.05,
+            ]
+            .map(f64::ln);
+            -3.0 * d * d
+                - 2.0 * d * t
+                - 2.0 * t * t
+                - 5.0 * v * v
+                - ((noise.current_a / 0.031).ln() / 0.01).powi(2)
+        };
+        let found = climb(floor, &UNKNOWNS, &floor, likelihood);
+        assert!(likelihood(&found) > -0.5, "{found:?}");
+        assert!(count.get() < 60, "{}", count.get());
+        // Nothing to gain: one look to either side of each.
+        count.set(0);
+        climb(found, &UNKNOWNS, &floor, likelihood);
+        assert!(count.get() < 16, "{}", count.get());
+    }
 }

@@ -18,7 +18,11 @@ enum Unit {
     /// `p = exp(x)`, with a normal prior about `at`.
     Logarithm { range: (f64, f64), sd: f64, at: f64 },
     /// `p = unit x`, with a normal prior of one about `at`.
-    Linear { range: (f64, f64), unit: f64, at: f64 },
+    Linear {
+        range: (f64, f64),
+        unit: f64,
+        at: f64,
+    },
 }
 
 impl Unit {
@@ -37,10 +41,7 @@ impl Unit {
                 at: value.ln(),
             });
         };
-        if matches!(
-            spec.role,
-            ParameterRole::Choice | ParameterRole::EventTime
-        ) {
+        if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
             return None;
         }
         let effect = model.effects[*index].effect;

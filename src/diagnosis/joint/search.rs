@@ -8,10 +8,11 @@
 use nalgebra::DVector;
 
 use super::columns::{Around, Linear, linearise};
-use super::follow::{Deviation, Noise};
+use super::follow::Noise;
 use super::noise::likeliest;
 use super::prediction_error::fit;
 use super::select::{Posterior, Reduced, Set, select};
+use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event, Progress};
 use crate::plant::{ActiveEffect, Model, Scenario, State, effect};
@@ -63,14 +64,18 @@ fn around<'a>(
 
 /// Sum of the squares of the innovations.
 fn squares(runs: &[Around<'_>]) -> f64 {
-    let white = runs.iter().flat_map(|run| run.followed.white.iter().flatten());
+    let white = runs
+        .iter()
+        .flat_map(|run| run.followed.white.iter().flatten());
     white.map(|value| value * value).sum()
 }
 
 /// The candidates that a model has.
 fn present(linear: &Linear) -> Set {
     let candidates = linear.candidates.iter();
-    candidates.map(|candidate| candidate.in_model.then_some(0)).collect()
+    candidates
+        .map(|candidate| candidate.in_model.then_some(0))
+        .collect()
 }
 
 /// The model with a candidate's effect as the linear solution has it.
@@ -78,7 +83,10 @@ fn with_effect(model: &Model, id: &str, values: &[f64]) -> Option<Model> {
     let effect = effect::find(id)?;
     let mut model = model.clone();
     model.effects.retain(|active| active.id() != id);
-    model.effects.push(ActiveEffect { effect, values: values.iter().copied().map(Some).collect() });
+    model.effects.push(ActiveEffect {
+        effect,
+        values: values.iter().copied().map(Some).collect(),
+    });
     Some(model)
 }
 
@@ -87,22 +95,41 @@ fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set)
     let columns = reduced.columns(set);
     let (mean, _) = reduced.sizes(&columns)?;
     let m = linear.nuisances.len();
-    let size = |column: usize| columns.iter().position(|c| *c == column - m).map(|at| mean[at]);
+    let size = |column: usize| {
+        columns
+            .iter()
+            .position(|c| *c == column - m)
+            .map(|at| mean[at])
+    };
     let mut next = model.clone();
     for (candidate, chosen) in linear.candidates.iter().zip(set) {
-        if candidate.unknown { continue; }
+        if candidate.unknown {
+            continue;
+        }
         match chosen {
             None => {
-                if candidate.in_model { next = next.without_effect(candidate.id).ok()?; }
+                if candidate.in_model {
+                    next = next.without_effect(candidate.id).ok()?;
+                }
             }
             Some(v) if !candidate.in_model => {
                 let variant = &candidate.variants[*v];
                 let mut values = variant.values.clone();
                 let specs = effect::find(candidate.id)?.parameters();
-                for ((column, unit), parameter) in variant.columns.iter().zip(&variant.units).zip(&variant.parameters) {
-                    if specs.get(*parameter).is_some_and(|spec| spec.is_coefficient()) {
+                for ((column, unit), parameter) in variant
+                    .columns
+                    .iter()
+                    .zip(&variant.units)
+                    .zip(&variant.parameters)
+                {
+                    if specs
+                        .get(*parameter)
+                        .is_some_and(|spec| spec.is_coefficient())
+                    {
                         let mut x = size(*column)?;
-                        if specs[*parameter].min >= 0.0 || takes_power(candidate.id) { x = x.max(LEAST_START); }
+                        if specs[*parameter].min >= 0.0 || takes_power(candidate.id) {
+                            x = x.max(LEAST_START);
+                        }
                         values[*parameter] = x * unit;
                     }
                 }
@@ -254,8 +281,8 @@ pub(super) fn search(
             }
         }
         let set = names(&linear, &posterior.best);
-        let stands = seen.iter().skip(1).any(|before| *before == set)
-            || round == 1 && seen[0] == set;
+        let stands =
+            seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
         if stands || round + 1 == MOST_ROUNDS {
             let excess = excess(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
@@ -307,24 +334,24 @@ fn solution(linear: &Linear, reduced: &Reduced<'_>, set: &Set) -> Option<DVector
     Some(solution)
 }
 
-/// What columns do to the readings of a run that is left to itself, in standard deviations of the sensors.
-fn readings(run: &Around<'_>, white: impl Fn(usize) -> [f64; 2]) -> Vec<[f64; 2]> {
-    let mut track = Deviation::default();
-    (0..run.scenario.samples())
-        .map(|sample| {
-            let passage = &run.follower.passages[sample];
-            if passage.interval_s > 0.0 {
-                let forget = run.follower.forgets[sample];
-                track.pass(passage, [0.0; 2], forget, &run.dynamics);
-            }
-            let [current_a, speed_rad_s] =
-                track.colour(&run.follower.updates[sample], white(sample));
-            [
-                current_a / run.noise.current_a,
-                speed_rad_s / run.noise.speed_rad_s,
-            ]
-        })
-        .collect()
+/// What two columns do to the readings of a run that is left to itself, in standard deviations of the sensors: for each
+/// sample and column current and speed.
+fn readings(
+    run: &Around<'_>,
+    white: impl Fn(usize) -> [[f64; 2]; 2],
+) -> impl Iterator<Item = [[f64; 2]; 2]> {
+    let mut track = Deviations::default();
+    (0..run.scenario.samples()).map(move |sample| {
+        track.drift(&run.steps[sample]);
+        let columns = white(sample);
+        let mut lanes = [Lane::default(); 2];
+        for (signal, lane) in lanes.iter_mut().enumerate() {
+            lane[..2].copy_from_slice(&columns.map(|column| column[signal]));
+        }
+        let [current, speed] = track.colour(&run.follower.updates[sample], &lanes);
+        let noise = &run.noise;
+        [0, 1].map(|k| [current[k] / noise.current_a, speed[k] / noise.speed_rad_s])
+    })
 }
 
 /// What each unknown part of a set takes from the error that the runs have without the set.
@@ -342,15 +369,17 @@ fn unknown_shares(
             for column in &linear.candidates[candidate].variants[variant].columns {
                 own[*column] = solution[*column];
             }
-            let (part, shift) = (columns * own, columns * &linear.present);
-            let whole = readings(run, |sample| {
+            let (part, shift) = (columns * &own, columns * &linear.present);
+            let pairs = readings(run, |sample| {
                 let white = run.followed.white[sample];
-                [0, 1].map(|signal| white[signal] + shift[2 * sample + signal])
+                let whole = [0, 1].map(|signal| white[signal] + shift[2 * sample + signal]);
+                [whole, [part[2 * sample], part[2 * sample + 1]]]
             });
-            let part = readings(run, |sample| [part[2 * sample], part[2 * sample + 1]]);
-            for (whole, part) in whole.iter().flatten().zip(part.iter().flatten()) {
-                before += whole * whole;
-                after += (whole - part).powi(2);
+            for [whole, part] in pairs {
+                for (whole, part) in whole.into_iter().zip(part) {
+                    before += whole * whole;
+                    after += (whole - part).powi(2);
+                }
             }
             floor += run.follower.rows as f64;
         }

@@ -52,7 +52,12 @@ impl<'a> Reduced<'a> {
         let gram = &linear.gram / excess;
         let right = &linear.right / excess;
         // What is always in: the nuisances, and a hair of every effect, since none is exactly zero.
-        let mut hairs: Vec<(usize, f64)> = linear.nuisances.iter().map(|sd| 1.0 / (sd * sd)).enumerate().collect();
+        let mut hairs: Vec<(usize, f64)> = linear
+            .nuisances
+            .iter()
+            .map(|sd| 1.0 / (sd * sd))
+            .enumerate()
+            .collect();
         for candidate in &linear.candidates {
             if none_is_zero && !candidate.unknown {
                 let columns = candidate.variants.iter().flat_map(|v| &v.columns);
@@ -121,7 +126,13 @@ impl<'a> Reduced<'a> {
         self.beside(others, &factor, &mean, candidate)
     }
 
-    fn beside(&self, others: &[usize], factor: &Cholesky<f64, Dyn>, mean: &DVector<f64>, candidate: usize) -> Vec<f64> {
+    fn beside(
+        &self,
+        others: &[usize],
+        factor: &Cholesky<f64, Dyn>,
+        mean: &DVector<f64>,
+        candidate: usize,
+    ) -> Vec<f64> {
         let m = self.linear.nuisances.len();
         let c = &self.linear.candidates[candidate];
         c.variants
@@ -129,14 +140,19 @@ impl<'a> Reduced<'a> {
             .map(|variant| {
                 let own: Vec<usize> = variant.columns.iter().map(|c| c - m).collect();
                 let k = own.len();
-                let cross = DMatrix::from_fn(others.len(), k, |r, c| self.gram[(others[r], own[c])]);
+                let cross =
+                    DMatrix::from_fn(others.len(), k, |r, c| self.gram[(others[r], own[c])]);
                 let solved = factor.solve(&cross);
-                let mut a = DMatrix::from_fn(k, k, |r, c| self.gram[(own[r], own[c])]) - cross.tr_mul(&solved);
+                let mut a = DMatrix::from_fn(k, k, |r, c| self.gram[(own[r], own[c])])
+                    - cross.tr_mul(&solved);
                 for d in 0..k {
                     a[(d, d)] += 1.0;
                 }
-                let right = DVector::from_fn(k, |r, _| self.right[own[r]] + self.prior[own[r]]) - cross.tr_mul(mean);
-                let Some(schur) = a.cholesky() else { return f64::NEG_INFINITY };
+                let right = DVector::from_fn(k, |r, _| self.right[own[r]] + self.prior[own[r]])
+                    - cross.tr_mul(mean);
+                let Some(schur) = a.cholesky() else {
+                    return f64::NEG_INFINITY;
+                };
                 let size = schur.solve(&right);
                 // What is there wholly or not at all is not there by halves: the linear solution does not hold there.
                 if variant.mean > 0.0 && (size[0] / variant.mean - 1.0).abs() > 0.5 {
@@ -148,14 +164,17 @@ impl<'a> Reduced<'a> {
                 } else {
                     0.0
                 };
-                0.5 * right.dot(&size) - log_det + variant.log_prior + c.log_odds + sign - 0.5 * variant.mean * variant.mean
+                0.5 * right.dot(&size) - log_det + variant.log_prior + c.log_odds + sign
+                    - 0.5 * variant.mean * variant.mean
             })
             .collect()
     }
 
     pub fn log_posterior(&self, set: &Set) -> f64 {
         let columns = self.columns(set);
-        let Some((factor, b)) = self.factor(&columns) else { return f64::NEG_INFINITY };
+        let Some((factor, b)) = self.factor(&columns) else {
+            return f64::NEG_INFINITY;
+        };
         let mean = factor.solve(&b);
         let log_det: f64 = factor.l().diagonal().iter().map(|d| d.ln()).sum();
         let mut log = 0.5 * b.dot(&mean) - log_det;
@@ -183,35 +202,56 @@ impl<'a> Reduced<'a> {
         let explained = |columns: &[usize]| {
             let (mean, _) = self.sizes(columns)?;
             let parts = columns.iter().zip(mean.iter());
-            Some(parts.map(|(column, mean)| self.right[*column] * mean).sum::<f64>())
+            Some(
+                parts
+                    .map(|(column, mean)| self.right[*column] * mean)
+                    .sum::<f64>(),
+            )
         };
         let variants = self.linear.candidates[candidate].variants.iter();
         let most = variants
-            .filter_map(|variant| explained(&variant.columns.iter().map(|c| c - m).collect::<Vec<_>>()))
+            .filter_map(|variant| {
+                explained(&variant.columns.iter().map(|c| c - m).collect::<Vec<_>>())
+            })
             .fold(0.0, f64::max);
         most / self.squares.max(f64::MIN_POSITIVE)
     }
 
     /// Information on one column beside others, per squared slab.
     pub fn seen(&self, others: &[usize], column: usize) -> f64 {
-        let Some((factor, _)) = self.factor(others) else { return 0.0 };
+        let Some((factor, _)) = self.factor(others) else {
+            return 0.0;
+        };
         let cross = DVector::from_fn(others.len(), |r, _| self.gram[(others[r], column)]);
         self.gram[(column, column)] - cross.dot(&factor.solve(&cross))
     }
 
     /// What the odds of a form beside others would be if more of it were in the records.
-    pub fn injection(&self, others: &[usize], candidate: usize, variant: usize) -> Option<Injection> {
+    pub fn injection(
+        &self,
+        others: &[usize],
+        candidate: usize,
+        variant: usize,
+    ) -> Option<Injection> {
         let m = self.linear.nuisances.len();
         let candidate = &self.linear.candidates[candidate];
         let chosen = &candidate.variants[variant];
         let own: Vec<usize> = chosen.columns.iter().map(|c| c - m).collect();
         let (factor, _) = self.factor(others)?;
-        let cross = DMatrix::from_fn(others.len(), own.len(), |r, c| self.gram[(others[r], own[c])]);
+        let cross = DMatrix::from_fn(others.len(), own.len(), |r, c| {
+            self.gram[(others[r], own[c])]
+        });
         let solved = factor.solve(&cross);
         // Of the form's own information what the others leave, without and with its prior.
-        let left = DMatrix::from_fn(own.len(), own.len(), |r, c| self.gram[(own[r], own[c])]) - cross.tr_mul(&solved);
+        let left = DMatrix::from_fn(own.len(), own.len(), |r, c| self.gram[(own[r], own[c])])
+            - cross.tr_mul(&solved);
         let schur = (&left + DMatrix::identity(own.len(), own.len())).cholesky()?;
-        Some(Injection { left, schur, log_prior: chosen.log_prior + candidate.log_odds, positive: chosen.positive })
+        Some(Injection {
+            left,
+            schur,
+            log_prior: chosen.log_prior + candidate.log_odds,
+            positive: chosen.positive,
+        })
     }
 
     /// The set without a candidate and without all that it excludes.
@@ -236,7 +276,9 @@ pub struct Injection {
 impl Injection {
     /// Log odds with `size` slabs of each column.
     pub fn log_odds(&self, size: &[f64]) -> f64 {
-        let added = DVector::from_fn(self.left.nrows(), |r, _| size.get(r).copied().unwrap_or(0.0));
+        let added = DVector::from_fn(self.left.nrows(), |r, _| {
+            size.get(r).copied().unwrap_or(0.0)
+        });
         let right = &self.left * added;
         let mean = self.schur.solve(&right);
         let log_det: f64 = self.schur.l().diagonal().iter().map(|d| d.ln()).sum();
@@ -267,7 +309,9 @@ pub fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
         exact.insert(start.clone(), log);
     }
     while let Some(set) = queue.pop() {
-        let base = *exact.entry(set.clone()).or_insert_with(|| reduced.log_posterior(&set));
+        let base = *exact
+            .entry(set.clone())
+            .or_insert_with(|| reduced.log_posterior(&set));
         weighed.insert(set.clone(), base);
         expanded += 1;
         // Taken out one by one, and everything put in beside what is left.
@@ -280,23 +324,36 @@ pub fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
             }
         }
         for from in &bases {
-            let log = *exact.entry(from.clone()).or_insert_with(|| reduced.log_posterior(from));
+            let log = *exact
+                .entry(from.clone())
+                .or_insert_with(|| reduced.log_posterior(from));
             weighed.insert(from.clone(), log);
             let columns = reduced.columns(from);
-            let Some((factor, b)) = reduced.factor(&columns) else { continue };
+            let Some((factor, b)) = reduced.factor(&columns) else {
+                continue;
+            };
             let mean = factor.solve(&b);
             for k in 0..n {
                 if from[k].is_some() {
                     continue;
                 }
-                let excludes = reduced.linear.candidates[k].excludes.iter().any(|o| from[*o].is_some());
+                let excludes = reduced.linear.candidates[k]
+                    .excludes
+                    .iter()
+                    .any(|o| from[*o].is_some());
                 let (next, log, logs) = if excludes {
                     let cleared = reduced.cleared(from, k);
-                    let log = *exact.entry(cleared.clone()).or_insert_with(|| reduced.log_posterior(&cleared));
+                    let log = *exact
+                        .entry(cleared.clone())
+                        .or_insert_with(|| reduced.log_posterior(&cleared));
                     let logs = reduced.conditional(&reduced.columns(&cleared), k);
                     (cleared, log, logs)
                 } else {
-                    (from.clone(), log, reduced.beside(&columns, &factor, &mean, k))
+                    (
+                        from.clone(),
+                        log,
+                        reduced.beside(&columns, &factor, &mean, k),
+                    )
                 };
                 for (v, gain) in logs.iter().enumerate() {
                     let mut with = next.clone();
@@ -341,12 +398,21 @@ pub fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
     for k in 0..n {
         let others = reduced.cleared(&best, k);
         let logs = reduced.conditional(&reduced.columns(&others), k);
-        let top = (0..logs.len()).max_by(|a, b| logs[*a].total_cmp(&logs[*b])).unwrap_or(0);
+        let top = (0..logs.len())
+            .max_by(|a, b| logs[*a].total_cmp(&logs[*b]))
+            .unwrap_or(0);
         log_factor.push(logs[top]);
         forms.push(top);
     }
     sets.retain(|s| s.1 > best_log - 7.0);
-    Posterior { probability, best, best_log, log_factor, sets, forms }
+    Posterior {
+        probability,
+        best,
+        best_log,
+        log_factor,
+        sets,
+        forms,
+    }
 }
 
 #[cfg(test)]

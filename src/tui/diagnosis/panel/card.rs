@@ -56,7 +56,10 @@ pub(in crate::tui::diagnosis) fn card(
             lines.push(block("intervals", text));
         }
         let error = candidate.error_after.map_or_else(String::new, |after| {
-            format!("; training error {:.2} -> {after:.2}", candidate.error_before)
+            format!(
+                "; training error {:.2} -> {after:.2}",
+                candidate.error_before
+            )
         });
         let text = format!(
             "{}; there with {:.0} %{error}",

@@ -191,7 +191,8 @@ fn named(case: &Case, orders: &[Option<f64>], said: &Said<'_>) -> Outcome {
         })
         .collect();
     let belongs = |id: &str| {
-        let background = matches!(case.group, Group::Background { .. } | Group::Harsh) && BACKGROUND.contains(&id);
+        let background = matches!(case.group, Group::Background { .. } | Group::Harsh)
+            && BACKGROUND.contains(&id);
         background || right.iter().flatten().any(|right| *right == id)
     };
     let strangers: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();

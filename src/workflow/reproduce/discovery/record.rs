@@ -220,13 +220,21 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.limits.bus_v = 120.0;
     config.limits.speed_limit_rad_s = 1000.0;
     config.limits.winding_limit_c = 1000.0;
-    let noise = if case.group == Group::Harsh { HARSH_NOISE } else { 1.0 };
+    let noise = if case.group == Group::Harsh {
+        HARSH_NOISE
+    } else {
+        1.0
+    };
     config.noise.current_a = noise * CURRENT_NOISE_A;
     config.noise.speed_rad_s = noise * SPEED_NOISE_RAD_S;
     config.quantisation.current_a = CURRENT_STEP_A;
     config.quantisation.speed_rad_s = SPEED_STEP_RAD_S;
     config.hidden.clear();
-    let share = if case.group == Group::Harsh { HARSH_SIZE } else { 1.0 };
+    let share = if case.group == Group::Harsh {
+        HARSH_SIZE
+    } else {
+        1.0
+    };
     for id in &case.hidden {
         config.hidden.push(sizes::drawn(id, share, rng).try_into()?);
     }

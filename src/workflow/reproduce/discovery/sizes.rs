@@ -212,7 +212,11 @@ pub(super) fn drawn(id: &str, share: f64, rng: &mut ChaCha8Rng) -> toml::Table {
     let mut table = toml::Table::new();
     table.insert("id".to_owned(), id.into());
     let specs = effect::find(id).map_or(&[][..], |effect| effect.parameters());
-    let is_size = |key: &str| specs.iter().any(|spec| spec.key == key && spec.is_coefficient());
+    let is_size = |key: &str| {
+        specs
+            .iter()
+            .any(|spec| spec.key == key && spec.is_coefficient())
+    };
     let mut set = |key: &str, value: f64| {
         let share = if is_size(key) { share } else { 1.0 };
         table.insert(key.to_owned(), (share * value).into())

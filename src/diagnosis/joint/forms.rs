@@ -1,0 +1,348 @@
+//! Of effects with many forms those that a run could tell of: the others get no column.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rayon::prelude::*;
+
+use super::columns::{Around, Part, Source};
+use super::tangent::{LANES, Lane, Tangent, carry};
+use super::whitened::Whitened;
+use crate::plant::Scenario;
+
+/// Forms of one effect that are kept.
+const KEPT: usize = 6;
+/// The beginning of a run that is looked at first is one part of so many.
+const LOOK: usize = 6;
+/// Standard deviations by which the beginning has to tell all of an effect from none of it.
+const PLAIN: f64 = 20.0;
+/// Share of an effect, as the beginning has it, below which it is not there wholly.
+const REFUTED: f64 = 0.2;
+/// Mean square of the innovations above which a linear solution refutes nothing.
+const FAR: f64 = 3.0;
+
+/// Forms of one column or two that are carried side by side, and their products with all that matters.
+struct Group {
+    part: usize,
+    forms: Vec<usize>,
+    products: Vec<Lane>,
+}
+
+/// Leaves of each part with many forms those that explain most of what the model leaves, beside the `base` columns with
+/// the `precision` that they have beforehand. What the forms share beforehand is not touched: who drops out takes his
+/// share along.
+pub(super) fn keep_likeliest(
+    parts: &mut [Part],
+    runs: &[Around<'_>],
+    base: &[Whitened],
+    precision: &[f64],
+) {
+    let mut groups = Vec::new();
+    for (number, part) in parts.iter().enumerate() {
+        let many = part.sources.len() > KEPT && part.sources[0].len() <= 2;
+        // Steps of the load at all times, a hair of each, stand for a load that wanders: they are not dropped.
+        let tangents = part
+            .sources
+            .iter()
+            .flatten()
+            .all(|source| matches!(source, Source::Tangent(_)));
+        if many && tangents {
+            let width = part.sources[0].len();
+            let forms: Vec<usize> = (0..part.sources.len()).collect();
+            groups.extend(forms.chunks(LANES / width).map(|forms| Group {
+                part: number,
+                forms: forms.to_vec(),
+                products: vec![],
+            }));
+        }
+    }
+    let residuals: Vec<&[[f64; 2]]> = runs.iter().map(|run| &run.followed.white[..]).collect();
+    let Some((factor, right)) = base_of(&residuals, base, precision) else {
+        return;
+    };
+    groups.par_iter_mut().with_max_len(1).for_each(|group| {
+        let sources: Vec<&Source> = group
+            .forms
+            .iter()
+            .flat_map(|form| &parts[group.part].sources[*form])
+            .collect();
+        group.products = vec![[0.0; LANES]; precision.len() + 3];
+        for (number, (run, base)) in runs.iter().zip(base).enumerate() {
+            let tangents: Vec<&Tangent> = sources
+                .iter()
+                .filter_map(|source| source.tangent(number))
+                .collect();
+            add_products(run, base, &tangents, &mut group.products);
+        }
+    });
+    for number in 0..parts.len() {
+        let mut gains: Vec<(usize, f64)> = Vec::new();
+        for group in groups.iter().filter(|group| group.part == number) {
+            let width = parts[number].sources[0].len();
+            for (place, form) in group.forms.iter().enumerate() {
+                gains.push((
+                    *form,
+                    gain(&factor, &right, &group.products, place * width, width),
+                ));
+            }
+        }
+        if gains.is_empty() {
+            continue;
+        }
+        gains.sort_by(|a, b| b.1.total_cmp(&a.1));
+        gains.truncate(KEPT);
+        parts[number].keep(|form| gains.iter().any(|gain| gain.0 == form));
+    }
+}
+
+impl Part {
+    fn keep(&mut self, wanted: impl Fn(usize) -> bool) {
+        let mut form = 0..;
+        self.sources.retain(|_| form.next().is_some_and(&wanted));
+        let mut form = 0..;
+        self.candidate
+            .variants
+            .retain(|_| form.next().is_some_and(&wanted));
+    }
+}
+
+/// Leaves out forms of what is there wholly or not at all that the beginning of a run refutes already: each that is left
+/// costs a simulation of every run. Where it refutes all, that which comes nearest stays with what is known of it. Nothing
+/// is refuted where the model is far off, or where the beginning says too little.
+pub(super) fn drop_refuted(
+    parts: &mut [Part],
+    run: &Around<'_>,
+    base: &Whitened,
+    precision: &[f64],
+) {
+    let squares: f64 = run
+        .followed
+        .white
+        .iter()
+        .flatten()
+        .map(|white| white * white)
+        .sum();
+    if squares > FAR * run.follower.rows as f64 {
+        return;
+    }
+    let beginning = beginning(run.scenario, run.scenario.samples().div_ceil(LOOK));
+    let base = base.beginning(2 * beginning.samples());
+    let residual = &run.followed.white[..beginning.samples()];
+    let Some((factor, right)) = base_of(&[residual], std::slice::from_ref(&base), precision) else {
+        return;
+    };
+    // How much of the effect is there, and its column.
+    let look = |source: &Source, mean: f64| -> Option<(f64, Vec<f32>)> {
+        let Source::Difference { model, step } = source else {
+            return None;
+        };
+        let column = run.difference(model, &beginning, *step);
+        let products = base.products(&column, residual);
+        let cross = products.rows(0, precision.len());
+        let solved = factor.solve(&cross);
+        let [own, rest] = [
+            products[precision.len()] - cross.dot(&solved),
+            products[precision.len() + 1] - right.dot(&solved),
+        ];
+        (own * mean * mean > PLAIN * PLAIN).then(|| (rest / own / mean, column))
+    };
+    let whole = |part: &Part| !part.candidate.in_model && part.candidate.variants[0].mean > 0.0;
+    parts
+        .par_iter_mut()
+        .filter(|part| whole(part))
+        .for_each(|part| {
+            let mean = part.candidate.variants[0].mean;
+            let looks: Vec<Option<(f64, Vec<f32>)>> = part
+                .sources
+                .par_iter()
+                .with_max_len(1)
+                .map(|sources| look(&sources[0], mean))
+                .collect();
+            let refuted =
+                |look: &Option<(f64, Vec<f32>)>| look.as_ref().is_some_and(|look| look.0 < REFUTED);
+            if !looks.iter().all(refuted) {
+                part.keep(|form| !refuted(&looks[form]));
+                return;
+            }
+            let nearest = looks
+                .into_iter()
+                .enumerate()
+                .filter_map(|(form, look)| Some((form, look?)));
+            if let Some((nearest, (_, column))) = nearest.max_by(|a, b| a.1.0.total_cmp(&b.1.0)) {
+                part.sources[nearest] = vec![Source::Known(column)];
+                part.keep(|form| form == nearest);
+            }
+        });
+}
+
+/// The run's first samples.
+fn beginning(scenario: &Scenario, samples: usize) -> Scenario {
+    let mut beginning = scenario.clone();
+    beginning.sample_time_s.truncate(samples);
+    beginning.current_a.truncate(samples);
+    beginning.speed_rad_s.truncate(samples);
+    beginning.time_half_width_s.truncate(samples);
+    beginning.scored = 0..samples;
+    beginning
+}
+
+/// The normal equations of the base.
+fn base_of(
+    residuals: &[&[[f64; 2]]],
+    base: &[Whitened],
+    precision: &[f64],
+) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
+    let k = precision.len();
+    let mut products = DMatrix::zeros(k + 1, k + 1);
+    for (residual, base) in residuals.iter().zip(base) {
+        products += base.gram(residual);
+    }
+    let mut gram = products.view((0, 0), (k, k)).into_owned();
+    for (d, precision) in precision.iter().enumerate() {
+        gram[(d, d)] += precision;
+    }
+    Some((
+        gram.cholesky()?,
+        products.view((0, k), (k, 1)).column(0).into_owned(),
+    ))
+}
+
+/// Products of the tangents with the base's columns, with the residual, with themselves, and of each even one with the
+/// next.
+fn add_products(run: &Around<'_>, base: &Whitened, tangents: &[&Tangent], products: &mut [Lane]) {
+    let (with_base, others) = products.split_at_mut(base.columns.len());
+    let [with_rest, squares, pairs] = others else {
+        return;
+    };
+    carry(run, tangents, |first, white| {
+        for (sum, column) in with_base.iter_mut().zip(&base.columns) {
+            let mut part = [0.0; LANES];
+            for (value, row) in column[2 * first..].iter().zip(white) {
+                let value = f64::from(*value);
+                for k in 0..LANES {
+                    part[k] += value * row[k];
+                }
+            }
+            for k in 0..LANES {
+                sum[k] += part[k];
+            }
+        }
+        for (values, rows) in run.followed.white[first..]
+            .iter()
+            .zip(white.chunks_exact(2))
+        {
+            for (value, row) in values.iter().zip(rows) {
+                for k in 0..LANES {
+                    with_rest[k] += value * row[k];
+                }
+            }
+        }
+        for row in white {
+            for k in 0..LANES {
+                squares[k] += row[k] * row[k];
+            }
+            for k in (0..LANES).step_by(2) {
+                pairs[k] += row[k] * row[k + 1];
+            }
+        }
+    });
+}
+
+/// Log of the evidence of the form in these lanes, beside the base.
+fn gain(
+    factor: &Cholesky<f64, Dyn>,
+    right: &DVector<f64>,
+    products: &[Lane],
+    lane: usize,
+    width: usize,
+) -> f64 {
+    let m = right.len();
+    let cross = DMatrix::from_fn(m, width, |r, c| products[r][lane + c]);
+    let solved = factor.solve(&cross);
+    let own = DMatrix::from_fn(width, width, |r, c| {
+        if r == c {
+            products[m + 1][lane + r] + 1.0
+        } else {
+            products[m + 2][lane]
+        }
+    });
+    let rest = DVector::from_fn(width, |r, _| products[m][lane + r]) - solved.tr_mul(right);
+    let Some(schur) = (own - cross.tr_mul(&solved)).cholesky() else {
+        return f64::NEG_INFINITY;
+    };
+    let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
+    0.5 * rest.dot(&schur.solve(&rest)) - log_det
+}
+
+#[cfg(test)]
+mod tests {
+    use super::KEPT;
+    use crate::diagnosis::joint::columns::{Around, Candidate, linearise};
+    use crate::diagnosis::joint::follow::Noise;
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
+    use crate::plant::{ActiveEffect, Model, Motor, State, effect};
+
+    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut truth = model.clone();
+        let effect = effect::find(hidden).unwrap();
+        truth.effects.push(ActiveEffect {
+            effect,
+            values: values.iter().copied().map(Some).collect(),
+        });
+        let levels = [
+            30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0,
+        ];
+        let events = levels
+            .iter()
+            .enumerate()
+            .map(|(k, level)| (0.25 * k as f64, *level))
+            .collect();
+        let scenario = record(&truth, events, 1e-3, 2.5, 5);
+        let noise = Noise {
+            current_a: CURRENT_NOISE_A,
+            speed_rad_s: SPEED_NOISE_RAD_S,
+            disturbance_n_m: 0.01,
+            correlation_s: 0.5,
+            voltage_v: 0.05,
+        };
+        let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
+        linearise(&model, &runs, false).unwrap().candidates
+    }
+
+    #[test]
+    fn the_right_order_is_among_those_that_are_kept_and_what_is_not_there_keeps_one_form() {
+        let candidates = candidates("cogging", &[0.01, 0.01, 7.0]);
+        let find = |id: &str| {
+            candidates
+                .iter()
+                .find(|candidate| candidate.id == id)
+                .unwrap()
+        };
+        let cogging = find("cogging");
+        assert_eq!(cogging.variants.len(), KEPT);
+        assert!(
+            cogging
+                .variants
+                .iter()
+                .any(|variant| (variant.values[2] - 7.0).abs() < 1e-9)
+        );
+        // Those that were dropped keep their share beforehand.
+        assert!((cogging.variants[0].log_prior + 23.0_f64.ln()).abs() < 1e-9);
+        assert_eq!(find("elastic_coupling").variants.len(), 1);
+        assert_eq!(find("backlash").variants.len(), 1);
+    }
+
+    #[test]
+    fn a_coupling_that_is_there_is_not_refuted() {
+        let candidates = candidates("elastic_coupling", &[28.0, 0.35, 0.03, 0.5]);
+        let elastic = candidates
+            .iter()
+            .find(|candidate| candidate.id == "elastic_coupling")
+            .unwrap();
+        assert!(
+            elastic
+                .variants
+                .iter()
+                .any(|variant| (variant.values[0] - 28.0).abs() < 1e-9)
+        );
+    }
+}

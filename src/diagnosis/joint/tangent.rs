@@ -1,0 +1,560 @@
+//! Tangents of a followed run: what small forcings along its trajectory do to the innovations, eight side by side.
+
+use super::columns::Around;
+use super::follow::{Dynamics, Passage, Update};
+use crate::plant::{Instant, MotorKey, Sums, Terms};
+
+/// Deviations that pass a run at once: the step's coefficients are read once for all of them, and they fill registers.
+pub const LANES: usize = 8;
+/// Samples that are forced, passed and handed on at once, so that all of it stays in the cache.
+pub const CHUNK: usize = 128;
+/// Multiples of the angle up to which a wave is a power of the shaft's turn; rounding grows with the power.
+const HIGHEST_POWER: f64 = 200.0;
+
+/// A number for each lane.
+pub type Lane = [f64; LANES];
+
+/// One passage as the coefficients of current and speed, on: current, speed, disturbance, voltage's error, forcing of the
+/// current, forcing of the speed.
+#[derive(Clone, Copy, Debug)]
+pub struct Step {
+    current: [f64; 6],
+    speed: [f64; 6],
+    forget: f64,
+    keeps: f64,
+}
+
+impl Step {
+    pub fn of(passage: &Passage, forget: f64, dynamics: &Dynamics) -> Self {
+        let moves = f64::from(u8::from(passage.direction != 0.0));
+        let apply = |x, g| passage.propagator.apply(x, g);
+        let on = [
+            apply([1.0, 0.0], [0.0; 2]),
+            apply([0.0, passage.kept], [0.0; 2]),
+            apply([0.0; 2], [0.0, -dynamics.inverse_inertia * moves]),
+            apply([0.0; 2], [dynamics.inverse_inductance, 0.0]),
+            apply([0.0; 2], [1.0, 0.0]),
+            apply([0.0; 2], [0.0, moves]),
+        ];
+        Self {
+            current: on.map(|to| to[0]),
+            speed: on.map(|to| to[1] * moves),
+            forget,
+            keeps: passage.voltage_keeps,
+        }
+    }
+
+    /// Nothing passes: the first sample is at the run's begin.
+    pub const fn still() -> Self {
+        Self {
+            current: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            speed: [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+            forget: 1.0,
+            keeps: 1.0,
+        }
+    }
+}
+
+/// Deviations of current, speed, disturbance torque and voltage, each in every lane.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Deviations([Lane; 4]);
+
+impl Deviations {
+    /// To the next sample, under forcings of the current (A/s) and the speed (rad/s2).
+    #[inline]
+    pub fn pass(&mut self, step: &Step, forcing: &[Lane; 2]) {
+        let [i, w, d, v] = self.0;
+        let (a, b) = (&step.current, &step.speed);
+        for k in 0..LANES {
+            self.0[0][k] = (a[0] * i[k] + a[1] * w[k])
+                + (a[2] * d[k] + a[3] * v[k])
+                + (a[4] * forcing[0][k] + a[5] * forcing[1][k]);
+            self.0[1][k] = (b[0] * i[k] + b[1] * w[k])
+                + (b[2] * d[k] + b[3] * v[k])
+                + (b[4] * forcing[0][k] + b[5] * forcing[1][k]);
+            self.0[2][k] = d[k] * step.forget;
+            self.0[3][k] = v[k] * step.keeps;
+        }
+    }
+
+    /// The same without a forcing.
+    #[inline]
+    pub fn drift(&mut self, step: &Step) {
+        let [i, w, d, v] = self.0;
+        let (a, b) = (&step.current, &step.speed);
+        for k in 0..LANES {
+            self.0[0][k] = (a[0] * i[k] + a[1] * w[k]) + (a[2] * d[k] + a[3] * v[k]);
+            self.0[1][k] = (b[0] * i[k] + b[1] * w[k]) + (b[2] * d[k] + b[3] * v[k]);
+            self.0[2][k] = d[k] * step.forget;
+            self.0[3][k] = v[k] * step.keeps;
+        }
+    }
+
+    /// At a sample: whitened innovations of a prediction that deviates like this from a measurement of nothing, given
+    /// what the readings have beside.
+    #[inline]
+    pub fn correct(&mut self, update: &Update, beside: &[Lane; 2]) -> [Lane; 2] {
+        let mut white = [[0.0; LANES]; 2];
+        for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
+            let mut error = self.0[signal];
+            for k in 0..LANES {
+                error[k] += beside[signal][k];
+            }
+            self.shift(gains, &error, -1.0);
+            for k in 0..LANES {
+                white[signal][k] = error[k] * gains[4];
+            }
+        }
+        white
+    }
+
+    /// The inverse of `correct`: what does this to the readings, from its whitened innovations.
+    #[inline]
+    pub fn colour(&mut self, update: &Update, white: &[Lane; 2]) -> [Lane; 2] {
+        let mut readings = [[0.0; LANES]; 2];
+        for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
+            if gains[4] <= 0.0 {
+                continue;
+            }
+            let over = 1.0 / gains[4];
+            let error = white[signal].map(|white| white * over);
+            for k in 0..LANES {
+                readings[signal][k] = error[k] + self.0[signal][k];
+            }
+            self.shift(gains, &error, 1.0);
+        }
+        readings
+    }
+
+    /// One scalar measurement: its innovation, over which the deviations are corrected with `gains`.
+    #[inline]
+    pub fn measure(&mut self, signal: usize, value: &[f64], gains: &[f64; 5]) -> Lane {
+        let mut error = [0.0; LANES];
+        for k in 0..LANES {
+            error[k] = value[k] - self.0[signal][k];
+        }
+        self.shift(gains, &error, 1.0);
+        error.map(|error| error * gains[4])
+    }
+
+    #[inline]
+    fn shift(&mut self, gains: &[f64; 5], error: &Lane, sign: f64) {
+        for (state, gain) in self.0.iter_mut().zip(gains) {
+            for k in 0..LANES {
+                state[k] += sign * gain * error[k];
+            }
+        }
+    }
+}
+
+/// A torque, or a voltage drop, of one size along a trajectory.
+pub enum Tangent {
+    Terms(Box<dyn Terms>),
+    /// Terms times a power of their own size: another form of the same effect.
+    Bent {
+        terms: Box<dyn Terms>,
+        power: i32,
+        share: f64,
+    },
+    Wave(Wave),
+    /// Falls to zero on both sides of the centre.
+    Hat {
+        axis: Axis,
+        centre: f64,
+        width: f64,
+        size: f64,
+    },
+    /// What a sensor adds to every reading: A and rad/s.
+    Offset([f64; 2]),
+}
+
+/// A torque over the angle, in N.m, or in proportion to the current, of which it then is this share.
+#[derive(Clone, Copy, Debug)]
+pub struct Wave {
+    pub order: f64,
+    pub sine: bool,
+    pub size: f64,
+    pub of_current: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub enum Axis {
+    /// Torque, N.m.
+    Speed,
+    /// Voltage, V.
+    Current,
+}
+
+/// A tangent on its way along a run.
+struct Traveller<'a> {
+    tangent: &'a Tangent,
+    own: Vec<f64>,
+    rate: Vec<f64>,
+    /// Largest voltage, torque and friction that the terms reach, where they are bent.
+    most: [f64; 3],
+}
+
+impl<'a> Traveller<'a> {
+    fn new(tangent: &'a Tangent, run: &Around<'_>) -> Self {
+        let states = if let Tangent::Terms(terms) = tangent {
+            terms.states()
+        } else {
+            0
+        };
+        let mut most = [0.0_f64; 3];
+        if let Tangent::Bent { terms, .. } = tangent {
+            for at in &run.instants {
+                let sums = terms.sums(at, &[]);
+                for (most, value) in
+                    most.iter_mut()
+                        .zip([sums.voltage_v, sums.torque_n_m, sums.friction_n_m])
+                {
+                    *most = most.max(value.abs());
+                }
+            }
+        }
+        Self {
+            tangent,
+            own: vec![0.0; states],
+            rate: vec![0.0; states],
+            most,
+        }
+    }
+
+    fn terms(&mut self, terms: &dyn Terms, at: &Instant, interval_s: f64) -> Sums {
+        let sums = terms.sums(at, &self.own);
+        if !self.own.is_empty() {
+            terms.derivative(at, &self.own, &mut self.rate);
+            for (own, rate) in self.own.iter_mut().zip(&self.rate) {
+                *own += interval_s * rate;
+            }
+        }
+        sums
+    }
+
+    fn bent(&self, sums: &Sums, power: i32, share: f64) -> Sums {
+        let bend = |value: f64, most: f64| {
+            if most > 0.0 {
+                share * value * (value / most).abs().powi(power)
+            } else {
+                0.0
+            }
+        };
+        Sums {
+            voltage_v: bend(sums.voltage_v, self.most[0]),
+            torque_n_m: bend(sums.torque_n_m, self.most[1]),
+            friction_n_m: bend(sums.friction_n_m, self.most[2]),
+            current_rate_gain: 0.0,
+        }
+    }
+}
+
+/// Multiples of the shaft's angle at the samples of one chunk, as cosine and sine.
+struct Turns {
+    order: f64,
+    each: [[f64; 2]; CHUNK],
+}
+
+impl Turns {
+    /// Goes on to `order`; the next one after the present costs one product a sample.
+    fn to(&mut self, order: f64, once: &[[f64; 2]], instants: &[Instant]) {
+        if order.to_bits() == self.order.to_bits() {
+            return;
+        }
+        let next = (order - self.order - 1.0).abs() < f64::EPSILON;
+        let whole = order.fract().abs() < f64::EPSILON && (1.0..=HIGHEST_POWER).contains(&order);
+        for ((turn, once), at) in self.each.iter_mut().zip(once).zip(instants) {
+            *turn = if next {
+                times(*turn, *once)
+            } else if whole {
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    reason = "whole and small"
+                )]
+                power(*once, order as u32)
+            } else {
+                let (sine, cosine) = (order * at.angle_rad).sin_cos();
+                [cosine, sine]
+            };
+        }
+        self.order = order;
+    }
+}
+
+fn times(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
+}
+
+fn power(mut base: [f64; 2], mut exponent: u32) -> [f64; 2] {
+    let mut out = [1.0, 0.0];
+    while exponent > 0 {
+        if exponent & 1 == 1 {
+            out = times(out, base);
+        }
+        base = times(base, base);
+        exponent >>= 1;
+    }
+    out
+}
+
+/// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
+/// whitened innovations of its samples: current, speed, current, ...
+pub fn carry(run: &Around<'_>, tangents: &[&Tangent], mut hand_on: impl FnMut(usize, &[Lane])) {
+    let mut travellers: Vec<Traveller<'_>> = tangents
+        .iter()
+        .map(|tangent| Traveller::new(tangent, run))
+        .collect();
+    let mut deviations = Deviations::default();
+    let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
+    let mut white = [[0.0; LANES]; 2 * CHUNK];
+    let mut beside = [[0.0; LANES]; 2];
+    for (lane, tangent) in tangents.iter().enumerate() {
+        if let Tangent::Offset(offset) = tangent {
+            (beside[0][lane], beside[1][lane]) = (offset[0], offset[1]);
+        }
+    }
+    let n = run.scenario.samples();
+    for first in (0..n).step_by(CHUNK) {
+        let range = first..(first + CHUNK).min(n);
+        // No order is this: the first wave of a chunk is computed anew.
+        let mut turns = Turns {
+            order: f64::NEG_INFINITY,
+            each: [[1.0, 0.0]; CHUNK],
+        };
+        for (lane, traveller) in travellers.iter_mut().enumerate() {
+            force(
+                run,
+                traveller,
+                range.clone(),
+                &mut turns,
+                |k, [current, speed]| {
+                    forcing[k][0][lane] = current;
+                    forcing[k][1][lane] = speed;
+                },
+            );
+        }
+        for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2))
+        {
+            deviations.pass(&run.steps[sample], forcing);
+            white.copy_from_slice(&deviations.correct(&run.follower.updates[sample], &beside));
+        }
+        hand_on(first, &white[..2 * range.len()]);
+    }
+}
+
+/// The forcing of one tangent at the samples of a chunk.
+fn force(
+    run: &Around<'_>,
+    traveller: &mut Traveller<'_>,
+    range: std::ops::Range<usize>,
+    turns: &mut Turns,
+    mut put: impl FnMut(usize, [f64; 2]),
+) {
+    let (instants, passages) = (
+        &run.instants[range.clone()],
+        &run.follower.passages[range.clone()],
+    );
+    let (inductance, inertia) = (
+        run.dynamics.inverse_inductance,
+        run.dynamics.inverse_inertia,
+    );
+    let of = |sums: &Sums, direction: f64, inductive_v: f64| {
+        [
+            (sums.current_rate_gain * inductive_v - sums.voltage_v) * inductance,
+            -(sums.torque_n_m + direction * sums.friction_n_m) * inertia,
+        ]
+    };
+    match traveller.tangent {
+        Tangent::Offset(_) => {}
+        Tangent::Terms(terms) => {
+            let value = |key| run.model.motor.get(key).unwrap_or(0.0);
+            let (r, ke) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));
+            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
+                let sums = traveller.terms(&**terms, at, passage.interval_s);
+                let inductive_v = at.voltage_v - r * at.current_a - ke * at.speed_rad_s;
+                put(k, of(&sums, passage.direction, inductive_v));
+            }
+        }
+        Tangent::Bent {
+            terms,
+            power,
+            share,
+        } => {
+            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
+                let sums = traveller.bent(&terms.sums(at, &[]), *power, *share);
+                put(k, of(&sums, passage.direction, 0.0));
+            }
+        }
+        Tangent::Wave(wave) => {
+            turns.to(wave.order, &run.turns[range], instants);
+            for (k, (at, turn)) in instants.iter().zip(&turns.each).enumerate() {
+                let size = if wave.of_current {
+                    wave.size * at.torque_n_m_per_a * at.current_a
+                } else {
+                    wave.size
+                };
+                put(k, [0.0, -size * turn[usize::from(wave.sine)] * inertia]);
+            }
+        }
+        Tangent::Hat {
+            axis,
+            centre,
+            width,
+            size,
+        } => {
+            let hat = |x: f64| size * (1.0 - ((x - centre) / width).abs()).max(0.0);
+            for (k, at) in instants.iter().enumerate() {
+                put(
+                    k,
+                    match axis {
+                        Axis::Speed => [0.0, -hat(at.speed_rad_s) * inertia],
+                        Axis::Current => [-hat(at.current_a) * inductance, 0.0],
+                    },
+                );
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::joint::follow::Noise;
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
+    use crate::plant::{ActiveEffect, Model, Motor, Scenario, State, effect};
+
+    const NOISE: Noise = Noise {
+        current_a: CURRENT_NOISE_A,
+        speed_rad_s: SPEED_NOISE_RAD_S,
+        disturbance_n_m: 0.01,
+        correlation_s: 0.5,
+        voltage_v: 0.05,
+    };
+
+    /// Moves one way only: where a shaft breaks away differences are no tangents.
+    fn run(model: &Model) -> Scenario {
+        record(
+            model,
+            vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)],
+            1e-3,
+            2.5,
+            11,
+        )
+    }
+
+    fn columns(run: &Around<'_>, tangents: &[&Tangent]) -> Vec<Vec<f64>> {
+        let mut columns = vec![Vec::new(); tangents.len()];
+        carry(run, tangents, |first, white| {
+            assert_eq!(columns[0].len(), 2 * first);
+            for (lane, column) in columns.iter_mut().enumerate() {
+                column.extend(white.iter().map(|row| row[lane]));
+            }
+        });
+        columns
+    }
+
+    fn distance(a: &[f64], b: &[f64]) -> f64 {
+        let norm = |values: &mut dyn Iterator<Item = f64>| {
+            values.map(|value| value * value).sum::<f64>().sqrt()
+        };
+        norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / norm(&mut b.iter().copied())
+    }
+
+    #[test]
+    fn a_tangent_is_what_two_followed_runs_differ_by() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = run(&model);
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        for (id, values) in [
+            ("viscous_friction", vec![1e-4]),
+            ("quadratic_load", vec![5e-7]),
+            ("constant_load", vec![5e-3]),
+            ("voltage_offset", vec![0.05]),
+            ("supply_sag", vec![0.01]),
+            ("cogging", vec![0.004, 0.0, 3.0]),
+            ("current_offset", vec![0.02]),
+            ("speed_offset", vec![0.1]),
+        ] {
+            let effect = effect::find(id).unwrap();
+            let terms = effect.terms(&values);
+            let path = terms.path();
+            let tangent = if path.measures_directly() {
+                Tangent::Terms(terms)
+            } else {
+                Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s])
+            };
+            let mut with = model.clone();
+            with.effects.push(ActiveEffect {
+                effect,
+                values: values.into_iter().map(Some).collect(),
+            });
+            let difference: Vec<f64> = around
+                .difference(&with, &scenario, 1.0)
+                .into_iter()
+                .map(f64::from)
+                .collect();
+            let apart = distance(&columns(&around, &[&tangent])[0], &difference);
+            assert!(apart < 0.05, "{id}: {apart}");
+        }
+    }
+
+    #[test]
+    fn waves_side_by_side_are_what_each_effect_says() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = run(&model);
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        let mut waves = Vec::new();
+        let mut terms = Vec::new();
+        for order in [5.0, 6.0, 23.0, 2.5] {
+            for sine in [true, false] {
+                for (id, of_current) in [("cogging", false), ("torque_ripple", true)] {
+                    let size = if of_current { 0.02 } else { 0.01 };
+                    waves.push(Tangent::Wave(Wave {
+                        order,
+                        sine,
+                        size,
+                        of_current,
+                    }));
+                    let values = if sine {
+                        [size, 0.0, order]
+                    } else {
+                        [0.0, size, order]
+                    };
+                    terms.push(Tangent::Terms(effect::find(id).unwrap().terms(&values)));
+                }
+            }
+        }
+        for (waves, terms) in waves.chunks(LANES).zip(terms.chunks(LANES)) {
+            let waves = columns(&around, &waves.iter().collect::<Vec<_>>());
+            let terms = columns(&around, &terms.iter().collect::<Vec<_>>());
+            for (wave, term) in waves.iter().zip(&terms) {
+                let apart = distance(wave, term);
+                assert!(apart < 1e-9, "{apart}");
+            }
+        }
+    }
+
+    #[test]
+    fn colouring_undoes_the_whitening() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = run(&model);
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        let forcing = [[300.0; LANES], [-20.0; LANES]];
+        let (mut free, mut filtered, mut back) = <(Deviations, Deviations, Deviations)>::default();
+        for (step, update) in around.steps.iter().zip(&around.follower.updates) {
+            free.pass(step, &forcing);
+            filtered.pass(step, &forcing);
+            back.drift(step);
+            let white = filtered.correct(update, &[[0.0; LANES]; 2]);
+            let readings = back.colour(update, &white);
+            for (reading, free) in readings.iter().flatten().zip(free.0[..2].iter().flatten()) {
+                assert!(
+                    (reading - free).abs() < 1e-6 * free.abs().max(1.0),
+                    "{reading} {free}"
+                );
+            }
+        }
+        assert!(free.0[1][0].abs() > 1.0, "the forcing does something");
+    }
+}

@@ -1,0 +1,187 @@
+//! Whitened columns of one run, and their products.
+
+use std::ops::{Mul, Range};
+
+use nalgebra::{DMatrix, DMatrixView, DVector};
+use rayon::prelude::*;
+
+/// Whitened innovations of each column: current and speed, sample by sample; one that ends early is zero beyond. Single precision halves what a long run
+/// needs; its rounding is like white noise ten million times smaller than the column. Sums are in double precision.
+#[derive(Clone, Debug, Default)]
+pub struct Whitened {
+    pub columns: Vec<Vec<f32>>,
+    rows: usize,
+}
+
+/// Rows that are multiplied at once.
+const ROWS: usize = 512;
+/// Parts of a run that are summed side by side.
+const PARTS: usize = 8;
+/// Columns of one block of a product: blocks below the diagonal are not needed.
+const BLOCK: usize = 64;
+
+impl Whitened {
+    pub const fn new(columns: Vec<Vec<f32>>, rows: usize) -> Self {
+        Self { columns, rows }
+    }
+
+    /// The first rows of all columns.
+    pub fn beginning(&self, rows: usize) -> Self {
+        Self {
+            columns: self
+                .columns
+                .iter()
+                .map(|column| column[..rows.min(column.len())].to_vec())
+                .collect(),
+            rows,
+        }
+    }
+
+    /// Products of another column with each of these, with itself, and with the residual.
+    pub fn products(&self, other: &[f32], residual: &[[f64; 2]]) -> DVector<f64> {
+        let dot = |column: &[f32]| -> f64 {
+            column
+                .iter()
+                .zip(other)
+                .map(|(a, b)| f64::from(*a) * f64::from(*b))
+                .sum()
+        };
+        let rest: f64 = residual
+            .iter()
+            .flatten()
+            .zip(other)
+            .map(|(a, b)| a * f64::from(*b))
+            .sum();
+        let each = self.columns.iter().map(|column| dot(column));
+        DVector::from_iterator(self.columns.len() + 2, each.chain([dot(other), rest]))
+    }
+
+    /// One number of a column.
+    pub fn at(&self, column: usize, row: usize) -> f64 {
+        self.columns[column]
+            .get(row)
+            .map_or(0.0, |value| f64::from(*value))
+    }
+
+    /// `w' w` with `w` these columns and `last` behind them.
+    pub fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
+        let filled: Vec<usize> = (0..self.columns.len())
+            .filter(|k| !self.columns[*k].is_empty())
+            .collect();
+        let k = filled.len() + 1;
+        // In parts that do not depend on who is free: sums come out the same every time.
+        let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
+        let sums: Vec<DMatrix<f64>> = (0..self.rows.div_ceil(part))
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|number| {
+                let mut sum = DMatrix::zeros(k, k);
+                let mut buffer = Vec::with_capacity(k * ROWS);
+                let end = ((number + 1) * part).min(self.rows);
+                for first in (number * part..end).step_by(ROWS) {
+                    let range = first..(first + ROWS).min(end);
+                    buffer.clear();
+                    for column in &filled {
+                        self.extend(*column, range.clone(), &mut buffer);
+                    }
+                    buffer.extend(range.clone().map(|row| last[row / 2][row % 2]));
+                    add_upper(&mut sum, &buffer, range.len());
+                }
+                sum
+            })
+            .collect();
+        let sum = sums
+            .into_iter()
+            .fold(DMatrix::zeros(k, k), |sum, part| sum + part);
+        let p = self.columns.len() + 1;
+        let place = |k: usize| filled.get(k).copied().unwrap_or(p - 1);
+        let mut gram = DMatrix::zeros(p, p);
+        for column in 0..k {
+            for row in 0..=column {
+                gram[(place(row), place(column))] = sum[(row, column)];
+                gram[(place(column), place(row))] = sum[(row, column)];
+            }
+        }
+        gram
+    }
+
+    fn extend(&self, column: usize, rows: Range<usize>, buffer: &mut Vec<f64>) {
+        let column = &self.columns[column];
+        let there = &column[rows.start.min(column.len())..rows.end.min(column.len())];
+        buffer.extend(there.iter().map(|value| f64::from(*value)));
+        buffer.extend((there.len()..rows.len()).map(|_| 0.0));
+    }
+}
+
+/// Adds the blocks on and above the diagonal of `w' w`; `w` is column by column in `buffer`.
+fn add_upper(sum: &mut DMatrix<f64>, buffer: &[f64], rows: usize) {
+    let p = sum.ncols();
+    for from in (0..p).step_by(BLOCK) {
+        let width = BLOCK.min(p - from);
+        let left = &buffer[from * rows..(from + width) * rows];
+        let turned = DMatrixView::from_slice(left, rows, width).transpose();
+        let right = DMatrixView::from_slice(&buffer[from * rows..], rows, p - from);
+        sum.view_mut((from, from), (width, p - from))
+            .gemm(1.0, &turned, &right, 1.0);
+    }
+}
+
+/// The columns' sum with these weights.
+impl Mul<&DVector<f64>> for &Whitened {
+    type Output = DVector<f64>;
+
+    fn mul(self, weights: &DVector<f64>) -> DVector<f64> {
+        let mut sum = DVector::zeros(self.rows);
+        for (column, weight) in self.columns.iter().zip(weights.iter()) {
+            if *weight != 0.0 {
+                for (sum, value) in sum.iter_mut().zip(column) {
+                    *sum += weight * f64::from(*value);
+                }
+            }
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_are_those_of_columns_that_end_early_too() {
+        let rows = 2 * ROWS + 38;
+        let column = |k: usize, rows: usize| -> Vec<f32> {
+            (0..rows)
+                .map(|row| ((row * (k + 3)) % 17) as f32 - 8.0)
+                .collect()
+        };
+        let lengths = [rows, 0, ROWS + 5, rows, 7];
+        let each: Vec<Vec<f32>> = lengths
+            .into_iter()
+            .enumerate()
+            .map(|(k, rows)| column(k, rows))
+            .collect();
+        let whitened = Whitened::new(each.clone(), rows);
+        let last: Vec<[f64; 2]> = (0..rows / 2).map(|k| [k as f64 % 5.0, -1.0]).collect();
+        let mut w = DMatrix::zeros(rows, 6);
+        for (k, column) in each.iter().enumerate() {
+            for (row, value) in column.iter().enumerate() {
+                w[(row, k)] = f64::from(*value);
+                assert!((whitened.at(k, row) - w[(row, k)]).abs() < 1e-12);
+            }
+        }
+        for (row, value) in last.iter().flatten().enumerate() {
+            w[(row, 5)] = *value;
+        }
+        let expected = w.tr_mul(&w);
+        assert!((whitened.gram(&last) - &expected).amax() < 1e-6);
+        let products = whitened.products(&each[3], &last);
+        for k in 0..5 {
+            assert!((products[k] - expected[(3, k)]).abs() < 1e-6);
+        }
+        assert!((products[5] - expected[(3, 3)]).abs() < 1e-6);
+        assert!((products[6] - expected[(3, 5)]).abs() < 1e-6);
+        let weights = DVector::from_vec(vec![1.0, 2.0, -0.5, 0.0, 3.0]);
+        assert!((&whitened * &weights - w.columns(0, 5) * &weights).amax() < 1e-6);
+    }
+}
