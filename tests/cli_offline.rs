@@ -301,12 +301,17 @@ fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
     assert!(torque["interval_95"][0].as_f64() < torque["interval_95"][1].as_f64());
     let mut passed_over = 0;
     for candidate in candidates {
-        let is_refitted = candidate["refitted"].as_bool().unwrap();
+        let probability = number(candidate, "/probability");
+        assert!((0.0..=1.0).contains(&probability), "{candidate}");
+        let is_named = found["effects"]
+            .as_array()
+            .unwrap()
+            .contains(&candidate["effect"]);
         let factor = number(candidate, "/interval_factor");
         assert!((factor - 1.0).abs() < 1e-9 || (factor - 2.0).abs() < 1e-9);
-        if is_refitted {
+        if is_named {
             assert!(candidate["holdout_after"].is_number(), "{candidate}");
-        } else if word(candidate, "/status") != "possible" {
+        } else {
             for key in [
                 "holdout_after",
                 "error_after",

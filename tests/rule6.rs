@@ -93,10 +93,11 @@ const DOSES: [Dose; 6] = [
 /// What the background holds besides the coloured torque: these names are right too.
 const BACKGROUND: [&str; 4] = ["viscous_friction", "cogging", "command_delay", "supply_sag"];
 const STUDY_LEVEL: f64 = 1.0;
-/// Doses in units of the smallest detectable size that the program states for the record without a dose (5 standard
-/// deviations of white noise; a real bench shows 5 to 20 times that, DISCOVERY.md 4).
-const MULTIPLES: [f64; 8] = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
-const FEW_MULTIPLES: [f64; 2] = [4.0, 64.0];
+/// Doses in units of the size that the program says it would name in the record without a dose; and from where on it must
+/// keep that word.
+const MULTIPLES: [f64; 6] = [0.25, 0.5, 1.0, 1.5, 2.0, 4.0];
+const FEW_MULTIPLES: [f64; 2] = [1.5, 4.0];
+const KEPT: f64 = 1.5;
 /// Standard deviations that an estimate may lie off, and relative deviation from a straight line.
 const INTERVAL: f64 = 3.0;
 const LINEAR: f64 = 0.1;
@@ -221,6 +222,10 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
             fails(row.value <= before, "not in the order of the doses");
             let is_named = is_named(found, dose.id);
             fails(named_from.is_some() && !is_named, "named below, not here");
+            fails(
+                row.multiple >= KEPT && !is_named,
+                "would have shown, it said",
+            );
             // A name that is only left open beside one of the background is none yet.
             if found.effects.contains(&dose.id) {
                 named_from = named_from.or(Some(row.multiple));

@@ -265,8 +265,6 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: Vec<Standing>) -> D
 
 /// Share of the explainable error that may stay unexplained beside what is named.
 const HALF: f64 = 0.5;
-/// Probability below which a name is not certain, and so may be one of several.
-const CERTAIN: f64 = 0.9;
 
 fn verdict(
     evidence: &Evidence,
@@ -286,15 +284,7 @@ fn verdict(
         return DiagnosisVerdict::Unexplained;
     }
     let first = inference.named[0];
-    let certain = inference
-        .effects
-        .iter()
-        .any(|other| other.effect.card().id == first && other.probability >= CERTAIN);
-    let is_one_of_several = inference
-        .confusable
-        .iter()
-        .any(|pair| pair.contains(&first));
-    if !certain && is_one_of_several {
+    if inference.confusable.iter().any(|pair| pair[0] == first) {
         DiagnosisVerdict::Ambiguous
     } else {
         DiagnosisVerdict::Effect

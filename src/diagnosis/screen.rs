@@ -49,8 +49,6 @@ pub(super) struct Screened {
     /// The same as a share of what the baseline's parameters leave unexplained.
     pub(super) share: f64,
     pub(super) detectable: Detectable,
-    /// Length of what the effect at its typical size would add to the residual beyond the baseline's own parameters.
-    pub(super) visible: f64,
 }
 
 /// The size from which this run would show an effect (5 sigma, white noise).
@@ -68,22 +66,6 @@ impl Detectable {
         match self {
             Self::From(size) => Some(size).filter(|size| size.is_finite()),
             Self::SofterThan(_) => None,
-        }
-    }
-
-    /// Whether the run would not show the effect however large it is.
-    pub(super) fn is_never(self) -> bool {
-        match self {
-            Self::From(size) => !size.is_finite(),
-            Self::SofterThan(frequency_hz) => frequency_hz <= 0.0,
-        }
-    }
-
-    /// The largest natural frequency, Hz.
-    pub(super) fn softer_than_hz(self) -> Option<f64> {
-        match self {
-            Self::From(_) => None,
-            Self::SofterThan(frequency_hz) => Some(frequency_hz),
         }
     }
 }
@@ -294,7 +276,6 @@ impl<'a> Screen<'a> {
                 values,
                 shift: self.shift(&probe),
                 gain: linear.max(finite),
-                visible: length.sqrt(),
                 detectable: if specs[0].key == STIFFNESS {
                     Detectable::SofterThan(softest_hidden_hz(shape[0], length.sqrt()))
                 } else {
@@ -339,7 +320,6 @@ impl<'a> Screen<'a> {
             values,
             shift: self.shift(&change),
             gain,
-            visible: normal[(0, 0)].sqrt() * sizes[0],
             detectable: Detectable::From(DETECTION_SIGMA / normal[(0, 0)].sqrt()),
         })
     }
@@ -356,7 +336,6 @@ impl<'a> Screen<'a> {
             gain: best.gain,
             share: best.gain / self.error().max(f64::MIN_POSITIVE),
             detectable: best.detectable,
-            visible: best.visible,
         }
     }
 
@@ -418,7 +397,6 @@ struct Tried {
     values: Vec<f64>,
     shift: Vec<f64>,
     gain: f64,
-    visible: f64,
     detectable: Detectable,
 }
 
@@ -514,34 +492,5 @@ fn orthonormal_basis(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
         DMatrix::zeros(jacobian.nrows(), 0)
     } else {
         DMatrix::from_columns(&columns)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::diagnosis::tests::{evidence, nameplate};
-    use crate::plant::effect;
-
-    #[test]
-    fn a_shaft_shows_the_more_the_softer_it_is_and_from_the_stated_stiffness_on() {
-        let (data, baseline) = evidence(&nameplate(), 11)
-            .with_baseline(&nameplate())
-            .unwrap();
-        let screen = Screen::new(&baseline, &data.training);
-        let elastic = effect::find("elastic_coupling").unwrap();
-        let screened = screen.effect(elastic).unwrap();
-        assert_eq!(screened.detectable.smallest(), None);
-        let limit_hz = screened.detectable.softer_than_hz().unwrap();
-        let start = screened.start.effects.last().unwrap().values.clone();
-        let visible = |frequency_hz: f64| {
-            let mut values: Vec<f64> = start.iter().map(|value| value.unwrap()).collect();
-            values[0] = frequency_hz;
-            screen.shape(elastic, &values).unwrap().visible
-        };
-        let at_limit = visible(limit_hz) / DETECTION_SIGMA;
-        assert!((0.4..2.5).contains(&at_limit), "{limit_hz} Hz: {at_limit}");
-        assert!(visible(0.5 * limit_hz) > DETECTION_SIGMA);
-        assert!(visible(2.0 * limit_hz) < DETECTION_SIGMA);
     }
 }

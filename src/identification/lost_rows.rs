@@ -23,10 +23,19 @@ pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
             "; behind {restarts} long holes every simulation begins again from what was measured"
         ),
     };
+    let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
+    let known = if unknown_s > 0.0 {
+        format!(
+            "for {unknown_s:.3} s ({:.1} % of the run) it is estimated from the rows beside it and from the current, with an \
+             uncertainty; elsewhere the rows beside it leave no doubt",
+            100.0 * unknown_s / length_s
+        )
+    } else {
+        "the rows beside them leave no doubt what it was".to_owned()
+    };
     Some(format!(
         "{}: {} of {} rows of {} are missing ({:.1} %), the longest time without {:.3} s from {:.3} s on: what was applied there is \
-         not recorded. For {unknown_s:.3} s ({:.1} % of the run) it is estimated from the rows beside it and from the current, \
-         with an uncertainty; elsewhere the rows beside it leave no doubt{again}",
+         not recorded; {known}{again}",
         run.name,
         counted(lost),
         counted(rows),
@@ -34,7 +43,6 @@ pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
         100.0 * lost as f64 / rows as f64,
         longest.to_s - longest.from_s,
         longest.from_s,
-        100.0 * unknown_s / (scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s()),
     ))
 }
 

@@ -20,7 +20,9 @@ const SAYS_NOTHING: f64 = 0.5;
 /// Plausible sets that bounds are asked of.
 const SETS: usize = 12;
 /// Probability from which on an effect is named.
-pub(in crate::diagnosis) const NAMED: f64 = 0.5;
+const NAMED: f64 = 0.5;
+/// The same for two together that cannot be told apart.
+const CERTAIN: f64 = 0.9;
 
 /// One effect.
 #[derive(Clone)]
@@ -99,14 +101,28 @@ pub(in crate::diagnosis) fn infer(
         .map(|effect| inferred(effect, &found, &reduced))
         .collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
-    let confusable = confusable(&found, &effects);
-    // Of two that exclude each other the likelier stands for both.
-    let stands = |id: &str| confusable.iter().any(|pair| pair[0] == id);
-    let named = effects
+    // Of two that these runs cannot tell apart the likelier stands for both.
+    let confusable = confusable(&found, &reduced);
+    let together = |id: &str| -> f64 {
+        let rivals = confusable
+            .iter()
+            .filter(|pair| pair[0] == id)
+            .map(|pair| pair[1]);
+        let probability = |id: &str| {
+            effects
+                .iter()
+                .find(|e| e.effect.card().id == id)
+                .map_or(0.0, |e| e.probability)
+        };
+        probability(id) + rivals.map(probability).sum::<f64>()
+    };
+    let named: Vec<&'static str> = effects
         .iter()
-        .filter(|e| e.probability > NAMED || stands(e.effect.card().id))
+        .filter(|e| e.probability > NAMED || together(e.effect.card().id) > CERTAIN)
         .map(|e| e.effect.card().id)
         .collect();
+    let mut confusable = confusable.clone();
+    confusable.retain(|pair| named.contains(&pair[0]));
     let candidates = found.linear.candidates.iter();
     let unknown = candidates
         .zip(&found.posterior.probability)
@@ -176,7 +192,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
         if candidate.id != id {
             continue;
         }
-        absent *= 1.0 - found.posterior.probability[k];
+        absent *= (1.0 - found.posterior.probability[k]).max(0.0);
         out.log_odds = out.log_odds.max(found.posterior.log_factor[k]);
         let form = found.posterior.forms[k];
         let variant = &candidate.variants[form];
@@ -215,7 +231,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
             }
         }
     }
-    out.probability = 1.0 - absent;
+    out.probability = (1.0 - absent).clamp(0.0, 1.0);
     out
 }
 
@@ -306,38 +322,34 @@ fn detectable(found: &Found, reduced: &Reduced<'_>, with: &Set, k: usize, sd: f6
     Some(high)
 }
 
-/// Pairs that are rarely there together and one of which nearly always is.
-fn confusable(found: &Found, effects: &[Inferred]) -> Vec<[&'static str; 2]> {
-    let ids: Vec<(&'static str, f64)> = effects
-        .iter()
-        .filter(|e| (0.1..0.9).contains(&e.probability))
-        .map(|e| (e.effect.card().id, e.probability))
-        .collect();
-    let top = found.posterior.sets.first().map_or(0.0, |s| s.1);
-    let share = |is_in: &dyn Fn(&[&'static str]) -> bool| {
-        let (mut sum, mut total) = (0.0, 0.0);
-        for (set, log) in &found.posterior.sets {
-            let weight = (log - top).exp();
-            let present: Vec<&'static str> = set
-                .iter()
-                .zip(&found.linear.candidates)
-                .filter(|(v, _)| v.is_some())
-                .map(|(_, c)| c.id)
-                .collect();
-            total += weight;
-            if is_in(&present) {
-                sum += weight;
-            }
+/// Loss of log likelihood up to which an effect serves in the place of another: two standard deviations and a half.
+const SERVES_AS_WELL: f64 = 3.0;
+
+/// Pairs of which these runs want one and cannot say which: an effect of the best set, and one that serves nearly as well in
+/// its place when everything else moves along. How wide each was believed to be beforehand has no say in it.
+fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
+    let candidates = &found.linear.candidates;
+    let best = &found.posterior.best;
+    let likelihood = |set: &Set| reduced.log_likelihood(&reduced.columns(set));
+    let most = likelihood(best);
+    let mut pairs: Vec<[&'static str; 2]> = Vec::new();
+    for (j, present) in candidates.iter().enumerate() {
+        if best[j].is_none() || present.unknown {
+            continue;
         }
-        if total > 0.0 { sum / total } else { 0.0 }
-    };
-    let mut pairs = Vec::new();
-    for (n, (a, pa)) in ids.iter().enumerate() {
-        for (b, pb) in &ids[n + 1..] {
-            let both = share(&|present| present.contains(a) && present.contains(b));
-            let either = share(&|present| present.contains(a) || present.contains(b));
-            if both < 0.3 * pa.min(*pb) && either > 0.8 {
-                pairs.push(if pa >= pb { [*a, *b] } else { [*b, *a] });
+        for (k, rival) in candidates.iter().enumerate() {
+            let pair = [present.id, rival.id];
+            let is_open = best[k].is_none() && !rival.unknown && !rival.is_whole();
+            if !is_open || present.id == rival.id || pairs.contains(&pair) {
+                continue;
+            }
+            let serves = (0..rival.variants.len()).any(|form| {
+                let mut set = reduced.cleared(&without(best, j), k);
+                set[k] = Some(form);
+                likelihood(&set) > most - SERVES_AS_WELL && reduced.signs_are_right(&set)
+            });
+            if serves {
+                pairs.push(pair);
             }
         }
     }

@@ -16,11 +16,11 @@ use crate::plant::{
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
-pub const SLAB: f64 = 2.0;
+pub(super) const SLAB: f64 = 2.0;
 
 /// One form of an effect.
 #[derive(Clone, Debug)]
-pub struct Variant {
+pub(super) struct Variant {
     pub columns: Vec<usize>,
     /// Values of all parameters, coefficients at the slab.
     pub values: Vec<f64>,
@@ -36,7 +36,7 @@ pub struct Variant {
 }
 
 #[derive(Clone, Debug)]
-pub struct Candidate {
+pub(super) struct Candidate {
     pub id: &'static str,
     pub in_model: bool,
     pub unknown: bool,
@@ -48,22 +48,20 @@ pub struct Candidate {
 
 impl Candidate {
     /// Whether it is there wholly or not at all, as a shaft's elasticity: its shape is all that there is.
-    pub fn is_whole(&self) -> bool {
+    pub(super) fn is_whole(&self) -> bool {
         self.variants[0].mean > 0.0
     }
 }
 
 /// The linear problem of one or several runs.
 #[derive(Clone, Debug)]
-pub struct Linear {
+pub(super) struct Linear {
     /// Standard deviations beforehand of what is always in: the motor's parameters and the stamps' errors.
     pub nuisances: Vec<f64>,
     pub candidates: Vec<Candidate>,
     pub gram: DMatrix<f64>,
     pub right: DVector<f64>,
     pub squares: f64,
-    pub rows: usize,
-    pub log_variance: f64,
     /// Whitened columns of each run.
     pub columns: Vec<Whitened>,
     pub present: DVector<f64>,
@@ -95,7 +93,7 @@ impl Source {
 }
 
 /// Everything of one run that columns need.
-pub struct Around<'a> {
+pub(super) struct Around<'a> {
     pub model: &'a Model,
     pub scenario: &'a Scenario,
     pub start: State,
@@ -112,7 +110,7 @@ pub struct Around<'a> {
 }
 
 impl<'a> Around<'a> {
-    pub fn new(
+    pub(super) fn new(
         model: &'a Model,
         scenario: &'a Scenario,
         start: State,
@@ -346,13 +344,23 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
         let Some(effect) = effect::find(id) else {
             continue;
         };
+        let of_samples_s = scenario
+            .typical_half_width_s()
+            .map(|half| half / 3f64.sqrt());
+        let of_commands_s = scenario.input_delay_s().map(|(_, deviation)| deviation);
+        let known_s = if id == "command_delay" {
+            of_commands_s
+        } else {
+            of_samples_s
+        };
+        let error_s = (STAMP * period_s).max(known_s.unwrap_or(0.0));
         let mut moved = model.clone();
         match moved.effects.iter_mut().find(|active| active.id() == id) {
             Some(active) => {
                 let now = active.values_or_guess()[0];
-                active.values = vec![Some(now + STAMP * period_s)];
+                active.values = vec![Some(now + error_s)];
             }
-            None => moved.effects.push(active(effect, &[STAMP * period_s])),
+            None => moved.effects.push(active(effect, &[error_s])),
         }
         nuisances.push((
             Source::Difference {
@@ -579,7 +587,7 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
 }
 
 /// The linear problem of `runs` around one model. Every run must be followed with that same model.
-pub fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<Linear> {
+pub(super) fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<Linear> {
     let training = runs[0].scenario;
     let (always, nuisances): (Vec<Source>, Vec<f64>) =
         nuisances(model, training)?.into_iter().unzip();
@@ -726,11 +734,8 @@ fn assemble(
 ) -> Linear {
     let p = columns[0].columns.len();
     let mut products = DMatrix::zeros(p + 1, p + 1);
-    let (mut rows, mut log_variance) = (0, 0.0);
     for (run, columns) in runs.iter().zip(&columns) {
         products += columns.gram(&run.followed.white);
-        rows += run.follower.rows;
-        log_variance += run.follower.log_variance;
     }
     let gram = products.view((0, 0), (p, p)).into_owned();
     let mut right: DVector<f64> = products.view((0, p), (p, 1)).column(0).into_owned();
@@ -751,8 +756,6 @@ fn assemble(
         gram,
         right,
         squares,
-        rows,
-        log_variance,
         columns,
         present,
     }

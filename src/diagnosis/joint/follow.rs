@@ -4,6 +4,7 @@
 //! the shaft, it makes the error of a free run wander too, so that tests on that error would be wrong. The innovations,
 //! over their standard deviations, are independent under the model whatever the disturbance did.
 
+use crate::identification::stamps::spread;
 use crate::plant::propagator::{LinearPart, Propagator};
 use crate::plant::{
     Correction, Input, Instant, Model, MotorKey, Plant, Scenario, State, Terms, Trajectory,
@@ -11,7 +12,7 @@ use crate::plant::{
 
 /// What is random in a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
+pub(super) struct Noise {
     /// Standard deviations of the sensors.
     pub current_a: f64,
     pub speed_rad_s: f64,
@@ -23,7 +24,7 @@ pub struct Noise {
 }
 
 /// Correlation time of the voltage's error, s.
-pub const VOLTAGE_S: f64 = 0.05;
+pub(super) const VOLTAGE_S: f64 = 0.05;
 /// Uncertainty of the speed after a break-away or a change of sign, as a share of the largest speed.
 const JUMP: f64 = 0.0017;
 /// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
@@ -90,16 +91,15 @@ impl Forms {
 
 /// The linear part that deviations follow.
 #[derive(Clone, Copy, Debug)]
-pub struct Dynamics {
+pub(super) struct Dynamics {
     moving: LinearPart,
     stuck: LinearPart,
     pub inverse_inertia: f64,
     pub inverse_inductance: f64,
-    pub input: Input,
 }
 
 impl Dynamics {
-    pub fn of(model: &Model, input: Input) -> Option<Self> {
+    pub(super) fn of(model: &Model, input: Input) -> Option<Self> {
         let value = |key| model.motor.get(key);
         let inertia = value(MotorKey::Inertia)?;
         let (a, still, inverse_inductance) = match input {
@@ -123,12 +123,11 @@ impl Dynamics {
             stuck: LinearPart::new(&still),
             inverse_inertia: 1.0 / inertia,
             inverse_inductance,
-            input,
         })
     }
 
     /// How deviations go on over an interval.
-    pub fn over(&self, interval_s: f64, rests: bool) -> Propagator {
+    pub(super) fn over(&self, interval_s: f64, rests: bool) -> Propagator {
         if rests {
             self.stuck.over(interval_s)
         } else {
@@ -139,7 +138,7 @@ impl Dynamics {
 
 /// One interval between two samples as deviations pass it.
 #[derive(Clone, Copy, Debug)]
-pub struct Passage {
+pub(super) struct Passage {
     pub propagator: Propagator,
     pub interval_s: f64,
     /// Direction of motion in the interval; zero at rest.
@@ -158,7 +157,7 @@ pub struct Passage {
 
 /// What a sample corrects, one scalar after the other: current, then speed.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Update {
+pub(super) struct Update {
     /// Gains on the four states, and one over the standard deviation of the innovation; zero where not measured.
     pub current: [f64; 5],
     pub speed: [f64; 5],
@@ -166,20 +165,19 @@ pub struct Update {
 
 /// How one run is followed: the same for a model and for all that are near it.
 #[derive(Clone, Debug)]
-pub struct Follower {
+pub(super) struct Follower {
     pub updates: Vec<Update>,
     /// What the disturbance keeps until the next sample.
     pub forgets: Vec<f64>,
     /// `passages[k]` leads to sample `k`.
     pub passages: Vec<Passage>,
-    /// Sum of the logarithms of the innovations' variances.
-    pub log_variance: f64,
+    /// Innovations of both signals.
     pub rows: usize,
 }
 
 /// A followed run.
 #[derive(Clone, Debug)]
-pub struct Followed {
+pub(super) struct Followed {
     /// Before and after each correction: current, speed.
     pub before: Vec<[f64; 2]>,
     pub after: Vec<[f64; 2]>,
@@ -187,9 +185,11 @@ pub struct Followed {
     pub direction: Vec<f64>,
     /// Innovations over their standard deviations; zero where not measured.
     pub white: Vec<[f64; 2]>,
+    /// Variances that the samples have because nobody knows when exactly they were taken.
+    pub vague: Vec<[f64; 2]>,
 }
 
-pub type P = [[f64; 4]; 4];
+pub(super) type P = [[f64; 4]; 4];
 
 fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 2] {
     let value = |values: &[f64], level: f64| {
@@ -204,7 +204,7 @@ fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 
 }
 
 /// Variance of the speed that a break-away or a change of sign adds.
-pub fn jump_of(scenario: &Scenario) -> f64 {
+pub(super) fn jump_of(scenario: &Scenario) -> f64 {
     let fastest = scenario
         .speed_rad_s
         .iter()
@@ -214,7 +214,7 @@ pub fn jump_of(scenario: &Scenario) -> f64 {
 }
 
 /// Follows `scenario` with `model` and finds the gains on the way.
-pub fn lead(
+pub(super) fn lead(
     model: &Model,
     scenario: &Scenario,
     start: State,
@@ -228,7 +228,6 @@ pub fn lead(
         updates: Vec::with_capacity(n),
         forgets: Vec::with_capacity(n),
         passages: Vec::with_capacity(n),
-        log_variance: 0.0,
         rows: 0,
     };
     let mut out = Followed::with_capacity(n);
@@ -250,6 +249,9 @@ pub fn lead(
     let forms = Forms::of(model, scenario);
     let mut event = 0;
     let mut last_speed = start.speed_rad_s;
+    let edge_s = scenario
+        .input_delay_s()
+        .map_or(0.0, |(_, deviation_s)| deviation_s);
     let restarted = scenario.unknown_input.iter();
     let mut holes = restarted
         .filter(|hole| hole.restart.is_some())
@@ -278,7 +280,12 @@ pub fn lead(
             let released = direction == 0.0 && !rests && sample > 0;
             let propagator = cached.1[usize::from(rests)];
             let forget = (-interval_s / noise.correlation_s).exp();
+            let mut edges_v2 = 0.0;
             while event + 1 < scenario.events.len() && scenario.events[event + 1].0 < time_s {
+                // Nobody knows when exactly within its exchange a command was applied.
+                let jump_v = scenario.events[event + 1].1 - scenario.events[event].1;
+                let share = (edge_s / interval_s).min(1.0);
+                edges_v2 += (jump_v * share).powi(2);
                 event += 1;
             }
             let acceleration = if interval_s > 0.0 {
@@ -293,7 +300,7 @@ pub fn lead(
                 acceleration,
             );
             let begins_again = holes.next_if(|to_s| *to_s <= time_s).is_some();
-            let unknown_v2 = scenario.input_variance_v2(sample);
+            let unknown_v2 = scenario.input_variance_v2(sample) + edges_v2;
             let fresh = if begins_again {
                 [noise.current_a, noise.speed_rad_s].map(|level| {
                     // A signal whose noise is not known is not looked at.
@@ -340,7 +347,9 @@ pub fn lead(
             let mut update = Update::default();
             let mut white = [0.0; 2];
             if let Some(value) = current {
-                let s = p[0][0] + noise.current_a * noise.current_a;
+                let spread = spread(scenario, &scenario.current_a, sample);
+                out.vague[sample][0] = spread * spread;
+                let s = p[0][0] + noise.current_a * noise.current_a + spread * spread;
                 let k = [p[0][0] / s, p[1][0] / s, p[2][0] / s, p[3][0] / s];
                 let e = value - reading[0];
                 for row in 0..4 {
@@ -349,7 +358,6 @@ pub fn lead(
                 p = corrected(&p, &k, 0);
                 update.current = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
                 white[0] = e / s.sqrt();
-                follower.log_variance += s.ln();
                 follower.rows += 1;
             }
             if let Some(value) = speed {
@@ -358,7 +366,9 @@ pub fn lead(
                 if rests && e.abs() > RELEASED * sigma {
                     p[1][1] += e * e;
                 }
-                let s = p[1][1] + sigma * sigma;
+                let spread = spread(scenario, &scenario.speed_rad_s, sample);
+                out.vague[sample][1] = spread * spread;
+                let s = p[1][1] + sigma * sigma + spread * spread;
                 let k = [p[0][1] / s, p[1][1] / s, p[2][1] / s, p[3][1] / s];
                 for row in 0..4 {
                     change[row] += k[row] * e;
@@ -366,7 +376,6 @@ pub fn lead(
                 p = corrected(&p, &k, 1);
                 update.speed = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
                 white[1] = e / s.sqrt();
-                follower.log_variance += s.ln();
                 follower.rows += 1;
             }
             load += change[2];
@@ -399,7 +408,7 @@ pub fn lead(
 }
 
 /// Whitened innovations of another model that is led as `follower` was.
-pub fn follow(
+pub(super) fn follow(
     follower: &Follower,
     model: &Model,
     scenario: &Scenario,
@@ -448,7 +457,13 @@ pub fn follow(
         .all(|white| white[0].is_finite() && white[1].is_finite())
 }
 
-pub fn predicted(p: &P, passage: &Passage, dynamics: &Dynamics, noise: &Noise, forget: f64) -> P {
+pub(super) fn predicted(
+    p: &P,
+    passage: &Passage,
+    dynamics: &Dynamics,
+    noise: &Noise,
+    forget: f64,
+) -> P {
     let propagator = &passage.propagator;
     let first = propagator.apply([1.0, 0.0], [0.0; 2]);
     let second = propagator.apply([0.0, 1.0], [0.0; 2]);
@@ -492,7 +507,7 @@ pub fn predicted(p: &P, passage: &Passage, dynamics: &Dynamics, noise: &Noise, f
     out
 }
 
-pub fn corrected(p: &P, k: &[f64; 4], measured: usize) -> P {
+pub(super) fn corrected(p: &P, k: &[f64; 4], measured: usize) -> P {
     let mut out = *p;
     for row in 0..4 {
         for column in 0..4 {
@@ -510,6 +525,7 @@ impl Followed {
             load_n_m: Vec::with_capacity(n),
             direction: Vec::with_capacity(n),
             white: Vec::with_capacity(n),
+            vague: vec![[0.0; 2]; n],
         }
     }
 }

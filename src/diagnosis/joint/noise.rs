@@ -22,6 +22,8 @@ struct Averaged {
     passages: Vec<(Passage, bool)>,
     /// Samples that were averaged: current, speed.
     counts: Vec<[f64; 2]>,
+    /// Sums of the variances that their stamps give them.
+    vague: Vec<[f64; 2]>,
     /// Block by block the currents, then the speeds, of all columns, the residual last; padded to whole lanes.
     values: Vec<f64>,
     /// Columns with their padding.
@@ -55,6 +57,12 @@ fn averaged(
             .zip([&update.current, &update.speed])
         {
             *count += f64::from(u8::from(gains[4] > 0.0));
+        }
+    }
+    let mut vague = vec![[0.0; 2]; blocks];
+    for (sample, own) in run.followed.vague.iter().enumerate() {
+        for (sum, own) in vague[sample / size].iter_mut().zip(own) {
+            *sum += own;
         }
     }
     let passages = (0..blocks)
@@ -110,6 +118,7 @@ fn averaged(
     Averaged {
         passages,
         counts,
+        vague,
         values,
         width,
     }
@@ -201,7 +210,8 @@ impl Averaged {
                 } else {
                     noise.speed_rad_s
                 };
-                let s = p[signal][signal] + sigma * sigma / count;
+                let vague = self.vague[block][signal];
+                let s = p[signal][signal] + (sigma * sigma + vague / count) / count;
                 let gain = [
                     p[0][signal] / s,
                     p[1][signal] / s,
@@ -228,7 +238,7 @@ impl Averaged {
 }
 
 /// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest.
-pub fn likeliest(
+pub(super) fn likeliest(
     runs: &[Around<'_>],
     linear: &Linear,
     reduced: &Reduced<'_>,

@@ -18,13 +18,12 @@ const MOST_EXPANDED: usize = 60;
 const WINDOW: f64 = 6.0;
 
 /// For each candidate, the variant that is in.
-pub type Set = Vec<Option<usize>>;
+pub(super) type Set = Vec<Option<usize>>;
 
 #[derive(Clone, Debug)]
-pub struct Posterior {
+pub(super) struct Posterior {
     pub probability: Vec<f64>,
     pub best: Set,
-    pub best_log: f64,
     /// Log of the odds of each candidate given the rest of the best set.
     pub log_factor: Vec<f64>,
     /// Plausible sets with their logarithms, the best first.
@@ -34,7 +33,7 @@ pub struct Posterior {
 }
 
 /// The problem with the motor's parameters integrated out.
-pub struct Reduced<'a> {
+pub(super) struct Reduced<'a> {
     pub linear: &'a Linear,
     pub gram: DMatrix<f64>,
     pub right: DVector<f64>,
@@ -45,7 +44,7 @@ pub struct Reduced<'a> {
 
 impl<'a> Reduced<'a> {
     /// `excess` is how many times as large as expected the variance of what the model leaves is.
-    pub fn new(linear: &'a Linear, excess: f64, hairs: bool) -> Option<Self> {
+    pub(super) fn new(linear: &'a Linear, excess: f64, hairs: bool) -> Option<Self> {
         let none_is_zero = hairs;
         let m = linear.nuisances.len();
         let p = linear.gram.nrows();
@@ -89,7 +88,7 @@ impl<'a> Reduced<'a> {
         })
     }
 
-    pub fn columns(&self, set: &Set) -> Vec<usize> {
+    pub(super) fn columns(&self, set: &Set) -> Vec<usize> {
         let m = self.linear.nuisances.len();
         let mut columns = Vec::new();
         for (variant, candidate) in set.iter().zip(&self.linear.candidates) {
@@ -111,13 +110,13 @@ impl<'a> Reduced<'a> {
     }
 
     /// Mean and covariance of the columns of a set, in slabs.
-    pub fn sizes(&self, columns: &[usize]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    pub(super) fn sizes(&self, columns: &[usize]) -> Option<(DVector<f64>, DMatrix<f64>)> {
         let (factor, b) = self.factor(columns)?;
         Some((factor.solve(&b), factor.inverse()))
     }
 
     /// Log of (evidence times prior) of each variant of a candidate beside the columns of others, relative to none of it.
-    pub fn conditional(&self, others: &[usize], candidate: usize) -> Vec<f64> {
+    pub(super) fn conditional(&self, others: &[usize], candidate: usize) -> Vec<f64> {
         let count = self.linear.candidates[candidate].variants.len();
         let Some((factor, b)) = self.factor(others) else {
             return vec![f64::NEG_INFINITY; count];
@@ -170,7 +169,7 @@ impl<'a> Reduced<'a> {
             .collect()
     }
 
-    pub fn log_posterior(&self, set: &Set) -> f64 {
+    pub(super) fn log_posterior(&self, set: &Set) -> f64 {
         let columns = self.columns(set);
         let Some((factor, b)) = self.factor(&columns) else {
             return f64::NEG_INFINITY;
@@ -196,8 +195,33 @@ impl<'a> Reduced<'a> {
         log
     }
 
+    /// Log likelihood of the best sizes of these columns, relative to none.
+    pub(super) fn log_likelihood(&self, columns: &[usize]) -> f64 {
+        let Some((factor, b)) = self.factor(columns) else {
+            return f64::NEG_INFINITY;
+        };
+        0.5 * b.dot(&factor.solve(&b))
+    }
+
+    /// Whether no effect of the set would need a size that physics does not allow.
+    pub(super) fn signs_are_right(&self, set: &Set) -> bool {
+        let Some((mean, _)) = self.sizes(&self.columns(set)) else {
+            return false;
+        };
+        let mut at = 0;
+        set.iter()
+            .zip(&self.linear.candidates)
+            .all(|(variant, candidate)| {
+                let Some(v) = variant else { return true };
+                let variant = &candidate.variants[*v];
+                let size = mean[at];
+                at += variant.columns.len();
+                !variant.positive || size > 0.0
+            })
+    }
+
     /// Share of the squares that the best form of a candidate alone would take away.
-    pub fn share_alone(&self, candidate: usize) -> f64 {
+    pub(super) fn share_alone(&self, candidate: usize) -> f64 {
         let m = self.linear.nuisances.len();
         let explained = |columns: &[usize]| {
             let (mean, _) = self.sizes(columns)?;
@@ -218,7 +242,7 @@ impl<'a> Reduced<'a> {
     }
 
     /// Information on one column beside others, per squared slab.
-    pub fn seen(&self, others: &[usize], column: usize) -> f64 {
+    pub(super) fn seen(&self, others: &[usize], column: usize) -> f64 {
         let Some((factor, _)) = self.factor(others) else {
             return 0.0;
         };
@@ -227,7 +251,7 @@ impl<'a> Reduced<'a> {
     }
 
     /// What the odds of a form beside others would be if more of it were in the records.
-    pub fn injection(
+    pub(super) fn injection(
         &self,
         others: &[usize],
         candidate: usize,
@@ -255,7 +279,7 @@ impl<'a> Reduced<'a> {
     }
 
     /// The set without a candidate and without all that it excludes.
-    pub fn cleared(&self, set: &Set, candidate: usize) -> Set {
+    pub(super) fn cleared(&self, set: &Set, candidate: usize) -> Set {
         let mut set = set.clone();
         set[candidate] = None;
         for other in &self.linear.candidates[candidate].excludes {
@@ -266,7 +290,7 @@ impl<'a> Reduced<'a> {
 }
 
 /// A form beside others, with so much of it in the records as is asked and nothing by chance.
-pub struct Injection {
+pub(super) struct Injection {
     left: DMatrix<f64>,
     schur: Cholesky<f64, Dyn>,
     log_prior: f64,
@@ -275,7 +299,7 @@ pub struct Injection {
 
 impl Injection {
     /// Log odds with `size` slabs of each column.
-    pub fn log_odds(&self, size: &[f64]) -> f64 {
+    pub(super) fn log_odds(&self, size: &[f64]) -> f64 {
         let added = DVector::from_fn(self.left.nrows(), |r, _| {
             size.get(r).copied().unwrap_or(0.0)
         });
@@ -297,7 +321,7 @@ fn log_positive(mean: f64, sd: f64) -> f64 {
 }
 
 /// Finds the plausible sets, from each of `starts` on.
-pub fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
+pub(super) fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
     let n = reduced.linear.candidates.len();
     let mut weighed: HashMap<Set, f64> = HashMap::new();
     let mut exact: HashMap<Set, f64> = HashMap::new();
@@ -408,7 +432,6 @@ pub fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
     Posterior {
         probability,
         best,
-        best_log,
         log_factor,
         sets,
         forms,
@@ -446,8 +469,6 @@ mod tests {
             gram: DMatrix::from_fn(n, n, |r, c| gram[r][c]),
             right: DVector::from_column_slice(right),
             squares: 1000.0,
-            rows: 1000,
-            log_variance: 0.0,
             columns: vec![],
             present: DVector::zeros(n),
         }
@@ -504,7 +525,7 @@ mod tests {
         let mut data = linear(&[&[400.0]], &[-60.0]);
         assert!(weighed(&data).probability[0] > 0.3);
         data.candidates[0].variants[0].positive = true;
-        assert!(weighed(&data).probability[0] < 1e-3);
+        assert!(weighed(&data).probability[0] < 0.01);
     }
 
     #[test]

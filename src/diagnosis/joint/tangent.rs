@@ -5,19 +5,19 @@ use super::follow::{Dynamics, Passage, Update};
 use crate::plant::{Instant, MotorKey, Sums, Terms};
 
 /// Deviations that pass a run at once: the step's coefficients are read once for all of them, and they fill registers.
-pub const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 /// Samples that are forced, passed and handed on at once, so that all of it stays in the cache.
-pub const CHUNK: usize = 128;
+pub(super) const CHUNK: usize = 128;
 /// Multiples of the angle up to which a wave is a power of the shaft's turn; rounding grows with the power.
 const HIGHEST_POWER: f64 = 200.0;
 
 /// A number for each lane.
-pub type Lane = [f64; LANES];
+pub(super) type Lane = [f64; LANES];
 
 /// One passage as the coefficients of current and speed, on: current, speed, disturbance, voltage's error, forcing of the
 /// current, forcing of the speed.
 #[derive(Clone, Copy, Debug)]
-pub struct Step {
+pub(super) struct Step {
     current: [f64; 6],
     speed: [f64; 6],
     forget: f64,
@@ -25,7 +25,7 @@ pub struct Step {
 }
 
 impl Step {
-    pub fn of(passage: &Passage, forget: f64, dynamics: &Dynamics) -> Self {
+    pub(super) fn of(passage: &Passage, forget: f64, dynamics: &Dynamics) -> Self {
         let moves = f64::from(u8::from(passage.direction != 0.0));
         let apply = |x, g| passage.propagator.apply(x, g);
         let on = [
@@ -45,7 +45,7 @@ impl Step {
     }
 
     /// Nothing passes: the first sample is at the run's begin.
-    pub const fn still() -> Self {
+    pub(super) const fn still() -> Self {
         Self {
             current: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             speed: [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
@@ -57,12 +57,12 @@ impl Step {
 
 /// Deviations of current, speed, disturbance torque and voltage, each in every lane.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Deviations([Lane; 4]);
+pub(super) struct Deviations([Lane; 4]);
 
 impl Deviations {
     /// To the next sample, under forcings of the current (A/s) and the speed (rad/s2).
     #[inline]
-    pub fn pass(&mut self, step: &Step, forcing: &[Lane; 2]) {
+    pub(super) fn pass(&mut self, step: &Step, forcing: &[Lane; 2]) {
         let [i, w, d, v] = self.0;
         let (a, b) = (&step.current, &step.speed);
         for k in 0..LANES {
@@ -79,7 +79,7 @@ impl Deviations {
 
     /// The same without a forcing.
     #[inline]
-    pub fn drift(&mut self, step: &Step) {
+    pub(super) fn drift(&mut self, step: &Step) {
         let [i, w, d, v] = self.0;
         let (a, b) = (&step.current, &step.speed);
         for k in 0..LANES {
@@ -93,7 +93,7 @@ impl Deviations {
     /// At a sample: whitened innovations of a prediction that deviates like this from a measurement of nothing, given
     /// what the readings have beside.
     #[inline]
-    pub fn correct(&mut self, update: &Update, beside: &[Lane; 2]) -> [Lane; 2] {
+    pub(super) fn correct(&mut self, update: &Update, beside: &[Lane; 2]) -> [Lane; 2] {
         let mut white = [[0.0; LANES]; 2];
         for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
             let mut error = self.0[signal];
@@ -110,7 +110,7 @@ impl Deviations {
 
     /// The inverse of `correct`: what does this to the readings, from its whitened innovations.
     #[inline]
-    pub fn colour(&mut self, update: &Update, white: &[Lane; 2]) -> [Lane; 2] {
+    pub(super) fn colour(&mut self, update: &Update, white: &[Lane; 2]) -> [Lane; 2] {
         let mut readings = [[0.0; LANES]; 2];
         for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
             if gains[4] <= 0.0 {
@@ -128,7 +128,7 @@ impl Deviations {
 
     /// One scalar measurement: its innovation, over which the deviations are corrected with `gains`.
     #[inline]
-    pub fn measure(&mut self, signal: usize, value: &[f64], gains: &[f64; 5]) -> Lane {
+    pub(super) fn measure(&mut self, signal: usize, value: &[f64], gains: &[f64; 5]) -> Lane {
         let mut error = [0.0; LANES];
         for k in 0..LANES {
             error[k] = value[k] - self.0[signal][k];
@@ -148,7 +148,7 @@ impl Deviations {
 }
 
 /// A torque, or a voltage drop, of one size along a trajectory.
-pub enum Tangent {
+pub(super) enum Tangent {
     Terms(Box<dyn Terms>),
     /// Terms times a power of their own size: another form of the same effect.
     Bent {
@@ -170,7 +170,7 @@ pub enum Tangent {
 
 /// A torque over the angle, in N.m, or in proportion to the current, of which it then is this share.
 #[derive(Clone, Copy, Debug)]
-pub struct Wave {
+pub(super) struct Wave {
     pub order: f64,
     pub sine: bool,
     pub size: f64,
@@ -178,7 +178,7 @@ pub struct Wave {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub enum Axis {
+pub(super) enum Axis {
     /// Torque, N.m.
     Speed,
     /// Voltage, V.
@@ -300,7 +300,11 @@ fn power(mut base: [f64; 2], mut exponent: u32) -> [f64; 2] {
 
 /// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
 /// whitened innovations of its samples: current, speed, current, ...
-pub fn carry(run: &Around<'_>, tangents: &[&Tangent], mut hand_on: impl FnMut(usize, &[Lane])) {
+pub(super) fn carry(
+    run: &Around<'_>,
+    tangents: &[&Tangent],
+    mut hand_on: impl FnMut(usize, &[Lane]),
+) {
     let mut travellers: Vec<Traveller<'_>> = tangents
         .iter()
         .map(|tangent| Traveller::new(tangent, run))

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 /// Whitened innovations of each column: current and speed, sample by sample; one that ends early is zero beyond. Single precision halves what a long run
 /// needs; its rounding is like white noise ten million times smaller than the column. Sums are in double precision.
 #[derive(Clone, Debug, Default)]
-pub struct Whitened {
+pub(super) struct Whitened {
     pub columns: Vec<Vec<f32>>,
     rows: usize,
 }
@@ -21,12 +21,12 @@ const PARTS: usize = 8;
 const BLOCK: usize = 64;
 
 impl Whitened {
-    pub const fn new(columns: Vec<Vec<f32>>, rows: usize) -> Self {
+    pub(super) const fn new(columns: Vec<Vec<f32>>, rows: usize) -> Self {
         Self { columns, rows }
     }
 
     /// The first rows of all columns.
-    pub fn beginning(&self, rows: usize) -> Self {
+    pub(super) fn beginning(&self, rows: usize) -> Self {
         Self {
             columns: self
                 .columns
@@ -38,7 +38,7 @@ impl Whitened {
     }
 
     /// Products of another column with each of these, with itself, and with the residual.
-    pub fn products(&self, other: &[f32], residual: &[[f64; 2]]) -> DVector<f64> {
+    pub(super) fn products(&self, other: &[f32], residual: &[[f64; 2]]) -> DVector<f64> {
         let dot = |column: &[f32]| -> f64 {
             column
                 .iter()
@@ -57,14 +57,14 @@ impl Whitened {
     }
 
     /// One number of a column.
-    pub fn at(&self, column: usize, row: usize) -> f64 {
+    pub(super) fn at(&self, column: usize, row: usize) -> f64 {
         self.columns[column]
             .get(row)
             .map_or(0.0, |value| f64::from(*value))
     }
 
     /// `w' w` with `w` these columns and `last` behind them.
-    pub fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
+    pub(super) fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
         let filled: Vec<usize> = (0..self.columns.len())
             .filter(|k| !self.columns[*k].is_empty())
             .collect();

@@ -43,7 +43,11 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
         effect,
         rank: 1,
         status,
-        probability: 0.97,
+        probability: match status {
+            Status::Supported => 0.97,
+            Status::Possible => 0.43,
+            _ => 0.01,
+        },
         parameters: vec![ParameterEstimate {
             key: format!("{effect}.{}", spec.key),
             value: Some(0.2),
@@ -51,7 +55,10 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
             unit: spec.unit,
             verdict: Verdict::Settled,
             reason: None,
-        }],
+        }]
+        .into_iter()
+        .filter(|_| status == Status::Supported)
+        .collect(),
         interval_factor: 2.0,
         reached: Some(Reached {
             torque_n_m: Some(Peak {
