@@ -27,6 +27,9 @@ pub(super) struct Noise {
 pub(super) const VOLTAGE_S: f64 = 0.05;
 /// Uncertainty of the speed after a break-away or a change of sign, as a share of the largest speed.
 const JUMP: f64 = 0.0017;
+/// What is not known of the first current, as a share of the largest, and of the first speed, in units of its noise.
+const START: f64 = 0.1;
+const START_IN_NOISE: f64 = 10.0;
 /// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
 const RELEASED: f64 = 5.0;
 
@@ -236,9 +239,13 @@ pub(super) fn lead(
     p[2][2] = stationary;
     p[3][3] = noise.voltage_v.powi(2);
     let mut volts = 0.0;
-    // A signal whose noise is not known is not looked at.
-    if noise.current_a.is_finite() {
-        p[0][0] = (0.1 * noise.current_a).powi(2);
+    // What flowed before the first row is not known, as where an offset of the voltage held it; nor how fast a shaft
+    // turned that did not rest.
+    let currents = scenario.current_a.iter().filter(|value| value.is_finite());
+    let most_a = currents.fold(0.0_f64, |most, value| most.max(value.abs()));
+    p[0][0] = (START * most_a).powi(2);
+    if start.speed_rad_s != 0.0 && noise.speed_rad_s.is_finite() {
+        p[1][1] = (START_IN_NOISE * noise.speed_rad_s).powi(2);
     }
     let mut load = 0.0;
     let mut direction = start.direction();
