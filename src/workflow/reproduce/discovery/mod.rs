@@ -116,18 +116,6 @@ pub fn discovery(
     })
 }
 
-/// Fit run and hold-out of every set, for development.
-pub fn sets(size: Size) -> Vec<Case> {
-    cases::all(size)
-}
-
-/// The runs of one set.
-pub fn runs_of(case: &Case) -> Result<(crate::plant::Scenario, crate::plant::Scenario), String> {
-    record::runs(case)
-        .map(|runs| (runs.fit, runs.holdout))
-        .map_err(|error| error.to_string())
-}
-
 /// One set from the machine to the verdict. The diagnosis starts from the nameplate and gets the rows of two runs,
 /// nothing else.
 fn answer(case: &Case) -> Answer {
