@@ -120,7 +120,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let options = Options {
             until_floor: arguments.until_floor,
             progress: &progress::diagnosis,
-            ..Options::default()
         };
         diagnose_with(&original, prepared.evidence.clone(), options)?
     };

@@ -140,7 +140,7 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
                     diagnosis.explained_percent
                 )
             };
-            let parts: String = diagnosis.unknown.iter().map(|part| format!("; {}", part.sentence)).collect();
+            let parts = diagnosis.unknown.iter().fold(String::new(), |parts, part| parts + "; " + &part.sentence);
             format!("held-out error {before:.2} {times}, and {known}{parts}")
         }
         DiagnosisVerdict::Ambiguous => format!(

@@ -152,7 +152,7 @@ pub fn diagnose_with(
         of: inference.named.len(),
     });
     let rungs = climb(&evidence, baseline, &inference, options.progress)?;
-    Ok(answer(&evidence, &inference, rungs))
+    Ok(answer(&evidence, &inference, &rungs))
 }
 
 /// A model on the ladder, fitted to the fit run alone, and its score on the hold-out.
@@ -198,7 +198,7 @@ fn climb(
     Ok(rungs)
 }
 
-fn answer(evidence: &Evidence, inference: &Inference, rungs: Vec<Standing>) -> Diagnosis {
+fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = evidence.floor();
     let verdict = verdict(evidence, inference, &base.score, &best.score);
@@ -210,7 +210,7 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: Vec<Standing>) -> D
     };
     let eta = explained(base.score.nrms, best.score.nrms, floor);
     let settled = decide::at_the_floor(evidence, &best.score);
-    let candidates = describe(evidence, inference, &rungs);
+    let candidates = describe(evidence, inference, rungs);
     let excited = candidates
         .iter()
         .any(|candidate| candidate.status != Status::NotExcited);

@@ -309,7 +309,6 @@ impl Commission {
         let options = Options {
             until_floor: true,
             progress: diagnosing,
-            ..Options::default()
         };
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), options)?;
         if let Some(bench) = &self.bench {

@@ -166,7 +166,6 @@ impl Discovery {
         let options = Options {
             until_floor: self.until_floor,
             progress: &progress,
-            ..Options::default()
         };
         diagnose_with(&self.model, self.evidence.clone(), options)
     }

@@ -11,8 +11,8 @@ use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
 use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, Path, Scenario, Slot, State,
-    typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario,
+    Slot, State, typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -392,7 +392,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
         .find(|active| active.id() == id)?
         .values_or_guess();
     let mut form = Form::new(values.clone(), 0.0);
-    if !specs.iter().any(|spec| spec.is_coefficient()) {
+    if !specs.iter().any(ParameterSpec::is_coefficient) {
         let without = model.without_effect(id).ok()?;
         form.variant.mean = 1.0 / WHOLE;
         form.column(
@@ -682,7 +682,7 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
         for (k, source) in sources.iter().enumerate() {
             match source {
                 Source::Difference { model, step } => {
-                    works.push((number, Work::Difference(k, model, *step)))
+                    works.push((number, Work::Difference(k, model, *step)));
                 }
                 Source::Known(column) if number == 0 => out[0].columns[k].clone_from(column),
                 _ => {}

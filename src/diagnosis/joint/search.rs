@@ -15,7 +15,7 @@ use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event, Progress};
-use crate::plant::{ActiveEffect, Model, Scenario, State, effect};
+use crate::plant::{ActiveEffect, Model, ParameterSpec, Scenario, State, effect};
 
 /// Mean square of the innovations above which a linear solution is not believed.
 const FAR: f64 = 3.0;
@@ -124,7 +124,7 @@ fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set)
                 {
                     if specs
                         .get(*parameter)
-                        .is_some_and(|spec| spec.is_coefficient())
+                        .is_some_and(ParameterSpec::is_coefficient)
                     {
                         let mut x = size(*column)?;
                         if specs[*parameter].min >= 0.0 || takes_power(candidate.id) {

@@ -90,8 +90,12 @@ fn state() -> impl Strategy<Value = State> {
             for (candidate, number) in answer.candidates.iter_mut().zip(&numbers) {
                 candidate.explained_percent = Some(*number);
                 candidate.detectable = Some(*number);
-                candidate.parameters[0].value = Some(*number);
-                candidate.parameters[0].std = Some(numbers[7]);
+                candidate.upper_bound = Some(*number);
+                candidate.probability = *number;
+                for parameter in &mut candidate.parameters {
+                    parameter.value = Some(*number);
+                    parameter.std = Some(numbers[7]);
+                }
             }
             if kind > 2 {
                 hear(&mut state, News::Diagnosed(Box::new(answer)));
