@@ -75,7 +75,7 @@ mod tests {
         let mut state = 1_u32;
         let events: Vec<(f64, f64)> = (0..6000)
             .scan(0.0, |dither, row: u32| {
-                if row % 10 == 0 {
+                if row.is_multiple_of(10) {
                     state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                     *dither = if state >> 31 == 0 { 8.0 } else { -8.0 };
                 }

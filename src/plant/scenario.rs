@@ -553,7 +553,7 @@ mod tests {
             |value: &dyn Fn(usize) -> f64| rows.iter().map(|row| value(*row)).collect::<Vec<f64>>();
         let mut run = Run::new("r", cells(&|row| 1e-3 * row as f64)).unwrap();
         let volts = |row: usize| {
-            if (row / 7 * row / 7) % 3 == 0 {
+            if (row / 7 * row / 7).is_multiple_of(3) {
                 5.0
             } else {
                 -5.0

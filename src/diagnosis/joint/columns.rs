@@ -440,12 +440,20 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             present,
         );
     }
-    let terms = effect.terms(&values);
+    bend(&mut form, model, effect, &values);
+    part.push(form);
+    Some(part)
+}
+
+/// What the form of an effect of the model may be wrong by, as columns without a prior mean.
+fn bend(form: &mut Form, model: &Model, effect: &'static dyn Effect, values: &[f64]) {
+    let specs = effect.parameters();
+    let terms = effect.terms(values);
     let path = terms.path();
     if effect.card().needs_angle {
         let squares = specs
             .iter()
-            .zip(&values)
+            .zip(values)
             .filter(|(spec, _)| spec.is_coefficient())
             .map(|(_, value)| value * value);
         let amplitude = squares.sum::<f64>().sqrt();
@@ -453,7 +461,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             .iter()
             .position(|spec| spec.key == "order")
             .map_or(1.0, |k| values[k]);
-        let gain = if id == "torque_ripple" {
+        let gain = if effect.card().id == "torque_ripple" {
             model.motor.torque_constant().unwrap_or(1.0) * 2.0
         } else {
             1.0
@@ -476,15 +484,13 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     {
         for power in [1, 2] {
             let bent = Tangent::Bent {
-                terms: effect.terms(&values),
+                terms: effect.terms(values),
                 power,
                 share: FORM,
             };
             form.column(Source::Tangent(bent), NO_PARAMETER, 0.0, 0.0);
         }
     }
-    part.push(form);
-    Some(part)
 }
 
 /// An effect that the model lacks, in each form of its grid.
@@ -666,6 +672,9 @@ pub(super) fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> O
     Some(assemble(nuisances, candidates, runs, columns))
 }
 
+/// Columns with the numbers of their sources.
+type Numbered = Vec<(usize, Vec<f32>)>;
+
 /// Columns of the runs, each from these sources.
 fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
     enum Work<'a> {
@@ -701,7 +710,7 @@ fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
                 .map(|some| (number, Work::Tangents(some.to_vec()))),
         );
     }
-    let done: Vec<(usize, Vec<(usize, Vec<f32>)>)> = works
+    let done: Vec<(usize, Numbered)> = works
         .into_par_iter()
         .with_max_len(1)
         .map(|(number, work)| {

@@ -166,6 +166,24 @@ pub(super) struct Update {
     pub speed: [f64; 5],
 }
 
+impl Update {
+    /// Correction of the four states by what was measured, and the whitened innovations; zero where not measured.
+    fn correct(&self, measured: [Option<f64>; 2], reading: [f64; 2]) -> ([f64; 4], [f64; 2]) {
+        let (mut change, mut white) = ([0.0; 4], [0.0; 2]);
+        for (signal, gains) in [self.current, self.speed].iter().enumerate() {
+            let Some(value) = measured[signal] else {
+                continue;
+            };
+            let e = value - reading[signal] - change[signal] * signal as f64;
+            for (change, gain) in change.iter_mut().zip(gains) {
+                *change += gain * e;
+            }
+            white[signal] = e * gains[4];
+        }
+        (change, white)
+    }
+}
+
 /// How one run is followed: the same for a model and for all that are near it.
 #[derive(Clone, Debug)]
 pub(super) struct Follower {
@@ -216,6 +234,191 @@ pub(super) fn jump_of(scenario: &Scenario) -> f64 {
     (JUMP * fastest).powi(2)
 }
 
+/// What the filter knows between two samples.
+struct Filter<'a> {
+    scenario: &'a Scenario,
+    noise: &'a Noise,
+    dynamics: Dynamics,
+    forms: Forms,
+    p: P,
+    load_n_m: f64,
+    voltage_v: f64,
+    /// Variance of the speed that a break-away or a change of sign adds.
+    jump: f64,
+    direction: f64,
+    last_s: f64,
+    last_speed: f64,
+    /// Number of the command that holds.
+    event: usize,
+    /// By how much the times of commands are not known, s.
+    edge_s: f64,
+    /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
+    hole_ends_s: Vec<f64>,
+    holes_passed: usize,
+    /// Propagators over the last interval, moving and at rest.
+    cached: (f64, [Propagator; 2]),
+}
+
+impl<'a> Filter<'a> {
+    fn new(model: &Model, scenario: &'a Scenario, start: State, noise: &'a Noise) -> Option<Self> {
+        let dynamics = Dynamics::of(model, scenario.input)?;
+        let mut p: P = [[0.0; 4]; 4];
+        p[2][2] = noise.disturbance_n_m.powi(2);
+        p[3][3] = noise.voltage_v.powi(2);
+        // What flowed before the first row is not known, as where an offset of the voltage held it; nor how fast a
+        // shaft turned that did not rest.
+        let currents = scenario.current_a.iter().filter(|value| value.is_finite());
+        let most_a = currents.fold(0.0_f64, |most, value| most.max(value.abs()));
+        p[0][0] = (START * most_a).powi(2);
+        if start.speed_rad_s != 0.0 && noise.speed_rad_s.is_finite() {
+            p[1][1] = (START_IN_NOISE * noise.speed_rad_s).powi(2);
+        }
+        let restarted = scenario.unknown_input.iter();
+        Some(Self {
+            scenario,
+            noise,
+            dynamics,
+            forms: Forms::of(model, scenario),
+            p,
+            load_n_m: 0.0,
+            voltage_v: 0.0,
+            jump: jump_of(scenario),
+            direction: start.direction(),
+            last_s: scenario.begin_s(),
+            last_speed: start.speed_rad_s,
+            event: 0,
+            edge_s: scenario
+                .input_delay_s()
+                .map_or(0.0, |(_, deviation_s)| deviation_s),
+            hole_ends_s: restarted
+                .filter(|hole| hole.restart.is_some())
+                .map(|hole| hole.to_s)
+                .collect(),
+            holes_passed: 0,
+            cached: (-1.0, [dynamics.over(0.0, false), dynamics.over(0.0, true)]),
+        })
+    }
+
+    /// Propagator over `interval_s`, kept for the next interval of the same length.
+    fn propagator(&mut self, interval_s: f64, rests: bool) -> Propagator {
+        if (interval_s - self.cached.0).abs() > 1e-6 * interval_s {
+            let over = |rests| self.dynamics.over(interval_s, rests);
+            self.cached = (interval_s, [over(false), over(true)]);
+        }
+        self.cached.1[usize::from(rests)]
+    }
+
+    /// Variance of the voltage that the commands applied until `time_s` add: nobody knows when exactly within its
+    /// exchange a command was applied.
+    fn edges_v2(&mut self, time_s: f64, interval_s: f64) -> f64 {
+        let events = &self.scenario.events;
+        let share = (self.edge_s / interval_s).min(1.0);
+        let mut variance = 0.0;
+        while self.event + 1 < events.len() && events[self.event + 1].0 < time_s {
+            variance += ((events[self.event + 1].1 - events[self.event].1) * share).powi(2);
+            self.event += 1;
+        }
+        variance
+    }
+
+    /// Goes to the time of `sample`, where the model is in `state`.
+    fn approach(&mut self, sample: usize, state: &State) -> (Passage, f64) {
+        let time_s = self.scenario.sample_time_s[sample];
+        let interval_s = time_s - self.last_s;
+        self.last_s = time_s;
+        let now = state.direction();
+        let rests = now == 0.0;
+        let crossed = now * self.direction < 0.0;
+        let released = self.direction == 0.0 && !rests && sample > 0;
+        let propagator = self.propagator(interval_s, rests);
+        let forget = (-interval_s / self.noise.correlation_s).exp();
+        let edges_v2 = self.edges_v2(time_s, interval_s);
+        let acceleration = if interval_s > 0.0 {
+            (state.speed_rad_s - self.last_speed) / interval_s
+        } else {
+            0.0
+        };
+        let [volts_2, torque_2] = self.forms.at(
+            time_s - self.scenario.begin_s(),
+            self.scenario.events[self.event].1,
+            state,
+            acceleration,
+        );
+        let end_s = self.hole_ends_s.get(self.holes_passed);
+        let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
+        self.holes_passed += usize::from(begins_again);
+        let unknown_v2 = self.scenario.input_variance_v2(sample) + edges_v2;
+        let fresh = if begins_again {
+            // A signal whose noise is not known is not looked at.
+            [self.noise.current_a, self.noise.speed_rad_s].map(|level| {
+                if level.is_finite() {
+                    level * level
+                } else {
+                    0.0
+                }
+            })
+        } else {
+            let moved = propagator.apply([0.0; 2], [self.dynamics.inverse_inductance, 0.0]);
+            moved.map(|moved| moved * moved * unknown_v2)
+        };
+        let passage = Passage {
+            propagator: if begins_again {
+                Propagator::default()
+            } else {
+                propagator
+            },
+            fresh,
+            begins_again,
+            interval_s,
+            direction: now,
+            kept: if rests || released { 0.0 } else { 1.0 },
+            form: [FORM * FORM * volts_2, FORM * FORM * torque_2],
+            voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
+        };
+        self.p = predicted(&self.p, &passage, &self.dynamics, self.noise, forget);
+        if crossed || released {
+            self.p[1][1] += self.jump;
+        }
+        if rests {
+            stop(&mut self.p);
+        }
+        self.load_n_m *= forget;
+        self.voltage_v *= passage.voltage_keeps;
+        (passage, forget)
+    }
+
+    /// Gains for what was measured at `sample`, where the model reads `reading`, and the variances that the samples
+    /// have because their times are vague.
+    fn gains(&mut self, sample: usize, reading: [f64; 2], rests: bool) -> (Update, [f64; 2]) {
+        let (mut update, mut vague) = (Update::default(), [0.0; 2]);
+        let [current, speed] = measured(self.scenario, self.noise, sample);
+        let mut moved = 0.0;
+        if let Some(value) = current {
+            vague[0] = spread(self.scenario, &self.scenario.current_a, sample).powi(2);
+            update.current = self.gain(0, self.noise.current_a.powi(2) + vague[0]);
+            moved = update.current[1] * (value - reading[0]);
+        }
+        if let Some(value) = speed {
+            let e = value - reading[1] - moved;
+            if rests && e.abs() > RELEASED * self.noise.speed_rad_s {
+                self.p[1][1] += e * e;
+            }
+            vague[1] = spread(self.scenario, &self.scenario.speed_rad_s, sample).powi(2);
+            update.speed = self.gain(1, self.noise.speed_rad_s.powi(2) + vague[1]);
+        }
+        (update, vague)
+    }
+
+    /// Gain of one scalar of `variance`, which the covariance takes in.
+    fn gain(&mut self, measured: usize, variance: f64) -> [f64; 5] {
+        let p = &self.p;
+        let s = p[measured][measured] + variance;
+        let k = [0, 1, 2, 3].map(|row| p[row][measured] / s);
+        self.p = corrected(p, &k, measured);
+        [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()]
+    }
+}
+
 /// Follows `scenario` with `model` and finds the gains on the way.
 pub(super) fn lead(
     model: &Model,
@@ -223,10 +426,9 @@ pub(super) fn lead(
     start: State,
     noise: &Noise,
 ) -> Option<(Follower, Followed)> {
-    let dynamics = Dynamics::of(model, scenario.input)?;
+    let mut filter = Filter::new(model, scenario, start, noise)?;
     let mut plant = Plant::new(model, scenario.input).ok()?;
     let n = scenario.samples();
-    let jump = jump_of(scenario);
     let mut follower = Follower {
         updates: Vec::with_capacity(n),
         forgets: Vec::with_capacity(n),
@@ -234,180 +436,42 @@ pub(super) fn lead(
         rows: 0,
     };
     let mut out = Followed::with_capacity(n);
-    let stationary = noise.disturbance_n_m.powi(2);
-    let mut p: P = [[0.0; 4]; 4];
-    p[2][2] = stationary;
-    p[3][3] = noise.voltage_v.powi(2);
-    let mut volts = 0.0;
-    // What flowed before the first row is not known, as where an offset of the voltage held it; nor how fast a shaft
-    // turned that did not rest.
-    let currents = scenario.current_a.iter().filter(|value| value.is_finite());
-    let most_a = currents.fold(0.0_f64, |most, value| most.max(value.abs()));
-    p[0][0] = (START * most_a).powi(2);
-    if start.speed_rad_s != 0.0 && noise.speed_rad_s.is_finite() {
-        p[1][1] = (START_IN_NOISE * noise.speed_rad_s).powi(2);
-    }
-    let mut load = 0.0;
-    let mut direction = start.direction();
-    let mut last_s = scenario.begin_s();
-    let mut cached: (f64, [Propagator; 2]) =
-        (-1.0, [dynamics.moving.over(0.0), dynamics.stuck.over(0.0)]);
     let mut trajectory = Trajectory::default();
-    let forms = Forms::of(model, scenario);
-    let mut event = 0;
-    let mut last_speed = start.speed_rad_s;
-    let edge_s = scenario
-        .input_delay_s()
-        .map_or(0.0, |(_, deviation_s)| deviation_s);
-    let restarted = scenario.unknown_input.iter();
-    let mut holes = restarted
-        .filter(|hole| hole.restart.is_some())
-        .map(|hole| hole.to_s)
-        .peekable();
     plant.follow_into(
         scenario,
         start,
         &mut trajectory,
         |sample, reading, state| {
-            let time_s = scenario.sample_time_s[sample];
-            let interval_s = time_s - last_s;
-            last_s = time_s;
-            if (interval_s - cached.0).abs() > 1e-6 * interval_s {
-                cached = (
-                    interval_s,
-                    [
-                        dynamics.moving.over(interval_s),
-                        dynamics.stuck.over(interval_s),
-                    ],
-                );
-            }
-            let now = state.direction();
-            let rests = now == 0.0;
-            let crossed = now * direction < 0.0;
-            let released = direction == 0.0 && !rests && sample > 0;
-            let propagator = cached.1[usize::from(rests)];
-            let forget = (-interval_s / noise.correlation_s).exp();
-            let mut edges_v2 = 0.0;
-            while event + 1 < scenario.events.len() && scenario.events[event + 1].0 < time_s {
-                // Nobody knows when exactly within its exchange a command was applied.
-                let jump_v = scenario.events[event + 1].1 - scenario.events[event].1;
-                let share = (edge_s / interval_s).min(1.0);
-                edges_v2 += (jump_v * share).powi(2);
-                event += 1;
-            }
-            let acceleration = if interval_s > 0.0 {
-                (state.speed_rad_s - last_speed) / interval_s
-            } else {
-                0.0
-            };
-            let [volts_2, torque_2] = forms.at(
-                time_s - scenario.begin_s(),
-                scenario.events[event].1,
-                state,
-                acceleration,
-            );
-            let begins_again = holes.next_if(|to_s| *to_s <= time_s).is_some();
-            let unknown_v2 = scenario.input_variance_v2(sample) + edges_v2;
-            let fresh = if begins_again {
-                [noise.current_a, noise.speed_rad_s].map(|level| {
-                    // A signal whose noise is not known is not looked at.
-                    if level.is_finite() {
-                        level * level
-                    } else {
-                        0.0
-                    }
-                })
-            } else if unknown_v2 > 0.0 {
-                let moved = propagator.apply([0.0; 2], [dynamics.inverse_inductance, 0.0]);
-                moved.map(|moved| moved * moved * unknown_v2)
-            } else {
-                [0.0; 2]
-            };
-            let passage = Passage {
-                propagator: if begins_again {
-                    Propagator::default()
-                } else {
-                    propagator
-                },
-                fresh,
-                begins_again,
-                interval_s,
-                direction: now,
-                kept: if rests || released { 0.0 } else { 1.0 },
-                form: [FORM * FORM * volts_2, FORM * FORM * torque_2],
-                voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
-            };
-            p = predicted(&p, &passage, &dynamics, noise, forget);
-            if crossed || released {
-                p[1][1] += jump;
-            }
-            if rests {
-                for k in 0..4 {
-                    p[1][k] = 0.0;
-                    p[k][1] = 0.0;
-                }
-            }
-            load *= forget;
-            volts *= passage.voltage_keeps;
-            let [current, speed] = measured(scenario, noise, sample);
-            let mut change = [0.0; 4];
-            let mut update = Update::default();
-            let mut white = [0.0; 2];
-            if let Some(value) = current {
-                let spread = spread(scenario, &scenario.current_a, sample);
-                out.vague[sample][0] = spread * spread;
-                let s = p[0][0] + noise.current_a * noise.current_a + spread * spread;
-                let k = [p[0][0] / s, p[1][0] / s, p[2][0] / s, p[3][0] / s];
-                let e = value - reading[0];
-                for row in 0..4 {
-                    change[row] += k[row] * e;
-                }
-                p = corrected(&p, &k, 0);
-                update.current = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
-                white[0] = e / s.sqrt();
-                follower.rows += 1;
-            }
-            if let Some(value) = speed {
-                let e = value - reading[1] - change[1];
-                let sigma = noise.speed_rad_s;
-                if rests && e.abs() > RELEASED * sigma {
-                    p[1][1] += e * e;
-                }
-                let spread = spread(scenario, &scenario.speed_rad_s, sample);
-                out.vague[sample][1] = spread * spread;
-                let s = p[1][1] + sigma * sigma + spread * spread;
-                let k = [p[0][1] / s, p[1][1] / s, p[2][1] / s, p[3][1] / s];
-                for row in 0..4 {
-                    change[row] += k[row] * e;
-                }
-                p = corrected(&p, &k, 1);
-                update.speed = [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()];
-                white[1] = e / s.sqrt();
-                follower.rows += 1;
-            }
-            load += change[2];
-            volts += change[3];
+            let (passage, forget) = filter.approach(sample, state);
+            let now = passage.direction;
+            let (update, vague) = filter.gains(sample, reading, now == 0.0);
+            let values = measured(scenario, noise, sample);
+            let (change, white) = update.correct(values, reading);
+            filter.load_n_m += change[2];
+            filter.voltage_v += change[3];
+            follower.rows += values.iter().flatten().count();
             follower.updates.push(update);
             follower.forgets.push(forget);
             follower.passages.push(passage);
             let before = [state.current_a, state.speed_rad_s];
+            let after = [before[0] + change[0], before[1] + change[1]];
+            out.vague[sample] = vague;
             out.before.push(before);
-            out.after
-                .push([before[0] + change[0], before[1] + change[1]]);
-            out.load_n_m.push(load);
+            out.after.push(after);
+            out.load_n_m.push(filter.load_n_m);
             out.white.push(white);
-            last_speed = before[1] + change[1];
-            direction = if change[1] == 0.0 {
+            out.direction.push(now);
+            filter.last_speed = after[1];
+            filter.direction = if change[1] == 0.0 {
                 now
             } else {
-                (before[1] + change[1]).signum()
+                after[1].signum()
             };
-            out.direction.push(now);
             Some(Correction {
                 current_a: change[0],
                 speed_rad_s: change[1],
-                load_n_m: load,
-                voltage_v: volts,
+                load_n_m: filter.load_n_m,
+                voltage_v: filter.voltage_v,
             })
         },
     );
@@ -433,23 +497,7 @@ pub(super) fn follow(
         let update = &follower.updates[sample];
         load *= follower.forgets[sample];
         volts *= follower.passages[sample].voltage_keeps;
-        let [current, speed] = measured(scenario, noise, sample);
-        let mut change = [0.0; 4];
-        let mut white = [0.0; 2];
-        if let Some(value) = current {
-            let e = value - reading[0];
-            for (change, gain) in change.iter_mut().zip(update.current) {
-                *change += gain * e;
-            }
-            white[0] = e * update.current[4];
-        }
-        if let Some(value) = speed {
-            let e = value - reading[1] - change[1];
-            for (change, gain) in change.iter_mut().zip(update.speed) {
-                *change += gain * e;
-            }
-            white[1] = e * update.speed[4];
-        }
+        let (change, white) = update.correct(measured(scenario, noise, sample), reading);
         load += change[2];
         volts += change[3];
         out.push(white);
@@ -512,6 +560,14 @@ pub(super) fn predicted(
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
     out[3][3] += (noise.voltage_v.powi(2) + passage.form[0]) * (1.0 - keeps * keeps);
     out
+}
+
+/// The speed of a shaft at rest is known.
+pub(super) fn stop(p: &mut P) {
+    p[1] = [0.0; 4];
+    for row in p {
+        row[1] = 0.0;
+    }
 }
 
 pub(super) fn corrected(p: &P, k: &[f64; 4], measured: usize) -> P {

@@ -73,10 +73,10 @@ pub(super) fn keep_likeliest(
             add_products(run, base, &tangents, &mut group.products);
         }
     });
-    for number in 0..parts.len() {
+    for (number, part) in parts.iter_mut().enumerate() {
         let mut gains: Vec<(usize, f64)> = Vec::new();
         for group in groups.iter().filter(|group| group.part == number) {
-            let width = parts[number].sources[0].len();
+            let width = part.sources[0].len();
             for (place, form) in group.forms.iter().enumerate() {
                 gains.push((
                     *form,
@@ -89,7 +89,7 @@ pub(super) fn keep_likeliest(
         }
         gains.sort_by(|a, b| b.1.total_cmp(&a.1));
         gains.truncate(KEPT);
-        parts[number].keep(|form| gains.iter().any(|gain| gain.0 == form));
+        part.keep(|form| gains.iter().any(|gain| gain.0 == form));
     }
 }
 

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
 use super::columns::{Around, Linear};
-use super::follow::{Noise, P, Passage, VOLTAGE_S, corrected, jump_of, predicted};
+use super::follow::{Noise, P, Passage, VOLTAGE_S, corrected, jump_of, predicted, stop};
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
 use super::whitened::Whitened;
@@ -153,7 +153,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
         } else {
             0.0
         };
-        jumps |= sample > 0 && passage.direction != 0.0 && passage.direction != last;
+        jumps |= sample > 0 && passage.direction != 0.0 && passage.direction * last <= 0.0;
         direction = passage.direction;
     }
     let passage = Passage {
@@ -192,10 +192,7 @@ impl Averaged {
                 p[1][1] += jump;
             }
             if passage.direction == 0.0 {
-                for j in 0..4 {
-                    p[1][j] = 0.0;
-                    p[j][1] = 0.0;
-                }
+                stop(&mut p);
             }
             let step = Step::of(passage, forget, &run.dynamics);
             for state in &mut states {

@@ -165,8 +165,7 @@ fn approach(mut model: Model, scenario: &Scenario, start: State, noise: Noise) -
         if now < FAR * rows {
             break;
         }
-        let step = best_step(&model, &runs, FAR * rows)?;
-        match step {
+        match best_step(&model, &runs, FAR * rows) {
             Some(step) if step.squares < WORTH_A_STEP * now => model = step.model,
             _ => break,
         }
@@ -175,7 +174,7 @@ fn approach(mut model: Model, scenario: &Scenario, start: State, noise: Noise) -
 }
 
 /// The best single effect beside `model`; `near` is where the squares are small enough.
-fn best_step(model: &Model, runs: &[Around<'_>], near: f64) -> Option<Option<Step>> {
+fn best_step(model: &Model, runs: &[Around<'_>], near: f64) -> Option<Step> {
     let linear = linearise(model, runs, false)?;
     let reduced = Reduced::new(&linear, 1.0, false)?;
     let set = present(&linear);
@@ -232,7 +231,7 @@ fn best_step(model: &Model, runs: &[Around<'_>], near: f64) -> Option<Option<Ste
             }
         }
     }
-    Some(best)
+    best
 }
 
 /// Searches from `model` on; `floor` is the noise to begin with, whose sensors are those at rest. `None` where the model

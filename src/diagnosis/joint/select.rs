@@ -320,27 +320,28 @@ fn log_positive(mean: f64, sd: f64) -> f64 {
     erfc(-mean / sd / std::f64::consts::SQRT_2).max(1e-300).ln()
 }
 
-/// Finds the plausible sets, from each of `starts` on.
-pub(super) fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
-    let n = reduced.linear.candidates.len();
-    let mut weighed: HashMap<Set, f64> = HashMap::new();
-    let mut exact: HashMap<Set, f64> = HashMap::new();
-    let mut expanded = 0;
-    let mut queue: Vec<Set> = starts.to_vec();
-    for start in starts {
-        let log = reduced.log_posterior(start);
-        weighed.insert(start.clone(), log);
-        exact.insert(start.clone(), log);
-    }
-    while let Some(set) = queue.pop() {
-        let base = *exact
+/// The sets that were looked at.
+struct Explored<'a> {
+    reduced: &'a Reduced<'a>,
+    /// Log posterior of each, where it is only reckoned from a neighbour's also.
+    weighed: HashMap<Set, f64>,
+    /// Log posterior of those whose own was worked out.
+    exact: HashMap<Set, f64>,
+}
+
+impl Explored<'_> {
+    fn exactly(&mut self, set: &Set) -> f64 {
+        let reduced = self.reduced;
+        *self
+            .exact
             .entry(set.clone())
-            .or_insert_with(|| reduced.log_posterior(&set));
-        weighed.insert(set.clone(), base);
-        expanded += 1;
-        // Taken out one by one, and everything put in beside what is left.
+            .or_insert_with(|| reduced.log_posterior(set))
+    }
+
+    /// Weighs every set that differs from `set` by one effect put in, taken out or exchanged.
+    fn expand(&mut self, set: &Set) {
         let mut bases: Vec<Set> = vec![set.clone()];
-        for k in 0..n {
+        for k in 0..set.len() {
             if set[k].is_some() {
                 let mut without = set.clone();
                 without[k] = None;
@@ -348,72 +349,86 @@ pub(super) fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
             }
         }
         for from in &bases {
-            let log = *exact
-                .entry(from.clone())
-                .or_insert_with(|| reduced.log_posterior(from));
-            weighed.insert(from.clone(), log);
-            let columns = reduced.columns(from);
-            let Some((factor, b)) = reduced.factor(&columns) else {
+            let log = self.exactly(from);
+            self.weighed.insert(from.clone(), log);
+            self.put_in(from, log);
+        }
+    }
+
+    /// Weighs every set with one effect more than `from`, whose log posterior is `log`.
+    fn put_in(&mut self, from: &Set, log: f64) {
+        let reduced = self.reduced;
+        let columns = reduced.columns(from);
+        let Some((factor, b)) = reduced.factor(&columns) else {
+            return;
+        };
+        let mean = factor.solve(&b);
+        for (k, candidate) in reduced.linear.candidates.iter().enumerate() {
+            if from[k].is_some() {
                 continue;
+            }
+            let excludes = candidate.excludes.iter().any(|o| from[*o].is_some());
+            let (next, log, logs) = if excludes {
+                let cleared = reduced.cleared(from, k);
+                let log = self.exactly(&cleared);
+                let logs = reduced.conditional(&reduced.columns(&cleared), k);
+                (cleared, log, logs)
+            } else {
+                let logs = reduced.beside(&columns, &factor, &mean, k);
+                (from.clone(), log, logs)
             };
-            let mean = factor.solve(&b);
-            for k in 0..n {
-                if from[k].is_some() {
-                    continue;
-                }
-                let excludes = reduced.linear.candidates[k]
-                    .excludes
-                    .iter()
-                    .any(|o| from[*o].is_some());
-                let (next, log, logs) = if excludes {
-                    let cleared = reduced.cleared(from, k);
-                    let log = *exact
-                        .entry(cleared.clone())
-                        .or_insert_with(|| reduced.log_posterior(&cleared));
-                    let logs = reduced.conditional(&reduced.columns(&cleared), k);
-                    (cleared, log, logs)
-                } else {
-                    (
-                        from.clone(),
-                        log,
-                        reduced.beside(&columns, &factor, &mean, k),
-                    )
-                };
-                for (v, gain) in logs.iter().enumerate() {
-                    let mut with = next.clone();
-                    with[k] = Some(v);
-                    weighed.entry(with).or_insert(log + gain);
-                }
-            }
-        }
-        // The best that has not been expanded yet, as long as it is near the best of all.
-        let top = weighed.values().copied().fold(f64::NEG_INFINITY, f64::max);
-        if expanded >= MOST_EXPANDED {
-            break;
-        }
-        if queue.is_empty() {
-            let mut next: Option<(&Set, f64)> = None;
-            for (set, log) in &weighed {
-                let better = next.is_none_or(|n| *log > n.1 || (*log == n.1 && *set < *n.0));
-                if *log > top - WINDOW && better && !exact.contains_key(set) {
-                    next = Some((set, *log));
-                }
-            }
-            if let Some((set, _)) = next {
-                queue.push(set.clone());
+            for (v, gain) in logs.iter().enumerate() {
+                let mut with = next.clone();
+                with[k] = Some(v);
+                self.weighed.entry(with).or_insert(log + gain);
             }
         }
     }
-    let mut sets: Vec<(Set, f64)> = weighed.into_iter().collect();
+
+    /// The best set that was not expanded yet, as long as it is near the best of all.
+    fn next(&self) -> Option<Set> {
+        let top = self
+            .weighed
+            .values()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max);
+        self.weighed
+            .iter()
+            .filter(|(set, log)| **log > top - WINDOW && !self.exact.contains_key(*set))
+            .max_by(|a, b| a.1.total_cmp(b.1).then_with(|| b.0.cmp(a.0)))
+            .map(|(set, _)| set.clone())
+    }
+}
+
+/// Finds the plausible sets, from each of `starts` on.
+pub(super) fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
+    let n = reduced.linear.candidates.len();
+    let mut explored = Explored {
+        reduced,
+        weighed: HashMap::new(),
+        exact: HashMap::new(),
+    };
+    for start in starts {
+        let log = explored.exactly(start);
+        explored.weighed.insert(start.clone(), log);
+    }
+    let mut queue: Vec<Set> = starts.to_vec();
+    for _ in 0..MOST_EXPANDED {
+        let Some(set) = queue.pop().or_else(|| explored.next()) else {
+            break;
+        };
+        explored.expand(&set);
+    }
+    let mut sets: Vec<(Set, f64)> = explored.weighed.into_iter().collect();
     sets.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
     let (best, best_log) = sets[0].clone();
     let total: f64 = sets.iter().map(|s| (s.1 - best_log).exp()).sum();
     let mut probability = vec![0.0; n];
     for (set, log) in &sets {
         let share = (log - best_log).exp() / total;
-        for k in 0..n {
-            if set[k].is_some() {
-                probability[k] += share;
+        for (probability, chosen) in probability.iter_mut().zip(set) {
+            if chosen.is_some() {
+                *probability += share;
             }
         }
     }
