@@ -59,7 +59,7 @@ pub(super) fn of_models(
             share: explained(before.nrms, after.nrms, evidence.floor()),
             holds: pays(&before, &after, settings)
                 && decide::explains(evidence, &before, &after, &after),
-            at_the_floor: decide::at_the_floor(evidence, &before),
+            at_the_floor: decide::at_the_floor(evidence, before.nrms),
         })
     };
     Some(match repeated() {

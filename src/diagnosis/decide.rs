@@ -117,9 +117,9 @@ pub(super) fn explained_beyond_doubt(evidence: &Evidence, before: &Score, now: &
     explained(before.nrms, now.nrms, highest_floor(evidence))
 }
 
-/// Whether a model explains the hold-out to the noise.
-pub(super) fn at_the_floor(evidence: &Evidence, score: &Score) -> bool {
-    score.nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
+/// Whether an error is no more than the noise.
+pub(super) fn at_the_floor(evidence: &Evidence, nrms: f64) -> bool {
+    nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
 }
 
 /// Whether a set of effects explains enough to be named: one of it alone a good part, or all of them nearly everything.

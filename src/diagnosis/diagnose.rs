@@ -9,7 +9,7 @@ use super::decide::{self, Settings, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::fitted::Fitted;
-use super::joint::answer::{Inference, Part, infer};
+use super::joint::answer::{Inference, Part, infer, refined};
 use super::ladder::Rung;
 use super::mechanical;
 use super::next_experiment::{NextExperiment, equivalences};
@@ -161,7 +161,8 @@ pub(super) struct Standing {
     pub(super) score: Score,
 }
 
-/// The baseline and one named effect more on each rung, what explains most first.
+/// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
+/// are handed on.
 fn climb(
     evidence: &Evidence,
     baseline: Fit,
@@ -173,7 +174,15 @@ fn climb(
         Ok(Standing { fit, score })
     };
     let given = baseline.model.effect_ids();
-    let mut rungs = vec![standing(baseline)?];
+    let last = inference.named.len();
+    let on_rung = |place: usize, fit: Fit| {
+        if place == last {
+            refined(fit, &evidence.training, inference.noise)
+        } else {
+            fit
+        }
+    };
+    let mut rungs = vec![standing(on_rung(0, baseline))?];
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
         let mut start = inference.model.clone();
@@ -184,6 +193,7 @@ fn climb(
             start = start.with_effect(id)?;
         }
         let fit = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
+        let fit = on_rung(place + 1, fit);
         progress(Event::Refitted {
             effect: id,
             error: fit.nrms,
@@ -201,7 +211,7 @@ fn climb(
 fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = evidence.floor();
-    let verdict = verdict(evidence, inference, &base.score, &best.score);
+    let verdict = verdict(evidence, inference, &base.score);
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
         // The maps are a help; without them the verdict stands.
         axis_map(&best.fit.model, &evidence.training, &evidence.noise).unwrap_or_default()
@@ -209,7 +219,7 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Dia
         Vec::new()
     };
     let eta = explained(base.score.nrms, best.score.nrms, floor);
-    let settled = decide::at_the_floor(evidence, &best.score);
+    let settled = decide::at_the_floor(evidence, best.score.nrms);
     let candidates = describe(evidence, inference, rungs);
     let excited = candidates
         .iter()
@@ -263,28 +273,26 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Dia
     diagnosis
 }
 
-/// Share of the explainable error that may stay unexplained beside what is named.
+/// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF: f64 = 0.5;
 
-fn verdict(
-    evidence: &Evidence,
-    inference: &Inference,
-    base: &Score,
-    best: &Score,
-) -> DiagnosisVerdict {
-    let at_floor = |score: &Score| {
-        evidence.noise.source == FloorSource::None || decide::at_the_floor(evidence, score)
+fn verdict(evidence: &Evidence, inference: &Inference, base: &Score) -> DiagnosisVerdict {
+    let is_known = evidence.noise.source != FloorSource::None;
+    let at_floor = !is_known || decide::at_the_floor(evidence, base.nrms);
+    let Some(first) = inference.named.first() else {
+        return if inference.unknown.is_empty() && at_floor {
+            DiagnosisVerdict::None
+        } else {
+            DiagnosisVerdict::Unexplained
+        };
     };
-    let eta = decide::explained_beyond_doubt(evidence, base, best);
-    if inference.named.is_empty() && inference.unknown.is_empty() && at_floor(base) {
-        return DiagnosisVerdict::None;
-    }
-    let open = !inference.unknown.is_empty() || !decide::at_the_floor(evidence, best);
-    if inference.named.is_empty() || (open && eta < HALF) {
-        return DiagnosisVerdict::Unexplained;
-    }
-    let first = inference.named[0];
-    if inference.confusable.iter().any(|pair| pair[0] == first) {
+    let floor = evidence.floor();
+    let above = |nrms: f64| nrms * nrms - floor * floor;
+    let left = inference.unexplained;
+    let within_floor = is_known && decide::at_the_floor(evidence, left);
+    if !within_floor && above(left) > HALF * above(base.nrms) {
+        DiagnosisVerdict::Unexplained
+    } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous
     } else {
         DiagnosisVerdict::Effect

@@ -78,11 +78,20 @@ pub fn clustered(
 
 /// `(J'J)^-1` on the directions that the data determine, and which unknowns those cover.
 pub fn inverse_where_determined(jacobian: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
-    let unknowns = jacobian.ncols();
+    inverse_of_normal(&jacobian.tr_mul(jacobian))
+}
+
+/// The same from the normal matrix `J'J`.
+pub fn inverse_of_normal(normal: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
+    let unknowns = normal.ncols();
     if unknowns == 0 {
         return (DMatrix::zeros(0, 0), Vec::new());
     }
-    let norms: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
+    let norms: Vec<f64> = normal
+        .diagonal()
+        .iter()
+        .map(|square| square.sqrt())
+        .collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
     let mut determined: Vec<bool> = norms
         .iter()
@@ -93,7 +102,6 @@ pub fn inverse_where_determined(jacobian: &DMatrix<f64>) -> (DMatrix<f64>, Vec<b
         .zip(&determined)
         .map(|(norm, known)| if *known { 1.0 / norm } else { 0.0 })
         .collect();
-    let normal = jacobian.tr_mul(jacobian);
     let scaled = DMatrix::from_fn(unknowns, unknowns, |r, c| {
         normal[(r, c)] * scales[r] * scales[c]
     });

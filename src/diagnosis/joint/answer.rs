@@ -1,15 +1,20 @@
 //! What the posterior says of each effect of the catalogue, and of what none of them explains.
 
+use super::columns::Around;
 use super::follow::Noise;
+use super::prediction_error::estimate;
 use super::search::{self, Found};
 use super::select::{Reduced, Set};
 use crate::diagnosis::Evidence;
 use crate::diagnosis::evidence::HoldoutFrom;
 use crate::diagnosis::progress::Progress;
+use crate::diagnosis::score::Score;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{Fit, FitError};
+use crate::identification::verdict::judge;
 use crate::plant::effect::CATALOGUE;
 use crate::plant::{Effect, Model, Scenario, State};
+use crate::sample::Verdict;
 
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
 const BOUND: f64 = 1.75;
@@ -62,6 +67,10 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) confusable: Vec<[&'static str; 2]>,
     /// The model with the best set, fitted on all runs.
     pub(in crate::diagnosis) model: Model,
+    /// Error, in units of the noise, that unknown parts and what wanders make on the hold-out beside the named effects.
+    pub(in crate::diagnosis) unexplained: f64,
+    /// What is random in the runs beside it.
+    pub(in crate::diagnosis) noise: Noise,
 }
 
 /// Weighs all sets of effects beside `baseline` on the fit run and the hold-out together.
@@ -144,7 +153,56 @@ pub(in crate::diagnosis) fn infer(
         unknown,
         named,
         model: found.model,
+        unexplained: {
+            let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
+            let signals = found.unexplained.into_iter().zip(levels);
+            let squares: Vec<f64> = signals
+                .filter(|(_, level)| level.is_finite())
+                .filter_map(|(rms, level)| Some((rms? / level).powi(2)))
+                .collect();
+            (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+        },
+        noise: found.noise,
     })
+}
+
+/// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
+/// motor's, counts as what it is. As it was where the model cannot be followed on the run; times of events stay.
+pub(in crate::diagnosis) fn refined(mut fit: Fit, run: &Scenario, noise: Noise) -> Fit {
+    let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
+    let model = fit.model.clone();
+    let estimated = Around::new(&model, run, start, noise).and_then(|run| estimate(&run));
+    let Some(estimated) = estimated else {
+        return fit;
+    };
+    let nrms = Score::of(&estimated.model, run, &fit.noise).map(|score| score.nrms);
+    let Ok(nrms) = nrms else {
+        return fit;
+    };
+    let times = &run.sample_time_s;
+    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    for (slot, deviation) in &estimated.deviations {
+        let key = slot.key();
+        let value = estimated.model.get(slot).unwrap_or(f64::NAN);
+        let mut judged = judge(slot, value, *deviation, period_s);
+        if !estimated.converged && judged.verdict == Verdict::Settled {
+            judged.verdict = Verdict::Searching;
+            judged.reason = Some("the fit had not converged".to_owned());
+        }
+        if let Some(parameter) = fit
+            .parameters
+            .iter_mut()
+            .find(|parameter| parameter.key == key)
+        {
+            *parameter = judged;
+        }
+    }
+    Fit {
+        model: estimated.model,
+        interval_factor: estimated.factor,
+        nrms,
+        ..fit
+    }
 }
 
 /// Equation and axis of an unknown part.

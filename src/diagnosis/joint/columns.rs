@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
+use super::nuisances::{bends, nuisances};
 use super::tangent::{Axis, LANES, Step, Tangent, Wave, carry};
 use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
@@ -12,7 +13,7 @@ use crate::diagnosis::shapes::shape_grid;
 use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario,
-    Slot, State, typical_size,
+    State, typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -193,7 +194,7 @@ impl<'a> Around<'a> {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "stored like this")]
-const fn single(value: f64) -> f32 {
+pub(super) const fn single(value: f64) -> f32 {
     value as f32
 }
 
@@ -235,14 +236,8 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
         .collect()
 }
 
-/// Prior standard deviation of the logarithm of a motor's parameter.
-const MOTOR: f64 = 0.3;
-/// Error of the stamps of commands and samples beforehand, as a share of the period.
-const STAMP: f64 = 0.05;
 /// Standard deviation of how much of an effect is there that is there wholly or not at all, for the form that was tried.
 const WHOLE: f64 = 0.15;
-/// What the form of an effect may differ from its equation by.
-const FORM: f64 = 0.1;
 
 /// A candidate whose columns have no numbers yet.
 pub(super) struct Part {
@@ -310,71 +305,13 @@ impl Form {
 }
 
 /// The effect with these values.
-fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
+pub(super) fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
     ActiveEffect {
         effect,
         values: values.iter().copied().map(Some).collect(),
     }
 }
 
-/// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
-/// samples alike; each with its standard deviation beforehand.
-fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
-    let mut nuisances = Vec::new();
-    for slot in model.free_slots() {
-        if let Slot::Motor(_) = slot {
-            let mut moved = model.clone();
-            let value = model.get(&slot)?;
-            moved.set(&slot, value * STEP.exp());
-            nuisances.push((
-                Source::Difference {
-                    model: moved,
-                    step: STEP,
-                },
-                MOTOR,
-            ));
-        }
-    }
-    if scenario.input != Input::Voltage {
-        return Some(nuisances);
-    }
-    let times = &scenario.sample_time_s;
-    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
-    for id in ["command_delay", "current_filter", "speed_delay"] {
-        let Some(effect) = effect::find(id) else {
-            continue;
-        };
-        let of_samples_s = scenario
-            .typical_half_width_s()
-            .map(|half| half / 3f64.sqrt());
-        let of_commands_s = scenario.input_delay_s().map(|(_, deviation)| deviation);
-        let known_s = if id == "command_delay" {
-            of_commands_s
-        } else {
-            of_samples_s
-        };
-        let error_s = (STAMP * period_s).max(known_s.unwrap_or(0.0));
-        let mut moved = model.clone();
-        match moved.effects.iter_mut().find(|active| active.id() == id) {
-            Some(active) => {
-                let now = active.values_or_guess()[0];
-                active.values = vec![Some(now + error_s)];
-            }
-            None => moved.effects.push(active(effect, &[error_s])),
-        }
-        nuisances.push((
-            Source::Difference {
-                model: moved,
-                step: 1.0,
-            },
-            1.0,
-        ));
-    }
-    Some(nuisances)
-}
-
-/// Step of a difference of two runs with a motor's parameter, relative.
-const STEP: f64 = 2e-3;
 /// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run, of an unknown curve.
 const LOG_ODDS: f64 = -2.197_224_577_336_219_6;
 const LOG_ODDS_STEP: f64 = -2.995_732_273_553_991;
@@ -440,57 +377,11 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             present,
         );
     }
-    bend(&mut form, model, effect, &values);
+    for source in bends(model, effect, &values) {
+        form.column(source, NO_PARAMETER, 0.0, 0.0);
+    }
     part.push(form);
     Some(part)
-}
-
-/// What the form of an effect of the model may be wrong by, as columns without a prior mean.
-fn bend(form: &mut Form, model: &Model, effect: &'static dyn Effect, values: &[f64]) {
-    let specs = effect.parameters();
-    let terms = effect.terms(values);
-    let path = terms.path();
-    if effect.card().needs_angle {
-        let squares = specs
-            .iter()
-            .zip(values)
-            .filter(|(spec, _)| spec.is_coefficient())
-            .map(|(_, value)| value * value);
-        let amplitude = squares.sum::<f64>().sqrt();
-        let order = specs
-            .iter()
-            .position(|spec| spec.key == "order")
-            .map_or(1.0, |k| values[k]);
-        let gain = if effect.card().id == "torque_ripple" {
-            model.motor.torque_constant().unwrap_or(1.0) * 2.0
-        } else {
-            1.0
-        };
-        for harmonic in [2.0, 3.0] {
-            for sine in [true, false] {
-                let wave = Wave {
-                    order: harmonic * order,
-                    sine,
-                    size: FORM * amplitude * gain,
-                    of_current: false,
-                };
-                form.column(Source::Tangent(Tangent::Wave(wave)), NO_PARAMETER, 0.0, 0.0);
-            }
-        }
-    } else if terms.states() == 0
-        && terms.coupling().is_none()
-        && path.measures_directly()
-        && !path.delays_command()
-    {
-        for power in [1, 2] {
-            let bent = Tangent::Bent {
-                terms: effect.terms(values),
-                power,
-                share: FORM,
-            };
-            form.column(Source::Tangent(bent), NO_PARAMETER, 0.0, 0.0);
-        }
-    }
 }
 
 /// An effect that the model lacks, in each form of its grid.
@@ -676,7 +567,7 @@ pub(super) fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> O
 type Numbered = Vec<(usize, Vec<f32>)>;
 
 /// Columns of the runs, each from these sources.
-fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
+pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whitened> {
     enum Work<'a> {
         Difference(usize, &'a Model, f64),
         Tangents(Vec<(usize, &'a Tangent)>),

@@ -12,7 +12,7 @@ use crate::plant::{
 
 /// What is random in a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Noise {
+pub(in crate::diagnosis) struct Noise {
     /// Standard deviations of the sensors.
     pub current_a: f64,
     pub speed_rad_s: f64,

@@ -3,18 +3,21 @@
 //! ```text
 //! model, run --(follow: Kalman filter)--> innovations, gains
 //!                 |-> columns   what each effect at its slab would add to the whitened innovations: Gram matrix
-//!                 |             (tangent: eight side by side; forms: the few worth a column; whitened: their storage)
+//!                 |             (nuisances: what is always in beside them; tangent: eight side by side; forms: the few worth a column; whitened: their storage)
 //!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
 //!                 '-> select    posterior over the sets of effects and forms
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
+//!         (excess: by how much what is left is more than white noise)
 //! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
 pub(super) mod answer;
 mod columns;
+mod excess;
 mod follow;
 mod forms;
 mod noise;
+mod nuisances;
 mod prediction_error;
 mod search;
 mod select;

@@ -1,8 +1,12 @@
 //! Prediction-error fit: every free parameter of a model, and of its effects, from the whitened innovations of the runs.
 
-use super::columns::{Around, SLAB};
+use super::columns::{Around, SLAB, single};
+use super::excess::excess;
 use super::follow::follow;
+use super::nuisances::of_equations;
+use super::whitened::Whitened;
 use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
+use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
 use crate::plant::{Model, ParameterRole, Scenario, Slot, typical_size};
 
@@ -200,6 +204,67 @@ pub(super) fn fit(model: &Model, runs: &[Around<'_>]) -> Option<(Model, f64)> {
     };
     let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
     Some((problem.model_at(&minimum.x), minimum.cost))
+}
+
+/// What prediction errors say of a model's parameters on one run.
+pub(super) struct Estimated {
+    pub(super) model: Model,
+    /// Each free parameter with its standard deviation; none where the run leaves it undetermined.
+    pub(super) deviations: Vec<(Slot, Option<f64>)>,
+    /// What they were multiplied by, because what is left is more than white noise.
+    pub(super) factor: f64,
+    pub(super) converged: bool,
+}
+
+/// Fits all that is free in the model of `run` and says how well each parameter is known: jointly with what may be wrong
+/// with the stamps and with the forms of the effects, times the excess of what is left over white noise. What was believed
+/// of the parameters beforehand has no part in it.
+pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
+    let runs = std::slice::from_ref(run);
+    let problem = Innovations::new(run.model, runs);
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), Options::default())?;
+    let fitted = problem.model_at(&minimum.x);
+    let there = Around::new(&fitted, run.scenario, run.start, run.noise)?;
+    let own = problem.free.len();
+    let rows = problem.len - own;
+    let slope = |parameter: usize| -> Vec<f32> {
+        let column = minimum.jacobian.column(parameter);
+        column
+            .rows(0, rows)
+            .iter()
+            .map(|value| single(*value))
+            .collect()
+    };
+    let mut columns: Vec<Vec<f32>> = (0..own).map(slope).collect();
+    columns.extend(of_equations(&there));
+    let k = columns.len();
+    let white = &there.followed.white;
+    let products = Whitened::new(columns, rows).gram(white);
+    let mut normal = products.view((0, 0), (k, k)).into_owned();
+    for nuisance in own..k {
+        normal[(nuisance, nuisance)] += 1.0;
+    }
+    let (covariance, determined) = inverse_of_normal(&normal);
+    let factor = excess(&[(&there, white.clone())]).sqrt();
+    let deviations = problem
+        .free
+        .iter()
+        .enumerate()
+        .map(|(index, (slot, unit))| {
+            let slope = match unit {
+                Unit::Logarithm { .. } => minimum.x[index].exp(),
+                Unit::Linear { unit, .. } => *unit,
+            };
+            let variance = covariance[(index, index)].max(0.0);
+            let deviation = factor * slope * variance.sqrt();
+            (slot.clone(), determined[index].then_some(deviation))
+        });
+    Some(Estimated {
+        deviations: deviations.collect(),
+        model: fitted.clone(),
+        factor,
+        converged: minimum.converged,
+    })
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 use nalgebra::DVector;
 
 use super::columns::{Around, Linear, linearise};
+use super::excess::excess;
 use super::follow::Noise;
 use super::noise::likeliest;
 use super::prediction_error::fit;
@@ -45,8 +46,13 @@ pub(super) struct Found {
     pub(super) model: Model,
     pub(super) linear: Linear,
     pub(super) posterior: Posterior,
+    /// What is random in the runs.
+    pub(super) noise: Noise,
     /// How many times as large as expected what the best set leaves is.
     pub(super) excess: f64,
+    /// Root mean squares of current, A, and speed, rad/s, that unknown parts and the disturbance make in the last run beside
+    /// the best set.
+    pub(super) unexplained: [Option<f64>; 2],
     /// For each candidate that is an unknown part of the best set, its share of the error.
     pub(super) unknown_share: Vec<f64>,
 }
@@ -283,8 +289,9 @@ pub(super) fn search(
         let stands =
             seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
         if stands || round + 1 == MOST_ROUNDS {
-            let excess = excess(&linear, &reduced, &posterior.best, &runs);
+            let excess = excess_of(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
+            let unexplained = unexplained(&linear, &reduced, &posterior.best, &runs)?;
             if excess > 1.0 {
                 let wider = Reduced::new(&linear, excess, true)?;
                 posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
@@ -295,7 +302,9 @@ pub(super) fn search(
                 model,
                 linear,
                 posterior,
+                noise,
                 excess,
+                unexplained,
                 unknown_share,
             });
         }
@@ -399,43 +408,57 @@ fn unknown_shares(
     )
 }
 
-/// Lags over which what is left may be alike.
-const LAGS: usize = 40;
-/// Standard deviations of chance that a correlation must exceed to count.
-const BY_CHANCE: f64 = 2.0;
+/// Root mean squares, A and rad/s, by which the last run would differ from the model with the effects of a set alone if
+/// nothing led the model along it; none of a signal that was not measured.
+fn unexplained(
+    linear: &Linear,
+    reduced: &Reduced<'_>,
+    set: &Set,
+    runs: &[Around<'_>],
+) -> Option<[Option<f64>; 2]> {
+    let mut explained = solution(linear, reduced, set)?;
+    for (candidate, chosen) in linear.candidates.iter().zip(set) {
+        if let (Some(variant), true) = (chosen, candidate.unknown) {
+            for column in &candidate.variants[*variant].columns {
+                explained[*column] = 0.0;
+            }
+        }
+    }
+    explained -= &linear.present;
+    let (run, columns) = (runs.last()?, linear.columns.last()?);
+    let explained = columns * &explained;
+    let left = readings(run, |sample| {
+        let white = run.followed.white[sample];
+        let left = [0, 1].map(|signal| white[signal] - explained[2 * sample + signal]);
+        [left, [0.0; 2]]
+    });
+    let mut squares = [0.0; 2];
+    for [left, _] in left {
+        for (square, left) in squares.iter_mut().zip(left) {
+            *square += left * left;
+        }
+    }
+    let levels = [run.noise.current_a, run.noise.speed_rad_s];
+    Some([0, 1].map(|signal| {
+        let gains = run.follower.updates.iter();
+        let measured = gains.filter(|u| [u.current, u.speed][signal][4] > 0.0);
+        let count = measured.count() as f64;
+        (count > 0.0).then(|| levels[signal] * (squares[signal] / count).sqrt())
+    }))
+}
 
-/// How many times as large as white noise's the variance of sums of what the best set leaves is, in the worse of the two
-/// signals; at least one.
-fn excess(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]) -> f64 {
+/// The excess of what a set leaves at its linear solution.
+fn excess_of(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]) -> f64 {
     let Some(solution) = solution(linear, reduced, set) else {
         return 1.0;
     };
     let explained = &solution - &linear.present;
-    let left: Vec<DVector<f64>> = linear.columns.iter().map(|w| w * &explained).collect();
-    let mut worst: f64 = 1.0;
-    for signal in 0..2 {
-        let mut sums = [0.0; LAGS + 1];
-        let mut count = 0.0;
-        for (run, explained) in runs.iter().zip(&left) {
-            let is_measured = |sample: &usize| {
-                let update = &run.follower.updates[*sample];
-                [update.current, update.speed][signal][4] > 0.0
-            };
-            let left: Vec<f64> = (0..run.scenario.samples())
-                .filter(is_measured)
-                .map(|k| run.followed.white[k][signal] - explained[2 * k + signal])
-                .collect();
-            count += left.len() as f64;
-            for (lag, sum) in sums.iter_mut().enumerate().take(left.len()) {
-                let products = left.iter().zip(&left[lag..]);
-                *sum += products.map(|(a, b)| a * b).sum::<f64>();
-            }
-        }
-        if count > 0.0 {
-            let chance = BY_CHANCE * sums[0] / f64::sqrt(count);
-            let alike = sums[1..].iter().take_while(|sum| **sum > chance);
-            worst = worst.max((sums[0] + 2.0 * alike.sum::<f64>()) / count);
-        }
-    }
-    worst
+    let left = runs.iter().zip(&linear.columns).map(|(run, columns)| {
+        let explained = columns * &explained;
+        let white = run.followed.white.iter().enumerate();
+        let left =
+            white.map(|(k, white)| [0, 1].map(|signal| white[signal] - explained[2 * k + signal]));
+        (run, left.collect())
+    });
+    excess(&left.collect::<Vec<_>>())
 }

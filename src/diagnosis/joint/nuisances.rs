@@ -1,0 +1,138 @@
+//! What is always in beside the effects: the motor's parameters, errors of the stamps, other forms of the model's effects.
+
+use super::columns::{Around, Source, active, columns_of};
+use super::tangent::{Tangent, Wave};
+use crate::plant::{Effect, Input, Model, Scenario, Slot, effect};
+
+/// Prior standard deviation of the logarithm of a motor's parameter.
+const MOTOR: f64 = 0.3;
+/// Step of a difference of two runs with a motor's parameter, relative.
+const STEP: f64 = 2e-3;
+/// Error of the stamps of commands and samples beforehand, as a share of the period: where the host stamped them, and where
+/// the drive did.
+const STAMP: f64 = 0.05;
+const OWN_STAMP: f64 = 0.01;
+/// What the form of an effect may differ from its equation by.
+const FORM: f64 = 0.1;
+
+/// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
+/// samples alike; each with its standard deviation beforehand.
+pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
+    let mut nuisances = Vec::new();
+    for slot in model.free_slots() {
+        if let Slot::Motor(_) = slot {
+            let mut moved = model.clone();
+            let value = model.get(&slot)?;
+            moved.set(&slot, value * STEP.exp());
+            nuisances.push((
+                Source::Difference {
+                    model: moved,
+                    step: STEP,
+                },
+                MOTOR,
+            ));
+        }
+    }
+    nuisances.extend(stamps(model, scenario).map(|source| (source, 1.0)));
+    Some(nuisances)
+}
+
+/// What the stamps of command, current and speed may be wrong by, at one standard deviation each.
+fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
+    let is_driven = scenario.input == Input::Voltage;
+    let ids = ["command_delay", "current_filter", "speed_delay"];
+    let ids = ids.into_iter().filter(move |_| is_driven);
+    let times = &scenario.sample_time_s;
+    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let of_samples_s = scenario
+        .typical_half_width_s()
+        .map(|half| half / 3f64.sqrt());
+    let of_commands_s = scenario.input_delay_s().map(|(_, deviation)| deviation);
+    ids.filter_map(move |id| {
+        let known_s = if id == "command_delay" {
+            of_commands_s
+        } else {
+            of_samples_s
+        };
+        let least_s = known_s.map_or(OWN_STAMP * period_s, |_| STAMP * period_s);
+        let error_s = least_s.max(known_s.unwrap_or(0.0));
+        let effect = effect::find(id)?;
+        let mut moved = model.clone();
+        match moved.effects.iter_mut().find(|active| active.id() == id) {
+            Some(active) => {
+                let now = active.values_or_guess()[0];
+                active.values = vec![Some(now + error_s)];
+            }
+            None => moved.effects.push(active(effect, &[error_s])),
+        }
+        Some(Source::Difference {
+            model: moved,
+            step: 1.0,
+        })
+    })
+}
+
+/// What may be wrong with the equations of the model that a run is followed by, at one standard deviation each: its stamps,
+/// and the forms of its effects.
+pub(super) fn of_equations(run: &Around<'_>) -> Vec<Vec<f32>> {
+    let of_effects = run.model.effects.iter();
+    let forms =
+        of_effects.flat_map(|active| bends(run.model, active.effect, &active.values_or_guess()));
+    let sources: Vec<Source> = stamps(run.model, run.scenario).chain(forms).collect();
+    let sources: Vec<&Source> = sources.iter().collect();
+    let columns = columns_of(&sources, std::slice::from_ref(run));
+    columns
+        .into_iter()
+        .flat_map(|whitened| whitened.columns)
+        .collect()
+}
+
+/// Other forms of an effect of the model, each at one standard deviation.
+pub(super) fn bends(model: &Model, effect: &'static dyn Effect, values: &[f64]) -> Vec<Source> {
+    let mut bends = Vec::new();
+    let specs = effect.parameters();
+    let terms = effect.terms(values);
+    let path = terms.path();
+    if effect.card().needs_angle {
+        let squares = specs
+            .iter()
+            .zip(values)
+            .filter(|(spec, _)| spec.is_coefficient())
+            .map(|(_, value)| value * value);
+        let amplitude = squares.sum::<f64>().sqrt();
+        let order = specs
+            .iter()
+            .position(|spec| spec.key == "order")
+            .map_or(1.0, |k| values[k]);
+        let gain = if effect.card().id == "torque_ripple" {
+            model.motor.torque_constant().unwrap_or(1.0) * 2.0
+        } else {
+            1.0
+        };
+        for harmonic in [2.0, 3.0] {
+            for sine in [true, false] {
+                let wave = Wave {
+                    order: harmonic * order,
+                    sine,
+                    size: FORM * amplitude * gain,
+                    of_current: false,
+                };
+                bends.push(Source::Tangent(Tangent::Wave(wave)));
+            }
+        }
+    } else if terms.states() == 0
+        && terms.coupling().is_none()
+        && path.measures_directly()
+        && !path.delays_command()
+    {
+        for power in [1, 2] {
+            let bent = Tangent::Bent {
+                terms: effect.terms(values),
+                power,
+                share: FORM,
+            };
+            bends.push(Source::Tangent(bent));
+        }
+    }
+    bends
+}
