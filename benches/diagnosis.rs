@@ -1,5 +1,5 @@
-//! What it costs to name the missing effect: the screen alone, and whole diagnoses of 12 s at 1 kHz with a second run
-//! of the same length held out.
+//! What it costs to name the missing effect: whole diagnoses of 12 s at 1 kHz with a second run of the same length held
+//! out.
 
 mod common;
 
@@ -7,7 +7,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drivebench::diagnosis::{Evidence, diagnose, screen, silent};
+use drivebench::diagnosis::{Evidence, diagnose};
 use drivebench::plant::{Model, Motor};
 
 /// Name of the case, a model for the truth, and the two runs that it gives.
@@ -44,20 +44,6 @@ fn nameplate() -> Model {
     model
 }
 
-fn screened(criterion: &mut Criterion) {
-    let mut group = criterion.benchmark_group("screen");
-    group.sample_size(20);
-    for (name, evidence) in cases() {
-        let (evidence, fit) = evidence
-            .with_baseline(&nameplate())
-            .expect("a rich run can be fitted");
-        group.bench_function(name, |bencher| {
-            bencher.iter(|| screen(black_box(&fit), &evidence.training, &silent));
-        });
-    }
-    group.finish();
-}
-
 fn diagnosed(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("diagnose");
     group
@@ -74,6 +60,6 @@ fn diagnosed(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = common::settings();
-    targets = screened, diagnosed
+    targets = diagnosed
 }
 criterion_main!(benches);

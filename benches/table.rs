@@ -73,16 +73,6 @@ fn figures() -> Vec<Figure> {
             Some(5000.0),
         ),
         figure(
-            "screen/nothing_missing",
-            "screen of every effect, nothing missing, 12 s at 1 kHz",
-            Some(100.0 * MS),
-        ),
-        figure(
-            "screen/stribeck_missing",
-            "the same, one effect missing",
-            Some(100.0 * MS),
-        ),
-        figure(
             "diagnose/nothing_missing",
             "`diagnose` with a second run of 12 s, nothing missing",
             Some(500.0 * MS),

@@ -90,7 +90,7 @@ fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
     let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
     let (evidence, baseline) = evidence.with_baseline(&nameplate).unwrap();
     let evidence = evidence
-        .with_repeat_floor(&baseline.model, &runs[0], &runs[3])
+        .with_repeat(&baseline.model, runs[3].clone())
         .unwrap();
     let confirming = Evidence {
         holdout: runs[2].clone(),
@@ -108,6 +108,7 @@ fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
         found.sentence
     );
     assert_eq!(found.effects, [effect]);
+    assert_eq!(found.repeats, Some(true), "{:?}", found.repeat_floor);
     let speed_error = |model: &Model| {
         let comparison = compare(model, &confirming, ErrorOf::Structure).unwrap();
         let speed = comparison.signals.speed_rad_s.unwrap();

@@ -12,7 +12,7 @@ use super::ending::{Shown as How, watched};
 use super::failure::{Failure, INTERNAL, INTERRUPTED};
 use super::{model_output, output, signals};
 use crate::diagnosis::{Diagnosis, NextExperiment};
-use crate::plant::{FileHistory, Model, ModelFile};
+use crate::plant::{FileHistory, ModelFile};
 use crate::tui::{DiscoveryScreen, Exit, show_discovery};
 use crate::workflow::{Discovery, News, Order};
 
@@ -33,16 +33,12 @@ pub(crate) struct Shown {
 /// How things stand with the model.
 #[derive(Clone, Debug)]
 pub(crate) struct Standing {
-    /// The model before any fit that the answer is about.
-    pub(crate) original: Model,
     /// The latest answer; none before the first.
     pub(crate) diagnosis: Option<Diagnosis>,
     /// The run that was recommended with it; none where there is none, or it was not waited for.
     pub(crate) next: Option<NextExperiment>,
     /// What was changed by hand, each with the held-out error after it.
     changes: Vec<String>,
-    /// The model after them, until there is an answer to it.
-    changed: Option<Model>,
     /// Changes that the answer does not know of: it was not waited for.
     since: usize,
     /// Where the model was written to.
@@ -50,13 +46,11 @@ pub(crate) struct Standing {
 }
 
 impl Standing {
-    const fn new(original: Model) -> Self {
+    const fn new() -> Self {
         Self {
-            original,
             diagnosis: None,
             next: None,
             changes: Vec::new(),
-            changed: None,
             since: 0,
             written: Vec::new(),
         }
@@ -67,9 +61,6 @@ impl Standing {
             News::Added(result) => ("+", result),
             News::Removed(result) => ("-", result),
             News::Diagnosed(diagnosis) => {
-                if let Some(changed) = self.changed.take() {
-                    self.original = changed;
-                }
                 self.diagnosis = Some((**diagnosis).clone());
                 self.next = None;
                 self.since = 0;
@@ -87,7 +78,6 @@ impl Standing {
                 "{sign} {}: held-out error {:.2} times the noise",
                 result.effect, rung.holdout_rmse
             ));
-            self.changed = Some(result.fit.model.clone());
             self.since += 1;
         }
     }
@@ -140,7 +130,7 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
         orders,
         hang_up: Arc::clone(&hang_up),
     };
-    let standing = Arc::new(Mutex::new(Standing::new(discovery.model().clone())));
+    let standing = Arc::new(Mutex::new(Standing::new()));
     let heard = Arc::clone(&standing);
     let gone = Arc::new(AtomicBool::new(false));
     let is_left = Arc::clone(&gone);
@@ -286,8 +276,8 @@ fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, St
 mod tests {
     use super::*;
     use crate::diagnosis::{DiagnosisVerdict, Evidence};
-    use crate::plant::Motor;
     use crate::plant::testing::with_a_fan;
+    use crate::plant::{Model, Motor};
 
     #[test]
     fn a_name_that_is_taken_is_left_alone() {
@@ -320,7 +310,7 @@ mod tests {
     #[test]
     fn what_is_left_behind_is_about_the_model_as_it_stands() {
         let mut discovery = discovery();
-        let standing = Mutex::new(Standing::new(discovery.model().clone()));
+        let standing = Mutex::new(Standing::new());
         let now = || standing.lock().unwrap().clone();
         // As if the screen were left in the middle: the answer is old, and it is said so.
         let between = Mutex::new(None);
@@ -337,7 +327,6 @@ mod tests {
             }
         }
         let between = between.into_inner().unwrap().unwrap();
-        assert!(between.original.effects.is_empty());
         let heading = between.heading();
         assert!(
             heading.starts_with("by hand: + quadratic_load: held-out error "),
@@ -345,7 +334,8 @@ mod tests {
         );
         assert!(heading.contains("without the last change"), "{heading}");
         let last = now();
-        assert_eq!(last.original.effect_ids(), ["quadratic_load"]);
+        let answered = &last.diagnosis.as_ref().unwrap().baseline.model;
+        assert_eq!(answered.effect_ids(), ["quadratic_load"]);
         assert_eq!(
             last.diagnosis.as_ref().unwrap().verdict,
             DiagnosisVerdict::None

@@ -88,7 +88,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         Judging::Refits,
     )?;
     let place = arguments.next.place(&prepared)?;
-    let mut original = prepared.model.file.model.clone();
+    let original = prepared.model.file.model.clone();
     let mut by_hand = String::new();
     let mut known_next = None;
     let mut diagnosis = if on_screen.screen {
@@ -111,7 +111,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             return Err(Failure::new(INTERRUPTED, "interrupted"));
         }
         by_hand = left.standing.heading();
-        original = left.standing.original;
         known_next = left.standing.next;
         left.standing
             .diagnosis
@@ -127,7 +126,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         place.take_over(&mut diagnosis, next);
     } else {
         progress::stage("looks for the run that would tell more", 0);
-        place.recommend(&mut diagnosis, &original, &prepared.evidence)?;
+        place.recommend(&mut diagnosis, &prepared.evidence)?;
     }
     let _endable = attended.map(|(endable, _)| endable);
     arguments.next.write(&place, &diagnosis, &arguments.run)?;

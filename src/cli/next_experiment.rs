@@ -10,7 +10,7 @@ use super::output;
 use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
 use crate::diagnosis::{Diagnosis, Evidence, ExperimentLimits, NextExperiment, recommend};
 use crate::numerics::statistics::median;
-use crate::plant::{Model, Scenario};
+use crate::plant::Scenario;
 
 #[derive(Args, Clone, Debug)]
 pub(super) struct NextArguments {
@@ -96,14 +96,13 @@ impl Place {
         self.limits
     }
 
-    /// Puts the recommended run into the diagnosis. `original` is the model before any fit.
+    /// Puts the recommended run into the diagnosis.
     pub(super) fn recommend(
         &self,
         diagnosis: &mut Diagnosis,
-        original: &Model,
         evidence: &Evidence,
     ) -> Result<(), Failure> {
-        if let Some(next) = recommend(diagnosis, original, evidence, &self.limits)? {
+        if let Some(next) = recommend(diagnosis, evidence, &self.limits)? {
             self.take_over(diagnosis, next);
         }
         Ok(())

@@ -21,7 +21,8 @@ pub(super) fn describe(
         let id = effect.effect.card().id;
         inference.named.iter().position(|named| *named == id)
     };
-    let mut order: Vec<&Inferred> = inference.effects.iter().collect();
+    let missing = |effect: &&Inferred| !effect.given;
+    let mut order: Vec<&Inferred> = inference.effects.iter().filter(missing).collect();
     order.sort_by(|a, b| {
         let named = |effect: &Inferred| place(effect).unwrap_or(usize::MAX);
         named(a)
@@ -109,7 +110,7 @@ fn evidence_sentence(
 }
 
 /// A probability in words that promise no more than it does.
-fn percent(probability: f64) -> String {
+pub(super) fn percent(probability: f64) -> String {
     match 100.0 * probability {
         p if p > 99.0 => "more than 99 %".to_owned(),
         p if p < 1.0 => "less than 1 %".to_owned(),
@@ -141,7 +142,7 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
                 )
             };
             let parts = diagnosis.unknown.iter().fold(String::new(), |parts, part| parts + "; " + &part.sentence);
-            format!("held-out error {before:.2} {times}, and {known}{parts}")
+            format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
         }
         DiagnosisVerdict::Ambiguous => format!(
             "behaves like {names}, which this run cannot tell from {}",
@@ -152,6 +153,22 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
             diagnosis.explained_percent
         ),
     }
+}
+
+/// Said where the machine does not do the same twice: how much of the error that is.
+fn not_repeating(diagnosis: &Diagnosis) -> String {
+    let Some(floor) = diagnosis
+        .repeat_floor
+        .filter(|_| diagnosis.repeats == Some(false))
+    else {
+        return String::new();
+    };
+    let share = (floor * floor - 1.0) / (diagnosis.holdout_before.powi(2) - 1.0);
+    let percent = 100.0 * share.clamp(0.0, 1.0);
+    format!(
+        "; this machine does not repeat: {percent:.0} % of the error is different each time (two runs of the same excitation \
+         differ by {floor:.2} times the sensors' noise)"
+    )
 }
 
 /// Unit of the parameter that gives the effect its size, in words that can stand behind a number.

@@ -7,9 +7,9 @@ use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
 use super::decide::{self, Settings, explained};
 use super::describe::{describe, sentence};
-use super::evidence::{Evidence, HoldoutFrom};
+use super::evidence::{Evidence, HoldoutFrom, not_repeated};
 use super::fitted::Fitted;
-use super::joint::answer::{Inference, Part, infer, refined};
+use super::joint::answer::{Inference, Part, asked, infer, refined};
 use super::ladder::Rung;
 use super::mechanical;
 use super::next_experiment::{NextExperiment, equivalences};
@@ -37,6 +37,12 @@ pub struct Diagnosis {
     pub effects: Vec<&'static str>,
     pub sufficient: bool,
     pub noise_floor_from: FloorSource,
+    /// The sensors' noise, which is one where it is known: the unit of the errors.
+    pub sensor_floor: Option<f64>,
+    /// What differs between two runs of the same excitation under the model with all named effects, in the same unit.
+    pub repeat_floor: Option<f64>,
+    /// Whether that is little more than the sensors' noise; null without a repeated run.
+    pub repeats: Option<bool>,
     pub holdout_from: HoldoutFrom,
     /// Of the whole accepted set, on the hold-out.
     pub explained_percent: f64,
@@ -66,6 +72,9 @@ pub struct Diagnosis {
     pub baseline: Fitted,
     #[serde(skip)]
     pub model: Fitted,
+    /// For each confusable pair the model with its second effect in the place of the first, where a fit begins.
+    #[serde(skip)]
+    pub rivals: Vec<Model>,
 }
 
 /// A part of the error that follows something and that no effect of the catalogue explains.
@@ -146,7 +155,8 @@ pub fn diagnose_with(
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
-    let inference = infer(&baseline, &evidence, options.progress)?;
+    let asked = asked(&baseline.model, None);
+    let inference = infer(&baseline, &asked, &evidence, options.progress)?;
     (options.progress)(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
@@ -185,13 +195,10 @@ fn climb(
     let mut rungs = vec![standing(on_rung(0, baseline))?];
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
-        let mut start = inference.model.clone();
-        start
-            .effects
-            .retain(|active| given.contains(&active.id()) || kept.contains(&active.id()));
-        if !start.has(id) {
-            start = start.with_effect(id)?;
-        }
+        let start = inference.with_effects(&[&given[..], kept].concat());
+        let start = start.ok_or_else(|| FitError::CannotSimulate {
+            run: evidence.training.name.clone(),
+        })?;
         let fit = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
         let fit = on_rung(place + 1, fit);
         progress(Event::Refitted {
@@ -211,7 +218,13 @@ fn climb(
 fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = evidence.floor();
-    let verdict = verdict(evidence, inference, &base.score);
+    let repeat_floor = repeat_floor(evidence, &best.fit.model);
+    let verdict = verdict(
+        evidence,
+        inference,
+        [&base.score, &best.score],
+        repeat_floor,
+    );
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
         // The maps are a help; without them the verdict stands.
         axis_map(&best.fit.model, &evidence.training, &evidence.noise).unwrap_or_default()
@@ -237,6 +250,9 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Dia
             _ => eta >= decide::SUFFICIENT || settled,
         },
         noise_floor_from: evidence.noise.source,
+        sensor_floor: (evidence.noise.source == FloorSource::Standstill).then_some(1.0),
+        repeat_floor,
+        repeats: repeat_floor.map(|floor| floor <= REPEATS),
         holdout_from: evidence.holdout_from,
         explained_percent: if named.is_empty() { 0.0 } else { 100.0 * eta },
         holdout_before: base.score.nrms,
@@ -259,6 +275,7 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Dia
         next_experiment: None,
         baseline: Fitted::from(&base.fit),
         model: Fitted::from(&best.fit),
+        rivals: rivals(inference, &base.fit.model.effect_ids()),
     };
     diagnosis.confirm = confirmation::of_models(
         evidence,
@@ -273,12 +290,60 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Dia
     diagnosis
 }
 
+/// Models with the second effect of each confusable pair in the place of the first.
+fn rivals(inference: &Inference, given: &[&'static str]) -> Vec<Model> {
+    let pairs = inference.confusable.iter();
+    let models = pairs.filter_map(|[first, second]| {
+        let others = inference
+            .named
+            .iter()
+            .filter(|id| *id != first && *id != second);
+        let with: Vec<&'static str> = given
+            .iter()
+            .chain(others)
+            .copied()
+            .chain([*second])
+            .collect();
+        inference.with_effects(&with)
+    });
+    models.collect()
+}
+
+/// Multiple of the sensors' noise by which two runs of the same excitation may differ and still repeat.
+const REPEATS: f64 = 1.5;
+
+/// What the machine does not repeat under `model`, in units of the sensors' noise; none without a repeated run, or where
+/// the sensors' noise is not known.
+fn repeat_floor(evidence: &Evidence, model: &Model) -> Option<f64> {
+    let repeat = evidence.repeat.as_ref()?;
+    if evidence.noise.source != FloorSource::Standstill {
+        return None;
+    }
+    let runs = [&evidence.training, repeat];
+    let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
+    let differs = not_repeated(model, runs, &evidence.noise).ok()?;
+    let squares: Vec<f64> = differs
+        .into_iter()
+        .zip(levels)
+        .filter_map(|(differs, level)| Some((differs? / level).powi(2)))
+        .collect();
+    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
+    (!squares.is_empty()).then(|| mean.sqrt())
+}
+
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF: f64 = 0.5;
 
-fn verdict(evidence: &Evidence, inference: &Inference, base: &Score) -> DiagnosisVerdict {
+fn verdict(
+    evidence: &Evidence,
+    inference: &Inference,
+    [base, best]: [&Score; 2],
+    repeat_floor: Option<f64>,
+) -> DiagnosisVerdict {
     let is_known = evidence.noise.source != FloorSource::None;
-    let at_floor = !is_known || decide::at_the_floor(evidence, base.nrms);
+    // A sensor may be a little noisier in motion than at rest, which a repeated run tells.
+    let in_motion = repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS));
+    let at_floor = !is_known || decide::at_the_floor(evidence, base.nrms / in_motion);
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && at_floor {
             DiagnosisVerdict::None
@@ -290,7 +355,10 @@ fn verdict(evidence: &Evidence, inference: &Inference, base: &Score) -> Diagnosi
     let above = |nrms: f64| nrms * nrms - floor * floor;
     let left = inference.unexplained;
     let within_floor = is_known && decide::at_the_floor(evidence, left);
-    if !within_floor && above(left) > HALF * above(base.nrms) {
+    let share = |left: f64| above(left) > HALF * above(base.nrms);
+    // A free run that falls into step a moment late is far off though nothing is missing; what is led along the run, and
+    // a free run that explains it, show so.
+    if !within_floor && share(left) && share(best.nrms) {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous

@@ -25,6 +25,8 @@ pub struct Evidence {
     pub confirm: Option<Scenario>,
     pub holdout_from: HoldoutFrom,
     pub noise: NoiseFloor,
+    /// A run of the same excitation as `training`.
+    pub repeat: Option<Scenario>,
 }
 
 impl Evidence {
@@ -50,6 +52,7 @@ impl Evidence {
             confirm,
             holdout_from,
             noise,
+            repeat: None,
         }
     }
 
@@ -159,45 +162,21 @@ impl Evidence {
         Ok((self, fit))
     }
 
-    /// The floor from two runs of the same excitation: half the variance of the difference of their residuals
-    /// (DISCOVERY.md, rule 2).
-    ///
-    /// Residuals are compared, not signals, so that runs whose samples fell at other instants can be subtracted; and
-    /// each run's are those of its own fit, so that a winding that was warmer in the second does not count as noise.
-    pub fn with_repeat_floor(
-        mut self,
-        model: &Model,
-        first: &Scenario,
-        second: &Scenario,
-    ) -> Result<Self, FitError> {
-        let residuals = |run: &Scenario| -> Result<Score, FitError> {
-            let fit = output_error::fit(std::slice::from_ref(model), run, &self.noise)?;
-            Score::of(&fit.model, run, &self.noise)
-        };
-        let (a, b) = (residuals(first)?, residuals(second)?);
-        let (begin_a_s, begin_b_s) = (first.events[0].0, second.events[0].0);
-        let floor = |a: &[(f64, f64)], b: &[(f64, f64)]| {
-            let differences: Vec<f64> = a
-                .iter()
-                .filter_map(|&(time_s, value)| {
-                    Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
-                })
-                .collect();
-            let mean_square =
-                differences.iter().map(|d| d * d).sum::<f64>() / differences.len().max(1) as f64;
-            (differences.len() >= FEWEST_DIFFERENCES && mean_square > 0.0)
-                .then(|| (mean_square / 2.0).sqrt())
-        };
-        let current = floor(&a.current_residual(), &b.current_residual());
-        let speed = floor(&a.speed_residual(), &b.speed_residual());
-        if current.is_some() || speed.is_some() {
-            self.noise = NoiseFloor {
-                current_a: current.unwrap_or(f64::INFINITY),
-                speed_rad_s: speed.unwrap_or(f64::INFINITY),
-                source: FloorSource::Repeat,
-                samples: first.samples().min(second.samples()),
-            };
+    /// Takes in a run of the same excitation as `training`. Where the sensors' noise is not known at rest, what the two do
+    /// not repeat is the floor.
+    pub fn with_repeat(mut self, model: &Model, repeat: Scenario) -> Result<Self, FitError> {
+        if self.noise.source != FloorSource::Standstill {
+            let [current, speed] = not_repeated(model, [&self.training, &repeat], &self.noise)?;
+            if current.is_some() || speed.is_some() {
+                self.noise = NoiseFloor {
+                    current_a: current.unwrap_or(f64::INFINITY),
+                    speed_rad_s: speed.unwrap_or(f64::INFINITY),
+                    source: FloorSource::Repeat,
+                    samples: self.training.samples().min(repeat.samples()),
+                };
+            }
         }
+        self.repeat = Some(repeat);
         Ok(self)
     }
 }
@@ -210,6 +189,39 @@ struct Signal {
     /// Its noise; infinite where it is not known.
     level: f64,
     of: fn(&Scenario) -> &Vec<f64>,
+}
+
+/// Standard deviations of current, A, and speed, rad/s, that differ between two runs of the same excitation: half the
+/// variance of the difference of their residuals. Residuals are compared, not signals, so that runs whose samples fell at
+/// other instants can be subtracted; and each run's are those of its own fit, so that a winding that was warmer in the
+/// second, or an event that came at another time, does not count as noise.
+pub(super) fn not_repeated(
+    model: &Model,
+    [first, second]: [&Scenario; 2],
+    noise: &NoiseFloor,
+) -> Result<[Option<f64>; 2], FitError> {
+    let residuals = |run: &Scenario| -> Result<Score, FitError> {
+        let fit = output_error::fit(std::slice::from_ref(model), run, noise)?;
+        Score::of(&fit.model, run, noise)
+    };
+    let (a, b) = (residuals(first)?, residuals(second)?);
+    let (begin_a_s, begin_b_s) = (first.events[0].0, second.events[0].0);
+    let differs = |a: &[(f64, f64)], b: &[(f64, f64)]| {
+        let differences: Vec<f64> = a
+            .iter()
+            .filter_map(|&(time_s, value)| {
+                Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
+            })
+            .collect();
+        let mean_square =
+            differences.iter().map(|d| d * d).sum::<f64>() / differences.len().max(1) as f64;
+        (differences.len() >= FEWEST_DIFFERENCES && mean_square > 0.0)
+            .then(|| (mean_square / 2.0).sqrt())
+    };
+    Ok([
+        differs(&a.current_residual(), &b.current_residual()),
+        differs(&a.speed_residual(), &b.speed_residual()),
+    ])
 }
 
 /// Pairs of samples below which two runs do not give a floor.

@@ -4,17 +4,17 @@ use serde::Serialize;
 
 use super::candidates::by_key;
 use super::compare::{Comparison, compare};
-use super::decide::{Settings, WORTHWHILE, fall_in_words, pays, z};
+use super::describe::percent;
 use super::evidence::Evidence;
 use super::fitted::Fitted;
+use super::joint::answer::{Inference, asked, infer, refined};
 use super::location::ErrorOf;
 use super::mechanical;
+use super::progress::silent;
 use super::score::Score;
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Effect, Input, Model};
 use crate::sample::ParameterEstimate;
-
-use super::refit::refit_one;
 
 /// One model on the ladder and its held-out error in units of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -40,7 +40,7 @@ pub struct AddResult {
     pub fit: Fitted,
 }
 
-/// Refits `model` with `effect` added; refused, with the reason, where that does not pay on the hold-out.
+/// Refits `model` with `effect` added; refused, with the reason, where the runs do not ask for it beside all others.
 pub fn add(
     effect: &'static dyn Effect,
     model: &Model,
@@ -50,11 +50,18 @@ pub fn add(
         return mechanical::add(effect, model, &evidence);
     }
     let (evidence, before) = evidence.with_baseline(model)?;
-    let after = refit_one(&evidence, &before, model, effect)?;
-    change(effect, &evidence, &before, &after, true)
+    let asked = asked(&before.model, Some(effect));
+    let inference = infer(&before, &asked, &evidence, &silent)?;
+    let with = [before.model.effect_ids(), vec![effect.card().id]].concat();
+    let start = inference.with_effects(&with);
+    let start = start.ok_or_else(|| FitError::CannotSimulate {
+        run: evidence.training.name.clone(),
+    })?;
+    let after = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
+    change(effect, &evidence, &inference, [before, after], true)
 }
 
-/// Refits `model` without `effect`; refused where the effect pays on the hold-out.
+/// Refits `model` without `effect`; refused where the runs ask for it.
 pub fn remove(
     effect: &'static dyn Effect,
     model: &Model,
@@ -64,25 +71,23 @@ pub fn remove(
         return mechanical::remove(effect, model, &evidence);
     }
     let (evidence, before) = evidence.with_baseline(model)?;
+    let inference = infer(&before, &asked(&before.model, None), &evidence, &silent)?;
     let without = before.model.without_effect(effect.card().id)?;
     let after = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
-    change(effect, &evidence, &before, &after, false)
+    change(effect, &evidence, &inference, [before, after], false)
 }
 
 fn change(
     effect: &'static dyn Effect,
     evidence: &Evidence,
-    before: &Fit,
-    after: &Fit,
+    inference: &Inference,
+    [before, after]: [Fit; 2],
     adding: bool,
 ) -> Result<AddResult, FitError> {
+    let after = refined(after, &evidence.training, inference.noise);
     let score = |fit: &Fit| Score::of(&fit.model, &evidence.holdout, &evidence.noise);
-    let (score_before, score_after) = (score(before)?, score(after)?);
-    let accepted = if adding {
-        pays(&score_before, &score_after, Settings::default())
-    } else {
-        !pays(&score_after, &score_before, Settings::default())
-    };
+    let scores = [score(&before)?, score(&after)?];
+    let is_there = inference.names(effect.card().id);
     let rung = |fit: &Fit, score: &Score| Rung {
         effects: fit.model.effect_ids(),
         holdout_rmse: score.nrms,
@@ -90,23 +95,17 @@ fn change(
     let confirm = match &evidence.confirm {
         Some(run) => {
             let on = |fit: &Fit| Score::of(&fit.model, run, &evidence.noise);
-            Some([rung(before, &on(before)?), rung(after, &on(after)?)])
+            Some([rung(&before, &on(&before)?), rung(&after, &on(&after)?)])
         }
         None => None,
     };
     let prefix = format!("{}.", effect.card().id);
-    let owner = if adding { after } else { before };
+    let owner = if adding { &after } else { &before };
+    let times = evidence.noise.source.times();
     Ok(AddResult {
         effect: effect.card().id,
-        accepted,
-        reason: reason(
-            effect,
-            [before, after],
-            [&score_before, &score_after],
-            adding,
-            accepted,
-            evidence.noise.source.times(),
-        ),
+        accepted: is_there == adding,
+        reason: reason(effect, inference, fall(&scores, times), adding),
         before: compare(&before.model, evidence, ErrorOf::Structure)?,
         after: compare(&after.model, evidence, ErrorOf::Structure)?,
         parameters: owner
@@ -115,50 +114,69 @@ fn change(
             .filter(|p| p.key.starts_with(&prefix))
             .cloned()
             .collect(),
-        ladder: vec![rung(before, &score_before), rung(after, &score_after)],
+        ladder: vec![rung(&before, &scores[0]), rung(&after, &scores[1])],
         confirm,
-        fit: Fitted::from(after),
+        fit: Fitted::from(&after),
     })
 }
 
-fn reason(
-    effect: &dyn Effect,
-    [before, after]: [&Fit; 2],
-    [score_before, score_after]: [&Score; 2],
-    adding: bool,
-    accepted: bool,
-    times: &str,
-) -> String {
-    let name = effect.card().name;
-    let (from, to) = (score_before.nrms, score_after.nrms);
+/// How the held-out error changes, in words.
+fn fall([before, after]: &[Score; 2], times: &str) -> String {
+    let share = 100.0 * (1.0 - after.nrms / before.nrms);
+    let word = if share >= 0.0 { "falls" } else { "rises" };
+    format!(
+        "the held-out error {word} by {:.1} %, from {:.2} to {:.2} {times}",
+        share.abs(),
+        before.nrms,
+        after.nrms
+    )
+}
+
+/// Why an effect is accepted or refused: how likely it is there beside all others, and what the error does.
+fn reason(effect: &dyn Effect, inference: &Inference, fall: String, adding: bool) -> String {
+    let card = effect.card();
+    let found = inference.of(card.id);
+    let likely = percent(found.map_or(0.0, |found| found.probability));
+    let name = card.name;
     if !adding {
-        return if accepted {
-            format!(
-                "without {name} the held-out error goes from {from:.2} to {to:.2} {times}: it is superfluous"
-            )
+        let word = if inference.names(card.id) {
+            "needed"
         } else {
-            format!(
-                "without {name} the held-out error rises from {from:.2} to {to:.2} {times}: it is needed"
-            )
+            "superfluous"
         };
+        return format!("{name} is {word}: it is there with {likely}, and without it {fall}");
     }
-    let settings = Settings::default();
-    let fall = fall_in_words(score_before, score_after, times, settings);
-    if accepted {
-        let by_chance = z(score_before, score_after, settings) < settings.significant;
-        // Accepted all the same: where the model fails, it fails in few stretches.
-        let mended = if by_chance {
-            "; it mends the few stretches in which the model without it fails"
+    let rivals: Vec<&str> = inference
+        .named
+        .iter()
+        .copied()
+        .filter(|id| *id != card.id)
+        .collect();
+    if inference.names(card.id) {
+        let pairs = inference.confusable.iter();
+        let twins: Vec<&str> = pairs
+            .filter(|pair| pair.contains(&card.id))
+            .map(|pair| if pair[0] == card.id { pair[1] } else { pair[0] })
+            .collect();
+        let twins = if twins.is_empty() {
+            String::new()
         } else {
-            ""
+            format!(
+                ", which these runs cannot tell from {}",
+                twins.join(" and ")
+            )
         };
-        format!("with {name} {fall}{mended}")
-    } else if to >= (1.0 - WORTHWHILE) * from && after.nrms < (1.0 - WORTHWHILE) * before.nrms {
-        format!(
-            "{name} helps only in training ({:.2} -> {:.2}); on data that it was not fitted to {fall}",
-            before.nrms, after.nrms
-        )
+        return format!("{name} is there with {likely}{twins}; with it {fall}");
+    }
+    let beside = if rivals.is_empty() {
+        String::new()
     } else {
-        format!("{name} does not pay: {fall}")
-    }
+        format!(" beside what these runs ask for ({})", rivals.join(", "))
+    };
+    let unseen = if found.is_some_and(|found| found.excited) {
+        ""
+    } else {
+        "; these runs would not show it"
+    };
+    format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
 }

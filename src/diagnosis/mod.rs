@@ -28,16 +28,13 @@ mod fitted;
 mod joint;
 
 mod ladder;
-mod linear_response;
 mod location;
 pub mod mechanical;
 pub mod next_experiment;
 mod progress;
 mod reached;
-mod refit;
 mod residual;
 mod score;
-mod screen;
 mod shapes;
 mod shared;
 
@@ -61,7 +58,6 @@ pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
 pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
-pub use screen::{ScreenedEffect, screen};
 pub use shared::shared_samples;
 
 #[cfg(test)]

@@ -88,13 +88,8 @@ impl Score {
         finite_points(&self.residuals.time_s, &self.residuals.speed_rad_s)
     }
 
-    /// Sum of the squared weighted residuals in blocks of `block_s`. Every signal counts with its number of samples.
-    pub(super) fn blocks(&self, block_s: f64) -> Vec<f64> {
-        let blocks = self.counted_blocks(block_s);
-        blocks.into_iter().map(|(squares, _)| squares).collect()
-    }
-
-    /// The same with the number of residuals in each block.
+    /// Sum of the squared weighted residuals in blocks of `block_s`, and their number. Every signal counts with its number of
+    /// samples.
     pub(super) fn counted_blocks(&self, block_s: f64) -> Vec<(f64, usize)> {
         let Residuals {
             time_s,

@@ -44,6 +44,8 @@ pub(super) struct Told<'a> {
 /// Share of a period by which the time between rows may miss a multiple of it, and the share of rows that keep to it.
 const OFF_THE_GRID: f64 = 0.1;
 const NEARLY_ALL: f64 = 0.95;
+/// The same where rows are polled on a schedule, each a little late: share of a period by which a row may miss its place.
+const OFF_THE_SCHEDULE: f64 = 0.25;
 /// Share of rows that follow one period after the last one, at least.
 const MOST: f64 = 0.5;
 /// Share of rows that repeat the value before from which a record writes rows without a change.
@@ -130,8 +132,9 @@ fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
         .filter(|multiple| **multiple <= 1.0)
         .count();
     let own_rows = (told.sample_period_s / period_s - 1.0).abs() > OFF_THE_GRID;
-    if single == steps.len() || own_rows || share(on_the_grid) < NEARLY_ALL || share(single) < MOST
-    {
+    let is_regular =
+        share(on_the_grid) >= NEARLY_ALL || share(on_schedule(input, &multiples)) >= NEARLY_ALL;
+    if single == steps.len() || own_rows || !is_regular || share(single) < MOST {
         return None;
     }
     // A record that only writes what changes repeats nothing, and changes over two periods by as much as over one.
@@ -152,6 +155,30 @@ fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
         .iter()
         .map(|multiple| whole((multiple - 1.0).max(0.0)));
     Some((period_s, lost.collect()))
+}
+
+/// Rows that keep to the places of a schedule; `multiples` are the places between one row and the next.
+fn on_schedule(input: &[(f64, f64)], multiples: &[f64]) -> usize {
+    let mut place = 0.0;
+    let mut rows = vec![(0.0, input[0].0)];
+    for (row, multiple) in input[1..].iter().zip(multiples) {
+        place += multiple;
+        rows.push((place, row.0));
+    }
+    let count = rows.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| rows.iter().map(of).sum::<f64>() / count;
+    let (mean_place, mean_s) = (mean(|row| row.0), mean(|row| row.1));
+    let (mut products, mut squares) = (0.0, 0.0);
+    for (place, time_s) in &rows {
+        products += (place - mean_place) * (time_s - mean_s);
+        squares += (place - mean_place).powi(2);
+    }
+    let period_s = products / squares;
+    let late = |row: &&(f64, f64)| {
+        let late_s = row.1 - mean_s - period_s * (row.0 - mean_place);
+        late_s.abs() <= OFF_THE_SCHEDULE * period_s
+    };
+    rows.iter().filter(late).count()
 }
 
 /// Values that hardly ever come again would not be left out for being the same.
@@ -422,6 +449,23 @@ mod tests {
         let still = vec![3.0; 3000];
         let still = holes(&still, true, |row| (1000..1400).contains(&row));
         assert!(still[0].variance < 1e-12 && still[0].restart.is_none());
+    }
+
+    #[test]
+    fn rows_lost_from_polls_that_come_a_little_late_are_found() {
+        let values = switched(1, 3000);
+        let late = |row: usize| 1e-2 * (row as f64 + 0.3 * (0.5 + 0.5 * (1.7 * row as f64).sin()));
+        let lost = |row: usize| row > 0 && (row * 7919) % 100 < 10;
+        let kept = (0..3000).filter(|row| !lost(*row));
+        let input: Vec<(f64, f64)> = kept.map(|row| (late(row), values[row])).collect();
+        let measured = vec![[0.0; 2]; input.len()];
+        let found = find(&Told {
+            input: &input,
+            measured: &measured,
+            sample_period_s: 1e-2,
+        });
+        let rows: usize = found.iter().map(|hole| hole.lost_rows).sum();
+        assert_eq!(rows, 3000 - input.len());
     }
 
     #[test]

@@ -175,6 +175,10 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
     ];
     let named = verdict == DiagnosisVerdict::Effect;
     Diagnosis {
+        rivals: Vec::new(),
+        sensor_floor: Some(1.0),
+        repeat_floor: None,
+        repeats: None,
         verdict,
         effect: named.then_some("stribeck_friction"),
         effects: if named {

@@ -280,7 +280,7 @@ impl Commission {
         };
         let evidence = Evidence::new(fit.clone(), Some(select.clone()), Some(confirm.clone()));
         let (evidence, baseline) = evidence.with_baseline(&nameplate)?;
-        let evidence = evidence.with_repeat_floor(&baseline.model, fit, repeat)?;
+        let evidence = evidence.with_repeat(&baseline.model, repeat.clone())?;
         let confirming = Evidence {
             holdout: confirm.clone(),
             ..evidence.clone()
@@ -313,7 +313,7 @@ impl Commission {
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), options)?;
         if let Some(bench) = &self.bench {
             let limits = experiment_limits(bench);
-            let mut next = recommend(&diagnosis, &nameplate, &evidence, &limits)?;
+            let mut next = recommend(&diagnosis, &evidence, &limits)?;
             if let Some(next) = &mut next {
                 let model = &diagnosis.model.model;
                 let file = |recipe: &Recipe| next_bench(bench, recipe, model, &next.sentence);

@@ -152,7 +152,7 @@ impl Discovery {
         tell(News::Diagnosed(Box::new(diagnosis.clone())));
         let next = match &self.limits {
             _ if is_known => known_next,
-            Some(limits) => recommend(&diagnosis, &self.model, &self.evidence, limits)?,
+            Some(limits) => recommend(&diagnosis, &self.evidence, limits)?,
             None => None,
         };
         if let Some(next) = next {

@@ -33,6 +33,8 @@ const CERTAIN: f64 = 0.9;
 #[derive(Clone)]
 pub(in crate::diagnosis) struct Inferred {
     pub(in crate::diagnosis) effect: &'static dyn Effect,
+    /// Whether the model had it before.
+    pub(in crate::diagnosis) given: bool,
     /// That it is there, beside all others that may be.
     pub(in crate::diagnosis) probability: f64,
     /// Whether these runs would show it at its slab.
@@ -56,26 +58,84 @@ pub(in crate::diagnosis) struct Part {
 }
 
 /// Everything that the runs say together.
-#[derive(Clone)]
 pub(in crate::diagnosis) struct Inference {
-    /// Every effect that the baseline does not have.
+    /// Every effect that was asked for.
     pub(in crate::diagnosis) effects: Vec<Inferred>,
     pub(in crate::diagnosis) unknown: Vec<Part>,
     /// What is more likely there than not, what explains most first.
     pub(in crate::diagnosis) named: Vec<&'static str>,
     /// Pairs of which these runs want one and cannot say which; the likelier first.
     pub(in crate::diagnosis) confusable: Vec<[&'static str; 2]>,
-    /// The model with the best set, fitted on all runs.
-    pub(in crate::diagnosis) model: Model,
     /// Error, in units of the noise, that unknown parts and what wanders make on the hold-out beside the named effects.
     pub(in crate::diagnosis) unexplained: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
+    found: Found,
 }
 
-/// Weighs all sets of effects beside `baseline` on the fit run and the hold-out together.
+impl Inference {
+    /// What is said of an effect; none where it was not asked for.
+    pub(in crate::diagnosis) fn of(&self, id: &str) -> Option<&Inferred> {
+        self.effects
+            .iter()
+            .find(|inferred| inferred.effect.card().id == id)
+    }
+
+    /// Whether an effect is more likely there than not, or these runs cannot tell it from one that is.
+    pub(in crate::diagnosis) fn names(&self, id: &str) -> bool {
+        let likely = self.of(id).is_some_and(|found| found.probability > NAMED);
+        likely || self.named.contains(&id) || self.confusable.iter().any(|pair| pair[1] == id)
+    }
+
+    /// The model with these effects alone, where a fit begins: those of the best set as they are there, the others in their
+    /// likeliest form.
+    pub(in crate::diagnosis) fn with_effects(&self, ids: &[&'static str]) -> Option<Model> {
+        let Found {
+            model,
+            linear,
+            posterior,
+            ..
+        } = &self.found;
+        let reduced = Reduced::new(linear, self.found.excess, true)?;
+        let mut missing: Vec<&str> = ids.to_vec();
+        let candidates = linear.candidates.iter().zip(&posterior.forms);
+        let set: Set = candidates
+            .map(|(candidate, form)| {
+                let place = missing.iter().position(|id| *id == candidate.id)?;
+                missing.swap_remove(place);
+                Some(if candidate.in_model { 0 } else { *form })
+            })
+            .collect();
+        search::at_solution(model, linear, &reduced, &set).filter(|_| missing.is_empty())
+    }
+}
+
+/// The effects of the catalogue, and those of a model or asked for that are in none.
+pub(in crate::diagnosis) fn asked(
+    model: &Model,
+    beside: Option<&'static dyn Effect>,
+) -> Vec<&'static dyn Effect> {
+    let mut asked = CATALOGUE.to_vec();
+    for effect in model
+        .effects
+        .iter()
+        .map(|active| active.effect)
+        .chain(beside)
+    {
+        if asked
+            .iter()
+            .all(|known| known.card().id != effect.card().id)
+        {
+            asked.push(effect);
+        }
+    }
+    asked
+}
+
+/// Weighs all sets of the effects that are asked for on the fit run and the hold-out together, from `baseline` on.
 pub(in crate::diagnosis) fn infer(
     baseline: &Fit,
+    asked: &[&'static dyn Effect],
     evidence: &Evidence,
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
@@ -100,14 +160,15 @@ pub(in crate::diagnosis) fn infer(
         .collect();
     let noise = beginning(&evidence.noise, baseline, &evidence.training);
     let given = baseline.model.effect_ids();
-    let found =
-        search::search(&baseline.model, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
+    let found = search::search(&baseline.model, asked, &scenarios, &starts, noise, progress)
+        .ok_or_else(failed)?;
     let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
-    let mut effects: Vec<Inferred> = CATALOGUE
+    let mut effects: Vec<Inferred> = asked
         .iter()
-        .copied()
-        .filter(|effect| !given.contains(&effect.card().id))
-        .map(|effect| inferred(effect, &found, &reduced))
+        .map(|effect| Inferred {
+            given: given.contains(&effect.card().id),
+            ..inferred(*effect, &found, &reduced)
+        })
         .collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
     // Of two that these runs cannot tell apart the likelier stands for both.
@@ -127,6 +188,7 @@ pub(in crate::diagnosis) fn infer(
     };
     let named: Vec<&'static str> = effects
         .iter()
+        .filter(|e| !e.given)
         .filter(|e| e.probability > NAMED || together(e.effect.card().id) > CERTAIN)
         .map(|e| e.effect.card().id)
         .collect();
@@ -136,7 +198,7 @@ pub(in crate::diagnosis) fn infer(
     let unknown = candidates
         .zip(&found.posterior.probability)
         .zip(&found.unknown_share)
-        .filter(|((candidate, p), _)| candidate.unknown && **p > NAMED)
+        .filter(|((candidate, p), _)| candidate.is_unknown() && **p > NAMED)
         .map(|((candidate, p), share)| {
             let (equation, follows) = axis(candidate.id);
             Part {
@@ -152,7 +214,6 @@ pub(in crate::diagnosis) fn infer(
         effects,
         unknown,
         named,
-        model: found.model,
         unexplained: {
             let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
             let signals = found.unexplained.into_iter().zip(levels);
@@ -163,11 +224,16 @@ pub(in crate::diagnosis) fn infer(
             (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
         },
         noise: found.noise,
+        found,
     })
 }
 
+/// Growth of the error of a free run from which on a model is right only where it is led along the run.
+const LED_ONLY: f64 = 1.5;
+
 /// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
-/// motor's, counts as what it is. As it was where the model cannot be followed on the run; times of events stay.
+/// motor's, counts as what it is. As it was where the model cannot be followed on the run, or is right only where it is led; times of
+/// events stay.
 pub(in crate::diagnosis) fn refined(mut fit: Fit, run: &Scenario, noise: Noise) -> Fit {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
@@ -175,9 +241,9 @@ pub(in crate::diagnosis) fn refined(mut fit: Fit, run: &Scenario, noise: Noise) 
     let Some(estimated) = estimated else {
         return fit;
     };
-    let nrms = Score::of(&estimated.model, run, &fit.noise).map(|score| score.nrms);
-    let Ok(nrms) = nrms else {
-        return fit;
+    let nrms = match Score::of(&estimated.model, run, &fit.noise) {
+        Ok(score) if score.nrms < LED_ONLY * fit.nrms => score.nrms,
+        _ => return fit,
     };
     let times = &run.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
@@ -239,6 +305,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
     let id = effect.card().id;
     let mut out = Inferred {
         effect,
+        given: false,
         probability: 0.0,
         excited: false,
         upper_bound: None,
@@ -309,7 +376,7 @@ fn size_in(found: &Found, reduced: &Reduced<'_>, set: &Set, k: usize) -> Option<
         && variant.units.len() > 1
         && variant.units[1] > 0.0
         && variant.parameters[1] == 1
-        && is_amplitude(found.linear.candidates[k].id);
+        && is_amplitude(found.linear.candidates[k].effect);
     let count = if is_wave { 2 } else { 1 };
     let (mut square, mut variance) = (0.0, 0.0_f64);
     for (column, unit) in variant.columns.iter().zip(&variant.units).take(count) {
@@ -322,14 +389,9 @@ fn size_in(found: &Found, reduced: &Reduced<'_>, set: &Set, k: usize) -> Option<
 }
 
 /// Whether an effect's first two parameters are sine and cosine.
-fn is_amplitude(id: &str) -> bool {
-    let effect = CATALOGUE.iter().find(|effect| effect.card().id == id);
-    effect.is_some_and(|effect| {
-        effect
-            .parameters()
-            .first()
-            .is_some_and(|spec| spec.key.starts_with("sin_"))
-    })
+fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
+    let first = effect.and_then(|effect| effect.parameters().first());
+    first.is_some_and(|spec| spec.key.starts_with("sin_"))
 }
 
 /// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
@@ -338,7 +400,7 @@ fn detectable(found: &Found, reduced: &Reduced<'_>, with: &Set, k: usize, sd: f6
     let candidate = &found.linear.candidates[k];
     let variant = &candidate.variants[with[k]?];
     let others = reduced.columns(&without(with, k));
-    let wave = is_amplitude(candidate.id);
+    let wave = is_amplitude(candidate.effect);
     let directions: Vec<(f64, f64)> = if wave {
         (0..8)
             .map(|n| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos())
@@ -392,12 +454,12 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
     let most = likelihood(best);
     let mut pairs: Vec<[&'static str; 2]> = Vec::new();
     for (j, present) in candidates.iter().enumerate() {
-        if best[j].is_none() || present.unknown {
+        if best[j].is_none() || present.is_unknown() {
             continue;
         }
         for (k, rival) in candidates.iter().enumerate() {
             let pair = [present.id, rival.id];
-            let is_open = best[k].is_none() && !rival.unknown && !rival.is_whole();
+            let is_open = best[k].is_none() && !rival.is_unknown() && !rival.is_whole();
             if !is_open || present.id == rival.id || pairs.contains(&pair) {
                 continue;
             }

@@ -10,7 +10,7 @@ use super::tangent::{Axis, LANES, Step, Tangent, Wave, carry};
 use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
-use crate::plant::effect::{self, CATALOGUE};
+use crate::plant::effect;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario,
     State, typical_size,
@@ -36,11 +36,12 @@ pub(super) struct Variant {
     pub log_prior: f64,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(super) struct Candidate {
     pub id: &'static str,
+    /// None: a curve that is no effect.
+    pub effect: Option<&'static dyn Effect>,
     pub in_model: bool,
-    pub unknown: bool,
     pub log_odds: f64,
     pub variants: Vec<Variant>,
     /// Candidates that say the same and are out where this one is in.
@@ -52,10 +53,15 @@ impl Candidate {
     pub(super) fn is_whole(&self) -> bool {
         self.variants[0].mean > 0.0
     }
+
+    /// Whether it is a curve that no effect gives.
+    pub(super) fn is_unknown(&self) -> bool {
+        self.effect.is_none()
+    }
 }
 
 /// The linear problem of one or several runs.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(super) struct Linear {
     /// Standard deviations beforehand of what is always in: the motor's parameters and the stamps' errors.
     pub nuisances: Vec<f64>,
@@ -247,11 +253,15 @@ pub(super) struct Part {
 }
 
 impl Part {
-    fn new(id: &'static str, log_odds: f64) -> Self {
+    fn new(effect: &'static dyn Effect, log_odds: f64) -> Self {
+        Self::named(effect.card().id, Some(effect), log_odds)
+    }
+
+    fn named(id: &'static str, effect: Option<&'static dyn Effect>, log_odds: f64) -> Self {
         let candidate = Candidate {
             id,
+            effect,
             in_model: false,
-            unknown: false,
             log_odds,
             variants: vec![],
             excludes: vec![],
@@ -321,7 +331,7 @@ const LOG_ODDS_UNKNOWN: f64 = -4.605_170_185_988_091;
 fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Option<Part> {
     let id = effect.card().id;
     let specs = effect.parameters();
-    let mut part = Part::new(id, LOG_ODDS);
+    let mut part = Part::new(effect, LOG_ODDS);
     part.candidate.in_model = true;
     let values = model
         .effects
@@ -388,7 +398,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
 fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Part {
     let id = effect.card().id;
     let specs = effect.parameters();
-    let mut part = Part::new(id, LOG_ODDS);
+    let mut part = Part::new(effect, LOG_ODDS);
     let coefficients: Vec<usize> = (0..specs.len())
         .filter(|k| specs[*k].is_coefficient())
         .collect();
@@ -484,7 +494,12 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
 }
 
 /// The linear problem of `runs` around one model. Every run must be followed with that same model.
-pub(super) fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> Option<Linear> {
+pub(super) fn linearise(
+    model: &Model,
+    asked: &[&'static dyn Effect],
+    runs: &[Around<'_>],
+    unknowns: bool,
+) -> Option<Linear> {
     let training = runs[0].scenario;
     let (always, nuisances): (Vec<Source>, Vec<f64>) =
         nuisances(model, training)?.into_iter().unzip();
@@ -495,9 +510,10 @@ pub(super) fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> O
             Some(beside_model(model, *effect, training))
         }
     };
-    let mut parts: Vec<Part> = CATALOGUE.par_iter().map(of_effect).collect::<Option<_>>()?;
+    let mut parts: Vec<Part> = asked.par_iter().map(of_effect).collect::<Option<_>>()?;
     parts.retain(|part| !part.sources.is_empty());
-    if !model.has("load_step") {
+    let asked_for_steps = asked.iter().any(|effect| effect.card().id == "load_step");
+    if asked_for_steps && !model.has("load_step") {
         parts.extend(load_steps(model, runs));
     }
     if unknowns {
@@ -671,7 +687,7 @@ fn load_steps(model: &Model, runs: &[Around<'_>]) -> Vec<Part> {
         let length_s =
             run.scenario.sample_time_s[run.scenario.samples() - 1] - run.scenario.begin_s();
         let slab = SLAB * typical_size(effect, 0, model, run.scenario);
-        let mut part = Part::new("load_step", LOG_ODDS_STEP);
+        let mut part = Part::new(effect, LOG_ODDS_STEP);
         for place in 1..PLACES {
             let values = vec![slab, length_s * place as f64 / PLACES as f64];
             let terms = effect.terms(&values);
@@ -693,7 +709,7 @@ fn exclusions(candidates: &mut [Candidate]) {
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
         related(a.id, b.id)
-            || (a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
+            || (a.is_unknown() != b.is_unknown() && curve(a).is_some() && curve(a) == curve(b))
     };
     for k in 0..candidates.len() {
         let excludes = (0..candidates.len())
@@ -724,8 +740,7 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
             .iter()
             .fold(0.0_f64, |most, event| most.max(event.1.abs()));
     let part = |id: &'static str, curves: Vec<Tangent>| {
-        let mut part = Part::new(id, LOG_ODDS_UNKNOWN);
-        part.candidate.unknown = true;
+        let mut part = Part::named(id, None, LOG_ODDS_UNKNOWN);
         let mut form = Form::new(vec![], 0.0);
         for curve in curves {
             form.column(Source::Tangent(curve), NO_PARAMETER, 1.0, 0.0);

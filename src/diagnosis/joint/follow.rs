@@ -36,7 +36,10 @@ const RELEASED: f64 = 5.0;
 /// What the form of an effect may be wrong by, as a share of what it does.
 const FORM: f64 = 0.05;
 
-/// What the effects of a model do at an instant: volts and newton metres.
+/// Time over which the error of a coupling's form is alike, s: about a period of its ringing.
+const RINGING_S: f64 = 0.01;
+
+/// What the effects of a model do at an instant: volts, newton metres, and newton metres of what rings.
 struct Forms {
     terms: Vec<Box<dyn Terms>>,
     motor: Instant,
@@ -65,7 +68,7 @@ impl Forms {
         }
     }
 
-    fn at(&self, time_s: f64, voltage_v: f64, state: &State, acceleration: f64) -> [f64; 2] {
+    fn at(&self, time_s: f64, voltage_v: f64, state: &State, acceleration: f64) -> [f64; 3] {
         let at = Instant {
             time_s,
             voltage_v,
@@ -74,7 +77,8 @@ impl Forms {
             angle_rad: state.angle_rad,
             ..self.motor
         };
-        let (mut volts, mut torque) = (0.0, (self.coupling * self.inertia * acceleration).powi(2));
+        let (mut volts, mut torque) = (0.0, 0.0);
+        let ringing = (self.coupling * self.inertia * acceleration).powi(2);
         let mut own = state.own();
         for terms in &self.terms {
             if terms.coupling().is_some() {
@@ -88,7 +92,7 @@ impl Forms {
             volts += sums.voltage_v.powi(2) + (sums.current_rate_gain * inductive).powi(2);
             torque += sums.torque_n_m.powi(2) + sums.friction_n_m.powi(2);
         }
-        [volts, torque]
+        [volts, torque, ringing]
     }
 }
 
@@ -148,8 +152,8 @@ pub(super) struct Passage {
     pub direction: f64,
     /// What the speed's deviation is multiplied by: zero where the shaft comes to rest or was at rest.
     pub kept: f64,
-    /// Variances of voltage and torque by which the forms of the model's effects may be wrong.
-    pub form: [f64; 2],
+    /// Variances of voltage, torque and quick torque by which the forms of the model's effects may be wrong.
+    pub form: [f64; 3],
     /// What the voltage's error keeps.
     pub voltage_keeps: f64,
     /// Variances of current and speed that an unknown voltage adds, and whether the model was taken over from the
@@ -338,7 +342,7 @@ impl<'a> Filter<'a> {
         } else {
             0.0
         };
-        let [volts_2, torque_2] = self.forms.at(
+        let squares = self.forms.at(
             time_s - self.scenario.begin_s(),
             self.scenario.events[self.event].1,
             state,
@@ -372,7 +376,7 @@ impl<'a> Filter<'a> {
             interval_s,
             direction: now,
             kept: if rests || released { 0.0 } else { 1.0 },
-            form: [FORM * FORM * volts_2, FORM * FORM * torque_2],
+            form: squares.map(|square| FORM * FORM * square),
             voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
         };
         self.p = predicted(&self.p, &passage, &self.dynamics, self.noise, forget);
@@ -556,7 +560,8 @@ pub(super) fn predicted(
         }
     }
     out[0][0] += passage.fresh[0];
-    out[1][1] += passage.fresh[1] * moving;
+    let ringing = passage.form[2] * RINGING_S * passage.interval_s;
+    out[1][1] += (passage.fresh[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
     out[3][3] += (noise.voltage_v.powi(2) + passage.form[0]) * (1.0 - keeps * keeps);
     out

@@ -277,6 +277,7 @@ mod tests {
     use super::KEPT;
     use crate::diagnosis::joint::columns::{Around, Candidate, linearise};
     use crate::diagnosis::joint::follow::Noise;
+    use crate::plant::effect::CATALOGUE;
     use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
     use crate::plant::{ActiveEffect, Model, Motor, State, effect};
 
@@ -305,7 +306,9 @@ mod tests {
             voltage_v: 0.05,
         };
         let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
-        linearise(&model, &runs, false).unwrap().candidates
+        linearise(&model, CATALOGUE, &runs, false)
+            .unwrap()
+            .candidates
     }
 
     #[test]

@@ -127,7 +127,7 @@ fn averaged(
 /// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
 fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) -> (Passage, bool) {
     let mut kept = 1.0;
-    let mut form = [0.0; 2];
+    let mut form = [0.0; 3];
     let mut interval_s = 0.0;
     let mut jumps = false;
     let mut direction = 0.0;

@@ -16,7 +16,7 @@ use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event, Progress};
-use crate::plant::{ActiveEffect, Model, ParameterSpec, Scenario, State, effect};
+use crate::plant::{ActiveEffect, Effect, Model, ParameterSpec, Scenario, State, effect};
 
 /// Mean square of the innovations above which a linear solution is not believed.
 const FAR: f64 = 3.0;
@@ -85,19 +85,25 @@ fn present(linear: &Linear) -> Set {
 }
 
 /// The model with a candidate's effect as the linear solution has it.
-fn with_effect(model: &Model, id: &str, values: &[f64]) -> Option<Model> {
-    let effect = effect::find(id)?;
+fn with_effect(model: &Model, effect: &'static dyn Effect, values: &[f64]) -> Model {
     let mut model = model.clone();
-    model.effects.retain(|active| active.id() != id);
+    model
+        .effects
+        .retain(|active| active.id() != effect.card().id);
     model.effects.push(ActiveEffect {
         effect,
         values: values.iter().copied().map(Some).collect(),
     });
-    Some(model)
+    model
 }
 
 /// The model at the linear solution of a set.
-fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set) -> Option<Model> {
+pub(super) fn at_solution(
+    model: &Model,
+    linear: &Linear,
+    reduced: &Reduced<'_>,
+    set: &Set,
+) -> Option<Model> {
     let columns = reduced.columns(set);
     let (mean, _) = reduced.sizes(&columns)?;
     let m = linear.nuisances.len();
@@ -109,9 +115,9 @@ fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set)
     };
     let mut next = model.clone();
     for (candidate, chosen) in linear.candidates.iter().zip(set) {
-        if candidate.unknown {
+        let Some(effect) = candidate.effect else {
             continue;
-        }
+        };
         match chosen {
             None => {
                 if candidate.in_model {
@@ -121,7 +127,7 @@ fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set)
             Some(v) if !candidate.in_model => {
                 let variant = &candidate.variants[*v];
                 let mut values = variant.values.clone();
-                let specs = effect::find(candidate.id)?.parameters();
+                let specs = effect.parameters();
                 for ((column, unit), parameter) in variant
                     .columns
                     .iter()
@@ -139,7 +145,7 @@ fn at_solution(model: &Model, linear: &Linear, reduced: &Reduced<'_>, set: &Set)
                         values[*parameter] = x * unit;
                     }
                 }
-                next = with_effect(&next, candidate.id, &values)?;
+                next = with_effect(&next, effect, &values);
             }
             Some(_) => {}
         }
@@ -163,7 +169,13 @@ struct Step {
 
 /// Adds the single effects that explain most when refitted, one after the other, until the linear solution holds or none
 /// explains a good part of what is left. Only the first run is looked at.
-fn approach(mut model: Model, scenario: &Scenario, start: State, noise: Noise) -> Option<Model> {
+fn approach(
+    mut model: Model,
+    asked: &[&'static dyn Effect],
+    scenario: &Scenario,
+    start: State,
+    noise: Noise,
+) -> Option<Model> {
     for _ in 0..MOST_STEPS {
         let runs = around(&model, &[scenario], &[start], noise)?;
         let rows = runs[0].follower.rows as f64;
@@ -171,7 +183,7 @@ fn approach(mut model: Model, scenario: &Scenario, start: State, noise: Noise) -
         if now < FAR * rows {
             break;
         }
-        match best_step(&model, &runs, FAR * rows) {
+        match best_step(&model, asked, &runs, FAR * rows) {
             Some(step) if step.squares < WORTH_A_STEP * now => model = step.model,
             _ => break,
         }
@@ -180,8 +192,13 @@ fn approach(mut model: Model, scenario: &Scenario, start: State, noise: Noise) -
 }
 
 /// The best single effect beside `model`; `near` is where the squares are small enough.
-fn best_step(model: &Model, runs: &[Around<'_>], near: f64) -> Option<Step> {
-    let linear = linearise(model, runs, false)?;
+fn best_step(
+    model: &Model,
+    asked: &[&'static dyn Effect],
+    runs: &[Around<'_>],
+    near: f64,
+) -> Option<Step> {
+    let linear = linearise(model, asked, runs, false)?;
     let reduced = Reduced::new(&linear, 1.0, false)?;
     let set = present(&linear);
     let columns = reduced.columns(&set);
@@ -240,34 +257,39 @@ fn best_step(model: &Model, runs: &[Around<'_>], near: f64) -> Option<Step> {
     best
 }
 
-/// Searches from `model` on; `floor` is the noise to begin with, whose sensors are those at rest. `None` where the model
-/// cannot be followed on the runs.
+/// Searches from `model` on for `asked`, among them what the model has already; `floor` is the noise to begin with, whose
+/// sensors are those at rest. `None` where the model cannot be followed on the runs.
 pub(super) fn search(
     model: &Model,
+    asked: &[&'static dyn Effect],
     scenarios: &[&Scenario],
     starts: &[State],
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<Found> {
-    let mut model = approach(model.clone(), scenarios[0], starts[0], floor)?;
+    let given = model.effect_ids();
+    let mut model = approach(model.clone(), asked, scenarios[0], starts[0], floor)?;
     let mut noise = floor;
     let mut seen: Vec<Vec<&'static str>> = Vec::new();
+    let mut barred: Vec<Barred> = Vec::new();
+    let mut replaced = false;
     for round in 0..MOST_ROUNDS {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
         let unknowns = round > 0;
+        let linearised = |model: &Model, runs: &[Around<'_>]| {
+            let mut linear = linearise(model, asked, runs, unknowns)?;
+            for candidate in &mut linear.candidates {
+                if barred.iter().any(|barred| barred.id == candidate.id) {
+                    candidate.log_odds = BARRED;
+                }
+            }
+            Some(linear)
+        };
         let mut runs = around(&model, scenarios, starts, noise)?;
-        let mut linear = linearise(&model, &runs, unknowns)?;
+        let mut linear = linearised(&model, &runs)?;
         let mut reduced = Reduced::new(&linear, 1.0, true)?;
         if round == 0 {
-            for (k, candidate) in linear.candidates.iter().enumerate() {
-                if k > 0 && linear.candidates[k - 1].id == candidate.id {
-                    continue;
-                }
-                progress(Event::Screened {
-                    effect: candidate.id,
-                    share: reduced.share_alone(k),
-                });
-            }
+            screened(&linear, &reduced, progress);
         }
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
         let mut posterior = select(&reduced, &sets);
@@ -280,7 +302,7 @@ pub(super) fn search(
                 noise = better;
                 drop(reduced);
                 runs = around(&model, scenarios, starts, noise)?;
-                linear = linearise(&model, &runs, unknowns)?;
+                linear = linearised(&model, &runs)?;
                 reduced = Reduced::new(&linear, 1.0, true)?;
                 posterior = select(&reduced, &sets);
             }
@@ -288,6 +310,31 @@ pub(super) fn search(
         let set = names(&linear, &posterior.best);
         let stands =
             seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
+        if stands && round + 1 < MOST_ROUNDS {
+            let weighed = Weighed {
+                model: &model,
+                linear: &linear,
+                reduced: &reduced,
+                posterior: &posterior,
+                runs: &runs,
+            };
+            if !replaced && let Some(simpler) = weighed.simpler(&given) {
+                replaced = true;
+                seen.clear();
+                drop(reduced);
+                drop(runs);
+                model = simpler;
+                continue;
+            }
+            if let Some((doubt, without)) = weighed.doubtful(&given) {
+                barred.push(doubt);
+                seen.clear();
+                drop(reduced);
+                drop(runs);
+                model = without;
+                continue;
+            }
+        }
         if stands || round + 1 == MOST_ROUNDS {
             let excess = excess_of(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
@@ -295,6 +342,10 @@ pub(super) fn search(
             if excess > 1.0 {
                 let wider = Reduced::new(&linear, excess, true)?;
                 posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
+            }
+            for (candidate, p) in linear.candidates.iter().zip(&mut posterior.probability) {
+                let found = barred.iter().find(|barred| barred.id == candidate.id);
+                *p = found.map_or(*p, |barred| barred.probability.max(*p));
             }
             drop(reduced);
             drop(runs);
@@ -320,6 +371,116 @@ pub(super) fn search(
         }
     }
     None
+}
+
+/// Hands on what each effect would explain by itself.
+fn screened(linear: &Linear, reduced: &Reduced<'_>, progress: Progress<'_>) {
+    for (k, candidate) in linear.candidates.iter().enumerate() {
+        if k > 0 && linear.candidates[k - 1].id == candidate.id {
+            continue;
+        }
+        progress(Event::Screened {
+            effect: candidate.id,
+            share: reduced.share_alone(k),
+        });
+    }
+}
+
+/// Log of the odds beforehand of an effect that a refit has refuted.
+const BARRED: f64 = -30.0;
+/// Growth of the log likelihood that a second effect must bring to stand for one that serves in the place of both.
+const WORTH_A_SECOND: f64 = 5.7;
+
+/// An effect that the linear solution asked for and a refit refuted.
+struct Barred {
+    id: &'static str,
+    /// What the refit leaves of its probability.
+    probability: f64,
+}
+
+/// Pairs of effects that are one to first order: a command that comes late, and both signals that are read late.
+const LATE: (&str, [&str; 2], &str) = (
+    "command_delay",
+    ["speed_delay", "speed_filter"],
+    "current_filter",
+);
+
+/// Sets as the linear solution weighs them.
+struct Weighed<'a> {
+    model: &'a Model,
+    linear: &'a Linear,
+    reduced: &'a Reduced<'a>,
+    posterior: &'a Posterior,
+    runs: &'a [Around<'a>],
+}
+
+impl Weighed<'_> {
+    /// The effect of the best set, none of `given`, that a refit refutes most clearly, and the model without it. A linear
+    /// solution is wrong where an effect's own size bends what it does, as that of a large delay.
+    fn doubtful(&self, given: &[&'static str]) -> Option<(Barred, Model)> {
+        let best = &self.posterior.best;
+        let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
+        let whole = likelihood(best);
+        let base = fit(self.model, self.runs)?;
+        let mut worst: Option<(f64, &'static str, Model)> = None;
+        for (k, candidate) in self.linear.candidates.iter().enumerate() {
+            let asked = best[k].is_some() && !candidate.is_unknown();
+            if !asked || given.contains(&candidate.id) {
+                continue;
+            }
+            let mut without = best.clone();
+            without[k] = None;
+            let promised = whole - likelihood(&without);
+            let (model, gained) = if candidate.in_model {
+                let (model, left) = fit(&self.model.without_effect(candidate.id).ok()?, self.runs)?;
+                (model, 0.5 * (left - base.1))
+            } else {
+                let mut with = present(self.linear);
+                with[k] = best[k];
+                let start = at_solution(self.model, self.linear, self.reduced, &with)?;
+                (
+                    self.model.clone(),
+                    fit(&start, self.runs).map_or(0.0, |with| 0.5 * (base.1 - with.1)),
+                )
+            };
+            let odds = self.posterior.log_factor[k] - (promised - gained).max(0.0);
+            if odds < 0.0 && worst.as_ref().is_none_or(|worst| odds < worst.0) {
+                worst = Some((odds, candidate.id, model));
+            }
+        }
+        let (odds, id, model) = worst?;
+        let probability = 1.0 / (1.0 + (-odds).exp());
+        Some((Barred { id, probability }, model))
+    }
+
+    /// The model with one effect in the place of two that it is alike to, where the two are not clearly better.
+    fn simpler(&self, given: &[&'static str]) -> Option<Model> {
+        let (one, firsts, second) = LATE;
+        let first = firsts.into_iter().find(|first| self.model.has(first))?;
+        let is_open = |id: &str| self.model.has(id) && !given.contains(&id);
+        if self.model.has(one) || !is_open(first) || !is_open(second) {
+            return None;
+        }
+        let late_s = |id: &str| {
+            let mut effects = self.model.effects.iter();
+            effects
+                .find(|active| active.id() == id)?
+                .values_or_guess()
+                .first()
+                .copied()
+        };
+        let mean_s = 0.5 * (late_s(first)? + late_s(second)?);
+        let without = self
+            .model
+            .without_effect(first)
+            .ok()?
+            .without_effect(second)
+            .ok()?;
+        let start = with_effect(&without, effect::find(one)?, &[mean_s]);
+        let (_, both) = fit(self.model, self.runs)?;
+        let (model, left) = fit(&start, self.runs)?;
+        (0.5 * (left - both) < WORTH_A_SECOND).then_some(model)
+    }
 }
 
 /// The linear solution of a set in all columns, the nuisances' first.
@@ -401,7 +562,7 @@ fn unknown_shares(
     Some(
         candidates
             .map(|(k, (candidate, chosen))| match chosen {
-                Some(variant) if candidate.unknown => share(*variant, k),
+                Some(variant) if candidate.is_unknown() => share(*variant, k),
                 _ => 0.0,
             })
             .collect(),
@@ -418,7 +579,7 @@ fn unexplained(
 ) -> Option<[Option<f64>; 2]> {
     let mut explained = solution(linear, reduced, set)?;
     for (candidate, chosen) in linear.candidates.iter().zip(set) {
-        if let (Some(variant), true) = (chosen, candidate.unknown) {
+        if let (Some(variant), true) = (chosen, candidate.is_unknown()) {
             for column in &candidate.variants[*variant].columns {
                 explained[*column] = 0.0;
             }

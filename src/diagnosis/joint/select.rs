@@ -58,7 +58,7 @@ impl<'a> Reduced<'a> {
             .enumerate()
             .collect();
         for candidate in &linear.candidates {
-            if none_is_zero && !candidate.unknown {
+            if none_is_zero && !candidate.is_unknown() {
                 let columns = candidate.variants.iter().flat_map(|v| &v.columns);
                 hairs.extend(columns.map(|c| (*c, 1.0 / (HAIR * HAIR))));
             }
@@ -457,6 +457,7 @@ pub(super) fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
 mod tests {
     use super::*;
     use crate::diagnosis::joint::columns::{Candidate, Variant};
+    use crate::plant::effect;
 
     /// One column for each candidate, with this normal matrix and these products with the residual.
     fn linear(gram: &[&[f64]], right: &[f64]) -> Linear {
@@ -464,7 +465,7 @@ mod tests {
         let candidate = |column: usize| Candidate {
             id: ["viscous_friction", "quadratic_load", "voltage_drop"][column],
             in_model: false,
-            unknown: false,
+            effect: effect::find(["viscous_friction", "quadratic_load", "voltage_drop"][column]),
             log_odds: (0.1_f64 / 0.9).ln(),
             variants: vec![Variant {
                 columns: vec![column],

@@ -113,6 +113,10 @@ pub(super) fn diagnose_with(
         axis_map: Vec::new(),
         baseline: fitted(baseline),
         model: fitted(&found.fit),
+        rivals: Vec::new(),
+        sensor_floor: None,
+        repeat_floor: None,
+        repeats: None,
     };
     diagnosis.confirm = sides.confirm.as_ref().map(|rows| {
         let on = |fit: &BalanceFit| Sides::score(fit, None, rows);

@@ -9,10 +9,9 @@ use super::reveal::reveal;
 use super::rival::Rival;
 use super::separation::{Response, refitted};
 use super::{MenuEntry, NextExperiment, PairEntry, SEPARATED, words};
-use crate::diagnosis::refit::refit_one;
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{Input, Model, effect};
+use crate::plant::{Input, Model};
 
 /// Pairs that one run is asked to tell apart.
 const MOST_PAIRS: usize = 3;
@@ -109,11 +108,9 @@ fn smaller(directions: [Option<f64>; 2]) -> f64 {
 }
 
 /// The run after this diagnosis: for the pairs that it could not tell apart, else, where nothing was found, for what the
-/// runs did not excite. `None` where there is nothing to ask, or no voltage to ask it with. `original` is the model
-/// before any fit.
+/// runs did not excite. `None` where there is nothing to ask, or no voltage to ask it with.
 pub fn recommend(
     diagnosis: &Diagnosis,
-    original: &Model,
     evidence: &Evidence,
     limits: &ExperimentLimits,
 ) -> Result<Option<NextExperiment>, FitError> {
@@ -137,14 +134,14 @@ pub fn recommend(
         return reveal(&diagnosis.baseline.model, &unseen, evidence, limits);
     }
     let mut others = Vec::new();
-    for names in diagnosis.confusable.iter().take(MOST_PAIRS) {
-        let Some(rival) = effect::find(names[1]) else {
-            continue;
-        };
-        let without = diagnosis.model.model.without_effect(names[0])?;
-        let base = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
-        let refit = refit_one(evidence, &base, original, rival)?;
-        others.push((*names, refit.model));
+    let rivals = diagnosis.confusable.iter().zip(&diagnosis.rivals);
+    for (names, rival) in rivals.take(MOST_PAIRS) {
+        let rival = output_error::fit(
+            std::slice::from_ref(rival),
+            &evidence.training,
+            &evidence.noise,
+        )?;
+        others.push((*names, rival.model));
     }
     let Some(base) = without_effect(&diagnosis.model.model, &others) else {
         return Ok(None);

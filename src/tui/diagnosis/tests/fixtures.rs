@@ -83,6 +83,10 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
 
 pub(super) fn diagnosis() -> Diagnosis {
     Diagnosis {
+        rivals: Vec::new(),
+        sensor_floor: Some(1.0),
+        repeat_floor: None,
+        repeats: None,
         verdict: DiagnosisVerdict::Effect,
         effect: Some("stribeck_friction"),
         effects: vec!["stribeck_friction"],
