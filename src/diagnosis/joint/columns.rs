@@ -679,7 +679,7 @@ fn assemble(
 
 /// A step of the load in one run, at any of many times.
 fn load_steps(model: &Model, runs: &[Around<'_>]) -> Vec<Part> {
-    const PLACES: usize = 24;
+    const PLACES: usize = 96;
     let Some(effect) = effect::find("load_step") else {
         return vec![];
     };
