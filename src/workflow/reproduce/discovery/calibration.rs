@@ -1,0 +1,188 @@
+//! What probabilities, bounds and sizes are worth: counts over every effect of every answer.
+
+use serde::Serialize;
+
+use super::{Answer, Bounded, Finding, Group};
+use crate::diagnosis::{DiagnosisVerdict, Status};
+use crate::numerics::statistics::median;
+
+/// Edges of the bins of probabilities: fine where something is claimed.
+const EDGES: [f64; 7] = [0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0];
+/// A bound so far below the true size is false beyond what an estimate of 95 % may miss.
+const FALSE_BOUND: f64 = 0.8;
+
+/// Effects that were given a probability between two edges; the upper edge belongs to the last bin only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bin {
+    pub from: f64,
+    pub to: f64,
+    /// Mean of the probabilities given; none where none was.
+    pub mean: Option<f64>,
+    /// How many of them are there.
+    pub there: Bounded,
+}
+
+/// Counts over answers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Calibration {
+    pub sets: usize,
+    pub bins: Vec<Bin>,
+    /// Mean square of the probability's distance from what is so.
+    pub brier: Option<f64>,
+    /// Of all effects that are there, those that are named, by this or another right name.
+    pub recalled: Bounded,
+    /// Of those that are not: what was said instead.
+    pub missed: Missed,
+    /// Of all names, those of what is not there.
+    pub false_names: Bounded,
+    /// Of the false names: the twin is there; the answer says itself that it cannot be told from what is there.
+    pub false_twins: usize,
+    pub false_but_open: usize,
+    /// Of the effects that are there: called ruled out with a bound below 0.8 of the true size.
+    pub falsely_ruled_out: Bounded,
+    /// Of the effects that are there and have a size: unnamed, though so much was said to show.
+    pub should_have_shown: Bounded,
+    /// Of the effects that are absent and that the runs excite: those that are ruled out.
+    pub absent_ruled_out: Bounded,
+    /// Of these, the median of the bound over the size that would have been named.
+    pub bound_over_detectable: Option<f64>,
+    /// Of the bounds of what is there and unnamed: those that hold.
+    pub bounds_hold: Bounded,
+    /// Of the sizes of right names: those whose 95 % interval holds the truth; their median error.
+    pub intervals_hold: Bounded,
+    pub size_error: Option<f64>,
+    /// Where something is there that the runs excite: that nothing is missing.
+    pub false_none: Bounded,
+    /// Where nothing is there that no catalogue has, and no other shape: that most stays unexplained.
+    pub false_unexplained: Bounded,
+}
+
+/// Effects that are there and were not named.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Missed {
+    /// The twin is named.
+    pub twin: usize,
+    /// The answer says that it cannot be told from what is named.
+    pub open: usize,
+    pub possible: usize,
+    pub ruled_out: usize,
+    pub not_excited: usize,
+    /// Another wave is named under its name.
+    pub other_order: usize,
+}
+
+impl Missed {
+    fn count(&mut self, finding: &Finding) {
+        let place = match finding.status {
+            _ if finding.of_other_order => &mut self.other_order,
+            _ if finding.twin => &mut self.twin,
+            _ if finding.left_open => &mut self.open,
+            Status::NotExcited => &mut self.not_excited,
+            Status::RuledOut => &mut self.ruled_out,
+            Status::Possible | Status::Supported => &mut self.possible,
+        };
+        *place += 1;
+    }
+}
+
+impl Calibration {
+    pub fn of<'a>(answers: impl IntoIterator<Item = &'a Answer>) -> Self {
+        let answers: Vec<&Answer> = answers.into_iter().collect();
+        let all: Vec<&Finding> = answers.iter().flat_map(|a| &a.findings).collect();
+        let there = || all.iter().filter(|finding| finding.there);
+        let missed = || all.iter().filter(|finding| finding.is_missed());
+        let named = all.iter().filter(|finding| finding.named);
+        let falsely = || all.iter().filter(|finding| finding.is_false());
+        let count = |kept: &dyn Fn(&Finding) -> bool| all.iter().filter(|f| kept(f)).count();
+        let share = |held: &dyn Fn(&Finding) -> Option<bool>| {
+            let held: Vec<bool> = all.iter().filter_map(|finding| held(finding)).collect();
+            Bounded::new(held.iter().filter(|held| **held).count(), held.len())
+        };
+        let ruled_out = |f: &Finding| f.status == Status::RuledOut;
+        let excited = |f: &Finding| !f.there && !f.named && f.status != Status::NotExcited;
+        let mut instead = Missed::default();
+        missed().for_each(|finding| instead.count(finding));
+        Self {
+            sets: answers.len(),
+            bins: bins(&all),
+            brier: mean(all.iter().map(|f| (f.probability - share_there(f)).powi(2))),
+            recalled: Bounded::new(there().count() - missed().count(), there().count()),
+            missed: instead,
+            false_names: Bounded::new(falsely().count(), named.count()),
+            false_twins: falsely().filter(|finding| finding.twin).count(),
+            false_but_open: falsely().filter(|finding| finding.left_open).count(),
+            falsely_ruled_out: Bounded::new(
+                count(&|finding| finding.is_ruled_out_below(FALSE_BOUND)),
+                there().count(),
+            ),
+            should_have_shown: Bounded::new(
+                count(&Finding::should_have_shown),
+                count(&|finding| finding.there && finding.true_size.is_some()),
+            ),
+            absent_ruled_out: share(&|finding| excited(finding).then(|| ruled_out(finding))),
+            bound_over_detectable: median_of(
+                all.iter()
+                    .filter(|f| excited(f) && ruled_out(f))
+                    .filter_map(|finding| Some(finding.upper_bound? / finding.detectable?)),
+            ),
+            bounds_hold: share(&Finding::bound_holds),
+            intervals_hold: share(&Finding::interval_holds),
+            size_error: median_of(all.iter().filter_map(|finding| finding.size_error())),
+            false_none: verdicts(&answers, DiagnosisVerdict::None, |answer| {
+                let shown = |f: &Finding| f.there && f.status != Status::NotExcited;
+                answer.group == Group::Unknown || answer.findings.iter().any(shown)
+            }),
+            false_unexplained: verdicts(&answers, DiagnosisVerdict::Unexplained, |answer| {
+                let foreign = matches!(answer.group, Group::Unknown | Group::WrongForm);
+                !foreign && answer.group.background().is_none()
+            }),
+        }
+    }
+}
+
+/// One where the effect is there under this name.
+fn share_there(finding: &Finding) -> f64 {
+    f64::from(u8::from(finding.there && !finding.of_other_order))
+}
+
+fn bins(all: &[&Finding]) -> Vec<Bin> {
+    let last = EDGES.len() - 2;
+    let edges = EDGES.iter().zip(&EDGES[1..]).enumerate();
+    edges
+        .map(|(place, (&from, &to))| {
+            let inside =
+                |f: &&&Finding| f.probability >= from && (f.probability < to || place == last);
+            let of_bin: Vec<&Finding> = all.iter().filter(inside).copied().collect();
+            let there = of_bin.iter().filter(|f| f.there && !f.of_other_order);
+            Bin {
+                from,
+                to,
+                mean: mean(of_bin.iter().map(|finding| finding.probability)),
+                there: Bounded::new(there.count(), of_bin.len()),
+            }
+        })
+        .collect()
+}
+
+/// How often a verdict was given where it is false.
+fn verdicts(
+    answers: &[&Answer],
+    verdict: DiagnosisVerdict,
+    is_false_there: impl Fn(&Answer) -> bool,
+) -> Bounded {
+    let asked: Vec<_> = (answers.iter().filter(|answer| is_false_there(answer)))
+        .filter_map(|answer| answer.verdict)
+        .collect();
+    let given = asked.iter().filter(|given| **given == verdict);
+    Bounded::new(given.count(), asked.len())
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_usize), |(sum, n), value| (sum + value, n + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let values: Vec<f64> = values.collect();
+    (!values.is_empty()).then(|| median(&values))
+}
