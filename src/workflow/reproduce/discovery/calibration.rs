@@ -186,3 +186,239 @@ fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
     let values: Vec<f64> = values.collect();
     (!values.is_empty()).then(|| median(&values))
 }
+
+/// Answers by hand.
+#[cfg(test)]
+pub(in crate::workflow::reproduce) mod by_hand {
+    use super::*;
+    use crate::workflow::reproduce::discovery::Outcome;
+
+    /// An effect that is absent and ruled out, at most 2, where 4 would have shown.
+    pub(in crate::workflow::reproduce) fn absent(effect: &'static str, p: f64) -> Finding {
+        Finding {
+            effect,
+            there: false,
+            true_size: None,
+            probability: p,
+            status: Status::of(p, true),
+            upper_bound: Some(2.0),
+            detectable: Some(4.0),
+            named: false,
+            of_other_order: false,
+            size: None,
+            interval_95: None,
+            other_name: None,
+            twin: false,
+            left_open: false,
+        }
+    }
+
+    /// An effect that is there with the size 10, and named as 11 +- 2.
+    pub(in crate::workflow::reproduce) fn named(effect: &'static str, p: f64) -> Finding {
+        Finding {
+            there: true,
+            true_size: Some(10.0),
+            named: true,
+            size: Some(11.0),
+            interval_95: Some([9.0, 13.0]),
+            ..absent(effect, p)
+        }
+    }
+
+    pub(in crate::workflow::reproduce) fn answer(
+        group: Group,
+        verdict: DiagnosisVerdict,
+        findings: Vec<Finding>,
+    ) -> Answer {
+        Answer {
+            group,
+            excitation: "rich",
+            class: "cogging".to_owned(),
+            seed: 1,
+            outcome: Outcome::Right,
+            verdict: Some(verdict),
+            effects: vec![],
+            sufficient: true,
+            holdout_before: None,
+            holdout_after: None,
+            sentence: String::new(),
+            findings,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::by_hand::{absent, answer, named};
+    use super::*;
+
+    fn of(findings: Vec<Finding>) -> Calibration {
+        Calibration::of(&[answer(Group::Single, DiagnosisVerdict::Effect, findings)])
+    }
+
+    fn counts(share: Bounded) -> (usize, usize) {
+        (share.count, share.of)
+    }
+
+    #[test]
+    fn bins_hold_what_was_given_between_their_edges() {
+        let all = of(vec![
+            absent("backlash", 0.0),
+            absent("supply_sag", 0.019),
+            absent("constant_load", 0.02),
+            named("viscous_friction", 0.9),
+            named("cogging", 0.98),
+            named("eccentric_load", 1.0),
+        ]);
+        let found: Vec<_> = all.bins.iter().map(|bin| counts(bin.there)).collect();
+        assert_eq!(found, [(0, 2), (0, 1), (0, 0), (0, 0), (1, 1), (2, 2)]);
+        assert!((all.bins[0].mean.unwrap() - 0.0095).abs() < 1e-12);
+        assert_eq!(all.bins[2].mean, None);
+        // Squares of 0, 0.019, 0.02, 0.1, 0.02, 0.
+        let squares = 0.019_f64.powi(2) + 2.0 * 0.02_f64.powi(2) + 0.01;
+        assert!((all.brier.unwrap() - squares / 6.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_there_and_unnamed_is_counted_by_what_was_said_of_it() {
+        let missed = |p: f64| Finding {
+            named: false,
+            size: None,
+            interval_95: None,
+            ..named("cogging", p)
+        };
+        let all = of(vec![
+            // 10 is there: at most 2, 4 would have shown.
+            missed(0.01),
+            // At most 9 is too little, and no more than an estimate may miss.
+            Finding {
+                upper_bound: Some(9.0),
+                detectable: None,
+                ..missed(0.05)
+            },
+            Finding {
+                upper_bound: Some(12.0),
+                detectable: Some(15.0),
+                ..missed(0.3)
+            },
+            Finding {
+                twin: true,
+                upper_bound: None,
+                ..missed(0.4)
+            },
+            Finding {
+                left_open: true,
+                upper_bound: None,
+                ..missed(0.4)
+            },
+            Finding {
+                status: Status::NotExcited,
+                upper_bound: None,
+                detectable: None,
+                ..missed(0.1)
+            },
+            // Named under the other right name: nothing was missed.
+            Finding {
+                other_name: Some("viscous_friction"),
+                ..missed(0.01)
+            },
+            Finding {
+                of_other_order: true,
+                ..named("cogging", 0.99)
+            },
+            named("eccentric_load", 0.99),
+        ]);
+        assert_eq!(counts(all.recalled), (2, 9));
+        let instead = Missed {
+            twin: 1,
+            open: 1,
+            possible: 1,
+            ruled_out: 2,
+            not_excited: 1,
+            other_order: 1,
+        };
+        assert_eq!(all.missed, instead);
+        assert_eq!(counts(all.falsely_ruled_out), (1, 9));
+        // Four bounds: the wave of another order has one too.
+        assert_eq!(counts(all.bounds_hold), (1, 4));
+        // The first, the twin, what was left open and the other wave, each with 4 that would have shown.
+        assert_eq!(counts(all.should_have_shown), (4, 9));
+        // The wave of another order is no effect that is there under its probability.
+        assert_eq!(counts(all.bins[5].there), (1, 2));
+        assert_eq!(counts(all.false_names), (1, 2));
+    }
+
+    #[test]
+    fn names_of_what_is_not_there_are_false_and_twins_among_them_counted() {
+        let falsely = Finding {
+            named: true,
+            ..absent("quadratic_load", 0.8)
+        };
+        let all = of(vec![
+            falsely.clone(),
+            Finding {
+                twin: true,
+                ..falsely.clone()
+            },
+            Finding {
+                twin: true,
+                left_open: true,
+                ..falsely
+            },
+            named("viscous_friction", 0.95),
+        ]);
+        assert_eq!(counts(all.false_names), (3, 4));
+        assert_eq!((all.false_twins, all.false_but_open), (2, 1));
+    }
+
+    #[test]
+    fn bounds_of_what_is_absent_and_sizes_of_what_is_named() {
+        let all = of(vec![
+            absent("backlash", 0.01),
+            absent("supply_sag", 0.2),
+            Finding {
+                status: Status::NotExcited,
+                ..absent("load_step", 0.1)
+            },
+            named("cogging", 0.99),
+            Finding {
+                interval_95: Some([10.5, 11.5]),
+                ..named("eccentric_load", 0.99)
+            },
+            Finding {
+                true_size: None,
+                ..named("elastic_coupling", 0.99)
+            },
+        ]);
+        assert_eq!(counts(all.absent_ruled_out), (1, 2));
+        assert!((all.bound_over_detectable.unwrap() - 0.5).abs() < 1e-12);
+        assert_eq!(counts(all.intervals_hold), (1, 2));
+        assert!((all.size_error.unwrap() - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_verdict_is_false_only_where_it_could_be_otherwise() {
+        let hidden = || Finding {
+            named: false,
+            ..named("cogging", 0.05)
+        };
+        let unseen = Finding {
+            status: Status::NotExcited,
+            ..hidden()
+        };
+        let (none, unexplained) = (DiagnosisVerdict::None, DiagnosisVerdict::Unexplained);
+        let all = Calibration::of(&[
+            answer(Group::Single, none, vec![hidden()]),
+            answer(Group::Single, none, vec![unseen]),
+            answer(Group::Null, none, vec![absent("cogging", 0.0)]),
+            answer(Group::Unknown, none, vec![absent("cogging", 0.0)]),
+            answer(Group::Unknown, unexplained, vec![absent("cogging", 0.0)]),
+            answer(Group::Harsh, unexplained, vec![hidden()]),
+            answer(Group::Pair, unexplained, vec![hidden()]),
+        ]);
+        // The first and the unknown, of those with something to be seen; the pair, of those that the catalogue explains.
+        assert_eq!(counts(all.false_none), (2, 5));
+        assert_eq!(counts(all.false_unexplained), (1, 4));
+        assert_eq!(all.sets, 7);
+    }
+}

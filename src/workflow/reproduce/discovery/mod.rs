@@ -9,7 +9,7 @@
 //! Virtual time and stated seeds: the same program gives the same page. The emulator's effects have other mathematical
 //! forms than the catalogue's, and each set has a motor of its own.
 
-mod calibration;
+pub(super) mod calibration;
 mod cases;
 mod finding;
 mod judge;
