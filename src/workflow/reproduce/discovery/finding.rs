@@ -16,6 +16,10 @@ const INTERVAL: f64 = 1.96;
 
 /// One effect of the catalogue in one set.
 #[derive(Clone, Debug, Serialize)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "a line of a sheet with a column for each question, not the state of something"
+)]
 pub struct Finding {
     pub effect: &'static str,
     pub there: bool,

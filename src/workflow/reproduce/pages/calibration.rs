@@ -385,7 +385,11 @@ mod tests {
 
     #[test]
     fn the_page_says_it_in_tables_and_a_picture() {
-        let study = study(good().into_iter().chain([bad()]).collect());
+        let lossy = Answer {
+            group: Group::Lossy,
+            ..bad()
+        };
+        let study = study(good().into_iter().chain([bad(), lossy]).collect());
         insta::assert_snapshot!(study.report().text());
         let files = study.report().files();
         let svg = files.iter().find(|(name, _)| name == "reliability.svg");

@@ -46,13 +46,13 @@ impl Discovery {
                 self.beside(Group::Unknown, "unknown", UNKNOWN),
                 self.beside(Group::WrongForm, "another-shape", ANOTHER_SHAPE),
                 self.beside(Group::Pair, "pairs", PAIRS),
-                self.background(),
-                self.against_single(Group::Noisy, "noise", NOISE),
-                self.against_single(Group::Lossy, "lost-rows", LOST_ROWS),
                 calibration::probabilities(self),
                 calibration::bounds(self),
-                self.failures(),
+                self.background(),
             ]);
+            sections.extend(self.against_single(Group::Noisy, "noise", NOISE));
+            sections.extend(self.against_single(Group::Lossy, "lost-rows", LOST_ROWS));
+            sections.push(self.failures());
         }
         if !self.live.is_empty() {
             sections.push(live::section(&self.live, self.live_asked));
@@ -272,9 +272,13 @@ impl Discovery {
         .collect()
     }
 
-    /// A group beside the machines that it shares with the single effects and the nulls, by excitation.
-    fn against_single(&self, group: Group, name: &str, about: (&str, &str)) -> Section {
+    /// A group beside the machines that it shares with the single effects and the nulls, by excitation; none where the
+    /// study has none.
+    fn against_single(&self, group: Group, name: &str, about: (&str, &str)) -> Option<Section> {
         let harder = self.of(|a| a.group == group);
+        if harder.is_empty() {
+            return None;
+        }
         let is_shared = |a: &Answer| harder.iter().any(|other| other.seed == a.seed);
         let plain = self.of(|a| matches!(a.group, Group::Single | Group::Null) && is_shared(a));
         let mut rows = Vec::new();
@@ -290,12 +294,17 @@ impl Discovery {
             "Of {} machines {} are right as they are and {} so; {} and {} are given a wrong name.",
             after.sets, before.right, after.right, before.wrong, after.wrong
         );
-        Section {
+        Some(Section {
             heading: about.0.to_owned(),
-            paragraphs: vec![compared],
-            tables: vec![table(about.1, name, tally_head("excitation"), rows)],
+            paragraphs: vec![about.1.to_owned(), compared],
+            tables: vec![table(
+                "By excitation.",
+                name,
+                tally_head("excitation"),
+                rows,
+            )],
             ..Section::default()
-        }
+        })
     }
 
     fn failures(&self) -> Section {
