@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::judge::known;
 use super::{Answer, Bounded, Finding, Group};
 use crate::diagnosis::{DiagnosisVerdict, Status};
 use crate::numerics::statistics::median;
@@ -127,7 +128,7 @@ impl Calibration {
             ),
             bounds_hold: share(&Finding::bound_holds),
             intervals_hold: share(&Finding::interval_holds),
-            size_error: median_of(all.iter().filter_map(|finding| finding.size_error())),
+            size_error: median_of(all.iter().filter_map(|f| f.size_error()).map(f64::abs)),
             false_none: verdicts(&answers, DiagnosisVerdict::None, |answer| {
                 let shown = |f: &Finding| f.there && f.status != Status::NotExcited;
                 answer.group == Group::Unknown || answer.findings.iter().any(shown)
@@ -138,6 +139,34 @@ impl Calibration {
             }),
         }
     }
+}
+
+/// Sizes of one effect over many answers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Sizes {
+    pub effect: &'static str,
+    /// Those whose 95 % interval holds the truth.
+    pub intervals_hold: Bounded,
+    /// Median of the error with its sign, as a share of the size.
+    pub error: Option<f64>,
+}
+
+/// Sizes by effect, in the order of the study; effects that were never named rightly are left out.
+pub fn sizes(answers: &[Answer]) -> Vec<Sizes> {
+    known()
+        .filter_map(|effect| {
+            let of_effect = || {
+                let all = answers.iter().flat_map(|answer| &answer.findings);
+                all.filter(|finding| finding.effect == effect)
+            };
+            let held: Vec<bool> = of_effect().filter_map(Finding::interval_holds).collect();
+            (!held.is_empty()).then(|| Sizes {
+                effect,
+                intervals_hold: Bounded::new(held.iter().filter(|held| **held).count(), held.len()),
+                error: median_of(of_effect().filter_map(Finding::size_error)),
+            })
+        })
+        .collect()
 }
 
 /// One where the effect is there under this name.
@@ -394,6 +423,36 @@ mod tests {
         assert!((all.bound_over_detectable.unwrap() - 0.5).abs() < 1e-12);
         assert_eq!(counts(all.intervals_hold), (1, 2));
         assert!((all.size_error.unwrap() - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn sizes_are_those_of_right_names_by_effect_with_their_sign() {
+        let smaller = Finding {
+            size: Some(8.0),
+            interval_95: Some([7.0, 9.0]),
+            ..named("cogging", 0.99)
+        };
+        let answers = [
+            answer(
+                Group::Single,
+                DiagnosisVerdict::Effect,
+                vec![named("cogging", 1.0), absent("backlash", 0.0)],
+            ),
+            answer(
+                Group::Harsh,
+                DiagnosisVerdict::Effect,
+                vec![smaller.clone()],
+            ),
+            answer(Group::Harsh, DiagnosisVerdict::Effect, vec![smaller]),
+        ];
+        let [only] = &sizes(&answers)[..] else {
+            panic!("backlash has no size");
+        };
+        assert_eq!(
+            (only.effect, counts(only.intervals_hold)),
+            ("cogging", (1, 3))
+        );
+        assert!((only.error.unwrap() + 0.2).abs() < 1e-12);
     }
 
     #[test]

@@ -35,7 +35,7 @@ pub struct Finding {
     /// As it was estimated, with its 95 % interval.
     pub size: Option<f64>,
     pub interval_95: Option<[f64; 2]>,
-    /// Another right name of the same thing is named.
+    /// Another right name of the same thing is named: no size of its own then has a truth.
     pub other_name: Option<&'static str>,
     /// Its twin is named in its place; of a false name: its twin is there.
     pub twin: bool,
@@ -84,10 +84,10 @@ impl Finding {
         (self.is_recalled()).then_some((low..=high).contains(&size))
     }
 
-    /// Error of the size of a right name, as a share of it.
+    /// Error of the size of a right name, as a share of it; negative where it is too small.
     pub fn size_error(&self) -> Option<f64> {
         let (found, size) = self.size.zip(self.true_size)?;
-        (self.is_recalled()).then(|| (found / size - 1.0).abs())
+        (self.is_recalled()).then(|| found / size - 1.0)
     }
 }
 
@@ -124,14 +124,17 @@ impl Finding {
             truth.order.is_none_or(close)
         };
         let meant: Vec<&Truth> = own.iter().filter(has_order).copied().collect();
-        let names = own.iter().flat_map(|truth| &truth.names).map(|name| name.0);
+        // Of one thing under two names neither size is the whole of it.
+        let mut names = own.iter().flat_map(|truth| &truth.names).map(|name| name.0);
+        let other_name = names.find(|name| *name != id && named.contains(name));
         let twin = twin_of(id);
         let mut open = diagnosis.confusable.iter();
         let (size, interval_95) = estimate(&candidate.parameters);
         Self {
             effect: id,
             there: !own.is_empty(),
-            true_size: true_size(if meant.is_empty() { &own } else { &meant }, id),
+            true_size: true_size(if meant.is_empty() { &own } else { &meant }, id)
+                .filter(|_| other_name.is_none()),
             probability: candidate.probability,
             status: candidate.status,
             upper_bound: candidate.upper_bound,

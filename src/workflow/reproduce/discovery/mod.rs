@@ -26,7 +26,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use rayon::prelude::*;
 use serde::Serialize;
 
-pub use calibration::{Bin, Calibration};
+pub use calibration::{Bin, Calibration, Sizes, sizes};
 pub use cases::{Case, Group};
 pub use finding::Finding;
 pub use judge::{Answer, Outcome};

@@ -1,9 +1,10 @@
 //! What is truly in a machine: under which names, with how many waves in a turn, and how large.
 //!
 //! The emulator's effects have other forms than the catalogue's, so that a size needs a condition at which both are held
-//! against each other. It is the key's own meaning where that names one (a Stribeck torque at rest, a saturation at rated
-//! current, a delay, an offset, the first harmonic of a wave); for drags the torque at half the rated speed, and for a
-//! drifting field its change six seconds after the start, each divided by that of the catalogue's form with size one.
+//! against each other. It is the key's own meaning where that names one (a saturation at rated current, a delay, an
+//! offset, the first harmonic of a wave); for drags the torque at half the rated speed, for friction that falls with
+//! speed that at half its own speed, for a drifting field its change six seconds after the start, each divided by that
+//! of the catalogue's form with size one.
 
 use crate::emulator::truth::MotorTruth;
 use crate::emulator::truth::effect::{HiddenEffect, Moment, Site};
@@ -11,7 +12,8 @@ use crate::plant::{Instant, effect};
 
 use super::sizes::right_names;
 
-/// The speed at which drags are compared, as a share of rated speed: half of what the excitations reach.
+/// The speed at which drags are compared, as a share of rated speed, and friction near standstill, as one of its own:
+/// half of what the excitations reach, half of where it has fallen.
 const SPEED_SHARE: f64 = 0.5;
 /// The instant at which drifts are compared, s: half of a run.
 const TIME_S: f64 = 6.0;
@@ -68,6 +70,27 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
             };
             let torque_n_m = hidden.mechanism(site)?.drag_torque_n_m(speed_rad_s);
             Some(torque_n_m / of_catalogue.terms(&[1.0]).torque_n_m(&at, &[]))
+        }
+        "stribeck_friction" => {
+            let own_rad_s = value(hidden, "stribeck_speed_rad_s")?;
+            let speed_rad_s = SPEED_SHARE * own_rad_s;
+            let at = Moment {
+                speed_rad_s,
+                ..Moment::default()
+            };
+            let of_size_one = of_catalogue
+                .terms(&[1.0, own_rad_s])
+                .friction_n_m(&Instant {
+                    speed_rad_s,
+                    ..Instant::default()
+                });
+            let friction_n_m = hidden.mechanism(site)?.friction_n_m(&at);
+            if friction_n_m > 0.0 {
+                Some(friction_n_m / of_size_one)
+            } else {
+                // A bristle is no function of the speed; at a constant one it settles on the catalogue's curve.
+                value(hidden, main)
+            }
         }
         "field_change" => {
             let at = Moment {
@@ -132,6 +155,11 @@ mod tests {
         // Magnets that warm up slowly: (1 - e^-0.1)/0.1 of the drift at first.
         let drift = size_of("id = \"field_change\"\ndrift_per_s = -4e-3");
         assert!((drift + 4e-3 * -(-0.1_f64).exp_m1() / 0.1).abs() < 1e-12);
+        // e^-0.5 against e^-0.25.
+        let film = size_of(
+            "id = \"exponential_stribeck\"\nstribeck_n_m = 0.1\nstribeck_speed_rad_s = 8.0",
+        );
+        assert!((film - 0.1 * (-0.25_f64).exp()).abs() < 1e-12);
         let wave = size_of("id = \"cogging\"\norder = 6\nsin_n_m = 0.03\ncos_n_m = -0.04");
         assert!((wave - 0.05).abs() < 1e-12);
     }

@@ -5,7 +5,7 @@ use super::discovery::table;
 use crate::report::number::{fixed, significant};
 use crate::report::plot::{Claims, ReliabilityChart};
 use crate::report::reproduce::{Picture, Section};
-use crate::workflow::reproduce::discovery::{Answer, Bin, Bounded, Calibration, Discovery};
+use crate::workflow::reproduce::discovery::{Answer, Bin, Bounded, Calibration, Discovery, sizes};
 
 /// Probabilities from which on an effect is called supported, and below which ruled out.
 const SUPPORTED: f64 = 0.9;
@@ -101,32 +101,48 @@ pub(super) fn bounds(study: &Discovery) -> Section {
             counted(of_group.false_unexplained),
         ])
     });
+    let of_effects = sizes(&study.answers).into_iter();
+    let by_effect = of_effects.map(|of_effect| {
+        cells([
+            of_effect.effect.to_owned(),
+            counted(of_effect.intervals_hold),
+            percent_of(of_effect.error),
+        ])
+    });
     Section {
         heading: "Bounds".to_owned(),
         paragraphs: vec![SIZES.to_owned(), bounds_in_short(&study.calibration)],
-        tables: vec![table(
-            BOUNDS,
-            "bounds",
-            vec![
-                "group",
-                "falsely ruled out",
-                "bounds hold",
-                "should have shown",
-                "absent: ruled out",
-                "bound / detectable",
-                "intervals hold",
-                "size error",
-                "false \"none\"",
-                "false \"unexplained\"",
-            ],
-            rows.collect(),
-        )],
+        tables: vec![
+            table(
+                BOUNDS,
+                "bounds",
+                vec![
+                    "group",
+                    "falsely ruled out",
+                    "bounds hold",
+                    "should have shown",
+                    "absent: ruled out",
+                    "bound / detectable",
+                    "intervals hold",
+                    "size error",
+                    "false \"none\"",
+                    "false \"unexplained\"",
+                ],
+                rows.collect(),
+            ),
+            table(
+                "Sizes of right names over all groups, by effect: how many 95 % intervals hold the truth, and the median error with its sign.",
+                "sizes",
+                vec!["effect", "intervals hold", "error"],
+                by_effect.collect(),
+            ),
+        ],
         ..Section::default()
     }
 }
 
 const WEIGHED: &str = "In every set every effect of the catalogue is given a probability that it is there, beside all others that may be. Here each is held against what is so: what was hidden, and what a background is made of. Of a shape that lies between two names both count as there; a wave under the right name with another number of cogs counts as not there. The effects of one set depend on each other, so that the intervals, which count them as independent, are somewhat too narrow.";
-const SIZES: &str = "A size needs a condition at which the emulator's form and the catalogue's are held against each other. Drag, fan and direction-dependent drag: their torque at half the rated speed, divided by that of the catalogue's form. A drifting field: its change six seconds after the start. All others: what the key says (a torque at rest, a saturation at rated current, a resistance at the beginning, a delay, an offset, the first harmonic of a wave). Effects of the same name in one machine add up, but for waves of different order, of which the largest counts. The natural frequency of an elastic coupling is no size.";
+const SIZES: &str = "A size needs a condition at which the emulator's form and the catalogue's are held against each other. Drag, fan and direction-dependent drag: their torque at half the rated speed, divided by that of the catalogue's form. Friction near standstill: the same at half the speed at which it falls. A drifting field: its change six seconds after the start. All others: what the key says (a saturation at rated current, a resistance at the beginning, a delay, an offset, the first harmonic of a wave). Effects of the same name in one machine add up, but for waves of different order, of which the largest counts. The natural frequency of an elastic coupling is no size.";
 const BOUNDS: &str = "Falsely ruled out: of all effects that are there, those called ruled out with a bound below 0.8 of their size. Bounds hold: \"at most\" of effects that are there and were not named. Should have shown: of all effects that are there, those that were not named although they are larger than what was said to show. Absent, ruled out: of all effects that are not there, not named, and that the runs excite. Bound / detectable: their median; a bound that claims little is easily right. Intervals hold: of the sizes of right names, those whose 95 % interval holds the truth. Size error: its median. False \"none\": that nothing is missing, where something is that the runs excite. False \"unexplained\": where all that is hidden is the catalogue's and there is no background.";
 
 pub(super) fn in_short(all: &Calibration) -> String {
