@@ -83,11 +83,13 @@ impl ReliabilityChart {
                 px(at),
                 px(share)
             );
-            // On the side of the diagonal where there is room.
-            let (class, beside) = if claims.given < 0.5 {
-                ("value", at + 9.0)
-            } else {
+            // Beside the diagonal, not on it, where the frame leaves room.
+            let across = place(claims.given);
+            let is_left = across > 0.9 || (across > 0.1 && claims.share > claims.given);
+            let (class, beside) = if is_left {
                 ("value end", at - 9.0)
+            } else {
+                ("value", at + 9.0)
             };
             let label = format!("of {}", claims.count);
             let level = share.clamp(HEAD + 14.0, base - 6.0);
