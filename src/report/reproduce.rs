@@ -50,12 +50,20 @@ impl Reproduction {
         self.page().text()
     }
 
-    /// The text as a page of the documentation: the title first, the answer as its first section.
+    /// The text as a page of the documentation: the title first, the answer as its first section, the pictures as files
+    /// beside it.
     pub fn markdown(&self) -> String {
         let mut page = Page::new(&self.title, &self.subtitle);
         page.section(&self.lead.0);
         page.paragraph(&self.lead.1);
-        self.fill(page).text()
+        let mut beside = self.clone();
+        for section in &mut beside.sections {
+            let pictures = section.pictures.iter().filter(|p| !p.svg.is_empty());
+            let links = pictures
+                .map(|p| format!("![{}]({}.svg)\n\n{}", section.heading, p.name, p.caption));
+            section.paragraphs.extend(links);
+        }
+        beside.fill(page).text()
     }
 
     fn page(&self) -> Page {
@@ -141,6 +149,12 @@ mod tests {
             report
                 .markdown()
                 .starts_with("# paper\n\nof 1980\n\n## Met\n\nnearly\n"),
+            "{}",
+            report.markdown()
+        );
+        let link = "\n## Figure 2\n\n![Figure 2](figure-2.svg)\n\nTM\n";
+        assert!(
+            report.markdown().contains(link) && !report.text().contains("!["),
             "{}",
             report.markdown()
         );

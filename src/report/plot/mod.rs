@@ -6,6 +6,7 @@
 //! rungs   -> bars with the noise floor as the goal
 //! error over speed x current -> map
 //! what an equation lacks over one axis -> axis_chart
+//! given probabilities against what came true -> reliability
 //! ```
 //!
 //! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
@@ -19,12 +20,14 @@ pub mod decimate;
 mod draw;
 mod map;
 mod panels;
+mod reliability;
 
 pub use axis_chart::AxisChart;
 pub use bars::{Bar, BarChart};
 pub use curves::{CurveChart, CurvePanel};
 pub use map::MapChart;
 pub use panels::{Band, Panel, PanelPlot, Series, Style};
+pub use reliability::{Claims, ReliabilityChart};
 
 /// A picture as a file of its own: with the page's style sheet, which every viewer of SVG understands.
 pub fn standalone(svg: &str) -> String {

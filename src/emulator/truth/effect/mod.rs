@@ -224,6 +224,14 @@ impl HiddenEffect {
             })
     }
 
+    /// The effects that it is made of; itself where it is one.
+    pub fn single(&self, site: &Site) -> Vec<Self> {
+        match self.hidden().parts(site) {
+            parts if parts.is_empty() => vec![self.clone()],
+            parts => parts,
+        }
+    }
+
     /// The second inertia that it puts behind the shaft.
     pub(super) fn shaft(&self, site: &Site) -> Option<Shaft> {
         self.hidden().shaft(site)

@@ -4,12 +4,16 @@ use serde::Serialize;
 
 use super::Size;
 use super::record::Excitation;
-use super::sizes::{KNOWN, PAIRS, UNKNOWN, WRONG_FORM};
+use super::sizes::{BACKGROUND, KNOWN, PAIRS, UNKNOWN, WRONG_FORM, right_names};
 
 /// Levels of unmodelled background, as multiples of the emulator's `messy`; level 0 is the single effects themselves.
 const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
 /// Nulls in each excitation for each set of a cell: false alarms are rare, so they need counting.
 const NULLS_PER_SET: u64 = 6;
+/// Machines with nothing but the small effects, in each excitation for each set of a cell.
+const SMALL_PER_SET: u64 = 24;
+/// What is hard in other ways than the effect itself is asked of a rich run, a plain one and a slow one.
+const HARD: [Excitation; 3] = [Excitation::Rich, Excitation::Steps, Excitation::Rich100Hz];
 /// Length of each run, s.
 const SECONDS: f64 = 12.0;
 
@@ -32,6 +36,12 @@ pub enum Group {
     },
     /// The same at half the size, with sensors three times as noisy.
     Harsh,
+    /// The small effects of a background, and nothing else that is known.
+    Small,
+    /// The machines of [`Self::Single`], with sensors three times as noisy.
+    Noisy,
+    /// The runs of [`Self::Single`] and [`Self::Null`], of which rows were lost.
+    Lossy,
 }
 
 impl Group {
@@ -44,6 +54,27 @@ impl Group {
             Self::Pair => "two effects".to_owned(),
             Self::Background { level } => format!("background {level}"),
             Self::Harsh => "harsh background".to_owned(),
+            Self::Small => "small effects only".to_owned(),
+            Self::Noisy => "three times the noise".to_owned(),
+            Self::Lossy => "lost rows".to_owned(),
+        }
+    }
+
+    /// Scale of the emulator's `messy` in machines of this group.
+    pub(super) const fn background(self) -> Option<f64> {
+        match self {
+            Self::Background { level } => Some(level),
+            Self::Harsh | Self::Small => Some(1.0),
+            _ => None,
+        }
+    }
+
+    /// The group whose machines are drawn: a comparison is one of the same machines.
+    const fn drawn_as(self, nothing_hidden: bool) -> Self {
+        match self {
+            Self::Noisy | Self::Lossy if nothing_hidden => Self::Null,
+            Self::Noisy | Self::Lossy => Self::Single,
+            other => other,
         }
     }
 }
@@ -71,17 +102,15 @@ impl Case {
         set: u64,
         size: Size,
     ) -> Self {
-        let right_names = |id: &'static str| -> Vec<&'static str> {
-            let foreign = WRONG_FORM.iter().find(|(foreign, ..)| *foreign == id);
-            foreign.map_or_else(|| vec![id], |(_, _, names)| names.to_vec())
-        };
         let right = match group {
-            Group::Unknown => vec![],
-            _ => hidden.iter().map(|id| right_names(id)).collect(),
+            Group::Small => BACKGROUND.iter().map(|id| vec![*id]).collect(),
+            _ => (hidden.iter().map(|id| right_names(id)))
+                .filter(|names| !names.is_empty())
+                .collect(),
         };
         let cell = format!(
             "{}/{}/{}",
-            group.name(),
+            group.drawn_as(hidden.is_empty()).name(),
             excitation.name(),
             hidden.join("+")
         );
@@ -97,7 +126,9 @@ impl Case {
 
     /// The class in tables: what is hidden, in words of the emulator.
     pub fn class(&self) -> String {
-        if self.hidden.is_empty() {
+        if self.group == Group::Small {
+            BACKGROUND.join(" + ")
+        } else if self.hidden.is_empty() {
             "nothing".to_owned()
         } else {
             self.hidden.join(" + ")
@@ -137,13 +168,15 @@ pub(super) fn all(size: Size) -> Vec<Case> {
             add(Group::Unknown, excitation, &[id], size.sets);
         }
     }
-    for excitation in [Excitation::Rich, Excitation::Steps] {
+    for excitation in Excitation::ALL {
         for (id, ..) in WRONG_FORM {
             add(Group::WrongForm, excitation, &[id], size.sets);
         }
     }
-    for pair in PAIRS {
-        add(Group::Pair, Excitation::Rich, pair, size.sets);
+    for excitation in [Excitation::Rich, Excitation::Steps] {
+        for pair in PAIRS {
+            add(Group::Pair, excitation, pair, size.sets);
+        }
     }
     for level in BACKGROUND_LEVELS {
         for (id, _) in KNOWN {
@@ -155,8 +188,14 @@ pub(super) fn all(size: Size) -> Vec<Case> {
             );
         }
     }
-    for (id, _) in KNOWN {
-        add(Group::Harsh, Excitation::Rich, &[id], size.sets);
+    for excitation in HARD {
+        for group in [Group::Harsh, Group::Noisy, Group::Lossy] {
+            for (id, _) in KNOWN {
+                add(group, excitation, &[id], size.sets);
+            }
+        }
+        add(Group::Small, excitation, &[], SMALL_PER_SET * size.sets);
+        add(Group::Lossy, excitation, &[], NULLS_PER_SET * size.sets);
     }
     cases
 }

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::finding::{Finding, findings};
 use super::sizes::{self, BACKGROUND};
+use super::truth::Truth;
 use super::{Case, Group};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
 use crate::plant::{Model, Slot};
@@ -20,7 +22,7 @@ pub enum Outcome {
     Twin,
     /// The answer is a set that cannot be told apart, and all that is hidden is in it.
     Ambiguous,
-    /// One of two is named, and nothing that is not there; or one of two is in a set that cannot be told apart.
+    /// A part of what is hidden is named, and nothing that is not there; or a part is in a set that cannot be told apart.
     Partial,
     /// Nothing is named, and the run is said not to excite the effect.
     NotExcited,
@@ -47,23 +49,28 @@ pub struct Answer {
     pub holdout_after: Option<f64>,
     /// The diagnosis' own sentence, or why there is none.
     pub sentence: String,
+    /// Of every effect of the catalogue; none where there is no answer.
+    pub findings: Vec<Finding>,
 }
 
 impl Answer {
-    /// `orders` are the true waves in a turn of what is hidden, as [`Case::right`] lists it.
-    pub(super) fn of(case: &Case, orders: &[Option<f64>], diagnosis: &Diagnosis) -> Self {
+    /// `truths` begin with what is hidden, as [`Case::right`] lists it.
+    pub(super) fn of(case: &Case, truths: &[Truth], diagnosis: &Diagnosis) -> Self {
+        let said = Said::of(diagnosis);
+        let orders: Vec<Option<f64>> = truths.iter().map(|truth| truth.order).collect();
         Self {
             group: case.group,
             excitation: case.excitation.name(),
             class: case.class(),
             seed: case.seed,
-            outcome: outcome(case, orders, &Said::of(diagnosis)),
+            outcome: outcome(case, &orders, &said),
             verdict: Some(diagnosis.verdict),
             effects: diagnosis.effects.clone(),
             sufficient: diagnosis.sufficient,
             holdout_before: Some(diagnosis.holdout_before),
             holdout_after: Some(diagnosis.holdout_after),
             sentence: diagnosis.sentence.clone(),
+            findings: findings(truths, &said.orders, diagnosis),
         }
     }
 
@@ -80,6 +87,7 @@ impl Answer {
             holdout_before: None,
             holdout_after: None,
             sentence: reason,
+            findings: vec![],
         }
     }
 
@@ -191,8 +199,7 @@ fn named(case: &Case, orders: &[Option<f64>], said: &Said<'_>) -> Outcome {
         })
         .collect();
     let belongs = |id: &str| {
-        let background = matches!(case.group, Group::Background { .. } | Group::Harsh)
-            && BACKGROUND.contains(&id);
+        let background = case.group.background().is_some() && BACKGROUND.contains(&id);
         background || right.iter().flatten().any(|right| *right == id)
     };
     let strangers: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();

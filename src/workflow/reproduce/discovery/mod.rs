@@ -2,13 +2,16 @@
 //!
 //! ```text
 //! catalogue of sizes (sizes) -> Case (cases) -> emulated machine, excited and recorded (record) -> diagnose -> Outcome (judge)
-//!                                                             all outcomes -> counts with bounds, matrix (tally) -> pages
+//!                       what is in it, and how large (truth) <---'    of each effect, what was said (finding) <---'
+//!     all outcomes -> counts with bounds, matrix (tally)     all findings -> what probabilities and bounds are worth (calibration)
 //! ```
 //!
 //! Virtual time and stated seeds: the same program gives the same page. The emulator's effects have other mathematical
 //! forms than the catalogue's, and each set has a motor of its own.
 
+pub(super) mod calibration;
 mod cases;
+mod finding;
 mod judge;
 mod live;
 mod record;
@@ -16,13 +19,16 @@ mod sizes;
 mod tally;
 #[cfg(test)]
 mod tests;
+mod truth;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 use serde::Serialize;
 
+pub use calibration::{Bin, Calibration, Sizes, sizes};
 pub use cases::{Case, Group};
+pub use finding::Finding;
 pub use judge::{Answer, Outcome};
 pub use live::{Heard, LiveAnswer, LiveLink};
 pub use record::Excitation;
@@ -57,6 +63,8 @@ pub struct Discovery {
     pub sets_in_each_cell: u64,
     pub counts: Vec<GroupCount>,
     pub matrix: Matrix,
+    /// Of all sets together.
+    pub calibration: Calibration,
     pub answers: Vec<Answer>,
     /// Mysteries that the whole program was given in real time; empty where that was not asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -110,6 +118,7 @@ pub fn discovery(
         sets_in_each_cell: size.sets,
         counts: tally::counts(&answers),
         matrix: tally::matrix(&answers),
+        calibration: Calibration::of(&answers),
         answers,
         live: Vec::new(),
         live_asked: 0,
@@ -119,15 +128,14 @@ pub fn discovery(
 /// One set from the machine to the verdict. The diagnosis starts from the nameplate and gets the rows of two runs,
 /// nothing else.
 fn answer(case: &Case) -> Answer {
-    let (runs, orders) = match record::runs(case).and_then(|runs| Ok((runs, record::orders(case)?)))
-    {
-        Ok(both) => both,
+    let runs = match record::runs(case) {
+        Ok(runs) => runs,
         Err(error) => return Answer::failed(case, error.to_string()),
     };
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs.fit, Some(runs.holdout), None);
     match diagnose(&nameplate, evidence, false) {
-        Ok(diagnosis) => Answer::of(case, &orders, &diagnosis),
+        Ok(diagnosis) => Answer::of(case, &runs.truths, &diagnosis),
         Err(error) => Answer::failed(case, error.to_string()),
     }
 }

@@ -6,9 +6,9 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::sizes::{self};
+use super::truth::{Truth, truths};
 use super::{Case, Group};
 use crate::drive::{DriveLink, LinkError};
-use crate::emulator::truth::effect::HiddenEffect;
 use crate::emulator::{
     EmulatorConfig, EmulatorConfigError, Latency, MemoryLink, SoftDrive, VirtualClock,
 };
@@ -25,9 +25,14 @@ const SPEED_NOISE_RAD_S: f64 = 0.15;
 const SPEED_STEP_RAD_S: f64 = 0.104_72;
 const CURRENT_NOISE_A: f64 = 0.03;
 const CURRENT_STEP_A: f64 = 0.01;
-/// A harsh background: so much noisier, and the hidden effect so much smaller.
-const HARSH_NOISE: f64 = 3.0;
+/// So much noisier are the sensors where they are bad, and so much smaller the hidden effect on a harsh background.
+const BAD_SENSORS: f64 = 3.0;
 const HARSH_SIZE: f64 = 0.5;
+/// Share of the rows that a bad line loses at random, and how long it is away altogether.
+const LOST_SHARE: f64 = 0.1;
+const AWAY_S: f64 = 0.4;
+/// Stream of the generator that draws them: the run itself is that of a line that loses nothing.
+const LOSS_STREAM: u64 = 1;
 const FULL_V: f64 = 105.0;
 const SLEW_V_PER_S: f64 = 350.0;
 const PRBS_SLEW_V_PER_S: f64 = 500.0;
@@ -171,43 +176,32 @@ pub(super) enum StudyError {
     Tripped { time_s: f64 },
 }
 
-/// Two runs of one specimen, each from rest and cold.
+/// Two runs of one specimen, each from rest and cold, and what it is made of.
 #[derive(Debug)]
 pub(super) struct Runs {
     pub(super) fit: Scenario,
     pub(super) holdout: Scenario,
+    pub(super) truths: Vec<Truth>,
 }
 
 pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
     let mut rng = ChaCha8Rng::seed_from_u64(case.seed);
+    let mut losses = ChaCha8Rng::seed_from_u64(case.seed);
+    losses.set_stream(LOSS_STREAM);
     let config = config(case, &mut rng)?;
     let mut run = |name: &str| {
         let program = case.excitation.program(&mut rng, case.seconds)?;
-        record(
-            name,
-            &config,
-            case.excitation.period_s(),
-            &program,
-            &mut rng,
-        )
+        let mut rows = exchanged(&config, case.excitation.period_s(), &program, &mut rng)?;
+        if case.group == Group::Lossy {
+            lose(&mut rows, &mut losses);
+        }
+        recorded(name, &rows)
     };
     Ok(Runs {
         fit: run("fit")?,
         holdout: run("hold-out")?,
+        truths: truths(&config.hidden, &config.motor),
     })
-}
-
-/// The waves in a turn of each hidden effect that has some, as the runs of this case are drawn.
-pub(super) fn orders(case: &Case) -> Result<Vec<Option<f64>>, StudyError> {
-    let mut rng = ChaCha8Rng::seed_from_u64(case.seed);
-    let hidden = config(case, &mut rng)?.hidden.into_iter();
-    let order = |effect: HiddenEffect| {
-        let mut parameters = effect.parameters().into_iter();
-        parameters
-            .find(|(key, ..)| *key == "order")
-            .map(|(_, value, _)| value)
-    };
-    Ok(hidden.take(case.hidden.len()).map(order).collect())
 }
 
 /// The specimen: drawn here and not by the drive, whose seed is left for noise and for what is random in an effect.
@@ -220,10 +214,9 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.limits.bus_v = 120.0;
     config.limits.speed_limit_rad_s = 1000.0;
     config.limits.winding_limit_c = 1000.0;
-    let noise = if case.group == Group::Harsh {
-        HARSH_NOISE
-    } else {
-        1.0
+    let noise = match case.group {
+        Group::Harsh | Group::Noisy => BAD_SENSORS,
+        _ => 1.0,
     };
     config.noise.current_a = noise * CURRENT_NOISE_A;
     config.noise.speed_rad_s = noise * SPEED_NOISE_RAD_S;
@@ -238,12 +231,7 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     for id in &case.hidden {
         config.hidden.push(sizes::drawn(id, share, rng).try_into()?);
     }
-    let level = match case.group {
-        Group::Background { level } => Some(level),
-        Group::Harsh => Some(1.0),
-        _ => None,
-    };
-    if let Some(level) = level {
+    if let Some(level) = case.group.background() {
         let mut messy = toml::Table::new();
         messy.insert("id".to_owned(), "messy".into());
         messy.insert("scale".to_owned(), level.into());
@@ -252,15 +240,16 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     Ok(config)
 }
 
-/// Writes the program's voltage and reads the telemetry, period by period. The rows hold what a recorder would have
-/// written: the command at the drive time at which it was applied, and the sample.
-fn record(
-    name: &str,
+/// What was commanded, and the telemetry that came back.
+type Row = (f64, Sample);
+
+/// Writes the program's voltage and reads the telemetry, period by period.
+fn exchanged(
     config: &EmulatorConfig,
     period_s: f64,
     program: &Program,
     rng: &mut ChaCha8Rng,
-) -> Result<Scenario, StudyError> {
+) -> Result<Vec<Row>, StudyError> {
     let clock = VirtualClock::new();
     let no_wire = Latency {
         request_s: 0.0,
@@ -268,7 +257,7 @@ fn record(
     };
     let drive = SoftDrive::new(config, rng.random());
     let mut link = MemoryLink::new(drive, clock.clone(), no_wire);
-    let mut rows: Vec<(f64, Sample)> = Vec::new();
+    let mut rows: Vec<Row> = Vec::new();
     let late_s = if period_s > 0.005 { LATE_S } else { 0.0 };
     let mut seq = 0;
     loop {
@@ -292,6 +281,23 @@ fn record(
         }
         rows.push((volts, sample));
     }
+    Ok(rows)
+}
+
+/// Takes out what a bad line did not bring: single rows, and all rows of one stretch after the standstill. The drive had
+/// its commands all the same.
+fn lose(rows: &mut Vec<Row>, rng: &mut ChaCha8Rng) {
+    let end_s = rows.last().map_or(0.0, |(_, sample)| sample.time_s);
+    let away_s = rng.random_range(STANDSTILL_S..end_s - AWAY_S);
+    let away_s = away_s..away_s + AWAY_S;
+    rows.retain(|(_, sample)| {
+        let is_lost = rng.random::<f64>() < LOST_SHARE;
+        !is_lost && !away_s.contains(&sample.time_s)
+    });
+}
+
+/// The rows as a recorder would have written them: the command at the drive time at which it was applied, and the sample.
+fn recorded(name: &str, rows: &[Row]) -> Result<Scenario, StudyError> {
     let column = |channel: Channel| -> Vec<f64> {
         rows.iter()
             .map(|(_, sample)| sample.get(channel).unwrap_or(f64::NAN))

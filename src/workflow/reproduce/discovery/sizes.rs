@@ -182,6 +182,17 @@ pub(super) const WRONG_FORM: &[(&str, &[Draw], &[&str])] = &[
     ),
 ];
 
+/// The names that are right for what the emulator calls `id`; none for what no catalogue has.
+pub(super) fn right_names(id: &str) -> Vec<&'static str> {
+    let known = KNOWN.iter().find(|(known, _)| *known == id);
+    let other = WRONG_FORM.iter().find(|(other, ..)| *other == id);
+    match (known, other) {
+        (Some((id, _)), _) => vec![*id],
+        (_, Some((_, _, names))) => names.to_vec(),
+        _ => vec![],
+    }
+}
+
 /// Two at once.
 pub(super) const PAIRS: &[[&str; 2]] = &[
     ["viscous_friction", "voltage_drop"],

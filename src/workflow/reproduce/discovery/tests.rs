@@ -52,10 +52,20 @@ fn every_case_of_the_full_study_can_be_recorded_and_has_seeds_of_its_own() {
         reduced: false,
     };
     let cases = cases::all(size);
-    let mut seeds: Vec<u64> = cases.iter().map(|case| case.seed).collect();
+    // Bad sensors and lost rows are those of machines that stand elsewhere in the study.
+    let own = |case: &&Case| !matches!(case.group, Group::Noisy | Group::Lossy);
+    let mut seeds: Vec<u64> = cases.iter().filter(own).map(|case| case.seed).collect();
+    let count = seeds.len();
     seeds.sort_unstable();
     seeds.dedup();
-    assert_eq!(seeds.len(), cases.len());
+    assert_eq!(seeds.len(), count);
+    let others = cases.iter().filter(|case| !own(case));
+    assert!(others.clone().count() > 150);
+    assert!(
+        others
+            .map(|case| case.seed)
+            .all(|seed| seeds.binary_search(&seed).is_ok())
+    );
     let mut seen: Vec<String> = vec![];
     for mut case in cases {
         let class = case.class();
@@ -87,6 +97,62 @@ fn studies_of_neighbouring_seeds_share_no_set() {
     for other in [0, 2, 3, 257] {
         assert!(seeds(other).all(|seed| !one.contains(&seed)), "{other}");
     }
+}
+
+#[test]
+fn a_line_that_loses_rows_loses_them_of_the_same_run() {
+    let size = Size {
+        sets: 1,
+        seed: 1,
+        reduced: false,
+    };
+    let of = |group: Group| {
+        let mut cases = cases::all(size).into_iter();
+        let mut case = cases
+            .find(|case| {
+                case.group == group
+                    && case.excitation == Excitation::Steps
+                    && case.hidden == ["cogging"]
+            })
+            .unwrap();
+        case.seconds = 5.0;
+        record::runs(&case).unwrap()
+    };
+    let (whole, lossy) = (of(Group::Single), of(Group::Lossy));
+    for (whole, lossy) in [(&whole.fit, &lossy.fit), (&whole.holdout, &lossy.holdout)] {
+        let (rows, left) = (whole.samples(), lossy.samples());
+        let share = 1.0 - left as f64 / rows as f64;
+        // A tenth of what 0.4 s of 5 s left over.
+        assert!((share - 0.172).abs() < 0.02, "{share}");
+        assert!(!lossy.unknown_input.is_empty() && whole.unknown_input.is_empty());
+        let longest = lossy.sample_time_s.windows(2).map(|pair| pair[1] - pair[0]);
+        let longest = longest.fold(0.0, f64::max);
+        assert!((0.4..0.42).contains(&longest), "{longest}");
+        for (time_s, current_a) in lossy.sample_time_s.iter().zip(&lossy.current_a) {
+            let row = whole.sample_time_s.partition_point(|time| time < time_s);
+            let same = whole.current_a[row];
+            assert!(current_a.is_nan() || (current_a - same).abs() < 1e-12);
+        }
+    }
+    assert_eq!(whole.truths, lossy.truths);
+    let noisy = of(Group::Noisy);
+    assert_eq!(whole.truths, noisy.truths);
+    let rest = |run: &crate::plant::Scenario| {
+        let still = run.speed_rad_s.iter().take(400);
+        (still.map(|w| w * w).sum::<f64>() / 400.0).sqrt()
+    };
+    let ratio = rest(&noisy.fit) / rest(&whole.fit);
+    assert!((2.5..3.5).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn a_study_of_one_set_in_each_cell_has_more_than_six_hundred_machines() {
+    let size = Size {
+        sets: 1,
+        seed: 1,
+        reduced: false,
+    };
+    assert!((600..800).contains(&size.machines()), "{}", size.machines());
 }
 
 #[test]

@@ -9,6 +9,7 @@
 
 mod adaptive;
 mod beyond;
+mod calibration;
 mod comparison;
 mod discovery;
 mod figure_2;

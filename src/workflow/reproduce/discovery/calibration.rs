@@ -1,0 +1,483 @@
+//! What probabilities, bounds and sizes are worth: counts over every effect of every answer.
+
+use serde::Serialize;
+
+use super::judge::known;
+use super::{Answer, Bounded, Finding, Group};
+use crate::diagnosis::{DiagnosisVerdict, Status};
+use crate::numerics::statistics::median;
+
+/// Edges of the bins of probabilities: fine where something is claimed.
+const EDGES: [f64; 7] = [0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0];
+/// A bound so far below the true size is false beyond what an estimate of 95 % may miss.
+const FALSE_BOUND: f64 = 0.8;
+
+/// Effects that were given a probability between two edges; the upper edge belongs to the last bin only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bin {
+    pub from: f64,
+    pub to: f64,
+    /// Mean of the probabilities given; none where none was.
+    pub mean: Option<f64>,
+    /// How many of them are there.
+    pub there: Bounded,
+}
+
+/// Counts over answers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Calibration {
+    pub sets: usize,
+    pub bins: Vec<Bin>,
+    /// Mean square of the probability's distance from what is so.
+    pub brier: Option<f64>,
+    /// Of all effects that are there, those that are named, by this or another right name.
+    pub recalled: Bounded,
+    /// Of those that are not: what was said instead.
+    pub missed: Missed,
+    /// Of all names, those of what is not there.
+    pub false_names: Bounded,
+    /// Of the false names: the twin is there; the answer says itself that it cannot be told from what is there.
+    pub false_twins: usize,
+    pub false_but_open: usize,
+    /// Of the effects that are there: called ruled out with a bound below 0.8 of the true size.
+    pub falsely_ruled_out: Bounded,
+    /// Of the effects that are there and have a size: unnamed, though so much was said to show.
+    pub should_have_shown: Bounded,
+    /// Of the effects that are absent and that the runs excite: those that are ruled out.
+    pub absent_ruled_out: Bounded,
+    /// Of these, the median of the bound over the size that would have been named.
+    pub bound_over_detectable: Option<f64>,
+    /// Of the bounds of what is there and unnamed: those that hold.
+    pub bounds_hold: Bounded,
+    /// Of the sizes of right names: those whose 95 % interval holds the truth; their median error.
+    pub intervals_hold: Bounded,
+    pub size_error: Option<f64>,
+    /// Where something is there that the runs excite: that nothing is missing.
+    pub false_none: Bounded,
+    /// Where nothing is there that no catalogue has, and no other shape: that most stays unexplained.
+    pub false_unexplained: Bounded,
+}
+
+/// Effects that are there and were not named.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Missed {
+    /// The twin is named.
+    pub twin: usize,
+    /// The answer says that it cannot be told from what is named.
+    pub open: usize,
+    pub possible: usize,
+    pub ruled_out: usize,
+    pub not_excited: usize,
+    /// Another wave is named under its name.
+    pub other_order: usize,
+}
+
+impl Missed {
+    fn count(&mut self, finding: &Finding) {
+        let place = match finding.status {
+            _ if finding.of_other_order => &mut self.other_order,
+            _ if finding.twin => &mut self.twin,
+            _ if finding.left_open => &mut self.open,
+            Status::NotExcited => &mut self.not_excited,
+            Status::RuledOut => &mut self.ruled_out,
+            Status::Possible | Status::Supported => &mut self.possible,
+        };
+        *place += 1;
+    }
+}
+
+impl Calibration {
+    pub fn of<'a>(answers: impl IntoIterator<Item = &'a Answer>) -> Self {
+        let answers: Vec<&Answer> = answers.into_iter().collect();
+        let all: Vec<&Finding> = answers.iter().flat_map(|a| &a.findings).collect();
+        let there = || all.iter().filter(|finding| finding.there);
+        let missed = || all.iter().filter(|finding| finding.is_missed());
+        let named = all.iter().filter(|finding| finding.named);
+        let falsely = || all.iter().filter(|finding| finding.is_false());
+        let count = |kept: &dyn Fn(&Finding) -> bool| all.iter().filter(|f| kept(f)).count();
+        let share = |held: &dyn Fn(&Finding) -> Option<bool>| {
+            let held: Vec<bool> = all.iter().filter_map(|finding| held(finding)).collect();
+            Bounded::new(held.iter().filter(|held| **held).count(), held.len())
+        };
+        let ruled_out = |f: &Finding| f.status == Status::RuledOut;
+        let excited = |f: &Finding| !f.there && !f.named && f.status != Status::NotExcited;
+        let mut instead = Missed::default();
+        missed().for_each(|finding| instead.count(finding));
+        Self {
+            sets: answers.len(),
+            bins: bins(&all),
+            brier: mean(all.iter().map(|f| (f.probability - share_there(f)).powi(2))),
+            recalled: Bounded::new(there().count() - missed().count(), there().count()),
+            missed: instead,
+            false_names: Bounded::new(falsely().count(), named.count()),
+            false_twins: falsely().filter(|finding| finding.twin).count(),
+            false_but_open: falsely().filter(|finding| finding.left_open).count(),
+            falsely_ruled_out: Bounded::new(
+                count(&|finding| finding.is_ruled_out_below(FALSE_BOUND)),
+                there().count(),
+            ),
+            should_have_shown: Bounded::new(
+                count(&Finding::should_have_shown),
+                count(&|finding| finding.there && finding.true_size.is_some()),
+            ),
+            absent_ruled_out: share(&|finding| excited(finding).then(|| ruled_out(finding))),
+            bound_over_detectable: median_of(
+                all.iter()
+                    .filter(|f| excited(f) && ruled_out(f))
+                    .filter_map(|finding| Some(finding.upper_bound? / finding.detectable?)),
+            ),
+            bounds_hold: share(&Finding::bound_holds),
+            intervals_hold: share(&Finding::interval_holds),
+            size_error: median_of(all.iter().filter_map(|f| f.size_error()).map(f64::abs)),
+            false_none: verdicts(&answers, DiagnosisVerdict::None, |answer| {
+                let shown = |f: &Finding| f.there && f.status != Status::NotExcited;
+                answer.group == Group::Unknown || answer.findings.iter().any(shown)
+            }),
+            false_unexplained: verdicts(&answers, DiagnosisVerdict::Unexplained, |answer| {
+                let foreign = matches!(answer.group, Group::Unknown | Group::WrongForm);
+                !foreign && answer.group.background().is_none()
+            }),
+        }
+    }
+}
+
+/// Sizes of one effect over many answers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Sizes {
+    pub effect: &'static str,
+    /// Those whose 95 % interval holds the truth.
+    pub intervals_hold: Bounded,
+    /// Median of the error with its sign, as a share of the size.
+    pub error: Option<f64>,
+}
+
+/// Sizes by effect, in the order of the study; effects that were never named rightly are left out.
+pub fn sizes(answers: &[Answer]) -> Vec<Sizes> {
+    known()
+        .filter_map(|effect| {
+            let of_effect = || {
+                let all = answers.iter().flat_map(|answer| &answer.findings);
+                all.filter(|finding| finding.effect == effect)
+            };
+            let held: Vec<bool> = of_effect().filter_map(Finding::interval_holds).collect();
+            (!held.is_empty()).then(|| Sizes {
+                effect,
+                intervals_hold: Bounded::new(held.iter().filter(|held| **held).count(), held.len()),
+                error: median_of(of_effect().filter_map(Finding::size_error)),
+            })
+        })
+        .collect()
+}
+
+/// One where the effect is there under this name.
+fn share_there(finding: &Finding) -> f64 {
+    f64::from(u8::from(finding.there && !finding.of_other_order))
+}
+
+fn bins(all: &[&Finding]) -> Vec<Bin> {
+    let last = EDGES.len() - 2;
+    let edges = EDGES.iter().zip(&EDGES[1..]).enumerate();
+    edges
+        .map(|(place, (&from, &to))| {
+            let inside =
+                |f: &&&Finding| f.probability >= from && (f.probability < to || place == last);
+            let of_bin: Vec<&Finding> = all.iter().filter(inside).copied().collect();
+            let there = of_bin.iter().filter(|f| f.there && !f.of_other_order);
+            Bin {
+                from,
+                to,
+                mean: mean(of_bin.iter().map(|finding| finding.probability)),
+                there: Bounded::new(there.count(), of_bin.len()),
+            }
+        })
+        .collect()
+}
+
+/// How often a verdict was given where it is false.
+fn verdicts(
+    answers: &[&Answer],
+    verdict: DiagnosisVerdict,
+    is_false_there: impl Fn(&Answer) -> bool,
+) -> Bounded {
+    let asked: Vec<_> = (answers.iter().filter(|answer| is_false_there(answer)))
+        .filter_map(|answer| answer.verdict)
+        .collect();
+    let given = asked.iter().filter(|given| **given == verdict);
+    Bounded::new(given.count(), asked.len())
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_usize), |(sum, n), value| (sum + value, n + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let values: Vec<f64> = values.collect();
+    (!values.is_empty()).then(|| median(&values))
+}
+
+/// Answers by hand.
+#[cfg(test)]
+pub(in crate::workflow::reproduce) mod by_hand {
+    use super::*;
+    use crate::workflow::reproduce::discovery::Outcome;
+
+    /// An effect that is absent and ruled out, at most 2, where 4 would have shown.
+    pub(in crate::workflow::reproduce) fn absent(effect: &'static str, p: f64) -> Finding {
+        Finding {
+            effect,
+            there: false,
+            true_size: None,
+            probability: p,
+            status: Status::of(p, true),
+            upper_bound: Some(2.0),
+            detectable: Some(4.0),
+            named: false,
+            of_other_order: false,
+            size: None,
+            interval_95: None,
+            other_name: None,
+            twin: false,
+            left_open: false,
+        }
+    }
+
+    /// An effect that is there with the size 10, and named as 11 +- 2.
+    pub(in crate::workflow::reproduce) fn named(effect: &'static str, p: f64) -> Finding {
+        Finding {
+            there: true,
+            true_size: Some(10.0),
+            named: true,
+            size: Some(11.0),
+            interval_95: Some([9.0, 13.0]),
+            ..absent(effect, p)
+        }
+    }
+
+    pub(in crate::workflow::reproduce) fn answer(
+        group: Group,
+        verdict: DiagnosisVerdict,
+        findings: Vec<Finding>,
+    ) -> Answer {
+        Answer {
+            group,
+            excitation: "rich",
+            class: "cogging".to_owned(),
+            seed: 1,
+            outcome: Outcome::Right,
+            verdict: Some(verdict),
+            effects: vec![],
+            sufficient: true,
+            holdout_before: None,
+            holdout_after: None,
+            sentence: String::new(),
+            findings,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::by_hand::{absent, answer, named};
+    use super::*;
+
+    fn of(findings: Vec<Finding>) -> Calibration {
+        Calibration::of(&[answer(Group::Single, DiagnosisVerdict::Effect, findings)])
+    }
+
+    fn counts(share: Bounded) -> (usize, usize) {
+        (share.count, share.of)
+    }
+
+    #[test]
+    fn bins_hold_what_was_given_between_their_edges() {
+        let all = of(vec![
+            absent("backlash", 0.0),
+            absent("supply_sag", 0.019),
+            absent("constant_load", 0.02),
+            named("viscous_friction", 0.9),
+            named("cogging", 0.98),
+            named("eccentric_load", 1.0),
+        ]);
+        let found: Vec<_> = all.bins.iter().map(|bin| counts(bin.there)).collect();
+        assert_eq!(found, [(0, 2), (0, 1), (0, 0), (0, 0), (1, 1), (2, 2)]);
+        assert!((all.bins[0].mean.unwrap() - 0.0095).abs() < 1e-12);
+        assert_eq!(all.bins[2].mean, None);
+        // Squares of 0, 0.019, 0.02, 0.1, 0.02, 0.
+        let squares = 0.019_f64.powi(2) + 2.0 * 0.02_f64.powi(2) + 0.01;
+        assert!((all.brier.unwrap() - squares / 6.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_there_and_unnamed_is_counted_by_what_was_said_of_it() {
+        let missed = |p: f64| Finding {
+            named: false,
+            size: None,
+            interval_95: None,
+            ..named("cogging", p)
+        };
+        let all = of(vec![
+            // 10 is there: at most 2, 4 would have shown.
+            missed(0.01),
+            // At most 9 is too little, and no more than an estimate may miss.
+            Finding {
+                upper_bound: Some(9.0),
+                detectable: None,
+                ..missed(0.05)
+            },
+            Finding {
+                upper_bound: Some(12.0),
+                detectable: Some(15.0),
+                ..missed(0.3)
+            },
+            Finding {
+                twin: true,
+                upper_bound: None,
+                ..missed(0.4)
+            },
+            Finding {
+                left_open: true,
+                upper_bound: None,
+                ..missed(0.4)
+            },
+            Finding {
+                status: Status::NotExcited,
+                upper_bound: None,
+                detectable: None,
+                ..missed(0.1)
+            },
+            // Named under the other right name: nothing was missed.
+            Finding {
+                other_name: Some("viscous_friction"),
+                ..missed(0.01)
+            },
+            Finding {
+                of_other_order: true,
+                ..named("cogging", 0.99)
+            },
+            named("eccentric_load", 0.99),
+        ]);
+        assert_eq!(counts(all.recalled), (2, 9));
+        let instead = Missed {
+            twin: 1,
+            open: 1,
+            possible: 1,
+            ruled_out: 2,
+            not_excited: 1,
+            other_order: 1,
+        };
+        assert_eq!(all.missed, instead);
+        assert_eq!(counts(all.falsely_ruled_out), (1, 9));
+        // Four bounds: the wave of another order has one too.
+        assert_eq!(counts(all.bounds_hold), (1, 4));
+        // The first, the twin, what was left open and the other wave, each with 4 that would have shown.
+        assert_eq!(counts(all.should_have_shown), (4, 9));
+        // The wave of another order is no effect that is there under its probability.
+        assert_eq!(counts(all.bins[5].there), (1, 2));
+        assert_eq!(counts(all.false_names), (1, 2));
+    }
+
+    #[test]
+    fn names_of_what_is_not_there_are_false_and_twins_among_them_counted() {
+        let falsely = Finding {
+            named: true,
+            ..absent("quadratic_load", 0.8)
+        };
+        let all = of(vec![
+            falsely.clone(),
+            Finding {
+                twin: true,
+                ..falsely.clone()
+            },
+            Finding {
+                twin: true,
+                left_open: true,
+                ..falsely
+            },
+            named("viscous_friction", 0.95),
+        ]);
+        assert_eq!(counts(all.false_names), (3, 4));
+        assert_eq!((all.false_twins, all.false_but_open), (2, 1));
+    }
+
+    #[test]
+    fn bounds_of_what_is_absent_and_sizes_of_what_is_named() {
+        let all = of(vec![
+            absent("backlash", 0.01),
+            absent("supply_sag", 0.2),
+            Finding {
+                status: Status::NotExcited,
+                ..absent("load_step", 0.1)
+            },
+            named("cogging", 0.99),
+            Finding {
+                interval_95: Some([10.5, 11.5]),
+                ..named("eccentric_load", 0.99)
+            },
+            Finding {
+                true_size: None,
+                ..named("elastic_coupling", 0.99)
+            },
+        ]);
+        assert_eq!(counts(all.absent_ruled_out), (1, 2));
+        assert!((all.bound_over_detectable.unwrap() - 0.5).abs() < 1e-12);
+        assert_eq!(counts(all.intervals_hold), (1, 2));
+        assert!((all.size_error.unwrap() - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn sizes_are_those_of_right_names_by_effect_with_their_sign() {
+        let smaller = Finding {
+            size: Some(8.0),
+            interval_95: Some([7.0, 9.0]),
+            ..named("cogging", 0.99)
+        };
+        let answers = [
+            answer(
+                Group::Single,
+                DiagnosisVerdict::Effect,
+                vec![named("cogging", 1.0), absent("backlash", 0.0)],
+            ),
+            answer(
+                Group::Harsh,
+                DiagnosisVerdict::Effect,
+                vec![smaller.clone()],
+            ),
+            answer(Group::Harsh, DiagnosisVerdict::Effect, vec![smaller]),
+        ];
+        let [only] = &sizes(&answers)[..] else {
+            panic!("backlash has no size");
+        };
+        assert_eq!(
+            (only.effect, counts(only.intervals_hold)),
+            ("cogging", (1, 3))
+        );
+        assert!((only.error.unwrap() + 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_verdict_is_false_only_where_it_could_be_otherwise() {
+        let hidden = || Finding {
+            named: false,
+            ..named("cogging", 0.05)
+        };
+        let unseen = Finding {
+            status: Status::NotExcited,
+            ..hidden()
+        };
+        let (none, unexplained) = (DiagnosisVerdict::None, DiagnosisVerdict::Unexplained);
+        let all = Calibration::of(&[
+            answer(Group::Single, none, vec![hidden()]),
+            answer(Group::Single, none, vec![unseen]),
+            answer(Group::Null, none, vec![absent("cogging", 0.0)]),
+            answer(Group::Unknown, none, vec![absent("cogging", 0.0)]),
+            answer(Group::Unknown, unexplained, vec![absent("cogging", 0.0)]),
+            answer(Group::Harsh, unexplained, vec![hidden()]),
+            answer(Group::Pair, unexplained, vec![hidden()]),
+        ]);
+        // The first and the unknown, of those with something to be seen; the pair, of those that the catalogue explains.
+        assert_eq!(counts(all.false_none), (2, 5));
+        assert_eq!(counts(all.false_unexplained), (1, 4));
+        assert_eq!(all.sets, 7);
+    }
+}
