@@ -388,7 +388,7 @@ fn screened(linear: &Linear, reduced: &Reduced<'_>, progress: Progress<'_>) {
 
 /// Log of the odds beforehand of an effect that a refit has refuted.
 const BARRED: f64 = -30.0;
-/// Growth of the log likelihood that a second effect must bring to stand for one that serves in the place of both.
+/// Growth of the log likelihood that a richer effect, or a second one, must bring to stand for one that serves as well.
 const WORTH_A_SECOND: f64 = 5.7;
 
 /// An effect that the linear solution asked for and a refit refuted.
@@ -404,6 +404,9 @@ const LATE: (&str, [&str; 2], &str) = (
     ["speed_delay", "speed_filter"],
     "current_filter",
 );
+
+/// A drop of brushes, and that of gaps in the current: each fits what the other does to some degree.
+const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
 
 /// Sets as the linear solution weighs them.
 struct Weighed<'a> {
@@ -453,33 +456,33 @@ impl Weighed<'_> {
         Some((Barred { id, probability }, model))
     }
 
-    /// The model with one effect in the place of two that it is alike to, where the two are not clearly better.
+    /// The model with a simple effect in the place of a richer one, or of two that it is alike to, where those are not
+    /// clearly better.
     fn simpler(&self, given: &[&'static str]) -> Option<Model> {
         let (one, firsts, second) = LATE;
-        let first = firsts.into_iter().find(|first| self.model.has(first))?;
-        let is_open = |id: &str| self.model.has(id) && !given.contains(&id);
-        if self.model.has(one) || !is_open(first) || !is_open(second) {
-            return None;
-        }
-        let late_s = |id: &str| {
-            let mut effects = self.model.effects.iter();
-            effects
-                .find(|active| active.id() == id)?
-                .values_or_guess()
-                .first()
-                .copied()
-        };
-        let mean_s = 0.5 * (late_s(first)? + late_s(second)?);
-        let without = self
-            .model
-            .without_effect(first)
-            .ok()?
-            .without_effect(second)
-            .ok()?;
-        let start = with_effect(&without, effect::find(one)?, &[mean_s]);
-        let (_, both) = fit(self.model, self.runs)?;
-        let (model, left) = fit(&start, self.runs)?;
-        (0.5 * (left - both) < WORTH_A_SECOND).then_some(model)
+        let pairs = firsts.into_iter().map(|first| (one, vec![first, second]));
+        let mut pairs = pairs.chain([(SIMPLE_FOR_RICH.0, vec![SIMPLE_FOR_RICH.1])]);
+        pairs.find_map(|(simple, others)| {
+            let open = |id: &&str| self.model.has(id) && !given.contains(id);
+            if self.model.has(simple) || !others.iter().all(open) {
+                return None;
+            }
+            let size = |id: &&str| {
+                let mut effects = self.model.effects.iter();
+                let values = effects.find(|active| active.id() == *id)?.values_or_guess();
+                values.first().copied()
+            };
+            let sizes: Vec<f64> = others.iter().filter_map(size).collect();
+            let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
+            let mut without = self.model.clone();
+            without
+                .effects
+                .retain(|active| !others.contains(&active.id()));
+            let start = with_effect(&without, effect::find(simple)?, &[mean]);
+            let (_, rich) = fit(self.model, self.runs)?;
+            let (model, left) = fit(&start, self.runs)?;
+            (0.5 * (left - rich) < WORTH_A_SECOND).then_some(model)
+        })
     }
 }
 
