@@ -353,12 +353,11 @@ fn verdict(
     };
     let floor = evidence.floor();
     let above = |nrms: f64| nrms * nrms - floor * floor;
-    let left = inference.unexplained;
-    let within_floor = is_known && decide::at_the_floor(evidence, left);
-    let share = |left: f64| above(left) > HALF * above(base.nrms);
-    // A free run that falls into step a moment late is far off though nothing is missing; what is led along the run, and
-    // a free run that explains it, show so.
-    if !within_floor && share(left) && share(best.nrms) {
+    let unknown: f64 = inference.unknown.iter().map(|part| part.share).sum();
+    let explainable = above(base.nrms).max(0.0);
+    let unexplained = inference.wandering.powi(2) + unknown * explainable;
+    // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do.
+    if unexplained > HALF * explainable && above(best.nrms) > HALF * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous

@@ -66,8 +66,8 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) named: Vec<&'static str>,
     /// Pairs of which these runs want one and cannot say which; the likelier first.
     pub(in crate::diagnosis) confusable: Vec<[&'static str; 2]>,
-    /// Error, in units of the noise, that unknown parts and what wanders make on the hold-out beside the named effects.
-    pub(in crate::diagnosis) unexplained: f64,
+    /// Error, in units of the noise, that a load that wanders makes on the hold-out whatever is named.
+    pub(in crate::diagnosis) wandering: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
     found: Found,
@@ -214,12 +214,12 @@ pub(in crate::diagnosis) fn infer(
         effects,
         unknown,
         named,
-        unexplained: {
+        wandering: {
             let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
-            let signals = found.unexplained.into_iter().zip(levels);
+            let signals = found.wandering.into_iter().zip(levels);
             let squares: Vec<f64> = signals
                 .filter(|(_, level)| level.is_finite())
-                .filter_map(|(rms, level)| Some((rms? / level).powi(2)))
+                .map(|(rms, level)| (rms / level).powi(2))
                 .collect();
             (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
         },
@@ -229,7 +229,7 @@ pub(in crate::diagnosis) fn infer(
 }
 
 /// Growth of the error of a free run from which on a model is right only where it is led along the run.
-const LED_ONLY: f64 = 1.5;
+const LED_ONLY: f64 = 1.1;
 
 /// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
 /// motor's, counts as what it is. As it was where the model cannot be followed on the run, or is right only where it is led; times of

@@ -4,6 +4,7 @@
 //! the shaft, it makes the error of a free run wander too, so that tests on that error would be wrong. The innovations,
 //! over their standard deviations, are independent under the model whatever the disturbance did.
 
+use super::columns::Around;
 use crate::identification::stamps::spread;
 use crate::plant::propagator::{LinearPart, Propagator};
 use crate::plant::{
@@ -565,6 +566,37 @@ pub(super) fn predicted(
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
     out[3][3] += (noise.voltage_v.powi(2) + passage.form[0]) * (1.0 - keeps * keeps);
     out
+}
+
+/// Root mean squares of current, A, and speed, rad/s, that the disturbance of a followed run makes where nothing leads the
+/// model: what no model can foretell.
+pub(super) fn wandering(run: &Around<'_>) -> [f64; 2] {
+    let mut p: P = [[0.0; 4]; 4];
+    p[2][2] = run.noise.disturbance_n_m.powi(2);
+    p[3][3] = run.noise.voltage_v.powi(2);
+    let mut squares = [0.0; 2];
+    for (passage, forget) in run.follower.passages.iter().zip(&run.follower.forgets) {
+        let passage = Passage {
+            form: [0.0; 3],
+            fresh: [0.0; 2],
+            ..*passage
+        };
+        if passage.begins_again {
+            p[0] = [0.0; 4];
+            for row in &mut p {
+                row[0] = 0.0;
+            }
+            stop(&mut p);
+        }
+        p = predicted(&p, &passage, &run.dynamics, &run.noise, *forget);
+        if passage.direction == 0.0 {
+            stop(&mut p);
+        }
+        squares[0] += p[0][0];
+        squares[1] += p[1][1];
+    }
+    let count = run.follower.passages.len().max(1) as f64;
+    squares.map(|square: f64| (square / count).sqrt())
 }
 
 /// The speed of a shaft at rest is known.

@@ -9,7 +9,7 @@ use nalgebra::DVector;
 
 use super::columns::{Around, Linear, linearise};
 use super::excess::excess;
-use super::follow::Noise;
+use super::follow::{Noise, wandering};
 use super::noise::likeliest;
 use super::prediction_error::fit;
 use super::select::{Posterior, Reduced, Set, select};
@@ -50,9 +50,8 @@ pub(super) struct Found {
     pub(super) noise: Noise,
     /// How many times as large as expected what the best set leaves is.
     pub(super) excess: f64,
-    /// Root mean squares of current, A, and speed, rad/s, that unknown parts and the disturbance make in the last run beside
-    /// the best set.
-    pub(super) unexplained: [Option<f64>; 2],
+    /// Root mean squares of current, A, and speed, rad/s, that the disturbance makes in a free run of the last run.
+    pub(super) wandering: [f64; 2],
     /// For each candidate that is an unknown part of the best set, its share of the error.
     pub(super) unknown_share: Vec<f64>,
 }
@@ -338,7 +337,7 @@ pub(super) fn search(
         if stands || round + 1 == MOST_ROUNDS {
             let excess = excess_of(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
-            let unexplained = unexplained(&linear, &reduced, &posterior.best, &runs)?;
+            let wandering = wandering(runs.last()?);
             if excess > 1.0 {
                 let wider = Reduced::new(&linear, excess, true)?;
                 posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
@@ -355,7 +354,7 @@ pub(super) fn search(
                 posterior,
                 noise,
                 excess,
-                unexplained,
+                wandering,
                 unknown_share,
             });
         }
@@ -570,45 +569,6 @@ fn unknown_shares(
             })
             .collect(),
     )
-}
-
-/// Root mean squares, A and rad/s, by which the last run would differ from the model with the effects of a set alone if
-/// nothing led the model along it; none of a signal that was not measured.
-fn unexplained(
-    linear: &Linear,
-    reduced: &Reduced<'_>,
-    set: &Set,
-    runs: &[Around<'_>],
-) -> Option<[Option<f64>; 2]> {
-    let mut explained = solution(linear, reduced, set)?;
-    for (candidate, chosen) in linear.candidates.iter().zip(set) {
-        if let (Some(variant), true) = (chosen, candidate.is_unknown()) {
-            for column in &candidate.variants[*variant].columns {
-                explained[*column] = 0.0;
-            }
-        }
-    }
-    explained -= &linear.present;
-    let (run, columns) = (runs.last()?, linear.columns.last()?);
-    let explained = columns * &explained;
-    let left = readings(run, |sample| {
-        let white = run.followed.white[sample];
-        let left = [0, 1].map(|signal| white[signal] - explained[2 * sample + signal]);
-        [left, [0.0; 2]]
-    });
-    let mut squares = [0.0; 2];
-    for [left, _] in left {
-        for (square, left) in squares.iter_mut().zip(left) {
-            *square += left * left;
-        }
-    }
-    let levels = [run.noise.current_a, run.noise.speed_rad_s];
-    Some([0, 1].map(|signal| {
-        let gains = run.follower.updates.iter();
-        let measured = gains.filter(|u| [u.current, u.speed][signal][4] > 0.0);
-        let count = measured.count() as f64;
-        (count > 0.0).then(|| levels[signal] * (squares[signal] / count).sqrt())
-    }))
 }
 
 /// The excess of what a set leaves at its linear solution.
