@@ -93,7 +93,7 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
     session.press(UP);
     session.wait_for("▶ + in the model");
     session.press("r");
-    session.wait_for("refused: without");
+    session.wait_for("refused: ");
     keep_what_scrolls(&mut session);
     session.press("q");
     assert_eq!(session.end(), 0, "{}", session.text());
