@@ -171,6 +171,32 @@ pub(super) struct Standing {
     pub(super) score: Score,
 }
 
+impl Standing {
+    fn of(fit: Fit, evidence: &Evidence) -> Result<Self, FitError> {
+        let score = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+        Ok(Self { fit, score })
+    }
+
+    /// With the parameters that prediction errors give, unless they do not foretell the hold-out.
+    pub(super) fn handed_on(
+        fit: Fit,
+        evidence: &Evidence,
+        inference: &Inference,
+    ) -> Result<Self, FitError> {
+        let free = Self::of(fit, evidence)?;
+        let led = refined(free.fit.clone(), &evidence.training, inference.noise);
+        let led = Self::of(led, evidence)?;
+        Ok(if led.score.nrms > AS_GOOD * free.score.nrms {
+            free
+        } else {
+            led
+        })
+    }
+}
+
+/// Growth of the held-out error from which on parameters that were found along the run do not foretell another one.
+const AS_GOOD: f64 = 1.02;
+
 /// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
 /// are handed on.
 fn climb(
@@ -179,20 +205,16 @@ fn climb(
     inference: &Inference,
     progress: Progress<'_>,
 ) -> Result<Vec<Standing>, FitError> {
-    let standing = |fit: Fit| -> Result<Standing, FitError> {
-        let score = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
-        Ok(Standing { fit, score })
-    };
     let given = baseline.model.effect_ids();
     let last = inference.named.len();
     let on_rung = |place: usize, fit: Fit| {
-        if place == last {
-            refined(fit, &evidence.training, inference.noise)
+        if place < last {
+            Standing::of(fit, evidence)
         } else {
-            fit
+            Standing::handed_on(fit, evidence, inference)
         }
     };
-    let mut rungs = vec![standing(on_rung(0, baseline))?];
+    let mut rungs = vec![on_rung(0, baseline)?];
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
         let start = inference.with_effects(&[&given[..], kept].concat());
@@ -200,12 +222,11 @@ fn climb(
             run: evidence.training.name.clone(),
         })?;
         let fit = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
-        let fit = on_rung(place + 1, fit);
+        let rung = on_rung(place + 1, fit)?;
         progress(Event::Refitted {
             effect: id,
-            error: fit.nrms,
+            error: rung.fit.nrms,
         });
-        let rung = standing(fit)?;
         progress(Event::Accepted {
             effect: id,
             holdout: rung.score.nrms,

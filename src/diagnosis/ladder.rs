@@ -5,9 +5,10 @@ use serde::Serialize;
 use super::candidates::by_key;
 use super::compare::{Comparison, compare};
 use super::describe::percent;
+use super::diagnose::Standing;
 use super::evidence::Evidence;
 use super::fitted::Fitted;
-use super::joint::answer::{Inference, asked, infer, refined};
+use super::joint::answer::{Inference, asked, infer};
 use super::location::ErrorOf;
 use super::mechanical;
 use super::progress::silent;
@@ -84,9 +85,9 @@ fn change(
     [before, after]: [Fit; 2],
     adding: bool,
 ) -> Result<AddResult, FitError> {
-    let after = refined(after, &evidence.training, inference.noise);
-    let score = |fit: &Fit| Score::of(&fit.model, &evidence.holdout, &evidence.noise);
-    let scores = [score(&before)?, score(&after)?];
+    let after = Standing::handed_on(after, evidence, inference)?;
+    let score = Score::of(&before.model, &evidence.holdout, &evidence.noise)?;
+    let (after, scores) = (after.fit, [score, after.score]);
     let is_there = inference.names(effect.card().id);
     let rung = |fit: &Fit, score: &Score| Rung {
         effects: fit.model.effect_ids(),

@@ -519,7 +519,7 @@ mod tests {
     fn waves_are_what_two_followed_runs_differ_by_however_far_the_shaft_turns_between_samples() {
         let model = Model::baseline(Motor::zk_22fc());
         let events = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
-        for (period_s, order, most) in [(1e-3, 2.5, 0.02), (1e-3, 23.0, 0.1), (1e-2, 1.0, 0.1)] {
+        for (period_s, order, most) in [(1e-3, 2.5, 0.02), (1e-3, 23.0, 0.1), (1e-2, 1.0, 0.15)] {
             let scenario = record(&model, events.clone(), period_s, 2.5, 11);
             let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
             for (id, of_current) in [("cogging", false), ("torque_ripple", true)] {

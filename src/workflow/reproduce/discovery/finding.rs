@@ -170,7 +170,7 @@ impl Truth {
     }
 }
 
-fn twin_of(id: &str) -> Option<&'static str> {
+pub(super) fn twin_of(id: &str) -> Option<&'static str> {
     TWINS.iter().find_map(|[a, b]| match id {
         id if id == *a => Some(*b),
         id if id == *b => Some(*a),

@@ -197,12 +197,14 @@ fn a_small_effect_is_named_beside_four_others_and_nothing_that_is_not_there() {
     let cases = cases::all(size);
     let harsh = cases
         .iter()
-        .filter(|case| case.group == Group::Harsh && wanted.contains(&case.hidden[0]));
+        .filter(|case| case.group == Group::Harsh && case.excitation == Excitation::Rich)
+        .filter(|case| wanted.contains(&case.hidden[0]));
     let mut seen = 0;
     for case in harsh {
         seen += 1;
         let answer = answer(case);
-        assert_eq!(answer.outcome, Outcome::Right, "{}", answer.sentence);
+        let known = [Outcome::Right, Outcome::Twin].contains(&answer.outcome);
+        assert!(known, "{}", answer.sentence);
     }
     assert_eq!(seen, wanted.len());
 }

@@ -336,7 +336,7 @@ impl Discovery {
     }
 }
 
-const OUTCOMES: &str = "right: every hidden effect is named and nothing else. twin: the delay for the filter of the same signal or the other way round, which only a quick dither tells apart. set: the answer is a list of effects that the run cannot tell apart, and the hidden one is on it. partial: a part of what is hidden is named. not excited: nothing is named, and the run is said not to show this effect. silent: nothing is named, for another reason. wrong: something is named that is not there; \"at most\" is the upper 95 % bound of Clopper and Pearson on its share (for none of n about 3/n).";
+const OUTCOMES: &str = "right: every hidden effect is named and nothing else. twin: the delay for the filter of the same signal or the other way round, which only a quick dither tells apart; or a fan for the drag of a background. set: the answer is a list of effects that the run cannot tell apart, and the hidden one is on it. partial: a part of what is hidden is named. not excited: nothing is named, and the run is said not to show this effect. silent: nothing is named, for another reason. wrong: something is named that is not there; \"at most\" is the upper 95 % bound of Clopper and Pearson on its share (for none of n about 3/n).";
 const NULLS: (&str, &str) = (
     "Nothing hidden: false alarms",
     "Machines that are exactly the five-parameter motor, with sensor noise. \"right\" is the answer that nothing is missing; \"wrong\" is any name.",
