@@ -106,7 +106,7 @@ fn change(
     Ok(AddResult {
         effect: effect.card().id,
         accepted: is_there == adding,
-        reason: reason(effect, inference, fall(&scores, times), adding),
+        reason: reason(effect, inference, &fall(&scores, times), adding),
         before: compare(&before.model, evidence, ErrorOf::Structure)?,
         after: compare(&after.model, evidence, ErrorOf::Structure)?,
         parameters: owner
@@ -134,7 +134,7 @@ fn fall([before, after]: &[Score; 2], times: &str) -> String {
 }
 
 /// Why an effect is accepted or refused: how likely it is there beside all others, and what the error does.
-fn reason(effect: &dyn Effect, inference: &Inference, fall: String, adding: bool) -> String {
+fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) -> String {
     let card = effect.card();
     let found = inference.of(card.id);
     let likely = percent(found.map_or(0.0, |found| found.probability));

@@ -257,7 +257,7 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
             };
             let variance = covariance[(index, index)].max(0.0);
             let deviation = factor * slope * variance.sqrt();
-            (slot.clone(), determined[index].then_some(deviation))
+            (*slot, determined[index].then_some(deviation))
         });
     Some(Estimated {
         deviations: deviations.collect(),

@@ -342,10 +342,7 @@ pub(super) fn search(
                 let wider = Reduced::new(&linear, excess, true)?;
                 posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
             }
-            for (candidate, p) in linear.candidates.iter().zip(&mut posterior.probability) {
-                let found = barred.iter().find(|barred| barred.id == candidate.id);
-                *p = found.map_or(*p, |barred| barred.probability.max(*p));
-            }
+            keep_doubts(&barred, &linear, &mut posterior);
             drop(reduced);
             drop(runs);
             return Some(Found {
@@ -395,6 +392,14 @@ struct Barred {
     id: &'static str,
     /// What the refit leaves of its probability.
     probability: f64,
+}
+
+/// Gives effects that were barred what the refit left of their probability.
+fn keep_doubts(barred: &[Barred], linear: &Linear, posterior: &mut Posterior) {
+    for (candidate, p) in linear.candidates.iter().zip(&mut posterior.probability) {
+        let found = barred.iter().find(|barred| barred.id == candidate.id);
+        *p = found.map_or(*p, |barred| barred.probability.max(*p));
+    }
 }
 
 /// Pairs of effects that are one to first order: a command that comes late, and both signals that are read late.
