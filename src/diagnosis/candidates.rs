@@ -8,6 +8,8 @@ use crate::sample::ParameterEstimate;
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
 const SUPPORTED: f64 = 0.9;
 const POSSIBLE: f64 = 0.1;
+/// Probability above which runs do show an effect, whatever was expected of them.
+const LIKELY: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -26,7 +28,7 @@ impl Status {
     pub fn of(probability: f64, excited: bool) -> Self {
         if probability >= SUPPORTED {
             Self::Supported
-        } else if !excited {
+        } else if !excited && probability <= LIKELY {
             Self::NotExcited
         } else if probability >= POSSIBLE {
             Self::Possible
@@ -80,4 +82,25 @@ pub(super) fn by_key<S: Serializer>(
         )?;
     }
     map.end()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_follow_probabilities_and_what_is_named_is_never_not_excited() {
+        for (probability, excited, word) in [
+            (0.95, true, Status::Supported),
+            (0.95, false, Status::Supported),
+            (0.6, true, Status::Possible),
+            (0.6, false, Status::Possible),
+            (0.3, true, Status::Possible),
+            (0.3, false, Status::NotExcited),
+            (0.05, true, Status::RuledOut),
+            (0.05, false, Status::NotExcited),
+        ] {
+            assert_eq!(Status::of(probability, excited), word, "{probability}");
+        }
+    }
 }
