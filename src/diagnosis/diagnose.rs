@@ -1,8 +1,11 @@
 //! Which effects are missing: what the runs say together, and how the held-out error falls with each.
 
+use std::fmt::Write as _;
+
 use serde::Serialize;
 
 use super::axis_map::{AxisMap, axis_map};
+use super::bench::Bench;
 use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
 use super::decide::{self, Settings, explained};
@@ -11,14 +14,13 @@ use super::evidence::{Evidence, HoldoutFrom};
 use super::fitted::Fitted;
 use super::joint::answer::{Inference, Part, infer};
 use super::ladder::Rung;
-use super::mechanical;
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::Score;
 use crate::identification::noise::FloorSource;
-use crate::identification::output_error::{self, Fit, FitError};
+use crate::identification::output_error::FitError;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Input, Model};
+use crate::plant::Model;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -134,42 +136,39 @@ pub fn diagnose_with(
     evidence: Evidence,
     options: Options<'_>,
 ) -> Result<Diagnosis, FitError> {
-    if evidence.training.input != Input::Voltage {
-        return mechanical::diagnose(model, &evidence, options.until_floor);
-    }
     (options.progress)(Event::Begun {
         stage: Stage::Baseline,
         of: 0,
     });
-    let (evidence, baseline) = evidence.with_baseline(model)?;
+    let (bench, baseline) = Bench::new(model, evidence)?;
     (options.progress)(Event::Begun {
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
-    let inference = infer(&baseline, &evidence, options.progress)?;
+    let inference = infer(&baseline, &bench.evidence, options.progress)?;
     (options.progress)(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
     });
-    let rungs = climb(&evidence, baseline, &inference, options.progress)?;
-    Ok(answer(&evidence, &inference, &rungs))
+    let rungs = climb(&bench, baseline, &inference, options.progress)?;
+    Ok(answer(&bench, &inference, &rungs))
 }
 
 /// A model on the ladder, fitted to the fit run alone, and its score on the hold-out.
 pub(super) struct Standing {
-    pub(super) fit: Fit,
+    pub(super) fit: Fitted,
     pub(super) score: Score,
 }
 
 /// The baseline and one named effect more on each rung, what explains most first.
 fn climb(
-    evidence: &Evidence,
-    baseline: Fit,
+    bench: &Bench,
+    baseline: Fitted,
     inference: &Inference,
     progress: Progress<'_>,
 ) -> Result<Vec<Standing>, FitError> {
-    let standing = |fit: Fit| -> Result<Standing, FitError> {
-        let score = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+    let standing = |fit: Fitted| -> Result<Standing, FitError> {
+        let score = bench.held_out(&fit.model)?;
         Ok(Standing { fit, score })
     };
     let given = baseline.model.effect_ids();
@@ -183,7 +182,7 @@ fn climb(
         if !start.has(id) {
             start = start.with_effect(id)?;
         }
-        let fit = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
+        let fit = bench.fit(&start)?;
         progress(Event::Refitted {
             effect: id,
             error: fit.nrms,
@@ -198,7 +197,8 @@ fn climb(
     Ok(rungs)
 }
 
-fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
+fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
+    let evidence = &bench.evidence;
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = evidence.floor();
     let verdict = verdict(evidence, inference, &base.score, &best.score);
@@ -244,20 +244,23 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Dia
             .collect(),
         confirm: None,
         sentence: String::new(),
-        limits: evidence.unjudged(),
+        limits: bench.limits(),
         equivalences: Vec::new(),
         next_experiment: None,
-        baseline: Fitted::from(&base.fit),
-        model: Fitted::from(&best.fit),
+        baseline: base.fit.clone(),
+        model: best.fit.clone(),
     };
     diagnosis.confirm = confirmation::of_models(
-        evidence,
+        bench,
         [&diagnosis.baseline.model, &diagnosis.model.model],
         verdict,
         &diagnosis.effects,
         Settings::default(),
     );
     diagnosis.sentence = sentence(&diagnosis);
+    for id in &inference.superfluous {
+        let _ = write!(diagnosis.sentence, "; {id} is superfluous now");
+    }
     let named = diagnosis.effects.iter();
     diagnosis.equivalences = named.flat_map(|id| equivalences(id)).copied().collect();
     diagnosis

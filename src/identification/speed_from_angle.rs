@@ -5,12 +5,15 @@
 //! of the largest speed, so that a fine encoder is hardly smoothed and a coarse one is not differentiated count by count.
 
 use super::wrapped_angle;
+use crate::plant::Scenario;
 use crate::sample::{Channel, Origin, Run, RunError};
 
 /// Share of the largest speed that the resolution of the angle may cost.
 const ALLOWED_SHARE: f64 = 0.002;
 /// Most neighbours on either side: beyond, the motion itself would be smoothed away.
 const LONGEST_SIDE: usize = 12;
+/// Share of the largest speed within which two derivations of it are the same.
+const SAME: f64 = 1e-9;
 
 /// The run with a speed column derived from its angle and a note that says how. An angle that starts again after a turn
 /// is made continuous first. A run that has a measured speed keeps it; one without an angle comes back as it is.
@@ -35,6 +38,28 @@ pub fn complete(run: &Run) -> Result<Run, RunError> {
         2 * side + 1
     ));
     Ok(completed)
+}
+
+/// Samples of the angle in each value of the speed, where a scenario's speed is the one that is derived here.
+pub fn span(scenario: &Scenario) -> Option<usize> {
+    let points = &scenario.angle;
+    if scenario.speed_rad_s.len() < 5 || points.len() < 5 {
+        return None;
+    }
+    let side = side(points);
+    let slopes = slopes(points, side);
+    let fastest = slopes.iter().fold(0.0, |most, w| f64::max(most, w.abs()));
+    let (mut compared, mut same) = (0_usize, true);
+    for (time_s, speed) in scenario.sample_time_s.iter().zip(&scenario.speed_rad_s) {
+        let at = points.partition_point(|point| point.0 < *time_s);
+        #[expect(clippy::float_cmp, reason = "a stamp of the same row")]
+        let own = points.get(at).is_some_and(|point| point.0 == *time_s);
+        if own && speed.is_finite() {
+            compared += 1;
+            same &= (slopes[at] - speed).abs() <= SAME * fastest;
+        }
+    }
+    (same && compared > 0).then_some(2 * side + 1)
 }
 
 /// Neighbours on either side.

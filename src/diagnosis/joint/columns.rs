@@ -3,7 +3,10 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
+use super::asked::{travels, why_not};
+use super::follow::{
+    Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead,
+};
 use super::forms::{drop_refuted, keep_likeliest};
 use super::tangent::{Axis, LANES, Step, Tangent, Wave, carry};
 use super::whitened::Whitened;
@@ -12,7 +15,7 @@ use crate::diagnosis::shapes::shape_grid;
 use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario,
-    Slot, State, typical_size,
+    MotorKey, Slot, State, typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -201,8 +204,7 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
     let angles = scenario.shaft_angle();
     let mut angle = 0;
     let mut event = 0;
-    let supply_v = scenario.supply_v();
-    let motor = Instant::of(&model.motor);
+    let motor = constants(model, scenario);
     (0..scenario.samples())
         .map(|sample| {
             let from = sample.saturating_sub(1);
@@ -222,11 +224,15 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
                 event += 1;
             }
             let mean = |k: usize| 0.5 * (followed.after[from][k] + followed.before[sample][k]);
+            let input = scenario.events[event].1;
             Instant {
                 time_s: mid_s - scenario.begin_s(),
-                voltage_v: scenario.events[event].1,
-                supply_v,
-                current_a: mean(0),
+                voltage_v: input,
+                current_a: if scenario.input == Input::Voltage {
+                    mean(0)
+                } else {
+                    input
+                },
                 speed_rad_s: mean(1),
                 angle_rad,
                 ..motor
@@ -317,21 +323,37 @@ fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
     }
 }
 
+/// Value of a motor's parameter that a run can tell of, and the standard deviation of its logarithm beforehand. Where a
+/// torque drives, friction starts from a balance that lacks what is missing: it may be off by an effect's slab.
+pub(super) fn motor_prior(slot: &Slot, model: &Model, scenario: &Scenario) -> Option<(f64, f64)> {
+    let Slot::Motor(key) = slot else { return None };
+    let value = model.get(slot)?;
+    if scenario.input == Input::Voltage {
+        return Some((value, MOTOR));
+    }
+    let offset = effect::find("constant_load")?;
+    let slab = SLAB * typical_size(offset, 0, model, scenario);
+    match key {
+        MotorKey::LoadTorque => Some((value, MOTOR.max(slab / value))),
+        MotorKey::Inertia => Some((value, MOTOR)),
+        _ => None,
+    }
+}
+
 /// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
 /// samples alike; each with its standard deviation beforehand.
 fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
     let mut nuisances = Vec::new();
     for slot in model.free_slots() {
-        if let Slot::Motor(_) = slot {
+        if let Some((value, sd)) = motor_prior(&slot, model, scenario) {
             let mut moved = model.clone();
-            let value = model.get(&slot)?;
             moved.set(&slot, value * STEP.exp());
             nuisances.push((
                 Source::Difference {
                     model: moved,
                     step: STEP,
                 },
-                MOTOR,
+                sd,
             ));
         }
     }
@@ -505,10 +527,15 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
         .iter()
         .map(|k| SLAB * typical_size(effect, *k, model, scenario))
         .collect();
+    let order = specs.iter().position(|spec| spec.key == "order");
     let grid = shape_grid(effect, scenario);
     let log_prior = -(grid.len() as f64).ln();
     for shape in grid {
         if id == "discontinuous_conduction" && shape[1] < 0.9 {
+            continue;
+        }
+        let periods = order.map_or(1.0, |order| shape[order]);
+        if effect.card().needs_angle && !travels(scenario, periods) {
             continue;
         }
         if specs
@@ -604,7 +631,11 @@ pub(super) fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> O
             Some(beside_model(model, *effect, training))
         }
     };
-    let mut parts: Vec<Part> = CATALOGUE.par_iter().map(of_effect).collect::<Option<_>>()?;
+    let mut parts: Vec<Part> = CATALOGUE
+        .par_iter()
+        .filter(|effect| why_not(**effect, training).is_none())
+        .map(of_effect)
+        .collect::<Option<_>>()?;
     parts.retain(|part| !part.sources.is_empty());
     if !model.has("load_step") {
         parts.extend(load_steps(model, runs));
@@ -815,9 +846,7 @@ fn exclusions(candidates: &mut [Candidate]) {
 /// Torque and voltage as functions that no effect of the catalogue gives.
 fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
     let run = &runs[0];
-    if run.scenario.input != Input::Voltage {
-        return vec![];
-    }
+    let by_voltage = run.scenario.input == Input::Voltage;
     let most = |k: usize| {
         run.followed
             .after
@@ -825,7 +854,7 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
             .fold(0.0_f64, |most, state| most.max(state[k].abs()))
     };
     let (current, speed) = (most(0), most(1));
-    let torque = 0.06 * run.model.motor.torque_constant().unwrap_or(1.0) * current;
+    let torque = 0.06 * constants(run.model, run.scenario).torque_n_m_per_a * current;
     let volts = 0.06
         * run
             .scenario
@@ -862,7 +891,7 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
             of_current: false,
         })
     };
-    vec![
+    let mut parts = vec![
         part("torque over speed", hats(Axis::Speed, 11, speed, torque)),
         part(
             "torque over angle",
@@ -870,9 +899,10 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
                 .flat_map(|order| [true, false].map(|sine| wave(order, sine)))
                 .collect(),
         ),
-        part(
-            "voltage over current",
-            hats(Axis::Current, 7, current, volts),
-        ),
-    ]
+    ];
+    if by_voltage {
+        let volts = hats(Axis::Current, 7, current, volts);
+        parts.push(part("voltage over current", volts));
+    }
+    parts
 }

@@ -7,10 +7,12 @@
 //!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
 //!                 '-> select    posterior over the sets of effects and forms
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
+//! asked:  which effects a run can be asked about, and what of it is fit to be asked
 //! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
 pub(super) mod answer;
+pub(super) mod asked;
 mod columns;
 mod follow;
 mod forms;

@@ -15,7 +15,7 @@ use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event, Progress};
-use crate::plant::{ActiveEffect, Model, ParameterSpec, Scenario, State, effect};
+use crate::plant::{ActiveEffect, Input, Model, ParameterSpec, Scenario, State, effect};
 
 /// Mean square of the innovations above which a linear solution is not believed.
 const FAR: f64 = 3.0;
@@ -33,9 +33,9 @@ const LEAST_START: f64 = 0.02;
 /// Rounds of weighing and refitting; in the first ones the noise is found too.
 const MOST_ROUNDS: usize = 10;
 const NOISE_ROUNDS: usize = 3;
-/// Changes of the logarithms of disturbance and of the voltage's error that ask for another linearisation.
+/// Changes of the logarithms of disturbance and of the input's error that ask for another linearisation.
 const SAME_DISTURBANCE: f64 = 0.2;
-const SAME_VOLTAGE: f64 = 0.3;
+const SAME_INPUT: f64 = 0.3;
 /// Growth of the squares from which a refit has lost its way.
 const LOST: f64 = 1.05;
 
@@ -243,7 +243,11 @@ pub(super) fn search(
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<Found> {
-    let mut model = approach(model.clone(), scenarios[0], starts[0], floor)?;
+    let mut model = model.clone();
+    // The balance of torques is linear in all that it holds, however much is missing.
+    if scenarios[0].input == Input::Voltage {
+        model = approach(model, scenarios[0], starts[0], floor)?;
+    }
     let mut noise = floor;
     let mut seen: Vec<Vec<&'static str>> = Vec::new();
     for round in 0..MOST_ROUNDS {
@@ -269,7 +273,7 @@ pub(super) fn search(
             let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, noise);
             let change = |a: f64, b: f64| (a / b).ln().abs();
             let moved = change(better.disturbance_n_m, noise.disturbance_n_m) > SAME_DISTURBANCE
-                || change(better.voltage_v, noise.voltage_v) > SAME_VOLTAGE;
+                || change(better.input, noise.input) > SAME_INPUT;
             if moved {
                 noise = better;
                 drop(reduced);

@@ -32,7 +32,7 @@ impl Step {
             apply([1.0, 0.0], [0.0; 2]),
             apply([0.0, passage.kept], [0.0; 2]),
             apply([0.0; 2], [0.0, -dynamics.inverse_inertia * moves]),
-            apply([0.0; 2], [dynamics.inverse_inductance, 0.0]),
+            apply([0.0; 2], dynamics.per_input),
             apply([0.0; 2], [1.0, 0.0]),
             apply([0.0; 2], [0.0, moves]),
         ];
@@ -40,7 +40,7 @@ impl Step {
             current: on.map(|to| to[0]),
             speed: on.map(|to| to[1] * moves),
             forget,
-            keeps: passage.voltage_keeps,
+            keeps: passage.input_keeps,
         }
     }
 
@@ -433,7 +433,8 @@ mod tests {
         speed_rad_s: SPEED_NOISE_RAD_S,
         disturbance_n_m: 0.01,
         correlation_s: 0.5,
-        voltage_v: 0.05,
+        input: 0.05,
+        sensors: 0.1,
     };
 
     /// Moves one way only: where a shaft breaks away differences are no tangents.

@@ -1,0 +1,79 @@
+//! Which effects a run can be asked about at all, and what of it is fit to be asked.
+
+use std::f64::consts::TAU;
+
+use crate::identification::speed_from_angle;
+use crate::plant::{Effect, Enters, Input, ParameterSpec, Scenario};
+
+/// Share of a period that the angle must cover before an effect of position is judged.
+const LEAST_TRAVEL: f64 = 0.5;
+
+/// Why a run that is driven by a torque or a current cannot judge an effect at all; `None` where it can. A voltage drives
+/// through every equation.
+pub(in crate::diagnosis) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'static str> {
+    if scenario.input == Input::Voltage {
+        return None;
+    }
+    match effect.card().enters {
+        Enters::Voltage => {
+            return Some("the run has no voltage, and it acts in the voltage balance");
+        }
+        Enters::Path => {
+            return Some(
+                "it lies between motor and measurement, which a run without a voltage does not tell apart",
+            );
+        }
+        Enters::Both if scenario.input == Input::Torque => {
+            return Some("it acts through the current, which the run does not have");
+        }
+        Enters::Both | Enters::Torque => {}
+    }
+    let guess: Vec<f64> = effect.parameters().iter().map(ParameterSpec::guess).collect();
+    let terms = effect.terms(&guess);
+    if terms.coupling().is_some() || terms.states() > 0 {
+        return Some("a second inertia is no term of the torque balance: record the voltage too");
+    }
+    if effect.parameters().is_empty() {
+        return Some("it has no parameter of its own");
+    }
+    let orders = effect.parameters().iter().find(|spec| spec.key == "order");
+    let highest = orders.map_or(1.0, |spec| spec.shapes.iter().fold(1.0, |most, order| f64::max(most, *order)));
+    (effect.card().needs_angle && !travels(scenario, highest))
+        .then_some("the shaft moves through less than half a period of it")
+}
+
+/// Whether the angle moved far enough to tell a wave of so many periods per turn from a constant.
+pub(super) fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
+    let angles = scenario.shaft_angle();
+    let (least, most) = angles.iter().map(|point| point.1).fold(
+        (f64::INFINITY, f64::NEG_INFINITY),
+        |(least, most), angle| (least.min(angle), most.max(angle)),
+    );
+    (most - least) * periods_per_turn >= LEAST_TRAVEL * TAU
+}
+
+/// The run as it is asked. A measured current stands for what flowed until halfway to its neighbours, not from its
+/// instant on. Of a speed that was derived from the angle only values that share no sample of it are kept: what they
+/// have in common would pass for the motion of the shaft.
+pub(super) fn prepared(scenario: &Scenario) -> Scenario {
+    let mut prepared = scenario.clone();
+    if scenario.input == Input::Voltage {
+        return prepared;
+    }
+    if scenario.input == Input::Current {
+        let events = &scenario.events;
+        for (event, pair) in prepared.events[1..].iter_mut().zip(events.windows(2)) {
+            event.0 = 0.5 * (pair[0].0 + pair[1].0);
+        }
+    }
+    if let Some(span) = speed_from_angle::span(scenario) {
+        let mut measured = 0;
+        for speed in prepared.speed_rad_s.iter_mut().filter(|speed| speed.is_finite()) {
+            if measured % span > 0 {
+                *speed = f64::NAN;
+            }
+            measured += 1;
+        }
+    }
+    prepared
+}
