@@ -135,7 +135,7 @@ fn confirmation(
 mod tests {
     use super::*;
     use crate::diagnosis::tests::{evidence, nameplate, record, truth};
-    use crate::diagnosis::{Diagnosis, diagnose};
+    use crate::diagnosis::{Diagnosis, Evidence, diagnose};
 
     fn confirmed(diagnosis: &Diagnosis) -> &Confirmation {
         diagnosis.confirm.as_ref().unwrap()

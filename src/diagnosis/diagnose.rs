@@ -182,6 +182,10 @@ fn climb(
         if !start.has(id) {
             start = start.with_effect(id)?;
         }
+        // What was given stays, needed or not.
+        let dropped = rungs[0].fit.model.effects.iter();
+        let dropped = dropped.filter(|active| !inference.model.has(active.id()));
+        start.effects.extend(dropped.cloned());
         let fit = bench.fit(&start)?;
         progress(Event::Refitted {
             effect: id,

@@ -266,7 +266,7 @@ mod tests {
         let run = testing::record(&model, events, 0.001, 3.0, 3);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let fit = output_error::fit(std::slice::from_ref(&model), &run, &noise).unwrap();
-        (fit, run)
+        (Fitted::from(&fit), run)
     }
 
     fn reached(id: &str, values: &[f64]) -> (Reached, Scenario) {

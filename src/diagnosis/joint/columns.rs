@@ -243,7 +243,8 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
 
 /// Prior standard deviation of the logarithm of a motor's parameter.
 const MOTOR: f64 = 0.3;
-/// Error of the stamps of commands and samples beforehand, as a share of the period.
+/// Error of the stamps of commands and samples beforehand, as a share of the period. Of a torque nobody knows where in
+/// its period it stands: all of it.
 const STAMP: f64 = 0.05;
 /// Standard deviation of how much of an effect is there that is there wholly or not at all, for the form that was tried.
 const WHOLE: f64 = 0.15;
@@ -323,19 +324,26 @@ fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
     }
 }
 
-/// Value of a motor's parameter that a run can tell of, and the standard deviation of its logarithm beforehand. Where a
-/// torque drives, friction starts from a balance that lacks what is missing: it may be off by an effect's slab.
-pub(super) fn motor_prior(slot: &Slot, model: &Model, scenario: &Scenario) -> Option<(f64, f64)> {
-    let Slot::Motor(key) = slot else { return None };
-    let value = model.get(slot)?;
+/// What is known of a motor's parameter beforehand.
+pub(super) enum MotorPrior {
+    /// Of the logarithm: its standard deviation.
+    Logarithm(f64),
+    /// Of the value itself.
+    Linear(f64),
+}
+
+/// `None` for a parameter that the run says nothing of. Where a torque drives, friction starts from a balance that lacks
+/// what is missing, so that it may be off by an effect's slab.
+pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> Option<MotorPrior> {
     if scenario.input == Input::Voltage {
-        return Some((value, MOTOR));
+        return Some(MotorPrior::Logarithm(MOTOR));
     }
-    let offset = effect::find("constant_load")?;
-    let slab = SLAB * typical_size(offset, 0, model, scenario);
     match key {
-        MotorKey::LoadTorque => Some((value, MOTOR.max(slab / value))),
-        MotorKey::Inertia => Some((value, MOTOR)),
+        MotorKey::Inertia => Some(MotorPrior::Logarithm(MOTOR)),
+        MotorKey::LoadTorque => {
+            let slab = SLAB * typical_size(effect::find("constant_load")?, 0, model, scenario);
+            Some(MotorPrior::Linear(slab.max(MOTOR * model.motor.get(key)?)))
+        }
         _ => None,
     }
 }
@@ -345,24 +353,33 @@ pub(super) fn motor_prior(slot: &Slot, model: &Model, scenario: &Scenario) -> Op
 fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
     let mut nuisances = Vec::new();
     for slot in model.free_slots() {
-        if let Some((value, sd)) = motor_prior(&slot, model, scenario) {
-            let mut moved = model.clone();
-            moved.set(&slot, value * STEP.exp());
-            nuisances.push((
-                Source::Difference {
-                    model: moved,
-                    step: STEP,
-                },
-                sd,
-            ));
-        }
-    }
-    if scenario.input != Input::Voltage {
-        return Some(nuisances);
+        let Slot::Motor(key) = slot else { continue };
+        let Some(prior) = motor_prior(key, model, scenario) else {
+            continue;
+        };
+        let value = model.get(&slot)?;
+        let mut moved = model.clone();
+        let (step, sd) = match prior {
+            MotorPrior::Logarithm(sd) => {
+                moved.set(&slot, value * STEP.exp());
+                (STEP, sd)
+            }
+            MotorPrior::Linear(sd) => {
+                moved.set(&slot, value + LINEAR_STEP * sd);
+                (LINEAR_STEP, 1.0)
+            }
+        };
+        nuisances.push((Source::Difference { model: moved, step }, sd));
     }
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
-    for id in ["command_delay", "current_filter", "speed_delay"] {
+    let by_voltage = scenario.input == Input::Voltage;
+    let late: &[&str] = if by_voltage {
+        &["command_delay", "current_filter", "speed_delay"]
+    } else {
+        &["command_delay"]
+    };
+    for id in late.iter().copied() {
         let Some(effect) = effect::find(id) else {
             continue;
         };
@@ -375,7 +392,8 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
         } else {
             of_samples_s
         };
-        let error_s = (STAMP * period_s).max(known_s.unwrap_or(0.0));
+        let stamp_s = if by_voltage { STAMP * period_s } else { period_s };
+        let error_s = stamp_s.max(known_s.unwrap_or(0.0));
         let mut moved = model.clone();
         match moved.effects.iter_mut().find(|active| active.id() == id) {
             Some(active) => {
@@ -397,6 +415,8 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
 
 /// Step of a difference of two runs with a motor's parameter, relative.
 const STEP: f64 = 2e-3;
+/// The same in standard deviations beforehand.
+const LINEAR_STEP: f64 = 0.02;
 /// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run, of an unknown curve.
 const LOG_ODDS: f64 = -2.197_224_577_336_219_6;
 const LOG_ODDS_STEP: f64 = -2.995_732_273_553_991;
@@ -684,7 +704,7 @@ pub(super) fn linearise(model: &Model, runs: &[Around<'_>], unknowns: bool) -> O
         }
     }
     let mut candidates: Vec<Candidate> = parts.into_iter().map(|part| part.candidate).collect();
-    exclusions(&mut candidates);
+    exclusions(&mut candidates, training.input);
     let columns: Vec<Whitened> = base
         .into_iter()
         .zip(others)
@@ -824,7 +844,8 @@ fn load_steps(model: &Model, runs: &[Around<'_>]) -> Vec<Part> {
     runs.iter().enumerate().map(of_run).collect()
 }
 
-fn exclusions(candidates: &mut [Candidate]) {
+/// A torque's own curve is what a run is made of: there what is unknown stands beside the effects, not for them.
+fn exclusions(candidates: &mut [Candidate], input: Input) {
     let curve = |c: &Candidate| match c.id {
         "torque over speed" => Some(("torque", "speed_rad_s")),
         "torque over angle" => Some(("torque", "angle_rad")),
@@ -833,7 +854,7 @@ fn exclusions(candidates: &mut [Candidate]) {
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
         related(a.id, b.id)
-            || (a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
+            || (input == Input::Voltage && a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
     };
     for k in 0..candidates.len() {
         let excludes = (0..candidates.len())
@@ -854,7 +875,8 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
             .fold(0.0_f64, |most, state| most.max(state[k].abs()))
     };
     let (current, speed) = (most(0), most(1));
-    let torque = 0.06 * constants(run.model, run.scenario).torque_n_m_per_a * current;
+    let share = if by_voltage { 0.06 } else { 0.03 };
+    let torque = share * constants(run.model, run.scenario).torque_n_m_per_a * current;
     let volts = 0.06
         * run
             .scenario

@@ -1,7 +1,7 @@
 //! Prediction-error fit: every free parameter of a model, and of its effects, from the whitened innovations of the runs.
 
 use super::asked::why_not;
-use super::columns::{Around, SLAB, motor_prior};
+use super::columns::{Around, MotorPrior, SLAB, motor_prior};
 use super::follow::follow;
 use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
@@ -35,11 +35,18 @@ impl Unit {
             ..
         } = slot
         else {
-            let (_, sd) = motor_prior(slot, model, scenario)?;
-            return Some(Self::Logarithm {
-                range: (1e-12, 1e9),
-                sd,
-                at: value.ln(),
+            let Slot::Motor(key) = slot else { return None };
+            return Some(match motor_prior(*key, model, scenario)? {
+                MotorPrior::Logarithm(sd) => Self::Logarithm {
+                    range: (1e-12, 1e9),
+                    sd,
+                    at: value.ln(),
+                },
+                MotorPrior::Linear(unit) => Self::Linear {
+                    range: (0.0, 1e9),
+                    unit,
+                    at: value / unit,
+                },
             });
         };
         let effect = model.effects[*index].effect;
