@@ -62,6 +62,19 @@ pub fn span(scenario: &Scenario) -> Option<usize> {
     (same && compared > 0).then_some(2 * side + 1)
 }
 
+/// Standard deviation that the resolution of the angle gives to the derived speed of a scenario: at rest none is seen.
+pub fn noise(scenario: &Scenario) -> Option<f64> {
+    let span = span(scenario)?;
+    let points = &scenario.angle;
+    let period_s = (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64;
+    Some(resolution(points) / 12f64.sqrt() * gain((span / 2) as f64, period_s))
+}
+
+/// What an error of the angle is multiplied by: the standard deviation of the slope over 2 m + 1 equidistant points.
+fn gain(m: f64, period_s: f64) -> f64 {
+    (3.0 / (m * (m + 1.0) * (2.0 * m + 1.0))).sqrt() / period_s
+}
+
 /// Neighbours on either side.
 fn side(points: &[(f64, f64)]) -> usize {
     let most = LONGEST_SIDE.min((points.len() - 1) / 2);
@@ -73,12 +86,7 @@ fn side(points: &[(f64, f64)]) -> usize {
         .fold(0.0, f64::max);
     let error = resolution(points) / 12f64.sqrt();
     (1..most)
-        .find(|side| {
-            // Standard deviation of the slope over 2 m + 1 equidistant points is sigma sqrt(3/(m (m+1) (2m+1)))/T.
-            let m = *side as f64;
-            error * (3.0 / (m * (m + 1.0) * (2.0 * m + 1.0))).sqrt() / period_s
-                <= ALLOWED_SHARE * largest
-        })
+        .find(|side| error * gain(*side as f64, period_s) <= ALLOWED_SHARE * largest)
         .unwrap_or(most)
 }
 

@@ -80,9 +80,11 @@ pub(in crate::diagnosis) fn infer(
         run: evidence.training.name.clone(),
     };
     // Where one run was split the whole of it speaks.
+    let known = evidence.noise.source != FloorSource::None;
+    let asked = |run: &Scenario| prepared(run, known);
     let asked: Vec<Scenario> = match evidence.holdout_from {
-        HoldoutFrom::Run => vec![prepared(&evidence.training), prepared(&evidence.holdout)],
-        HoldoutFrom::Split => vec![prepared(&evidence.holdout)],
+        HoldoutFrom::Run => vec![asked(&evidence.training), asked(&evidence.holdout)],
+        HoldoutFrom::Split => vec![asked(&evidence.holdout)],
     };
     let scenarios: Vec<&Scenario> = asked.iter().collect();
     let starts: Vec<State> = scenarios

@@ -5,6 +5,9 @@ use std::f64::consts::TAU;
 use crate::identification::speed_from_angle;
 use crate::plant::{Effect, Enters, Input, ParameterSpec, Scenario};
 
+/// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
+/// what the frame and the drive's own loops do would decide.
+const APART_S: f64 = 0.03;
 /// Share of a period that the angle must cover before an effect of position is judged.
 const LEAST_TRAVEL: f64 = 0.5;
 
@@ -54,8 +57,9 @@ pub(super) fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
 
 /// The run as it is asked. A measured current stands for what flowed until halfway to its neighbours, not from its
 /// instant on. Of a speed that was derived from the angle only values that share no sample of it are kept: what they
-/// have in common would pass for the motion of the shaft.
-pub(super) fn prepared(scenario: &Scenario) -> Scenario {
+/// have in common would pass for the motion of the shaft. The torque keeps every value: from one speed to the next its
+/// whole impulse counts.
+pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
     let mut prepared = scenario.clone();
     if scenario.input == Input::Voltage {
         return prepared;
@@ -66,13 +70,20 @@ pub(super) fn prepared(scenario: &Scenario) -> Scenario {
             event.0 = 0.5 * (pair[0].0 + pair[1].0);
         }
     }
-    if let Some(span) = speed_from_angle::span(scenario) {
-        let mut measured = 0;
-        for speed in prepared.speed_rad_s.iter_mut().filter(|speed| speed.is_finite()) {
-            if measured % span > 0 {
-                *speed = f64::NAN;
-            }
-            measured += 1;
+    let span = speed_from_angle::span(scenario);
+    let apart_s = if noise_is_known && span.is_none() { 0.0 } else { APART_S };
+    let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
+    for (time_s, speed) in scenario.sample_time_s.iter().zip(&mut prepared.speed_rad_s) {
+        if !speed.is_finite() {
+            continue;
+        }
+        if *time_s < next_s || skip > 0 {
+            *speed = f64::NAN;
+            skip -= usize::from(skip > 0);
+        } else {
+            // A hair of slack for stamps that are rounded.
+            next_s = time_s + (1.0 - 1e-6) * apart_s;
+            skip = span.map_or(0, |span| span - 1);
         }
     }
     prepared

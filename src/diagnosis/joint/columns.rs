@@ -864,6 +864,35 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
     }
 }
 
+/// Torque as a function of the speed that friction, drag and load of the catalogue are no part of, each of this size: what
+/// a run that a torque drives is made of is theirs first.
+fn beyond_the_catalogue(most: f64, size: f64) -> Vec<Tangent> {
+    const KNOTS: usize = 13;
+    let at = |knot: usize| 2.0 * knot as f64 / (KNOTS - 1) as f64 - 1.0;
+    let shapes: [fn(f64) -> f64; 5] = [|_| 1.0, |x| x, f64::abs, |x| x * x.abs(), |x| {
+        if x == 0.0 { 0.0 } else { x.signum() }
+    }];
+    let mut basis: Vec<DVector<f64>> = Vec::new();
+    let hats = (0..KNOTS).map(|knot| DVector::from_fn(KNOTS, |k, _| f64::from(u8::from(k == knot))));
+    let shapes = shapes.map(|shape| DVector::from_fn(KNOTS, |k, _| shape(at(k))));
+    for vector in shapes.into_iter().chain(hats) {
+        let mut left = vector.clone();
+        for known in &basis {
+            left -= known * known.dot(&left);
+        }
+        if basis.len() < KNOTS && left.norm() > 0.1 * vector.norm() {
+            basis.push(left.normalize());
+        }
+    }
+    let beyond = basis.into_iter().skip(5);
+    beyond
+        .map(|curve| Tangent::Curve {
+            most,
+            values: (curve * size).iter().copied().collect(),
+        })
+        .collect()
+}
+
 /// Torque and voltage as functions that no effect of the catalogue gives.
 fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
     let run = &runs[0];
@@ -913,8 +942,13 @@ fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
             of_current: false,
         })
     };
+    let over_speed = if by_voltage {
+        hats(Axis::Speed, 11, speed, torque)
+    } else {
+        beyond_the_catalogue(speed, torque)
+    };
     let mut parts = vec![
-        part("torque over speed", hats(Axis::Speed, 11, speed, torque)),
+        part("torque over speed", over_speed),
         part(
             "torque over angle",
             (1..=6)

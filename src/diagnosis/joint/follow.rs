@@ -29,7 +29,7 @@ pub(super) struct Noise {
 
 /// Correlation time of the voltage's error, s.
 const VOLTAGE_S: f64 = 0.05;
-/// Periods without a torque after which nobody knows what was held.
+/// Periods without a torque, or without a speed, after which nobody knows what was held and where the shaft went.
 const LONGEST_HOLD: f64 = 5.0;
 /// Share of the largest speed below which friction is not yet developed where a torque drives: the balance of torques says
 /// nothing of a reversal.
@@ -303,6 +303,9 @@ struct Filter<'a> {
     /// Where a torque drives: the speed below which its balance says nothing, and for how long one value may stand.
     slow_rad_s: f64,
     longest_hold_s: f64,
+    /// When a speed was seen last, and after how long without one it begins anew.
+    seen_s: f64,
+    longest_blind_s: f64,
     direction: f64,
     last_s: f64,
     last_speed: f64,
@@ -335,6 +338,10 @@ impl<'a> Filter<'a> {
         let by_voltage = scenario.input == Input::Voltage;
         let events = scenario.events.windows(2);
         let held_s: Vec<f64> = events.map(|pair| pair[1].0 - pair[0].0).collect();
+        let seen = scenario.sample_time_s.iter().zip(&scenario.speed_rad_s);
+        let seen: Vec<f64> = seen.filter(|row| row.1.is_finite()).map(|row| *row.0).collect();
+        let unseen_s: Vec<f64> = seen.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let usual = if by_voltage { f64::INFINITY } else { LONGEST_HOLD };
         Some(Self {
             scenario,
             noise,
@@ -349,11 +356,9 @@ impl<'a> Filter<'a> {
             } else {
                 REVERSAL * fastest(scenario)
             },
-            longest_hold_s: if by_voltage {
-                f64::INFINITY
-            } else {
-                LONGEST_HOLD * median(&held_s)
-            },
+            longest_hold_s: usual * median(&held_s),
+            seen_s: scenario.begin_s(),
+            longest_blind_s: usual * median(&unseen_s),
             direction: start.direction(),
             last_s: scenario.begin_s(),
             last_speed: start.speed_rad_s,
@@ -432,8 +437,10 @@ impl<'a> Filter<'a> {
             let moved = propagator.apply([0.0; 2], [self.dynamics.inverse_inductance, 0.0]);
             let [current, speed] = moved.map(|moved| moved * moved * unknown_v2);
             let slow = state.speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
-            let anew = if time_s - self.scenario.events[self.event].0 > self.longest_hold_s {
-                state.speed_rad_s.abs().max(self.slow_rad_s)
+            let held_s = time_s - self.scenario.events[self.event].0;
+            let unknown = held_s > self.longest_hold_s || time_s - self.seen_s > self.longest_blind_s;
+            let anew = if unknown {
+                self.slow_rad_s / REVERSAL
             } else if slow {
                 self.slow_rad_s
             } else {
@@ -480,6 +487,7 @@ impl<'a> Filter<'a> {
             moved = update.current[1] * (value - reading[0]);
         }
         if let Some(value) = speed {
+            self.seen_s = self.scenario.sample_time_s[sample];
             let e = value - reading[1] - moved;
             if rests && e.abs() > RELEASED * self.noise.speed_rad_s {
                 self.p[1][1] += e * e;
