@@ -48,6 +48,11 @@ impl Bench {
         }
     }
 
+    /// Whether a fit costs no simulation.
+    pub(super) const fn fits_at_once(&self) -> bool {
+        self.balance.is_some()
+    }
+
     /// A complete model on the hold-out.
     pub(super) fn held_out(&self, model: &Model) -> Result<Score, FitError> {
         let Evidence { holdout, noise, .. } = &self.evidence;
@@ -75,7 +80,10 @@ impl Bench {
     pub(super) fn limits(&self) -> Vec<String> {
         let mut limits = self.evidence.unjudged();
         limits.extend(self.balance.as_ref().map(|balance| {
-            format!("errors are those of the balance of torques ({})", balance.sides.training.sentence)
+            format!(
+                "errors are those of the balance of torques ({})",
+                balance.sides.training.sentence
+            )
         }));
         limits
     }

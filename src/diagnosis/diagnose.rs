@@ -19,8 +19,8 @@ use super::progress::{Event, Progress, Stage, silent};
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
-use crate::plant::effect::CATALOGUE;
 use crate::plant::Model;
+use crate::plant::effect::CATALOGUE;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -145,7 +145,8 @@ pub fn diagnose_with(
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
-    let inference = infer(&baseline, &bench.evidence, options.progress)?;
+    let mut inference = infer(&baseline, &bench.evidence, options.progress)?;
+    inference.named = in_order(&bench, &baseline, &inference)?;
     (options.progress)(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
@@ -171,21 +172,10 @@ fn climb(
         let score = bench.held_out(&fit.model)?;
         Ok(Standing { fit, score })
     };
-    let given = baseline.model.effect_ids();
     let mut rungs = vec![standing(baseline)?];
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
-        let mut start = inference.model.clone();
-        start
-            .effects
-            .retain(|active| given.contains(&active.id()) || kept.contains(&active.id()));
-        if !start.has(id) {
-            start = start.with_effect(id)?;
-        }
-        // What was given stays, needed or not.
-        let dropped = rungs[0].fit.model.effects.iter();
-        let dropped = dropped.filter(|active| !inference.model.has(active.id()));
-        start.effects.extend(dropped.cloned());
+        let start = with_named(&rungs[0].fit.model, inference, kept)?;
         let fit = bench.fit(&start)?;
         progress(Event::Refitted {
             effect: id,
@@ -199,6 +189,54 @@ fn climb(
         rungs.push(rung);
     }
     Ok(rungs)
+}
+
+/// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
+fn with_named(
+    baseline: &Model,
+    inference: &Inference,
+    kept: &[&'static str],
+) -> Result<Model, FitError> {
+    let mut start = inference.model.clone();
+    start
+        .effects
+        .retain(|active| baseline.has(active.id()) || kept.contains(&active.id()));
+    for id in kept {
+        if !start.has(id) {
+            start = start.with_effect(id)?;
+        }
+    }
+    let given = baseline.effects.iter();
+    let dropped = given.filter(|active| !inference.model.has(active.id()));
+    start.effects.extend(dropped.cloned());
+    Ok(start)
+}
+
+/// What is named, what explains most beside the others first: where a fit costs next to nothing it is asked, else the odds
+/// say so.
+fn in_order(
+    bench: &Bench,
+    baseline: &Fitted,
+    inference: &Inference,
+) -> Result<Vec<&'static str>, FitError> {
+    let mut left = inference.named.clone();
+    if !bench.fits_at_once() {
+        return Ok(left);
+    }
+    let mut order = Vec::new();
+    while left.len() > 1 {
+        let mut best = (0, f64::INFINITY);
+        for (place, id) in left.iter().enumerate() {
+            let kept: Vec<&'static str> = order.iter().copied().chain([*id]).collect();
+            let fit = bench.fit(&with_named(&baseline.model, inference, &kept)?)?;
+            if fit.nrms < best.1 {
+                best = (place, fit.nrms);
+            }
+        }
+        order.push(left.remove(best.0));
+    }
+    order.extend(left);
+    Ok(order)
 }
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {

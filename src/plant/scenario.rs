@@ -377,7 +377,12 @@ impl Scenario {
             .events
             .iter()
             .fold(0.0, |most, event| f64::max(most, event.1.abs()));
-        let moves = |event: &&(f64, f64)| event.1.abs() > NEARLY_ZERO * largest;
+        let nearly_zero = if self.input == Input::Voltage {
+            NEARLY_ZERO
+        } else {
+            NEARLY_ZERO_MEASURED
+        };
+        let moves = |event: &&(f64, f64)| event.1.abs() > nearly_zero * largest;
         let taken_over = self.events.iter().take_while(moves).count();
         let bumpless = taken_over <= BUMPLESS_EVENTS
             && self.events[..taken_over]
@@ -402,6 +407,8 @@ const BUMPLESS_SHARE: f64 = 0.05;
 
 /// Share of the largest input that moves nothing: what a bumpless start leaves behind.
 const NEARLY_ZERO: f64 = 0.002;
+/// The same of a torque or a current, which is measured with noise.
+const NEARLY_ZERO_MEASURED: f64 = 0.05;
 
 /// The column that drives the model. A commanded voltage with the instants at which it was applied tells when the
 /// voltage changed; a measured one only what it was at the sample, so it serves where there is no command.

@@ -5,13 +5,13 @@ use super::follow::{Noise, constants};
 use super::search::{self, Found};
 use super::select::{Reduced, Set};
 use crate::diagnosis::Evidence;
-use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::evidence::HoldoutFrom;
+use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::progress::Progress;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
-use crate::plant::effect::CATALOGUE;
 use crate::numerics::statistics;
+use crate::plant::effect::CATALOGUE;
 use crate::plant::{Effect, Input, Model, Scenario, State};
 
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.

@@ -13,7 +13,10 @@ const LEAST_TRAVEL: f64 = 0.5;
 
 /// Why a run that is driven by a torque or a current cannot judge an effect at all; `None` where it can. A voltage drives
 /// through every equation.
-pub(in crate::diagnosis) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'static str> {
+pub(in crate::diagnosis) fn why_not(
+    effect: &dyn Effect,
+    scenario: &Scenario,
+) -> Option<&'static str> {
     if scenario.input == Input::Voltage {
         return None;
     }
@@ -31,7 +34,11 @@ pub(in crate::diagnosis) fn why_not(effect: &dyn Effect, scenario: &Scenario) ->
         }
         Enters::Both | Enters::Torque => {}
     }
-    let guess: Vec<f64> = effect.parameters().iter().map(ParameterSpec::guess).collect();
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(ParameterSpec::guess)
+        .collect();
     let terms = effect.terms(&guess);
     if terms.coupling().is_some() || terms.states() > 0 {
         return Some("a second inertia is no term of the torque balance: record the voltage too");
@@ -40,7 +47,11 @@ pub(in crate::diagnosis) fn why_not(effect: &dyn Effect, scenario: &Scenario) ->
         return Some("it has no parameter of its own");
     }
     let orders = effect.parameters().iter().find(|spec| spec.key == "order");
-    let highest = orders.map_or(1.0, |spec| spec.shapes.iter().fold(1.0, |most, order| f64::max(most, *order)));
+    let highest = orders.map_or(1.0, |spec| {
+        spec.shapes
+            .iter()
+            .fold(1.0, |most, order| f64::max(most, *order))
+    });
     (effect.card().needs_angle && !travels(scenario, highest))
         .then_some("the shaft moves through less than half a period of it")
 }
@@ -71,7 +82,11 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
         }
     }
     let span = speed_from_angle::span(scenario);
-    let apart_s = if noise_is_known && span.is_none() { 0.0 } else { APART_S };
+    let apart_s = if noise_is_known && span.is_none() {
+        0.0
+    } else {
+        APART_S
+    };
     let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
     for (time_s, speed) in scenario.sample_time_s.iter().zip(&mut prepared.speed_rad_s) {
         if !speed.is_finite() {

@@ -4,18 +4,17 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::asked::{travels, why_not};
-use super::follow::{
-    Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead,
-};
+use super::follow::{Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
-use super::tangent::{Axis, LANES, Step, Tangent, Wave, carry};
+use super::tangent::{LANES, Step, Tangent, Wave, carry};
+use super::unknown::unknown_curves;
 use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
 use crate::plant::effect::{self, CATALOGUE};
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario,
-    MotorKey, Slot, State, typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterRole, ParameterSpec, Path,
+    Scenario, Slot, State, typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -259,7 +258,7 @@ pub(super) struct Part {
 }
 
 impl Part {
-    fn new(id: &'static str, log_odds: f64) -> Self {
+    pub(super) fn new(id: &'static str, log_odds: f64) -> Self {
         let candidate = Candidate {
             id,
             in_model: false,
@@ -274,7 +273,7 @@ impl Part {
         }
     }
 
-    fn push(&mut self, mut form: Form) {
+    pub(super) fn push(&mut self, mut form: Form) {
         form.variant.columns.clear();
         self.candidate.variants.push(form.variant);
         self.sources.push(form.sources);
@@ -282,16 +281,16 @@ impl Part {
 }
 
 /// A variant under construction.
-struct Form {
-    variant: Variant,
+pub(super) struct Form {
+    pub(super) variant: Variant,
     sources: Vec<Source>,
 }
 
 /// Of a column that is no parameter's.
-const NO_PARAMETER: usize = usize::MAX;
+pub(super) const NO_PARAMETER: usize = usize::MAX;
 
 impl Form {
-    const fn new(values: Vec<f64>, log_prior: f64) -> Self {
+    pub(super) const fn new(values: Vec<f64>, log_prior: f64) -> Self {
         let variant = Variant {
             columns: vec![],
             values,
@@ -308,7 +307,7 @@ impl Form {
         }
     }
 
-    fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
+    pub(super) fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
         self.sources.push(source);
         self.variant.parameters.push(parameter);
         self.variant.units.push(unit);
@@ -392,7 +391,11 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
         } else {
             of_samples_s
         };
-        let stamp_s = if by_voltage { STAMP * period_s } else { period_s };
+        let stamp_s = if by_voltage {
+            STAMP * period_s
+        } else {
+            period_s
+        };
         let error_s = stamp_s.max(known_s.unwrap_or(0.0));
         let mut moved = model.clone();
         match moved.effects.iter_mut().find(|active| active.id() == id) {
@@ -417,10 +420,9 @@ fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
 const STEP: f64 = 2e-3;
 /// The same in standard deviations beforehand.
 const LINEAR_STEP: f64 = 0.02;
-/// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run, of an unknown curve.
+/// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run.
 const LOG_ODDS: f64 = -2.197_224_577_336_219_6;
 const LOG_ODDS_STEP: f64 = -2.995_732_273_553_991;
-const LOG_ODDS_UNKNOWN: f64 = -4.605_170_185_988_091;
 
 /// An effect of the model: its parameters, and what else its form may be.
 fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Option<Part> {
@@ -854,7 +856,10 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
         related(a.id, b.id)
-            || (input == Input::Voltage && a.unknown != b.unknown && curve(a).is_some() && curve(a) == curve(b))
+            || (input == Input::Voltage
+                && a.unknown != b.unknown
+                && curve(a).is_some()
+                && curve(a) == curve(b))
     };
     for k in 0..candidates.len() {
         let excludes = (0..candidates.len())
@@ -862,103 +867,4 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
             .collect();
         candidates[k].excludes = excludes;
     }
-}
-
-/// Torque as a function of the speed that friction, drag and load of the catalogue are no part of, each of this size: what
-/// a run that a torque drives is made of is theirs first.
-fn beyond_the_catalogue(most: f64, size: f64) -> Vec<Tangent> {
-    const KNOTS: usize = 13;
-    let at = |knot: usize| 2.0 * knot as f64 / (KNOTS - 1) as f64 - 1.0;
-    let shapes: [fn(f64) -> f64; 5] = [|_| 1.0, |x| x, f64::abs, |x| x * x.abs(), |x| {
-        if x == 0.0 { 0.0 } else { x.signum() }
-    }];
-    let mut basis: Vec<DVector<f64>> = Vec::new();
-    let hats = (0..KNOTS).map(|knot| DVector::from_fn(KNOTS, |k, _| f64::from(u8::from(k == knot))));
-    let shapes = shapes.map(|shape| DVector::from_fn(KNOTS, |k, _| shape(at(k))));
-    for vector in shapes.into_iter().chain(hats) {
-        let mut left = vector.clone();
-        for known in &basis {
-            left -= known * known.dot(&left);
-        }
-        if basis.len() < KNOTS && left.norm() > 0.1 * vector.norm() {
-            basis.push(left.normalize());
-        }
-    }
-    let beyond = basis.into_iter().skip(5);
-    beyond
-        .map(|curve| Tangent::Curve {
-            most,
-            values: (curve * size).iter().copied().collect(),
-        })
-        .collect()
-}
-
-/// Torque and voltage as functions that no effect of the catalogue gives.
-fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
-    let run = &runs[0];
-    let by_voltage = run.scenario.input == Input::Voltage;
-    let most = |k: usize| {
-        run.followed
-            .after
-            .iter()
-            .fold(0.0_f64, |most, state| most.max(state[k].abs()))
-    };
-    let (current, speed) = (most(0), most(1));
-    let share = if by_voltage { 0.06 } else { 0.03 };
-    let torque = share * constants(run.model, run.scenario).torque_n_m_per_a * current;
-    let volts = 0.06
-        * run
-            .scenario
-            .events
-            .iter()
-            .fold(0.0_f64, |most, event| most.max(event.1.abs()));
-    let part = |id: &'static str, curves: Vec<Tangent>| {
-        let mut part = Part::new(id, LOG_ODDS_UNKNOWN);
-        part.candidate.unknown = true;
-        let mut form = Form::new(vec![], 0.0);
-        for curve in curves {
-            form.column(Source::Tangent(curve), NO_PARAMETER, 1.0, 0.0);
-        }
-        form.variant.parameters.clear();
-        part.push(form);
-        part
-    };
-    let hats = |axis: Axis, count: i32, most: f64, size: f64| -> Vec<Tangent> {
-        let width = 2.0 * most / f64::from(count - 1);
-        (0..count)
-            .map(|k| Tangent::Hat {
-                axis,
-                centre: width * f64::from(k) - most,
-                width,
-                size,
-            })
-            .collect()
-    };
-    let wave = |order: i32, sine: bool| {
-        Tangent::Wave(Wave {
-            order: f64::from(order),
-            sine,
-            size: torque,
-            of_current: false,
-        })
-    };
-    let over_speed = if by_voltage {
-        hats(Axis::Speed, 11, speed, torque)
-    } else {
-        beyond_the_catalogue(speed, torque)
-    };
-    let mut parts = vec![
-        part("torque over speed", over_speed),
-        part(
-            "torque over angle",
-            (1..=6)
-                .flat_map(|order| [true, false].map(|sine| wave(order, sine)))
-                .collect(),
-        ),
-    ];
-    if by_voltage {
-        let volts = hats(Axis::Current, 7, current, volts);
-        parts.push(part("voltage over current", volts));
-    }
-    parts
 }

@@ -42,8 +42,10 @@ const START_IN_NOISE: f64 = 10.0;
 /// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
 const RELEASED: f64 = 5.0;
 
-/// What the form of an effect may be wrong by, as a share of what it does.
+/// What the form of an effect may be wrong by, as a share of what it does; where a torque drives, of friction too, and of
+/// the torque itself, which no machine measures better.
 const FORM: f64 = 0.05;
+const DRIVE: f64 = 0.02;
 
 /// The motor's constants in a run: a given torque is the current of a motor with a torque constant of one, and what has no
 /// voltage has no armature.
@@ -65,6 +67,9 @@ struct Forms {
     motor: Instant,
     coupling: f64,
     inertia: f64,
+    /// Friction and torque per unit of the input whose forms count: none under a voltage.
+    coulomb: f64,
+    drive: f64,
 }
 
 impl Forms {
@@ -78,11 +83,14 @@ impl Forms {
             .iter()
             .filter_map(|terms| terms.coupling())
             .fold(0.0, |most: f64, c| most.max(c.inertia_ratio));
+        let counts = f64::from(u8::from(scenario.input != Input::Voltage));
         Self {
             terms,
             motor: constants(model, scenario),
             coupling,
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
+            coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
+            drive: counts * DRIVE / FORM * constants(model, scenario).torque_n_m_per_a,
         }
     }
 
@@ -96,6 +104,10 @@ impl Forms {
             ..self.motor
         };
         let (mut volts, mut torque) = (0.0, (self.coupling * self.inertia * acceleration).powi(2));
+        if self.drive > 0.0 {
+            torque += (self.drive * state.current_a).powi(2);
+            torque += (self.coulomb * state.direction()).powi(2);
+        }
         let mut own = state.own();
         for terms in &self.terms {
             if terms.coupling().is_some() {
@@ -146,13 +158,9 @@ impl Dynamics {
                     VOLTAGE_S,
                 )
             }
-            Input::Current | Input::Torque => (
-                [[0.0; 2]; 2],
-                [[0.0; 2]; 2],
-                0.0,
-                [0.0, 1.0 / inertia],
-                0.0,
-            ),
+            Input::Current | Input::Torque => {
+                ([[0.0; 2]; 2], [[0.0; 2]; 2], 0.0, [0.0, 1.0 / inertia], 0.0)
+            }
         };
         Some(Self {
             moving: LinearPart::new(&a),
@@ -339,9 +347,16 @@ impl<'a> Filter<'a> {
         let events = scenario.events.windows(2);
         let held_s: Vec<f64> = events.map(|pair| pair[1].0 - pair[0].0).collect();
         let seen = scenario.sample_time_s.iter().zip(&scenario.speed_rad_s);
-        let seen: Vec<f64> = seen.filter(|row| row.1.is_finite()).map(|row| *row.0).collect();
+        let seen: Vec<f64> = seen
+            .filter(|row| row.1.is_finite())
+            .map(|row| *row.0)
+            .collect();
         let unseen_s: Vec<f64> = seen.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let usual = if by_voltage { f64::INFINITY } else { LONGEST_HOLD };
+        let usual = if by_voltage {
+            f64::INFINITY
+        } else {
+            LONGEST_HOLD
+        };
         Some(Self {
             scenario,
             noise,
@@ -438,7 +453,8 @@ impl<'a> Filter<'a> {
             let [current, speed] = moved.map(|moved| moved * moved * unknown_v2);
             let slow = state.speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
             let held_s = time_s - self.scenario.events[self.event].0;
-            let unknown = held_s > self.longest_hold_s || time_s - self.seen_s > self.longest_blind_s;
+            let unknown =
+                held_s > self.longest_hold_s || time_s - self.seen_s > self.longest_blind_s;
             let anew = if unknown {
                 self.slow_rad_s / REVERSAL
             } else if slow {
@@ -647,7 +663,8 @@ pub(super) fn predicted(
     out[0][0] += passage.fresh[0];
     out[1][1] += passage.fresh[1] * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
-    out[3][3] += (noise.input.powi(2) * passage.input_share + passage.form[0]) * (1.0 - keeps * keeps);
+    out[3][3] +=
+        (noise.input.powi(2) * passage.input_share + passage.form[0]) * (1.0 - keeps * keeps);
     out
 }
 

@@ -303,7 +303,7 @@ mod tests {
             disturbance_n_m: 0.01,
             correlation_s: 0.5,
             input: 0.05,
-        sensors: 0.1,
+            sensors: 0.1,
         };
         let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
         linearise(&model, &runs, false).unwrap().candidates

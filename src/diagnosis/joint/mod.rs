@@ -21,4 +21,5 @@ mod prediction_error;
 mod search;
 mod select;
 mod tangent;
+mod unknown;
 mod whitened;

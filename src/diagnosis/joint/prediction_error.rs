@@ -229,7 +229,7 @@ mod tests {
             disturbance_n_m,
             correlation_s: 0.5,
             input: 1e-3,
-        sensors: 0.1,
+            sensors: 0.1,
         }
     }
 

@@ -29,13 +29,21 @@ pub fn add(
     // Where it cannot be judged the answer is the model as it was.
     let after = trial.as_ref().unwrap_or(&before).clone();
     let [base, better] = [&before, &after].map(|fit| balance.held_out(fit, evidence));
-    let physics = trial.as_ref().ok().and_then(|fit| refused(effect, fit, rows));
+    let physics = trial
+        .as_ref()
+        .ok()
+        .and_then(|fit| refused(effect, fit, rows));
     let certain = after.certainty_of(effect.card().id) >= CERTAIN;
     let accepted = physics.is_none() && certain && pays(&base, &better, Settings::default());
     let mut result = change(effect, &balance, evidence, [&before, &after], accepted);
     let name = effect.card().name;
     let figures = both_processings(&result);
-    let fall = fall_in_words(&base, &better, balance.scale.source.times(), Settings::default());
+    let fall = fall_in_words(
+        &base,
+        &better,
+        balance.scale.source.times(),
+        Settings::default(),
+    );
     let trained = after.rms() < (1.0 - WORTHWHILE) * before.rms();
     result.reason = match (&trial, physics) {
         (Err(reason), _) => format!("{name} cannot be judged from this run: {reason}"),
@@ -48,7 +56,9 @@ pub fn add(
     };
     if accepted {
         for id in superfluous(&after, &better, &balance, evidence, effect.card().id) {
-            let is_superfluous = format!("; {id} is superfluous now: without it the held-out error does not rise by more than 1 % or chance");
+            let is_superfluous = format!(
+                "; {id} is superfluous now: without it the held-out error does not rise by more than 1 % or chance"
+            );
             result.reason.push_str(&is_superfluous);
         }
     }

@@ -42,9 +42,7 @@ impl Sides {
         let rows = |scenario: &Scenario| {
             let rows = match method {
                 Method::WeakForm => weak_form::torque_rows(model, scenario),
-                Method::InverseDynamics => {
-                    inverse_dynamics::torque_rows(model, scenario)
-                }
+                Method::InverseDynamics => inverse_dynamics::torque_rows(model, scenario),
             };
             let found = rows.as_ref().map_or(0, TorqueRows::rows);
             rows.filter(|rows| rows.rows() >= FEWEST_ROWS)

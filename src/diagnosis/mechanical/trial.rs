@@ -80,7 +80,9 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
         let cost = |model: &Model| -> f64 {
             let predicted = regression::predicted(model, rows);
             let pairs = rows.left.iter().zip(&predicted);
-            pairs.map(|(left, predicted)| (left - predicted).powi(2)).sum()
+            pairs
+                .map(|(left, predicted)| (left - predicted).powi(2))
+                .sum()
         };
         let span_s = rows.time_s.last().unwrap_or(&0.0) - rows.time_s.first().unwrap_or(&0.0);
         let given = model.get(&slot);

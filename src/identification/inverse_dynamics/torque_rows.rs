@@ -18,7 +18,6 @@ use crate::numerics::filter::Butterworth;
 use crate::plant::{Input, Instant, Model, Scenario};
 use crate::sample::{Channel, Origin, Run};
 
-
 /// One part of the run without gaps.
 struct Stretch {
     /// The one of the decimation.

@@ -109,7 +109,11 @@ fn record(machine: &Model, bench: Bench, seed: u64) -> Scenario {
         }
         // A speed loop gives the torque: smooth, and never at rest for long. The standstill before it tells the noise.
         let torque = 0.06 * (wanted - shaft.speed_rad_s) + 0.4 * f64::signum(wanted);
-        let torque = if k < 200 { 0.0 } else { torque.clamp(-2.0, 2.0) };
+        let torque = if k < 200 {
+            0.0
+        } else {
+            torque.clamp(-2.0, 2.0)
+        };
         level += 0.2 * (torque - level);
         disturbance =
             kept * disturbance + bench.disturbance_n_m * (1.0 - kept * kept).sqrt() * normal();
@@ -130,9 +134,11 @@ fn record(machine: &Model, bench: Bench, seed: u64) -> Scenario {
         let resolution = std::f64::consts::TAU / counts;
         let counted = |angle: &f64| (angle / resolution).round() * resolution;
         let cells = angles.iter().map(counted).collect();
-        run.set_column(Channel::Angle, cells, Origin::Measured).unwrap();
+        run.set_column(Channel::Angle, cells, Origin::Measured)
+            .unwrap();
     } else {
-        run.set_column(Channel::Speed, speeds, Origin::Measured).unwrap();
+        run.set_column(Channel::Speed, speeds, Origin::Measured)
+            .unwrap();
     }
     Scenario::from_run(&speed_from_angle::complete(&run).unwrap()).unwrap()
 }
@@ -142,14 +148,26 @@ fn named(machine: &Model, bench: Bench, seed: u64) -> Diagnosis {
     let [training, holdout] = runs;
     let evidence = Evidence::new(training, Some(holdout), None);
     let diagnosis = diagnose(&axis(), &evidence).unwrap();
-    eprintln!("{seed}: {}; unknown {:?}", diagnosis.sentence, diagnosis.unknown);
+    eprintln!(
+        "{seed}: {}; unknown {:?}",
+        diagnosis.sentence, diagnosis.unknown
+    );
     diagnosis
 }
 
 const PAIRS: [[(&str, &[f64]); 2]; 3] = [
-    [("viscous_friction", &[1e-3]), ("cogging", &[0.02, 0.01, 7.0])],
-    [("constant_load", &[0.06]), ("eccentric_load", &[0.03, 0.02])],
-    [("stribeck_friction", &[0.2, 12.0]), ("quadratic_load", &[2e-5])],
+    [
+        ("viscous_friction", &[1e-3]),
+        ("cogging", &[0.02, 0.01, 7.0]),
+    ],
+    [
+        ("constant_load", &[0.06]),
+        ("eccentric_load", &[0.03, 0.02]),
+    ],
+    [
+        ("stribeck_friction", &[0.2, 12.0]),
+        ("quadratic_load", &[2e-5]),
+    ],
 ];
 
 fn finds_both(bench: Bench, seeds: std::ops::Range<u64>) {
@@ -207,10 +225,23 @@ fn nothing_is_named_where_nothing_is_there() {
 #[test]
 fn what_acts_in_the_armature_is_not_asked_of_a_run_without_a_voltage() {
     let found = named(&machine(&PAIRS[0]), BY_TORQUE, 0);
-    for id in ["voltage_drop", "command_delay", "winding_heating", "flux_saturation"] {
-        let candidate = found.candidates.iter().find(|one| one.effect == id).unwrap();
+    for id in [
+        "voltage_drop",
+        "command_delay",
+        "winding_heating",
+        "flux_saturation",
+    ] {
+        let candidate = found
+            .candidates
+            .iter()
+            .find(|one| one.effect == id)
+            .unwrap();
         assert_eq!(candidate.status, Status::NotExcited, "{id}");
-        assert!(candidate.evidence.contains("cannot be judged"), "{}", candidate.evidence);
+        assert!(
+            candidate.evidence.contains("cannot be judged"),
+            "{}",
+            candidate.evidence
+        );
         assert_eq!(candidate.upper_bound, None);
     }
 }

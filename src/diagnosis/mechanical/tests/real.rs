@@ -51,6 +51,7 @@ fn start(inertia: f64, load: f64, effects: &[&str]) -> Model {
 fn the_axis_misses_direction_dependent_viscous_friction() {
     let Some((data, model)) = emps() else { return };
     let diagnosis = diagnose(&model, &data).unwrap();
+    tell(&diagnosis);
     assert_eq!(
         diagnosis.effect,
         Some("asymmetric_viscous"),
@@ -88,12 +89,26 @@ fn the_axis_misses_direction_dependent_viscous_friction() {
     assert!(!stribeck.accepted, "{}", stribeck.reason);
 }
 
+fn tell(diagnosis: &Diagnosis) {
+    eprintln!("{}; unknown {:?}", diagnosis.sentence, diagnosis.unknown);
+    let asked = diagnosis.candidates.iter();
+    for one in asked.filter(|one| one.status != Status::NotExcited) {
+        let sizes: Vec<_> = one
+            .parameters
+            .iter()
+            .map(|p| (&p.key, p.value, p.std))
+            .collect();
+        eprintln!("  {} {:?} {sizes:?}", one.evidence, one.status);
+    }
+}
+
 #[test]
 fn the_propeller_is_a_quadratic_load() {
     let Some((data, model)) = propeller() else {
         return;
     };
     let diagnosis = diagnose(&model, &data).unwrap();
+    tell(&diagnosis);
     assert_eq!(
         diagnosis.effect,
         Some("quadratic_load"),
