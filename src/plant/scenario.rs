@@ -370,6 +370,16 @@ impl Scenario {
         (training, holdout)
     }
 
+    /// When the shaft turns first, s: a little torque may keep it turning.
+    fn turns_from_s(&self) -> f64 {
+        let sizes = self.speed_rad_s.iter().map(|speed| speed.abs());
+        let fastest = sizes.clone().fold(0.0, f64::max);
+        let first = sizes
+            .into_iter()
+            .position(|size| size > NEARLY_ZERO_MEASURED * fastest);
+        first.map_or(f64::INFINITY, |sample| self.sample_time_s[sample])
+    }
+
     /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later. The first
     /// instants of a bumpless start, which takes over what the sensor of the voltage showed, do not belong to it.
     pub fn leading_standstill(&self) -> Range<usize> {
@@ -392,10 +402,13 @@ impl Scenario {
             Some(event) if bumpless => (taken_over, event.0),
             _ => (0, f64::NEG_INFINITY),
         };
-        let moved_s = self.events[begin..]
+        let mut moved_s = self.events[begin..]
             .iter()
             .find(moves)
             .map_or(f64::INFINITY, |event| event.0);
+        if self.input != Input::Voltage {
+            moved_s = moved_s.min(self.turns_from_s());
+        }
         let sample = |limit_s: f64| self.sample_time_s.partition_point(|time| *time < limit_s);
         sample(begin_s)..sample(moved_s)
     }

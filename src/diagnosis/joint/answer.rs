@@ -177,6 +177,8 @@ fn axis(id: &str) -> (&'static str, &'static str) {
 /// By how much sensors may differ from what they show at rest, and where that is not known.
 const KNOWN_AT_REST: f64 = 0.1;
 const NOT_KNOWN: f64 = 2.0;
+/// The same of a speed that alone tells of its noise: running, it may be another than at rest.
+const ALONE: f64 = 0.7;
 
 /// Noise to begin with: the sensors' as they are known, a disturbance of a per cent.
 fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
@@ -202,6 +204,7 @@ fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
     if run.input != Input::Voltage {
         noise.current_a = f64::INFINITY;
         noise.input = (1e-3 * torque).max(f64::MIN_POSITIVE);
+        noise.sensors = ALONE;
         if floor.source == FloorSource::None {
             noise.speed_rad_s = roughness(&run.speed_rad_s).max(f64::MIN_POSITIVE);
             noise.sensors = NOT_KNOWN;

@@ -5,7 +5,7 @@
 //! near                linearise -> noise -> linearise -> posterior over the sets -> refit of the best set -> ...
 //! ```
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::columns::{Around, Linear, linearise};
 use super::follow::Noise;
@@ -15,6 +15,7 @@ use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event, Progress};
+use crate::numerics::count::whole;
 use crate::plant::{ActiveEffect, Input, Model, ParameterSpec, Scenario, State, effect};
 
 /// Mean square of the innovations above which a linear solution is not believed.
@@ -408,6 +409,64 @@ const LAGS: usize = 40;
 /// Standard deviations of chance that a correlation must exceed to count.
 const BY_CHANCE: f64 = 2.0;
 
+/// Blocks whose sums tell how much the sizes of a set really scatter.
+const BLOCKS: f64 = 20.0;
+
+/// How many times as large as white noise makes it the variance of an effect's size is by the scatter between blocks of
+/// the runs, for the worst of the set: what a torque leaves of a real machine is the same over a whole motion.
+fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVector<f64>]) -> f64 {
+    let m = linear.nuisances.len();
+    let (mut all, mut named): (Vec<usize>, Vec<usize>) = ((0..m).collect(), Vec::new());
+    for (candidate, form) in linear.candidates.iter().zip(set) {
+        let Some(form) = form else { continue };
+        let variant = &candidate.variants[*form];
+        all.extend(&variant.columns);
+        let sizes = variant.columns.iter().zip(&variant.units);
+        let sizes = sizes.filter(|(_, unit)| !candidate.unknown && **unit > 0.0);
+        named.extend(sizes.map(|(column, _)| *column));
+    }
+    let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
+    let length = whole((samples as f64 / BLOCKS).ceil()).max(1);
+    let mut worst: f64 = 1.0;
+    for own in &named {
+        let others: Vec<usize> = all.iter().copied().filter(|k| k != own).collect();
+        let count = others.len();
+        let mut normal = DMatrix::from_fn(count, count, |r, c| linear.gram[(others[r], others[c])]);
+        for (k, column) in others.iter().enumerate() {
+            normal[(k, k)] += linear
+                .nuisances
+                .get(*column)
+                .map_or(1.0, |sd| 1.0 / (sd * sd));
+        }
+        let cross = DVector::from_fn(count, |r, _| linear.gram[(others[r], *own)]);
+        let Some(factor) = normal.cholesky() else {
+            continue;
+        };
+        let mut weights = DVector::zeros(linear.gram.nrows());
+        weights[*own] = 1.0;
+        for (column, share) in others.iter().zip(factor.solve(&cross).iter()) {
+            weights[*column] = -share;
+        }
+        let (mut scatter, mut expected) = (0.0, 0.0);
+        for ((run, columns), explained) in runs.iter().zip(&linear.columns).zip(explained) {
+            let column = columns * &weights;
+            let white: Vec<f64> = run.followed.white.iter().flatten().copied().collect();
+            let products: Vec<f64> = (0..white.len())
+                .map(|row| column[row] * (white[row] - explained[row]))
+                .collect();
+            let sums = products
+                .chunks(2 * length)
+                .map(|block| block.iter().sum::<f64>());
+            scatter += sums.map(|sum| sum * sum).sum::<f64>();
+            expected += column.norm_squared();
+        }
+        if expected > 0.0 {
+            worst = worst.max(scatter / expected);
+        }
+    }
+    worst
+}
+
 /// How many times as large as white noise's the variance of sums of what the best set leaves is, in the worse of the two
 /// signals; at least one.
 fn excess(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]) -> f64 {
@@ -417,6 +476,9 @@ fn excess(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]
     let explained = &solution - &linear.present;
     let left: Vec<DVector<f64>> = linear.columns.iter().map(|w| w * &explained).collect();
     let mut worst: f64 = 1.0;
+    if runs[0].scenario.input != Input::Voltage {
+        worst = worst.max(clustered(linear, set, runs, &left));
+    }
     for signal in 0..2 {
         let mut sums = [0.0; LAGS + 1];
         let mut count = 0.0;

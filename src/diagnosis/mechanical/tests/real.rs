@@ -98,7 +98,10 @@ fn tell(diagnosis: &Diagnosis) {
             .iter()
             .map(|p| (&p.key, p.value, p.std))
             .collect();
-        eprintln!("  {} {:?} {sizes:?}", one.evidence, one.status);
+        eprintln!(
+            "  {} {:?} {:.3} {sizes:?}",
+            one.evidence, one.status, one.probability
+        );
     }
 }
 
