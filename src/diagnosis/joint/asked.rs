@@ -8,8 +8,13 @@ use crate::plant::{Effect, Enters, Input, ParameterSpec, Scenario};
 /// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
 /// what the frame and the drive's own loops do would decide.
 const APART_S: f64 = 0.03;
-/// Share of a period that the angle must cover before an effect of position is judged.
-const LEAST_TRAVEL: f64 = 0.5;
+/// Periods that the angle must cover before a wave over it is asked for: less is a slope.
+const LEAST_TRAVEL: f64 = 2.0;
+/// Longest part of a period between two samples, and the share of the samples that must lie so close.
+const RESOLVED: f64 = 0.25;
+const LEAST_RESOLVED: f64 = 0.1;
+/// Share of the longest step below which the shaft counts as resting.
+const MOVES: f64 = 0.02;
 
 /// Why a run that is driven by a torque or a current cannot judge an effect at all; `None` where it can. A voltage drives
 /// through every equation.
@@ -46,24 +51,48 @@ pub(in crate::diagnosis) fn why_not(
     if effect.parameters().is_empty() {
         return Some("it has no parameter of its own");
     }
+    if !effect.card().needs_angle {
+        return None;
+    }
     let orders = effect.parameters().iter().find(|spec| spec.key == "order");
-    let highest = orders.map_or(1.0, |spec| {
-        spec.shapes
-            .iter()
-            .fold(1.0, |most, order| f64::max(most, *order))
-    });
-    (effect.card().needs_angle && !travels(scenario, highest))
-        .then_some("the shaft moves through less than half a period of it")
+    let orders = orders.map_or(&[1.0][..], |spec| spec.shapes);
+    if !orders.iter().any(|order| travels(scenario, *order)) {
+        return Some("the shaft moves through less than two periods of it");
+    }
+    let is_shown = orders.iter().any(|order| shows_wave(scenario, *order));
+    (!is_shown).then_some("the shaft turns through it from one sample to the next")
 }
 
-/// Whether the angle moved far enough to tell a wave of so many periods per turn from a constant.
-pub(super) fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
+/// Whether a run tells of a wave of so many periods per turn: all that a voltage drives is asked.
+pub(super) fn shows_wave(scenario: &Scenario, periods_per_turn: f64) -> bool {
+    scenario.input == Input::Voltage
+        || (travels(scenario, periods_per_turn) && resolves(scenario, periods_per_turn))
+}
+
+/// Whether the angle moved far enough to tell a wave from a slope.
+fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
     let angles = scenario.shaft_angle();
     let (least, most) = angles.iter().map(|point| point.1).fold(
         (f64::INFINITY, f64::NEG_INFINITY),
         |(least, most), angle| (least.min(angle), most.max(angle)),
     );
     (most - least) * periods_per_turn >= LEAST_TRAVEL * TAU
+}
+
+/// Whether samples lie close enough to see the wave pass.
+fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
+    let angles = scenario.shaft_angle();
+    let steps: Vec<f64> = angles
+        .windows(2)
+        .map(|pair| (pair[1].1 - pair[0].1).abs())
+        .collect();
+    // What the noise of a resting shaft adds up to is no motion.
+    let moves = MOVES * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
+    let moving = steps.iter().filter(|step| **step > moves).count();
+    let close = steps
+        .iter()
+        .filter(|step| **step > moves && **step * periods_per_turn < RESOLVED * TAU);
+    close.count() as f64 >= LEAST_RESOLVED * moving as f64
 }
 
 /// The run as it is asked. A measured current stands for what flowed until halfway to its neighbours, not from its

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::asked::{travels, why_not};
+use super::asked::{shows_wave, why_not};
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
 use super::tangent::{LANES, Step, Tangent, Wave, carry};
@@ -557,7 +557,7 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
             continue;
         }
         let periods = order.map_or(1.0, |order| shape[order]);
-        if effect.card().needs_angle && !travels(scenario, periods) {
+        if effect.card().needs_angle && !shows_wave(scenario, periods) {
             continue;
         }
         if specs

@@ -122,7 +122,7 @@ fn record(machine: &Model, bench: Bench, seed: u64) -> Scenario {
         angles.push(shaft.angle_rad);
         shaft.step(machine, level, disturbance);
     }
-    let mut run = Run::new(&format!("axis {seed}"), times).unwrap();
+    let mut run = Run::new(format!("axis {seed}"), times).unwrap();
     let (channel, per) = if bench.input == Input::Torque {
         (Channel::Torque, 1.0)
     } else {
@@ -172,7 +172,7 @@ const PAIRS: [[(&str, &[f64]); 2]; 3] = [
 
 fn finds_both(bench: Bench, seeds: std::ops::Range<u64>) {
     for seed in seeds {
-        let pair = PAIRS[seed as usize % PAIRS.len()];
+        let pair = PAIRS[usize::try_from(seed).unwrap() % PAIRS.len()];
         let found = named(&machine(&pair), bench, seed);
         let mut names = found.effects.clone();
         names.sort_unstable();

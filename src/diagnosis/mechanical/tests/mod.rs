@@ -1,6 +1,7 @@
 //! The diagnosis of what a torque or a current drives, on simulated messy records and on real ones.
 
 mod driven;
+mod placebo;
 mod real;
 mod simulated;
 

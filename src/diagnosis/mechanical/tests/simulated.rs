@@ -9,7 +9,7 @@ use rand_distr::StandardNormal;
 const PERIOD_S: f64 = 0.002;
 const DURATION_S: f64 = 12.0;
 
-fn axis() -> Model {
+pub(super) fn axis() -> Model {
     let motor = Motor::new("axis")
         .with(MotorKey::Inertia, 0.0045)
         .with(MotorKey::LoadTorque, 0.35);
@@ -19,13 +19,13 @@ fn axis() -> Model {
 }
 
 /// What a user starts from.
-fn nameplate() -> Model {
+pub(super) fn nameplate() -> Model {
     let mut model = axis();
     model.effects[0].values = vec![None];
     model
 }
 
-fn truth(id: &str, values: &[f64]) -> Model {
+pub(super) fn truth(id: &str, values: &[f64]) -> Model {
     let mut model = with_effects(axis(), &[id]);
     let last = model.effects.len() - 1;
     model.effects[last].values = values.iter().copied().map(Some).collect();
@@ -78,7 +78,7 @@ fn record(truth: &Model, seed: u64, mess: f64) -> Scenario {
     scenario
 }
 
-fn evidence(truth: &Model, seed: u64) -> Evidence {
+pub(super) fn evidence(truth: &Model, seed: u64) -> Evidence {
     Evidence::new(
         record(truth, 10 * seed, 1.0),
         Some(record(truth, 10 * seed + 1, 1.0)),
@@ -88,7 +88,7 @@ fn evidence(truth: &Model, seed: u64) -> Evidence {
 
 /// Sizes that this background leaves visible. Stribeck friction of 12 rad/s only just: the z of the paired test hardly
 /// depends on the size, it counts the blocks in which an effect shows, and these records pass zero fast and seldom.
-const KNOWN: [(&str, &[f64]); 5] = [
+pub(super) const KNOWN: [(&str, &[f64]); 5] = [
     ("quadratic_load", &[4e-5]),
     ("asymmetric_viscous", &[1.5e-3]),
     ("constant_load", &[0.08]),
