@@ -146,7 +146,9 @@ pub fn diagnose_with(
         of: CATALOGUE.len(),
     });
     let mut inference = infer(&baseline, &bench.evidence, options.progress)?;
-    inference.named = in_order(&bench, &baseline, &inference)?;
+    if bench.fits_at_once() {
+        agree(&bench, &baseline, &mut inference)?;
+    }
     (options.progress)(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
@@ -212,19 +214,16 @@ fn with_named(
     Ok(start)
 }
 
-/// What is named, what explains most beside the others first: where a fit costs next to nothing it is asked, else the odds
-/// say so.
-fn in_order(
-    bench: &Bench,
-    baseline: &Fitted,
-    inference: &Inference,
-) -> Result<Vec<&'static str>, FitError> {
+/// Standard deviations below which a size may as well be zero, and the most that is believed of an effect with such a one.
+const TOLD_FROM_ZERO: f64 = 2.0;
+const AT_MOST: f64 = 0.5;
+
+/// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes first,
+/// and what the fit with all of it does not tell from zero is not named.
+fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
     let mut left = inference.named.clone();
-    if !bench.fits_at_once() {
-        return Ok(left);
-    }
-    let mut order = Vec::new();
-    while left.len() > 1 {
+    let mut order: Vec<&'static str> = Vec::new();
+    while !left.is_empty() {
         let mut best = (0, f64::INFINITY);
         for (place, id) in left.iter().enumerate() {
             let kept: Vec<&'static str> = order.iter().copied().chain([*id]).collect();
@@ -235,8 +234,32 @@ fn in_order(
         }
         order.push(left.remove(best.0));
     }
-    order.extend(left);
-    Ok(order)
+    while !order.is_empty() {
+        let fit = bench.fit(&with_named(&baseline.model, inference, &order)?)?;
+        let is_zero = |id: &&str| !told_from_zero(&fit, id);
+        let Some(place) = order.iter().rposition(|id| is_zero(&*id)) else {
+            break;
+        };
+        let id = order.remove(place);
+        for effect in &mut inference.effects {
+            if effect.effect.card().id == id {
+                effect.probability = effect.probability.min(AT_MOST);
+            }
+        }
+    }
+    inference.confusable.retain(|pair| order.contains(&pair[0]));
+    inference.named = order;
+    Ok(())
+}
+
+fn told_from_zero(fit: &Fitted, id: &str) -> bool {
+    let prefix = format!("{id}.");
+    let own = fit
+        .parameters
+        .iter()
+        .filter(|own| own.key.starts_with(&prefix));
+    let mut sizes = own.filter_map(|own| Some((own.value?, own.std?)));
+    sizes.any(|(value, std)| std > 0.0 && value.abs() >= TOLD_FROM_ZERO * std)
 }
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {

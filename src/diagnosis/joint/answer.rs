@@ -12,7 +12,7 @@ use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::numerics::statistics;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Effect, Input, Model, Scenario, State};
+use crate::plant::{Effect, Input, Model, MotorKey, Scenario, State};
 
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
 const BOUND: f64 = 1.75;
@@ -102,9 +102,19 @@ pub(in crate::diagnosis) fn infer(
         })
         .collect();
     let noise = beginning(&evidence.noise, &baseline.model, &asked[0]);
-    let given = baseline.model.effect_ids();
-    let found =
-        search::search(&baseline.model, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
+    let mut model = baseline.model.clone();
+    // A balance may ask for an inertia that no shaft has.
+    if let Some(inertia) = model
+        .motor
+        .get(MotorKey::Inertia)
+        .filter(|inertia| *inertia <= 0.0)
+    {
+        model
+            .motor
+            .set(MotorKey::Inertia, inertia.abs().max(f64::MIN_POSITIVE));
+    }
+    let given = model.effect_ids();
+    let found = search::search(&model, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
     let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
     let mut effects: Vec<Inferred> = CATALOGUE
         .iter()

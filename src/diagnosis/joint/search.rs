@@ -33,6 +33,8 @@ const STARTS: usize = 3;
 const LEAST_START: f64 = 0.02;
 /// Rounds of weighing and refitting; in the first ones the noise is found too.
 const MOST_ROUNDS: usize = 10;
+/// The same where a torque drives: all is linear there, and what does not settle is not in the catalogue.
+const MOST_ROUNDS_BY_TORQUE: usize = 5;
 const NOISE_ROUNDS: usize = 3;
 /// Changes of the logarithms of disturbance and of the input's error that ask for another linearisation.
 const SAME_DISTURBANCE: f64 = 0.2;
@@ -246,12 +248,18 @@ pub(super) fn search(
 ) -> Option<Found> {
     let mut model = model.clone();
     // The balance of torques is linear in all that it holds, however much is missing.
-    if scenarios[0].input == Input::Voltage {
+    let by_voltage = scenarios[0].input == Input::Voltage;
+    if by_voltage {
         model = approach(model, scenarios[0], starts[0], floor)?;
     }
     let mut noise = floor;
     let mut seen: Vec<Vec<&'static str>> = Vec::new();
-    for round in 0..MOST_ROUNDS {
+    let rounds = if by_voltage {
+        MOST_ROUNDS
+    } else {
+        MOST_ROUNDS_BY_TORQUE
+    };
+    for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
         let unknowns = round > 0;
         let mut runs = around(&model, scenarios, starts, noise)?;
@@ -287,7 +295,7 @@ pub(super) fn search(
         let set = names(&linear, &posterior.best);
         let stands =
             seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
-        if stands || round + 1 == MOST_ROUNDS {
+        if stands || round + 1 == rounds {
             let excess = excess(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
             if excess > 1.0 {
@@ -308,8 +316,10 @@ pub(super) fn search(
         let now = squares(&runs);
         let start = at_solution(&model, &linear, &reduced, &posterior.best)?;
         let changes = start.effect_ids() != model.effect_ids();
-        let (next, left) = fit(&start, &runs)?;
-        if left < LOST * now || !changes {
+        // What cannot be refitted stays as it was.
+        if let Some((next, left)) = fit(&start, &runs)
+            && (left < LOST * now || !changes)
+        {
             drop(reduced);
             drop(runs);
             model = next;
