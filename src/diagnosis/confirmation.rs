@@ -2,10 +2,9 @@
 
 use serde::Serialize;
 
+use super::bench::Bench;
 use super::decide::{self, SIGNIFICANT, Settings, explained, pays, z};
 use super::diagnose::DiagnosisVerdict;
-use super::evidence::Evidence;
-use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
 use crate::plant::Model;
@@ -26,32 +25,33 @@ pub struct Confirmation {
     pub sentence: String,
 }
 
-/// Both models on the confirming run, however they were scored.
-pub(super) struct Repeated {
-    pub(super) before: f64,
-    pub(super) after: f64,
-    pub(super) z: f64,
+/// Both models on the confirming run.
+struct Repeated {
+    before: f64,
+    after: f64,
+    z: f64,
     /// Share of the explainable error that the named effects explain.
-    pub(super) share: f64,
+    share: f64,
     /// Whether they pay and explain enough to be named.
-    pub(super) holds: bool,
+    holds: bool,
     /// Whether the error without them is at the floor.
-    pub(super) at_the_floor: bool,
+    at_the_floor: bool,
 }
 
-/// Of models that run freely; none without a confirming run.
+/// Of two models; none without a confirming run.
 pub(super) fn of_models(
-    evidence: &Evidence,
+    bench: &Bench,
     [baseline, best]: [&Model; 2],
     verdict: DiagnosisVerdict,
     names: &[&str],
     settings: Settings,
 ) -> Option<Confirmation> {
+    let evidence = &bench.evidence;
     let run = evidence.confirm.as_ref()?;
     let source = evidence.noise.source;
     let repeated = || -> Result<Repeated, FitError> {
-        let score = |model: &Model| Score::of(model, run, &evidence.noise);
-        let (before, after) = (score(baseline)?, score(best)?);
+        let before = bench.confirming(baseline, run)?;
+        let after = bench.confirming(best, run)?;
         Ok(Repeated {
             before: before.nrms,
             after: after.nrms,
@@ -78,7 +78,7 @@ pub(super) fn of_models(
 }
 
 /// The confirming run's word on an answer.
-pub(super) fn confirmation(
+fn confirmation(
     verdict: DiagnosisVerdict,
     source: FloorSource,
     names: &[&str],
@@ -135,7 +135,7 @@ pub(super) fn confirmation(
 mod tests {
     use super::*;
     use crate::diagnosis::tests::{evidence, nameplate, record, truth};
-    use crate::diagnosis::{Diagnosis, diagnose};
+    use crate::diagnosis::{Diagnosis, Evidence, diagnose};
 
     fn confirmed(diagnosis: &Diagnosis) -> &Confirmation {
         diagnosis.confirm.as_ref().unwrap()

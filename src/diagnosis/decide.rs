@@ -1,6 +1,7 @@
 //! The decision: paired block log-ratio test on the hold-out, blocks that are mended, share explained, rivals
 //! (DISCOVERY.md 2.8).
 
+use super::bootstrap;
 use super::evidence::Evidence;
 use super::score::Score;
 use crate::identification::noise::FloorSource;
@@ -14,9 +15,6 @@ pub(super) const AT_THE_FLOOR: f64 = 1.1;
 /// Shares of the explainable error from which a named set is sufficient, and below which nothing is named.
 pub(super) const SUFFICIENT: f64 = 0.9;
 pub(super) const EXPLAINS_SOMETHING: f64 = 0.3;
-
-/// Error, in units of the floor, at which a search that goes on until the floor is there (DISCOVERY.md 2.8).
-pub(super) const UNTIL_FLOOR: f64 = 1.08;
 
 /// What a test may turn by a fifth: the answer must not depend on it (DISCOVERY.md, rule 6).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -185,9 +183,27 @@ fn mends(base: &Score, candidate: &Score, settings: Settings) -> bool {
     mended >= FEWEST_MENDED && spoilt == 0
 }
 
-/// Share of what the best candidate gains or leaves by which a rival may be worse and still be as good (DISCOVERY.md 2.8):
-/// far less than what the forms of two effects differ by, far more than what the fits stop short of their minimum.
-pub(super) const AS_GOOD: f64 = 0.02;
+/// How much smaller the held-out error of `after` is than that of `before`, and how sure that is, in words. What is asked
+/// stands behind, so that a refusal can be understood.
+pub(super) fn fall_in_words(
+    before: &Score,
+    after: &Score,
+    times: &str,
+    settings: Settings,
+) -> String {
+    let blocks = [before, after].map(|score| score.blocks(BLOCK_S));
+    let better = bootstrap::first_rank_shares(&blocks)[1];
+    fall(
+        [before.nrms, after.nrms].map(|nrms| format!("{nrms:.2}")),
+        1.0 - after.nrms / before.nrms,
+        &format!(" {times}"),
+        Certainty {
+            better,
+            z: z(before, after, settings),
+            asked: settings.significant,
+        },
+    )
+}
 
 /// How sure a fall of the error is.
 #[derive(Clone, Copy)]

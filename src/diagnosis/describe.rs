@@ -95,6 +95,9 @@ fn evidence_sentence(
     let shown = inferred.detectable.map_or_else(String::new, |least| {
         format!("; {} would have shown", size(least))
     });
+    if let Some(reason) = inferred.why_not {
+        return format!("{} cannot be judged from this run: {reason}", card.name);
+    }
     match (status, rung) {
         (Status::NotExcited, _) => format!(
             "{}: these runs would not show it; {}",

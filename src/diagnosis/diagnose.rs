@@ -1,8 +1,11 @@
 //! Which effects are missing: what the runs say together, and how the held-out error falls with each.
 
+use std::fmt::Write as _;
+
 use serde::Serialize;
 
 use super::axis_map::{AxisMap, axis_map};
+use super::bench::Bench;
 use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
 use super::decide::{self, Settings, explained};
@@ -11,14 +14,13 @@ use super::evidence::{Evidence, HoldoutFrom, not_repeated};
 use super::fitted::Fitted;
 use super::joint::answer::{Inference, Part, asked, infer, refined};
 use super::ladder::Rung;
-use super::mechanical;
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::Score;
 use crate::identification::noise::FloorSource;
-use crate::identification::output_error::{self, Fit, FitError};
+use crate::identification::output_error::FitError;
+use crate::plant::Model;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Input, Model};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -143,49 +145,53 @@ pub fn diagnose_with(
     evidence: Evidence,
     options: Options<'_>,
 ) -> Result<Diagnosis, FitError> {
-    if evidence.training.input != Input::Voltage {
-        return mechanical::diagnose(model, &evidence, options.until_floor);
-    }
     (options.progress)(Event::Begun {
         stage: Stage::Baseline,
         of: 0,
     });
-    let (evidence, baseline) = evidence.with_baseline(model)?;
+    let (bench, baseline) = Bench::new(model, evidence)?;
     (options.progress)(Event::Begun {
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
     let asked = asked(&baseline.model, None);
-    let inference = infer(&baseline, &asked, &evidence, options.progress)?;
+    let mut inference = infer(&baseline, &asked, &bench.evidence, options.progress)?;
+    if bench.fits_at_once() {
+        agree(&bench, &baseline, &mut inference)?;
+    }
     (options.progress)(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
     });
-    let rungs = climb(&evidence, baseline, &inference, options.progress)?;
-    Ok(answer(&evidence, &inference, &rungs))
+    let rungs = climb(&bench, baseline, &inference, options.progress)?;
+    Ok(answer(&bench, &inference, &rungs))
 }
 
 /// A model on the ladder, fitted to the fit run alone, and its score on the hold-out.
 pub(super) struct Standing {
-    pub(super) fit: Fit,
+    pub(super) fit: Fitted,
     pub(super) score: Score,
 }
 
 impl Standing {
-    fn of(fit: Fit, evidence: &Evidence) -> Result<Self, FitError> {
-        let score = Score::of(&fit.model, &evidence.holdout, &evidence.noise)?;
+    fn of(fit: Fitted, bench: &Bench) -> Result<Self, FitError> {
+        let score = bench.held_out(&fit.model)?;
         Ok(Self { fit, score })
     }
 
-    /// With the parameters that prediction errors give, unless they do not foretell the hold-out.
+    /// With the parameters that prediction errors give, unless they do not foretell the hold-out. A balance of torques has
+    /// no free run that a load could lead astray.
     pub(super) fn handed_on(
-        fit: Fit,
-        evidence: &Evidence,
+        fit: Fitted,
+        bench: &Bench,
         inference: &Inference,
     ) -> Result<Self, FitError> {
-        let free = Self::of(fit, evidence)?;
-        let led = refined(free.fit.clone(), &evidence.training, inference.noise);
-        let led = Self::of(led, evidence)?;
+        let free = Self::of(fit, bench)?;
+        if bench.fits_at_once() {
+            return Ok(free);
+        }
+        let led = refined(free.fit.clone(), &bench.evidence.training, inference.noise);
+        let led = Self::of(led, bench)?;
         Ok(if led.score.nrms > AS_GOOD * free.score.nrms {
             free
         } else {
@@ -200,28 +206,24 @@ const AS_GOOD: f64 = 1.02;
 /// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
 /// are handed on.
 fn climb(
-    evidence: &Evidence,
-    baseline: Fit,
+    bench: &Bench,
+    baseline: Fitted,
     inference: &Inference,
     progress: Progress<'_>,
 ) -> Result<Vec<Standing>, FitError> {
-    let given = baseline.model.effect_ids();
     let last = inference.named.len();
-    let on_rung = |place: usize, fit: Fit| {
+    let on_rung = |place: usize, fit: Fitted| {
         if place < last {
-            Standing::of(fit, evidence)
+            Standing::of(fit, bench)
         } else {
-            Standing::handed_on(fit, evidence, inference)
+            Standing::handed_on(fit, bench, inference)
         }
     };
     let mut rungs = vec![on_rung(0, baseline)?];
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
-        let start = inference.with_effects(&[&given[..], kept].concat());
-        let start = start.ok_or_else(|| FitError::CannotSimulate {
-            run: evidence.training.name.clone(),
-        })?;
-        let fit = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
+        let start = with_named(&rungs[0].fit.model, inference, kept)?;
+        let fit = bench.fit(&start)?;
         let rung = on_rung(place + 1, fit)?;
         progress(Event::Refitted {
             effect: id,
@@ -236,16 +238,87 @@ fn climb(
     Ok(rungs)
 }
 
-fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
+/// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
+fn with_named(
+    baseline: &Model,
+    inference: &Inference,
+    kept: &[&'static str],
+) -> Result<Model, FitError> {
+    let is_asked = |id: &&'static str| {
+        inference
+            .of(id)
+            .is_some_and(|found| found.why_not.is_none())
+    };
+    let given = baseline.effect_ids().into_iter().filter(is_asked);
+    let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
+    let mut start = inference
+        .with_effects(&ids)
+        .ok_or_else(|| FitError::CannotSimulate {
+            run: "the fit run".to_owned(),
+        })?;
+    let unasked = baseline
+        .effects
+        .iter()
+        .filter(|active| !start.has(active.id()));
+    let unasked: Vec<_> = unasked.cloned().collect();
+    start.effects.extend(unasked);
+    Ok(start)
+}
+
+/// Standard deviations below which a size may as well be zero, and the most that is believed of an effect with such a one.
+const TOLD_FROM_ZERO: f64 = 2.0;
+const AT_MOST: f64 = 0.5;
+
+/// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes first,
+/// and what the fit with all of it does not tell from zero is not named.
+fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
+    let mut left = inference.named.clone();
+    let mut order: Vec<&'static str> = Vec::new();
+    while !left.is_empty() {
+        let mut best = (0, f64::INFINITY);
+        for (place, id) in left.iter().enumerate() {
+            let kept: Vec<&'static str> = order.iter().copied().chain([*id]).collect();
+            let fit = bench.fit(&with_named(&baseline.model, inference, &kept)?)?;
+            if fit.nrms < best.1 {
+                best = (place, fit.nrms);
+            }
+        }
+        order.push(left.remove(best.0));
+    }
+    while !order.is_empty() {
+        let fit = bench.fit(&with_named(&baseline.model, inference, &order)?)?;
+        let is_zero = |id: &&str| !told_from_zero(&fit, id);
+        let Some(place) = order.iter().rposition(|id| is_zero(&*id)) else {
+            break;
+        };
+        let id = order.remove(place);
+        for effect in &mut inference.effects {
+            if effect.effect.card().id == id {
+                effect.probability = effect.probability.min(AT_MOST);
+            }
+        }
+    }
+    inference.confusable.retain(|pair| order.contains(&pair[0]));
+    inference.named = order;
+    Ok(())
+}
+
+fn told_from_zero(fit: &Fitted, id: &str) -> bool {
+    let prefix = format!("{id}.");
+    let own = fit
+        .parameters
+        .iter()
+        .filter(|own| own.key.starts_with(&prefix));
+    let mut sizes = own.filter_map(|own| Some((own.value?, own.std?)));
+    sizes.any(|(value, std)| std > 0.0 && value.abs() >= TOLD_FROM_ZERO * std)
+}
+
+fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
+    let evidence = &bench.evidence;
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = evidence.floor();
     let repeat_floor = repeat_floor(evidence, &best.fit.model);
-    let verdict = verdict(
-        evidence,
-        inference,
-        [&base.score, &best.score],
-        repeat_floor,
-    );
+    let verdict = verdict(bench, inference, [&base.score, &best.score], repeat_floor);
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
         // The maps are a help; without them the verdict stands.
         axis_map(&best.fit.model, &evidence.training, &evidence.noise).unwrap_or_default()
@@ -291,21 +364,24 @@ fn answer(evidence: &Evidence, inference: &Inference, rungs: &[Standing]) -> Dia
             .collect(),
         confirm: None,
         sentence: String::new(),
-        limits: evidence.unjudged(),
+        limits: bench.limits(),
         equivalences: Vec::new(),
         next_experiment: None,
-        baseline: Fitted::from(&base.fit),
-        model: Fitted::from(&best.fit),
+        baseline: base.fit.clone(),
+        model: best.fit.clone(),
         rivals: rivals(inference, &base.fit.model.effect_ids()),
     };
     diagnosis.confirm = confirmation::of_models(
-        evidence,
+        bench,
         [&diagnosis.baseline.model, &diagnosis.model.model],
         verdict,
         &diagnosis.effects,
         Settings::default(),
     );
     diagnosis.sentence = sentence(&diagnosis);
+    for id in &inference.superfluous {
+        let _ = write!(diagnosis.sentence, "; {id} is superfluous now");
+    }
     let named = diagnosis.effects.iter();
     diagnosis.equivalences = named.flat_map(|id| equivalences(id)).copied().collect();
     diagnosis
@@ -356,11 +432,12 @@ fn repeat_floor(evidence: &Evidence, model: &Model) -> Option<f64> {
 const HALF: f64 = 0.5;
 
 fn verdict(
-    evidence: &Evidence,
+    bench: &Bench,
     inference: &Inference,
     [base, best]: [&Score; 2],
     repeat_floor: Option<f64>,
 ) -> DiagnosisVerdict {
+    let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
     // A sensor may be a little noisier in motion than at rest, which a repeated run tells.
     let in_motion = repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS));
@@ -378,7 +455,8 @@ fn verdict(
     let explainable = above(base.nrms).max(0.0);
     let unexplained = inference.wandering.powi(2) + unknown * explainable;
     // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do.
-    if unexplained > HALF * explainable && above(best.nrms) > HALF * explainable {
+    let is_led_astray = !bench.fits_at_once() && unexplained <= HALF * explainable;
+    if !is_led_astray && above(best.nrms) > HALF * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous

@@ -2,7 +2,7 @@
 
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::Fit;
-use crate::plant::Model;
+use crate::plant::{Model, State};
 use crate::sample::ParameterEstimate;
 
 /// A model with what is known about its parameters.
@@ -14,6 +14,10 @@ pub struct Fitted {
     /// Training error in units of the noise.
     pub nrms: f64,
     pub noise: NoiseFloor,
+    /// What the standard deviations above were multiplied by, because more than noise is left over.
+    pub interval_factor: f64,
+    /// Where the training run begins.
+    pub start: State,
 }
 
 impl From<&Fit> for Fitted {
@@ -23,6 +27,8 @@ impl From<&Fit> for Fitted {
             parameters: fit.parameters.clone(),
             nrms: fit.nrms,
             noise: fit.noise,
+            interval_factor: fit.interval_factor,
+            start: fit.start,
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::bench::Bench;
 use super::candidates::by_key;
 use super::compare::{Comparison, compare};
 use super::describe::percent;
@@ -13,7 +14,7 @@ use super::location::ErrorOf;
 use super::mechanical;
 use super::progress::silent;
 use super::score::Score;
-use crate::identification::output_error::{self, Fit, FitError};
+use crate::identification::output_error::FitError;
 use crate::plant::{Effect, Input, Model};
 use crate::sample::ParameterEstimate;
 
@@ -50,16 +51,16 @@ pub fn add(
     if evidence.training.input != Input::Voltage {
         return mechanical::add(effect, model, &evidence);
     }
-    let (evidence, before) = evidence.with_baseline(model)?;
+    let (bench, before) = Bench::new(model, evidence)?;
     let asked = asked(&before.model, Some(effect));
-    let inference = infer(&before, &asked, &evidence, &silent)?;
+    let inference = infer(&before, &asked, &bench.evidence, &silent)?;
     let with = [before.model.effect_ids(), vec![effect.card().id]].concat();
     let start = inference.with_effects(&with);
     let start = start.ok_or_else(|| FitError::CannotSimulate {
-        run: evidence.training.name.clone(),
+        run: bench.evidence.training.name.clone(),
     })?;
-    let after = output_error::fit(&[start], &evidence.training, &evidence.noise)?;
-    change(effect, &evidence, &inference, [before, after], true)
+    let after = bench.fit(&start)?;
+    change(effect, &bench, &inference, [before, after], true)
 }
 
 /// Refits `model` without `effect`; refused where the runs ask for it.
@@ -71,31 +72,37 @@ pub fn remove(
     if evidence.training.input != Input::Voltage {
         return mechanical::remove(effect, model, &evidence);
     }
-    let (evidence, before) = evidence.with_baseline(model)?;
-    let inference = infer(&before, &asked(&before.model, None), &evidence, &silent)?;
+    let (bench, before) = Bench::new(model, evidence)?;
+    let inference = infer(
+        &before,
+        &asked(&before.model, None),
+        &bench.evidence,
+        &silent,
+    )?;
     let without = before.model.without_effect(effect.card().id)?;
-    let after = output_error::fit(&[without], &evidence.training, &evidence.noise)?;
-    change(effect, &evidence, &inference, [before, after], false)
+    let after = bench.fit(&without)?;
+    change(effect, &bench, &inference, [before, after], false)
 }
 
 fn change(
     effect: &'static dyn Effect,
-    evidence: &Evidence,
+    bench: &Bench,
     inference: &Inference,
-    [before, after]: [Fit; 2],
+    [before, after]: [Fitted; 2],
     adding: bool,
 ) -> Result<AddResult, FitError> {
-    let after = Standing::handed_on(after, evidence, inference)?;
-    let score = Score::of(&before.model, &evidence.holdout, &evidence.noise)?;
+    let evidence = &bench.evidence;
+    let after = Standing::handed_on(after, bench, inference)?;
+    let score = bench.held_out(&before.model)?;
     let (after, scores) = (after.fit, [score, after.score]);
     let is_there = inference.names(effect.card().id);
-    let rung = |fit: &Fit, score: &Score| Rung {
+    let rung = |fit: &Fitted, score: &Score| Rung {
         effects: fit.model.effect_ids(),
         holdout_rmse: score.nrms,
     };
     let confirm = match &evidence.confirm {
         Some(run) => {
-            let on = |fit: &Fit| Score::of(&fit.model, run, &evidence.noise);
+            let on = |fit: &Fitted| bench.confirming(&fit.model, run);
             Some([rung(&before, &on(&before)?), rung(&after, &on(&after)?)])
         }
         None => None,
@@ -117,7 +124,7 @@ fn change(
             .collect(),
         ladder: vec![rung(&before, &scores[0]), rung(&after, &scores[1])],
         confirm,
-        fit: Fitted::from(&after),
+        fit: after,
     })
 }
 

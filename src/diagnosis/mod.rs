@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
+//!    |-> bench      how a run observes a model: free run under a voltage, balance of torques under a torque or a current
 //!    |-> compare    free-run fit and error per signal, beside the floor; residual lights
 //!    |-> location   which equation fails, and over which speeds, currents, angles, times
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
@@ -14,6 +15,7 @@
 //! The method is that of DISCOVERY.md; a name is given only for what pays on data that the fit has not seen.
 
 mod axis_map;
+mod bench;
 mod bootstrap;
 mod candidates;
 mod compare;

@@ -5,9 +5,9 @@
 
 use serde::Serialize;
 
-use crate::identification::output_error::Fit;
+use super::fitted::Fitted;
 use crate::plant::{
-    ActiveEffect, Effect, Instant, Model, MotorKey, Plant, Scenario, State, Trajectory,
+    ActiveEffect, Effect, Input, Instant, Model, MotorKey, Plant, Scenario, State, Trajectory,
 };
 
 /// Standard deviations on either side of a value: its 95 % interval.
@@ -60,8 +60,11 @@ impl Reached {
 type Sizes = [f64; 4];
 const UNITS: [&str; 4] = ["N.m", "V", "rad/s", "A"];
 
-/// What an effect of a fitted model reached on `run`.
-pub(super) fn of_fit(fit: &Fit, effect: &'static dyn Effect, run: &Scenario) -> Option<Reached> {
+/// What an effect of a fitted model reached on `run`; not known where a torque drives, whose free run drifts.
+pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) -> Option<Reached> {
+    if run.input != Input::Voltage {
+        return None;
+    }
     let id = effect.card().id;
     let active = fit.model.effects.iter().find(|active| active.id() == id)?;
     let values: Vec<f64> = active.values.iter().copied().collect::<Option<_>>()?;
@@ -119,7 +122,7 @@ struct Measure<'a> {
 }
 
 impl<'a> Measure<'a> {
-    fn new(fit: &'a Fit, effect: &'static dyn Effect, run: &'a Scenario) -> Option<Self> {
+    fn new(fit: &'a Fitted, effect: &'static dyn Effect, run: &'a Scenario) -> Option<Self> {
         let model = &fit.model;
         let active = model
             .effects
@@ -247,7 +250,7 @@ mod tests {
     use crate::plant::{Motor, effect, testing};
 
     /// A run of the true motor with the effect, fitted.
-    fn fitted(id: &str, values: &[f64]) -> (Fit, Scenario) {
+    fn fitted(id: &str, values: &[f64]) -> (Fitted, Scenario) {
         let mut model = Model::baseline(Motor::zk_22fc());
         model.effects.push(ActiveEffect {
             effect: effect::find(id).unwrap(),
@@ -263,7 +266,7 @@ mod tests {
         let run = testing::record(&model, events, 0.001, 3.0, 3);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let fit = output_error::fit(std::slice::from_ref(&model), &run, &noise).unwrap();
-        (fit, run)
+        (Fitted::from(&fit), run)
     }
 
     fn reached(id: &str, values: &[f64]) -> (Reached, Scenario) {

@@ -1,11 +1,12 @@
-//! How well a model's free run meets a run, in SI and in units of the noise.
+//! How well a model meets a run, by its free run or by its balance of torques, in SI and in units of the noise.
 
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
+use crate::identification::torque_rows::TorqueRows;
 use crate::numerics::count::whole;
 use crate::plant::{Input, Model, Scenario};
 
-/// Free-run figures of one signal.
+/// Figures of one signal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SignalScore {
     /// `100 (1 - |e| / |y - mean y|)`, not clipped.
@@ -14,11 +15,13 @@ pub struct SignalScore {
     pub samples: usize,
 }
 
-/// Residuals of a free run over the scored samples.
+/// Residuals of a free run over the scored samples, or of a balance of torques over its rows.
 #[derive(Clone, Debug)]
 pub struct Score {
     pub current: Option<SignalScore>,
     pub speed: Option<SignalScore>,
+    /// Of a run that is driven by a torque or a current, instead of the two above.
+    pub torque: Option<SignalScore>,
     /// Root of the mean over the signals of `(rmse / noise)^2`. A signal whose noise is not known has figures of its own and
     /// no part in this.
     pub nrms: f64,
@@ -27,12 +30,15 @@ pub struct Score {
     residuals: Residuals,
 }
 
-/// Current in A and speed in rad/s at each time, NaN where missing.
+/// Current in A, speed in rad/s and torque in N.m at each time, NaN where missing; empty where it is not judged.
 #[derive(Clone, Debug)]
 struct Residuals {
     time_s: Vec<f64>,
     current_a: Vec<f64>,
     speed_rad_s: Vec<f64>,
+    torque_n_m: Vec<f64>,
+    /// What a torque's are scaled by, N.m.
+    unit_n_m: f64,
 }
 
 impl Score {
@@ -67,6 +73,7 @@ impl Score {
         Ok(Self {
             current,
             speed,
+            torque: None,
             nrms,
             noise: *noise,
             duration_s: duration_s(times),
@@ -74,8 +81,37 @@ impl Score {
                 time_s: times.to_vec(),
                 current_a,
                 speed_rad_s,
+                torque_n_m: Vec::new(),
+                unit_n_m: f64::INFINITY,
             },
         })
+    }
+
+    /// Of a balance of torques with this sum of its terms; `unit_n_m` is what noise leaves in a row.
+    pub(super) fn of_balance(
+        rows: &TorqueRows,
+        predicted: &[f64],
+        unit_n_m: f64,
+        noise: &NoiseFloor,
+    ) -> Self {
+        let pairs = rows.left.iter().zip(predicted);
+        let torque_n_m: Vec<f64> = pairs.map(|(left, predicted)| left - predicted).collect();
+        let torque = signal_score(&torque_n_m, &rows.left);
+        Self {
+            current: None,
+            speed: None,
+            torque,
+            nrms: torque.map_or(f64::NAN, |torque| torque.rmse / unit_n_m),
+            noise: *noise,
+            duration_s: duration_s(&rows.time_s),
+            residuals: Residuals {
+                time_s: rows.time_s.clone(),
+                current_a: Vec::new(),
+                speed_rad_s: Vec::new(),
+                torque_n_m,
+                unit_n_m,
+            },
+        }
     }
 
     /// `(time, residual)` of the current, A.
@@ -88,6 +124,17 @@ impl Score {
         finite_points(&self.residuals.time_s, &self.residuals.speed_rad_s)
     }
 
+    /// `(time, residual)` of the torque, N.m.
+    pub(super) fn torque_residual(&self) -> Vec<(f64, f64)> {
+        finite_points(&self.residuals.time_s, &self.residuals.torque_n_m)
+    }
+
+    /// Sum of the squared weighted residuals in blocks of `block_s`. Every signal counts with its number of samples.
+    pub(super) fn blocks(&self, block_s: f64) -> Vec<f64> {
+        let blocks = self.counted_blocks(block_s);
+        blocks.into_iter().map(|(squares, _)| squares).collect()
+    }
+
     /// Sum of the squared weighted residuals in blocks of `block_s`, and their number. Every signal counts with its number of
     /// samples.
     pub(super) fn counted_blocks(&self, block_s: f64) -> Vec<(f64, usize)> {
@@ -95,6 +142,8 @@ impl Score {
             time_s,
             current_a,
             speed_rad_s,
+            torque_n_m,
+            unit_n_m,
         } = &self.residuals;
         let Some(&begin_s) = time_s.first() else {
             return Vec::new();
@@ -103,10 +152,12 @@ impl Score {
         let mut blocks = vec![(0.0, 0); whole((end_s - begin_s) / block_s) + 1];
         for (row, time_s) in time_s.iter().enumerate() {
             let (block, count) = &mut blocks[whole((time_s - begin_s) / block_s)];
-            for (value, level) in [
-                (current_a[row], self.noise.current_a),
-                (speed_rad_s[row], self.noise.speed_rad_s),
+            for (values, level) in [
+                (current_a, self.noise.current_a),
+                (speed_rad_s, self.noise.speed_rad_s),
+                (torque_n_m, *unit_n_m),
             ] {
+                let value = values.get(row).copied().unwrap_or(f64::NAN);
                 if value.is_finite() && level.is_finite() {
                     *block += (value / level).powi(2);
                     *count += 1;

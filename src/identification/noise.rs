@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
+use super::speed_from_angle;
 use crate::plant::{Input, Scenario};
 
 /// Where the noise floor comes from.
@@ -95,7 +96,9 @@ impl NoiseFloor {
             (level > 0.0 || varies).then_some((level, settled.len()))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
-        let speed = floor(&scenario.speed_rad_s);
+        // A coarse angle at rest shows nothing of what its resolution does to the speed that is derived from it.
+        let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
+        let speed = floor(&scenario.speed_rad_s).map(|(level, count)| (level.max(derived), count));
         // A noise of zero is none that a sensor has: the rest then says nothing about noise.
         let known = || current.iter().chain(&speed);
         if known().any(|(level, _)| *level <= 0.0) {

@@ -5,12 +5,15 @@
 //! of the largest speed, so that a fine encoder is hardly smoothed and a coarse one is not differentiated count by count.
 
 use super::wrapped_angle;
+use crate::plant::Scenario;
 use crate::sample::{Channel, Origin, Run, RunError};
 
 /// Share of the largest speed that the resolution of the angle may cost.
 const ALLOWED_SHARE: f64 = 0.002;
 /// Most neighbours on either side: beyond, the motion itself would be smoothed away.
 const LONGEST_SIDE: usize = 12;
+/// Share of the largest speed within which two derivations of it are the same.
+const SAME: f64 = 1e-9;
 
 /// The run with a speed column derived from its angle and a note that says how. An angle that starts again after a turn
 /// is made continuous first. A run that has a measured speed keeps it; one without an angle comes back as it is.
@@ -37,6 +40,41 @@ pub fn complete(run: &Run) -> Result<Run, RunError> {
     Ok(completed)
 }
 
+/// Samples of the angle in each value of the speed, where a scenario's speed is the one that is derived here.
+pub fn span(scenario: &Scenario) -> Option<usize> {
+    let points = &scenario.angle;
+    if scenario.speed_rad_s.len() < 5 || points.len() < 5 {
+        return None;
+    }
+    let side = side(points);
+    let slopes = slopes(points, side);
+    let fastest = slopes.iter().fold(0.0, |most, w| f64::max(most, w.abs()));
+    let (mut compared, mut same) = (0_usize, true);
+    for (time_s, speed) in scenario.sample_time_s.iter().zip(&scenario.speed_rad_s) {
+        let at = points.partition_point(|point| point.0 < *time_s);
+        #[expect(clippy::float_cmp, reason = "a stamp of the same row")]
+        let own = points.get(at).is_some_and(|point| point.0 == *time_s);
+        if own && speed.is_finite() {
+            compared += 1;
+            same &= (slopes[at] - speed).abs() <= SAME * fastest;
+        }
+    }
+    (same && compared > 0).then_some(2 * side + 1)
+}
+
+/// Standard deviation that the resolution of the angle gives to the derived speed of a scenario: at rest none is seen.
+pub fn noise(scenario: &Scenario) -> Option<f64> {
+    let span = span(scenario)?;
+    let points = &scenario.angle;
+    let period_s = (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64;
+    Some(resolution(points) / 12f64.sqrt() * gain((span / 2) as f64, period_s))
+}
+
+/// What an error of the angle is multiplied by: the standard deviation of the slope over 2 m + 1 equidistant points.
+fn gain(m: f64, period_s: f64) -> f64 {
+    (3.0 / (m * (m + 1.0) * (2.0 * m + 1.0))).sqrt() / period_s
+}
+
 /// Neighbours on either side.
 fn side(points: &[(f64, f64)]) -> usize {
     let most = LONGEST_SIDE.min((points.len() - 1) / 2);
@@ -48,12 +86,7 @@ fn side(points: &[(f64, f64)]) -> usize {
         .fold(0.0, f64::max);
     let error = resolution(points) / 12f64.sqrt();
     (1..most)
-        .find(|side| {
-            // Standard deviation of the slope over 2 m + 1 equidistant points is sigma sqrt(3/(m (m+1) (2m+1)))/T.
-            let m = *side as f64;
-            error * (3.0 / (m * (m + 1.0) * (2.0 * m + 1.0))).sqrt() / period_s
-                <= ALLOWED_SHARE * largest
-        })
+        .find(|side| error * gain(*side as f64, period_s) <= ALLOWED_SHARE * largest)
         .unwrap_or(most)
 }
 

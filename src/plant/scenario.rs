@@ -370,6 +370,16 @@ impl Scenario {
         (training, holdout)
     }
 
+    /// When the shaft turns first, s: a little torque may keep it turning.
+    fn turns_from_s(&self) -> f64 {
+        let sizes = self.speed_rad_s.iter().map(|speed| speed.abs());
+        let fastest = sizes.clone().fold(0.0, f64::max);
+        let first = sizes
+            .into_iter()
+            .position(|size| size > NEARLY_ZERO_MEASURED * fastest);
+        first.map_or(f64::INFINITY, |sample| self.sample_time_s[sample])
+    }
+
     /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later. The first
     /// instants of a bumpless start, which takes over what the sensor of the voltage showed, do not belong to it.
     pub fn leading_standstill(&self) -> Range<usize> {
@@ -377,7 +387,12 @@ impl Scenario {
             .events
             .iter()
             .fold(0.0, |most, event| f64::max(most, event.1.abs()));
-        let moves = |event: &&(f64, f64)| event.1.abs() > NEARLY_ZERO * largest;
+        let nearly_zero = if self.input == Input::Voltage {
+            NEARLY_ZERO
+        } else {
+            NEARLY_ZERO_MEASURED
+        };
+        let moves = |event: &&(f64, f64)| event.1.abs() > nearly_zero * largest;
         let taken_over = self.events.iter().take_while(moves).count();
         let bumpless = taken_over <= BUMPLESS_EVENTS
             && self.events[..taken_over]
@@ -387,10 +402,13 @@ impl Scenario {
             Some(event) if bumpless => (taken_over, event.0),
             _ => (0, f64::NEG_INFINITY),
         };
-        let moved_s = self.events[begin..]
+        let mut moved_s = self.events[begin..]
             .iter()
             .find(moves)
             .map_or(f64::INFINITY, |event| event.0);
+        if self.input != Input::Voltage {
+            moved_s = moved_s.min(self.turns_from_s());
+        }
         let sample = |limit_s: f64| self.sample_time_s.partition_point(|time| *time < limit_s);
         sample(begin_s)..sample(moved_s)
     }
@@ -402,6 +420,8 @@ const BUMPLESS_SHARE: f64 = 0.05;
 
 /// Share of the largest input that moves nothing: what a bumpless start leaves behind.
 const NEARLY_ZERO: f64 = 0.002;
+/// The same of a torque or a current, which is measured with noise.
+const NEARLY_ZERO_MEASURED: f64 = 0.05;
 
 /// The column that drives the model. A commanded voltage with the instants at which it was applied tells when the
 /// voltage changed; a measured one only what it was at the sample, so it serves where there is no command.

@@ -57,15 +57,28 @@ pub fn typical_size(
     let reached = (0..times.len())
         .step_by(stride)
         .fold(0.0_f64, |most, sample| {
+            let input = scenario.input_at(times[sample]);
+            let by_torque = scenario.input == Input::Torque;
+            let motor = Instant::of(&model.motor);
             let at = Instant {
                 time_s: times[sample] - scenario.begin_s(),
-                current_a: scenario.current_a[sample],
+                // A given torque is the current of a motor with a torque constant of one.
+                current_a: if by_torque {
+                    input
+                } else {
+                    scenario.current_a[sample]
+                },
+                torque_n_m_per_a: if by_torque {
+                    1.0
+                } else {
+                    motor.torque_n_m_per_a
+                },
                 speed_rad_s: scenario.speed_rad_s[sample],
-                voltage_v: scenario.input_at(times[sample]),
+                voltage_v: input,
                 supply_v,
                 // Any angles will do, as long as they are many.
                 angle_rad: sample as f64,
-                ..Instant::of(&model.motor)
+                ..motor
             };
             let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
             let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();

@@ -79,6 +79,8 @@ fn no_fit() -> Fitted {
         },
         parameters: Vec::new(),
         nrms: 1.0,
+        interval_factor: 1.0,
+        start: crate::plant::State::default(),
     }
 }
 

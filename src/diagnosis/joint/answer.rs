@@ -1,19 +1,22 @@
 //! What the posterior says of each effect of the catalogue, and of what none of them explains.
 
+use super::asked::{prepared, why_not};
 use super::columns::Around;
-use super::follow::Noise;
+use super::follow::{Noise, constants};
 use super::prediction_error::estimate;
 use super::search::{self, Found};
 use super::select::{Reduced, Set};
 use crate::diagnosis::Evidence;
 use crate::diagnosis::evidence::HoldoutFrom;
+use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::Score;
-use crate::identification::noise::NoiseFloor;
-use crate::identification::output_error::{Fit, FitError};
+use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
+use crate::numerics::statistics;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Effect, Model, Scenario, State};
+use crate::plant::{Effect, Input, Model, MotorKey, Scenario, State};
 use crate::sample::Verdict;
 
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
@@ -37,8 +40,9 @@ pub(in crate::diagnosis) struct Inferred {
     pub(in crate::diagnosis) given: bool,
     /// That it is there, beside all others that may be.
     pub(in crate::diagnosis) probability: f64,
-    /// Whether these runs would show it at its slab.
+    /// Whether these runs would show it at its slab, and why they cannot be asked at all.
     pub(in crate::diagnosis) excited: bool,
+    pub(in crate::diagnosis) why_not: Option<&'static str>,
     /// Its size is below this with 95 %, in the unit of its first parameter; an amplitude where it has sine and cosine.
     pub(in crate::diagnosis) upper_bound: Option<f64>,
     /// A size that would have been named in 95 of 100 such records.
@@ -64,6 +68,8 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) unknown: Vec<Part>,
     /// What is more likely there than not, what explains most first.
     pub(in crate::diagnosis) named: Vec<&'static str>,
+    /// Effects of the baseline that are not needed beside the others.
+    pub(in crate::diagnosis) superfluous: Vec<&'static str>,
     /// Pairs of which these runs want one and cannot say which; the likelier first.
     pub(in crate::diagnosis) confusable: Vec<[&'static str; 2]>,
     /// Error, in units of the noise, that a load that wanders makes on the hold-out whatever is named.
@@ -134,7 +140,7 @@ pub(in crate::diagnosis) fn asked(
 
 /// Weighs all sets of the effects that are asked for on the fit run and the hold-out together, from `baseline` on.
 pub(in crate::diagnosis) fn infer(
-    baseline: &Fit,
+    baseline: &Fitted,
     asked: &[&'static dyn Effect],
     evidence: &Evidence,
     progress: Progress<'_>,
@@ -143,30 +149,48 @@ pub(in crate::diagnosis) fn infer(
         run: evidence.training.name.clone(),
     };
     // Where one run was split the whole of it speaks.
-    let scenarios: Vec<&Scenario> = match evidence.holdout_from {
-        HoldoutFrom::Run => vec![&evidence.training, &evidence.holdout],
-        HoldoutFrom::Split => vec![&evidence.holdout],
+    let known = evidence.noise.source != FloorSource::None;
+    let ready = |run: &Scenario| prepared(run, known);
+    let runs: Vec<Scenario> = match evidence.holdout_from {
+        HoldoutFrom::Run => vec![ready(&evidence.training), ready(&evidence.holdout)],
+        HoldoutFrom::Split => vec![ready(&evidence.holdout)],
     };
+    let scenarios: Vec<&Scenario> = runs.iter().collect();
     let starts: Vec<State> = scenarios
         .iter()
         .enumerate()
-        .map(|(number, _)| {
-            if number == 0 {
+        .map(|(number, run)| {
+            if run.input != Input::Voltage {
+                let mut speeds = run.speed_rad_s.iter().filter(|speed| speed.is_finite());
+                State::at(0.0, speeds.next().copied().unwrap_or(0.0))
+            } else if number == 0 {
                 State::at(baseline.start.current_a, baseline.start.speed_rad_s)
             } else {
                 State::default()
             }
         })
         .collect();
-    let noise = beginning(&evidence.noise, baseline, &evidence.training);
-    let given = baseline.model.effect_ids();
-    let found = search::search(&baseline.model, asked, &scenarios, &starts, noise, progress)
-        .ok_or_else(failed)?;
+    let noise = beginning(&evidence.noise, &baseline.model, &runs[0]);
+    let mut model = baseline.model.clone();
+    // A balance may ask for an inertia that no shaft has.
+    if let Some(inertia) = model
+        .motor
+        .get(MotorKey::Inertia)
+        .filter(|inertia| *inertia <= 0.0)
+    {
+        model
+            .motor
+            .set(MotorKey::Inertia, inertia.abs().max(f64::MIN_POSITIVE));
+    }
+    let given = model.effect_ids();
+    let found =
+        search::search(&model, asked, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
     let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
     let mut effects: Vec<Inferred> = asked
         .iter()
         .map(|effect| Inferred {
             given: given.contains(&effect.card().id),
+            why_not: why_not(*effect, &runs[0]),
             ..inferred(*effect, &found, &reduced)
         })
         .collect();
@@ -192,6 +216,8 @@ pub(in crate::diagnosis) fn infer(
         .filter(|e| e.probability > NAMED || together(e.effect.card().id) > CERTAIN)
         .map(|e| e.effect.card().id)
         .collect();
+    let is_gone = |id: &&'static str| !found.model.has(id);
+    let superfluous = given.into_iter().filter(is_gone).collect();
     let mut confusable = confusable.clone();
     confusable.retain(|pair| named.contains(&pair[0]));
     let candidates = found.linear.candidates.iter();
@@ -224,6 +250,7 @@ pub(in crate::diagnosis) fn infer(
             (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
         },
         noise: found.noise,
+        superfluous,
         found,
     })
 }
@@ -234,7 +261,7 @@ const LED_ONLY: f64 = 1.1;
 /// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
 /// motor's, counts as what it is. As it was where the model cannot be followed on the run, or is right only where it is led; times of
 /// events stay.
-pub(in crate::diagnosis) fn refined(mut fit: Fit, run: &Scenario, noise: Noise) -> Fit {
+pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
     let estimated = Around::new(&model, run, start, noise).and_then(|run| estimate(&run));
@@ -263,7 +290,7 @@ pub(in crate::diagnosis) fn refined(mut fit: Fit, run: &Scenario, noise: Noise) 
             *parameter = judged;
         }
     }
-    Fit {
+    Fitted {
         model: estimated.model,
         interval_factor: estimated.factor,
         nrms,
@@ -280,25 +307,50 @@ fn axis(id: &str) -> (&'static str, &'static str) {
     }
 }
 
+/// By how much sensors may differ from what they show at rest, and where that is not known.
+const KNOWN_AT_REST: f64 = 0.1;
+const NOT_KNOWN: f64 = 2.0;
+/// The same of a speed that alone tells of its noise: running, it may be another than at rest.
+const ALONE: f64 = 0.7;
+
 /// Noise to begin with: the sensors' as they are known, a disturbance of a per cent.
-fn beginning(floor: &NoiseFloor, baseline: &Fit, run: &Scenario) -> Noise {
-    let most = run
-        .current_a
-        .iter()
-        .filter(|i| i.is_finite())
-        .fold(0.0_f64, |most, i| most.max(i.abs()));
-    let largest_v = run
-        .events
-        .iter()
-        .fold(0.0_f64, |most, event| most.max(event.1.abs()));
-    let torque = baseline.model.motor.torque_constant().unwrap_or(1.0) * most;
-    Noise {
+fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
+    let largest = |values: &mut dyn Iterator<Item = f64>| {
+        let known = values.filter(|value| value.is_finite());
+        known.fold(0.0_f64, |most, value| most.max(value.abs()))
+    };
+    let largest_input = largest(&mut run.events.iter().map(|event| event.1));
+    let current = if run.input == Input::Voltage {
+        largest(&mut run.current_a.iter().copied())
+    } else {
+        largest_input
+    };
+    let torque = constants(model, run).torque_n_m_per_a * current;
+    let mut noise = Noise {
         current_a: floor.current_a,
         speed_rad_s: floor.speed_rad_s,
         disturbance_n_m: (0.004 * torque).max(f64::MIN_POSITIVE),
         correlation_s: 0.5,
-        voltage_v: (1e-4 * largest_v).max(f64::MIN_POSITIVE),
+        input: (1e-4 * largest_input).max(f64::MIN_POSITIVE),
+        sensors: KNOWN_AT_REST,
+    };
+    if run.input != Input::Voltage {
+        noise.current_a = f64::INFINITY;
+        noise.input = (1e-3 * torque).max(f64::MIN_POSITIVE);
+        noise.sensors = ALONE;
+        if floor.source == FloorSource::None {
+            noise.speed_rad_s = roughness(&run.speed_rad_s).max(f64::MIN_POSITIVE);
+            noise.sensors = NOT_KNOWN;
+        }
     }
+    noise
+}
+
+/// Noise of a signal from its second differences, outliers and steps left aside.
+fn roughness(values: &[f64]) -> f64 {
+    let known: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    let bends = known.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
+    statistics::robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
 fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -> Inferred {
@@ -308,6 +360,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
         given: false,
         probability: 0.0,
         excited: false,
+        why_not: None,
         upper_bound: None,
         detectable: None,
         log_odds: f64::NEG_INFINITY,

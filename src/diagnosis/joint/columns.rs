@@ -3,10 +3,12 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
+use super::asked::{shows_wave, why_not};
+use super::follow::{Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
 use super::nuisances::{bends, nuisances};
-use super::tangent::{Axis, LANES, Step, Tangent, Wave, carry};
+use super::tangent::{LANES, Step, Tangent, Wave, carry};
+use super::unknown::unknown_curves;
 use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
@@ -208,8 +210,7 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
     let angles = scenario.shaft_angle();
     let mut angle = 0;
     let mut event = 0;
-    let supply_v = scenario.supply_v();
-    let motor = Instant::of(&model.motor);
+    let motor = constants(model, scenario);
     (0..scenario.samples())
         .map(|sample| {
             let from = sample.saturating_sub(1);
@@ -229,11 +230,15 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
                 event += 1;
             }
             let mean = |k: usize| 0.5 * (followed.after[from][k] + followed.before[sample][k]);
+            let input = scenario.events[event].1;
             Instant {
                 time_s: mid_s - scenario.begin_s(),
-                voltage_v: scenario.events[event].1,
-                supply_v,
-                current_a: mean(0),
+                voltage_v: input,
+                current_a: if scenario.input == Input::Voltage {
+                    mean(0)
+                } else {
+                    input
+                },
                 speed_rad_s: mean(1),
                 angle_rad,
                 ..motor
@@ -253,11 +258,15 @@ pub(super) struct Part {
 }
 
 impl Part {
-    fn new(effect: &'static dyn Effect, log_odds: f64) -> Self {
+    pub(super) fn new(effect: &'static dyn Effect, log_odds: f64) -> Self {
         Self::named(effect.card().id, Some(effect), log_odds)
     }
 
-    fn named(id: &'static str, effect: Option<&'static dyn Effect>, log_odds: f64) -> Self {
+    pub(super) fn named(
+        id: &'static str,
+        effect: Option<&'static dyn Effect>,
+        log_odds: f64,
+    ) -> Self {
         let candidate = Candidate {
             id,
             effect,
@@ -272,7 +281,7 @@ impl Part {
         }
     }
 
-    fn push(&mut self, mut form: Form) {
+    pub(super) fn push(&mut self, mut form: Form) {
         form.variant.columns.clear();
         self.candidate.variants.push(form.variant);
         self.sources.push(form.sources);
@@ -280,16 +289,16 @@ impl Part {
 }
 
 /// A variant under construction.
-struct Form {
-    variant: Variant,
+pub(super) struct Form {
+    pub(super) variant: Variant,
     sources: Vec<Source>,
 }
 
 /// Of a column that is no parameter's.
-const NO_PARAMETER: usize = usize::MAX;
+pub(super) const NO_PARAMETER: usize = usize::MAX;
 
 impl Form {
-    const fn new(values: Vec<f64>, log_prior: f64) -> Self {
+    pub(super) const fn new(values: Vec<f64>, log_prior: f64) -> Self {
         let variant = Variant {
             columns: vec![],
             values,
@@ -306,7 +315,7 @@ impl Form {
         }
     }
 
-    fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
+    pub(super) fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
         self.sources.push(source);
         self.variant.parameters.push(parameter);
         self.variant.units.push(unit);
@@ -322,10 +331,9 @@ pub(super) fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffec
     }
 }
 
-/// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run, of an unknown curve.
+/// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run.
 const LOG_ODDS: f64 = -2.197_224_577_336_219_6;
 const LOG_ODDS_STEP: f64 = -2.995_732_273_553_991;
-const LOG_ODDS_UNKNOWN: f64 = -4.605_170_185_988_091;
 
 /// An effect of the model: its parameters, and what else its form may be.
 fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Option<Part> {
@@ -406,10 +414,15 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
         .iter()
         .map(|k| SLAB * typical_size(effect, *k, model, scenario))
         .collect();
+    let order = specs.iter().position(|spec| spec.key == "order");
     let grid = shape_grid(effect, scenario);
     let log_prior = -(grid.len() as f64).ln();
     for shape in grid {
         if id == "discontinuous_conduction" && shape[1] < 0.9 {
+            continue;
+        }
+        let periods = order.map_or(1.0, |order| shape[order]);
+        if effect.card().needs_angle && !shows_wave(scenario, periods) {
             continue;
         }
         if specs
@@ -510,7 +523,11 @@ pub(super) fn linearise(
             Some(beside_model(model, *effect, training))
         }
     };
-    let mut parts: Vec<Part> = asked.par_iter().map(of_effect).collect::<Option<_>>()?;
+    let mut parts: Vec<Part> = asked
+        .par_iter()
+        .filter(|effect| why_not(**effect, training).is_none())
+        .map(of_effect)
+        .collect::<Option<_>>()?;
     parts.retain(|part| !part.sources.is_empty());
     let asked_for_steps = asked.iter().any(|effect| effect.card().id == "load_step");
     if asked_for_steps && !model.has("load_step") {
@@ -560,7 +577,7 @@ pub(super) fn linearise(
         }
     }
     let mut candidates: Vec<Candidate> = parts.into_iter().map(|part| part.candidate).collect();
-    exclusions(&mut candidates);
+    exclusions(&mut candidates, training.input);
     let columns: Vec<Whitened> = base
         .into_iter()
         .zip(others)
@@ -700,7 +717,8 @@ fn load_steps(model: &Model, runs: &[Around<'_>]) -> Vec<Part> {
     runs.iter().enumerate().map(of_run).collect()
 }
 
-fn exclusions(candidates: &mut [Candidate]) {
+/// A torque's own curve is what a run is made of: there what is unknown stands beside the effects, not for them.
+fn exclusions(candidates: &mut [Candidate], input: Input) {
     let curve = |c: &Candidate| match c.id {
         "torque over speed" => Some(("torque", "speed_rad_s")),
         "torque over angle" => Some(("torque", "angle_rad")),
@@ -709,7 +727,10 @@ fn exclusions(candidates: &mut [Candidate]) {
     };
     let says_the_same = |a: &Candidate, b: &Candidate| {
         related(a.id, b.id)
-            || (a.is_unknown() != b.is_unknown() && curve(a).is_some() && curve(a) == curve(b))
+            || (input == Input::Voltage
+                && a.is_unknown() != b.is_unknown()
+                && curve(a).is_some()
+                && curve(a) == curve(b))
     };
     for k in 0..candidates.len() {
         let excludes = (0..candidates.len())
@@ -717,68 +738,4 @@ fn exclusions(candidates: &mut [Candidate]) {
             .collect();
         candidates[k].excludes = excludes;
     }
-}
-
-/// Torque and voltage as functions that no effect of the catalogue gives.
-fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
-    let run = &runs[0];
-    if run.scenario.input != Input::Voltage {
-        return vec![];
-    }
-    let most = |k: usize| {
-        run.followed
-            .after
-            .iter()
-            .fold(0.0_f64, |most, state| most.max(state[k].abs()))
-    };
-    let (current, speed) = (most(0), most(1));
-    let torque = 0.06 * run.model.motor.torque_constant().unwrap_or(1.0) * current;
-    let volts = 0.06
-        * run
-            .scenario
-            .events
-            .iter()
-            .fold(0.0_f64, |most, event| most.max(event.1.abs()));
-    let part = |id: &'static str, curves: Vec<Tangent>| {
-        let mut part = Part::named(id, None, LOG_ODDS_UNKNOWN);
-        let mut form = Form::new(vec![], 0.0);
-        for curve in curves {
-            form.column(Source::Tangent(curve), NO_PARAMETER, 1.0, 0.0);
-        }
-        form.variant.parameters.clear();
-        part.push(form);
-        part
-    };
-    let hats = |axis: Axis, count: i32, most: f64, size: f64| -> Vec<Tangent> {
-        let width = 2.0 * most / f64::from(count - 1);
-        (0..count)
-            .map(|k| Tangent::Hat {
-                axis,
-                centre: width * f64::from(k) - most,
-                width,
-                size,
-            })
-            .collect()
-    };
-    let wave = |order: i32, sine: bool| {
-        Tangent::Wave(Wave {
-            order: f64::from(order),
-            sine,
-            size: torque,
-            of_current: false,
-        })
-    };
-    vec![
-        part("torque over speed", hats(Axis::Speed, 11, speed, torque)),
-        part(
-            "torque over angle",
-            (1..=6)
-                .flat_map(|order| [true, false].map(|sine| wave(order, sine)))
-                .collect(),
-        ),
-        part(
-            "voltage over current",
-            hats(Axis::Current, 7, current, volts),
-        ),
-    ]
 }

@@ -6,6 +6,7 @@
 
 use super::columns::Around;
 use crate::identification::stamps::spread;
+use crate::numerics::statistics::median;
 use crate::plant::propagator::{LinearPart, Propagator};
 use crate::plant::{
     Correction, Input, Instant, Model, MotorKey, Plant, Scenario, State, Terms, Trajectory,
@@ -20,12 +21,20 @@ pub(in crate::diagnosis) struct Noise {
     /// Standard deviation and correlation time of the disturbance torque.
     pub disturbance_n_m: f64,
     pub correlation_s: f64,
-    /// Standard deviation of a slow error of the voltage.
-    pub voltage_v: f64,
+    /// Standard deviation of the error of what drives the run: a slow one of a voltage, V; of a measured torque, N.m (or
+    /// what a measured current makes of it), another one from sample to sample.
+    pub input: f64,
+    /// By how much the sensors may differ from this, as a standard deviation of the logarithm.
+    pub sensors: f64,
 }
 
 /// Correlation time of the voltage's error, s.
-pub(super) const VOLTAGE_S: f64 = 0.05;
+const VOLTAGE_S: f64 = 0.05;
+/// Periods without a torque, or without a speed, after which nobody knows what was held and where the shaft went.
+const LONGEST_HOLD: f64 = 5.0;
+/// Share of the largest speed below which friction is not yet developed where a torque drives: the balance of torques says
+/// nothing of a reversal.
+const REVERSAL: f64 = 0.015;
 /// Uncertainty of the speed after a break-away or a change of sign, as a share of the largest speed.
 const JUMP: f64 = 0.0017;
 /// What is not known of the first current, as a share of the largest, and of the first speed, in units of its noise.
@@ -34,8 +43,24 @@ const START_IN_NOISE: f64 = 10.0;
 /// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
 const RELEASED: f64 = 5.0;
 
-/// What the form of an effect may be wrong by, as a share of what it does.
+/// What the form of an effect may be wrong by, as a share of what it does; where a torque drives, of friction too, and of
+/// the torque itself, which no machine measures better.
 const FORM: f64 = 0.05;
+const DRIVE: f64 = 0.02;
+
+/// The motor's constants in a run: a given torque is the current of a motor with a torque constant of one, and what has no
+/// voltage has no armature.
+pub(super) fn constants(model: &Model, scenario: &Scenario) -> Instant {
+    let mut motor = Instant::of(&model.motor);
+    motor.supply_v = scenario.supply_v();
+    if scenario.input != Input::Voltage {
+        (motor.resistance_ohm, motor.back_emf_v_s_per_rad) = (0.0, 0.0);
+    }
+    if scenario.input == Input::Torque {
+        motor.torque_n_m_per_a = 1.0;
+    }
+    motor
+}
 
 /// Time over which the error of a coupling's form is alike, s: about a period of its ringing.
 const RINGING_S: f64 = 0.01;
@@ -46,6 +71,9 @@ struct Forms {
     motor: Instant,
     coupling: f64,
     inertia: f64,
+    /// Friction and torque per unit of the input whose forms count: none under a voltage.
+    coulomb: f64,
+    drive: f64,
 }
 
 impl Forms {
@@ -59,13 +87,14 @@ impl Forms {
             .iter()
             .filter_map(|terms| terms.coupling())
             .fold(0.0, |most: f64, c| most.max(c.inertia_ratio));
-        let mut motor = Instant::of(&model.motor);
-        motor.supply_v = scenario.supply_v();
+        let counts = f64::from(u8::from(scenario.input != Input::Voltage));
         Self {
             terms,
-            motor,
+            motor: constants(model, scenario),
             coupling,
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
+            coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
+            drive: counts * DRIVE / FORM * constants(model, scenario).torque_n_m_per_a,
         }
     }
 
@@ -80,6 +109,10 @@ impl Forms {
         };
         let (mut volts, mut torque) = (0.0, 0.0);
         let ringing = (self.coupling * self.inertia * acceleration).powi(2);
+        if self.drive > 0.0 {
+            torque += (self.drive * state.current_a).powi(2);
+            torque += (self.coulomb * state.direction()).powi(2);
+        }
         let mut own = state.own();
         for terms in &self.terms {
             if terms.coupling().is_some() {
@@ -104,13 +137,17 @@ pub(super) struct Dynamics {
     stuck: LinearPart,
     pub inverse_inertia: f64,
     pub inverse_inductance: f64,
+    /// What one unit of the input's error makes of current and speed in a second.
+    pub per_input: [f64; 2],
+    /// Correlation time of that error, s; zero where it is another one from sample to sample.
+    input_s: f64,
 }
 
 impl Dynamics {
     pub(super) fn of(model: &Model, input: Input) -> Option<Self> {
         let value = |key| model.motor.get(key);
         let inertia = value(MotorKey::Inertia)?;
-        let (a, still, inverse_inductance) = match input {
+        let (a, still, inverse_inductance, per_input, input_s) = match input {
             Input::Voltage => {
                 let (r, l, ke) = (
                     value(MotorKey::Resistance)?,
@@ -122,16 +159,41 @@ impl Dynamics {
                     [[-r / l, -ke / l], [kt / inertia, 0.0]],
                     [[-r / l, 0.0], [0.0, 0.0]],
                     1.0 / l,
+                    [1.0 / l, 0.0],
+                    VOLTAGE_S,
                 )
             }
-            Input::Current | Input::Torque => ([[0.0; 2]; 2], [[0.0; 2]; 2], 0.0),
+            Input::Current | Input::Torque => {
+                ([[0.0; 2]; 2], [[0.0; 2]; 2], 0.0, [0.0, 1.0 / inertia], 0.0)
+            }
         };
         Some(Self {
             moving: LinearPart::new(&a),
             stuck: LinearPart::new(&still),
             inverse_inertia: 1.0 / inertia,
             inverse_inductance,
+            per_input,
+            input_s,
         })
+    }
+
+    /// What the input's error keeps over an interval.
+    fn input_keeps(&self, interval_s: f64) -> f64 {
+        if self.input_s > 0.0 {
+            (-interval_s / self.input_s).exp()
+        } else {
+            0.0
+        }
+    }
+
+    /// The same for the mean over an interval of so many samples, and the share of the variance that the mean has.
+    pub(super) fn mean_input(&self, interval_s: f64, samples: f64) -> (f64, f64) {
+        let share = if self.input_s > 0.0 {
+            1.0
+        } else {
+            1.0 / samples
+        };
+        (self.input_keeps(interval_s), share)
     }
 
     /// How deviations go on over an interval.
@@ -155,9 +217,10 @@ pub(super) struct Passage {
     pub kept: f64,
     /// Variances of voltage, torque and quick torque by which the forms of the model's effects may be wrong.
     pub form: [f64; 3],
-    /// What the voltage's error keeps.
-    pub voltage_keeps: f64,
-    /// Variances of current and speed that an unknown voltage adds, and whether the model was taken over from the
+    /// What the input's error keeps, and the share of its variance that it has.
+    pub input_keeps: f64,
+    pub input_share: f64,
+    /// Variances of current and speed that an unknown voltage or a reversal adds, and whether the model was taken over from the
     /// measurement behind a hole in the record.
     pub fresh: [f64; 2],
     pub begins_again: bool,
@@ -231,12 +294,12 @@ fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 
 
 /// Variance of the speed that a break-away or a change of sign adds.
 pub(super) fn jump_of(scenario: &Scenario) -> f64 {
-    let fastest = scenario
-        .speed_rad_s
-        .iter()
-        .filter(|w| w.is_finite())
-        .fold(0.0_f64, |most, w| most.max(w.abs()));
-    (JUMP * fastest).powi(2)
+    (JUMP * fastest(scenario)).powi(2)
+}
+
+fn fastest(scenario: &Scenario) -> f64 {
+    let speeds = scenario.speed_rad_s.iter().filter(|w| w.is_finite());
+    speeds.fold(0.0_f64, |most, w| most.max(w.abs()))
 }
 
 /// What the filter knows between two samples.
@@ -247,9 +310,15 @@ struct Filter<'a> {
     forms: Forms,
     p: P,
     load_n_m: f64,
-    voltage_v: f64,
+    input: f64,
     /// Variance of the speed that a break-away or a change of sign adds.
     jump: f64,
+    /// Where a torque drives: the speed below which its balance says nothing, and for how long one value may stand.
+    slow_rad_s: f64,
+    longest_hold_s: f64,
+    /// When a speed was seen last, and after how long without one it begins anew.
+    seen_s: f64,
+    longest_blind_s: f64,
     direction: f64,
     last_s: f64,
     last_speed: f64,
@@ -269,7 +338,7 @@ impl<'a> Filter<'a> {
         let dynamics = Dynamics::of(model, scenario.input)?;
         let mut p: P = [[0.0; 4]; 4];
         p[2][2] = noise.disturbance_n_m.powi(2);
-        p[3][3] = noise.voltage_v.powi(2);
+        p[3][3] = noise.input.powi(2);
         // What flowed before the first row is not known, as where an offset of the voltage held it; nor how fast a
         // shaft turned that did not rest.
         let currents = scenario.current_a.iter().filter(|value| value.is_finite());
@@ -279,6 +348,20 @@ impl<'a> Filter<'a> {
             p[1][1] = (START_IN_NOISE * noise.speed_rad_s).powi(2);
         }
         let restarted = scenario.unknown_input.iter();
+        let by_voltage = scenario.input == Input::Voltage;
+        let events = scenario.events.windows(2);
+        let held_s: Vec<f64> = events.map(|pair| pair[1].0 - pair[0].0).collect();
+        let seen = scenario.sample_time_s.iter().zip(&scenario.speed_rad_s);
+        let seen: Vec<f64> = seen
+            .filter(|row| row.1.is_finite())
+            .map(|row| *row.0)
+            .collect();
+        let unseen_s: Vec<f64> = seen.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let usual = if by_voltage {
+            f64::INFINITY
+        } else {
+            LONGEST_HOLD
+        };
         Some(Self {
             scenario,
             noise,
@@ -286,8 +369,16 @@ impl<'a> Filter<'a> {
             forms: Forms::of(model, scenario),
             p,
             load_n_m: 0.0,
-            voltage_v: 0.0,
+            input: 0.0,
             jump: jump_of(scenario),
+            slow_rad_s: if by_voltage {
+                0.0
+            } else {
+                REVERSAL * fastest(scenario)
+            },
+            longest_hold_s: usual * median(&held_s),
+            seen_s: scenario.begin_s(),
+            longest_blind_s: usual * median(&unseen_s),
             direction: start.direction(),
             last_s: scenario.begin_s(),
             last_speed: start.speed_rad_s,
@@ -364,7 +455,19 @@ impl<'a> Filter<'a> {
             })
         } else {
             let moved = propagator.apply([0.0; 2], [self.dynamics.inverse_inductance, 0.0]);
-            moved.map(|moved| moved * moved * unknown_v2)
+            let [current, speed] = moved.map(|moved| moved * moved * unknown_v2);
+            let slow = state.speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
+            let held_s = time_s - self.scenario.events[self.event].0;
+            let unknown =
+                held_s > self.longest_hold_s || time_s - self.seen_s > self.longest_blind_s;
+            let anew = if unknown {
+                self.slow_rad_s / REVERSAL
+            } else if slow {
+                self.slow_rad_s
+            } else {
+                0.0
+            };
+            [current, speed + anew * anew]
         };
         let passage = Passage {
             propagator: if begins_again {
@@ -378,7 +481,8 @@ impl<'a> Filter<'a> {
             direction: now,
             kept: if rests || released { 0.0 } else { 1.0 },
             form: squares.map(|square| FORM * FORM * square),
-            voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
+            input_keeps: self.dynamics.input_keeps(interval_s),
+            input_share: 1.0,
         };
         self.p = predicted(&self.p, &passage, &self.dynamics, self.noise, forget);
         if crossed || released {
@@ -388,7 +492,7 @@ impl<'a> Filter<'a> {
             stop(&mut self.p);
         }
         self.load_n_m *= forget;
-        self.voltage_v *= passage.voltage_keeps;
+        self.input *= passage.input_keeps;
         (passage, forget)
     }
 
@@ -404,6 +508,7 @@ impl<'a> Filter<'a> {
             moved = update.current[1] * (value - reading[0]);
         }
         if let Some(value) = speed {
+            self.seen_s = self.scenario.sample_time_s[sample];
             let e = value - reading[1] - moved;
             if rests && e.abs() > RELEASED * self.noise.speed_rad_s {
                 self.p[1][1] += e * e;
@@ -453,7 +558,7 @@ pub(super) fn lead(
             let values = measured(scenario, noise, sample);
             let (change, white) = update.correct(values, reading);
             filter.load_n_m += change[2];
-            filter.voltage_v += change[3];
+            filter.input += change[3];
             follower.rows += values.iter().flatten().count();
             follower.updates.push(update);
             follower.forgets.push(forget);
@@ -476,7 +581,7 @@ pub(super) fn lead(
                 current_a: change[0],
                 speed_rad_s: change[1],
                 load_n_m: filter.load_n_m,
-                voltage_v: filter.voltage_v,
+                voltage_v: filter.input,
             })
         },
     );
@@ -496,21 +601,21 @@ pub(super) fn follow(
         return false;
     };
     out.clear();
-    let (mut load, mut volts) = (0.0, 0.0);
+    let (mut load, mut input) = (0.0, 0.0);
     let mut trajectory = Trajectory::default();
     plant.follow_into(scenario, start, &mut trajectory, |sample, reading, _| {
         let update = &follower.updates[sample];
         load *= follower.forgets[sample];
-        volts *= follower.passages[sample].voltage_keeps;
+        input *= follower.passages[sample].input_keeps;
         let (change, white) = update.correct(measured(scenario, noise, sample), reading);
         load += change[2];
-        volts += change[3];
+        input += change[3];
         out.push(white);
         Some(Correction {
             current_a: change[0],
             speed_rad_s: change[1],
             load_n_m: load,
-            voltage_v: volts,
+            voltage_v: input,
         })
     });
     out.iter()
@@ -528,21 +633,21 @@ pub(super) fn predicted(
     let first = propagator.apply([1.0, 0.0], [0.0; 2]);
     let second = propagator.apply([0.0, 1.0], [0.0; 2]);
     let load = propagator.apply([0.0; 2], [0.0, -dynamics.inverse_inertia]);
-    let volts = propagator.apply([0.0; 2], [dynamics.inverse_inductance, 0.0]);
+    let input = propagator.apply([0.0; 2], dynamics.per_input);
     let moving = if passage.direction == 0.0 { 0.0 } else { 1.0 };
-    let keeps = passage.voltage_keeps;
+    let keeps = passage.input_keeps;
     let f = [
         [
             first[0],
             second[0] * passage.kept,
             load[0] * moving,
-            volts[0],
+            input[0],
         ],
         [
             first[1] * moving,
             second[1] * passage.kept,
             load[1] * moving,
-            volts[1] * moving,
+            input[1] * moving,
         ],
         [0.0, 0.0, forget, 0.0],
         [0.0, 0.0, 0.0, keeps],
@@ -564,7 +669,8 @@ pub(super) fn predicted(
     let ringing = passage.form[2] * RINGING_S * passage.interval_s;
     out[1][1] += (passage.fresh[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
-    out[3][3] += (noise.voltage_v.powi(2) + passage.form[0]) * (1.0 - keeps * keeps);
+    out[3][3] +=
+        (noise.input.powi(2) * passage.input_share + passage.form[0]) * (1.0 - keeps * keeps);
     out
 }
 
@@ -573,7 +679,7 @@ pub(super) fn predicted(
 pub(super) fn wandering(run: &Around<'_>) -> [f64; 2] {
     let mut p: P = [[0.0; 4]; 4];
     p[2][2] = run.noise.disturbance_n_m.powi(2);
-    p[3][3] = run.noise.voltage_v.powi(2);
+    p[3][3] = run.noise.input.powi(2);
     let mut squares = [0.0; 2];
     for (passage, forget) in run.follower.passages.iter().zip(&run.follower.forgets) {
         let passage = Passage {
@@ -651,7 +757,8 @@ mod tests {
             speed_rad_s: SPEED_NOISE_RAD_S,
             disturbance_n_m: 1e-6,
             correlation_s: 0.5,
-            voltage_v: 1e-6,
+            input: 1e-6,
+            sensors: 0.1,
         };
         let (follower, followed) = lead(&model, &scenario, State::default(), &noise).unwrap();
         assert_eq!(follower.rows, 2 * scenario.samples());

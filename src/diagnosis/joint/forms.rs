@@ -303,7 +303,8 @@ mod tests {
             speed_rad_s: SPEED_NOISE_RAD_S,
             disturbance_n_m: 0.01,
             correlation_s: 0.5,
-            voltage_v: 0.05,
+            input: 0.05,
+            sensors: 0.1,
         };
         let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
         linearise(&model, CATALOGUE, &runs, false)

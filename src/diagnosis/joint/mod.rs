@@ -8,10 +8,12 @@
 //!                 '-> select    posterior over the sets of effects and forms
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
 //!         (excess: by how much what is left is more than white noise)
+//! asked:  which effects a run can be asked about, and what of it is fit to be asked
 //! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
 pub(super) mod answer;
+pub(super) mod asked;
 mod columns;
 mod excess;
 mod follow;
@@ -22,4 +24,5 @@ mod prediction_error;
 mod search;
 mod select;
 mod tangent;
+mod unknown;
 mod whitened;

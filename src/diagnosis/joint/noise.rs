@@ -4,12 +4,11 @@ use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
 use super::columns::{Around, Linear};
-use super::follow::{Noise, P, Passage, VOLTAGE_S, corrected, jump_of, predicted, stop};
+use super::follow::{Noise, P, Passage, corrected, jump_of, predicted, stop};
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
 use super::whitened::Whitened;
 use crate::numerics::count::whole;
-use crate::plant::Input;
 use crate::plant::propagator::Propagator;
 
 /// Interval over which samples are averaged, s: the disturbance is slower.
@@ -156,6 +155,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
         jumps |= sample > 0 && passage.direction != 0.0 && passage.direction * last <= 0.0;
         direction = passage.direction;
     }
+    let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
     let passage = Passage {
         propagator: if begins_again {
             Propagator::default()
@@ -168,7 +168,8 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
         direction,
         kept,
         form,
-        voltage_keeps: (-interval_s / VOLTAGE_S).exp(),
+        input_keeps,
+        input_share,
     };
     (passage, jumps)
 }
@@ -181,7 +182,7 @@ impl Averaged {
         let mut states = vec![Deviations::default(); width / LANES];
         let mut p: P = [[0.0; 4]; 4];
         p[2][2] = noise.disturbance_n_m.powi(2);
-        p[3][3] = noise.voltage_v.powi(2);
+        p[3][3] = noise.input.powi(2);
         let mut log = 0.0;
         let mut sums = DMatrix::zeros(width, width);
         let mut buffer: Vec<f64> = Vec::with_capacity(2 * AT_ONCE * width);
@@ -251,7 +252,6 @@ pub(super) fn likeliest(
         .map(|(run, w)| averaged(run, w, &linear.present, &columns))
         .collect();
     let k = columns.len();
-    let voltage_driven = runs[0].scenario.input == Input::Voltage;
     let log_likelihood = |noise: &Noise| -> f64 {
         let parts: Vec<(DMatrix<f64>, f64)> = runs
             .par_iter()
@@ -286,20 +286,18 @@ pub(super) fn likeliest(
     let unknowns: Vec<Unknown> = UNKNOWNS
         .into_iter()
         .filter(|unknown| unknown.log(floor).is_finite())
-        .filter(|unknown| voltage_driven || !unknown.is_electrical())
         .collect();
     climb(start, &unknowns, floor, log_likelihood)
 }
 
-/// How far sensors may be from what they show at rest, and the correlation time from half a second, in logarithms.
-const SENSOR: f64 = 0.1;
+/// How far the correlation time may be from half a second, as a logarithm.
 const CORRELATION: f64 = 0.8;
 const USUAL_CORRELATION_S: f64 = 0.5;
 
 fn log_prior(noise: &Noise, floor: &Noise) -> f64 {
     let surprises = [
-        (noise.current_a / floor.current_a).ln() / SENSOR,
-        (noise.speed_rad_s / floor.speed_rad_s).ln() / SENSOR,
+        (noise.current_a / floor.current_a).ln() / floor.sensors,
+        (noise.speed_rad_s / floor.speed_rad_s).ln() / floor.sensors,
         (noise.correlation_s / USUAL_CORRELATION_S).ln() / CORRELATION,
     ];
     // A signal whose noise is not known is not looked at.
@@ -311,7 +309,7 @@ fn log_prior(noise: &Noise, floor: &Noise) -> f64 {
 #[derive(Clone, Copy, PartialEq)]
 enum Unknown {
     Disturbance,
-    Voltage,
+    Input,
     Correlation,
     Current,
     Speed,
@@ -319,21 +317,17 @@ enum Unknown {
 
 const UNKNOWNS: [Unknown; 5] = [
     Unknown::Disturbance,
-    Unknown::Voltage,
+    Unknown::Input,
     Unknown::Correlation,
     Unknown::Current,
     Unknown::Speed,
 ];
 
 impl Unknown {
-    const fn is_electrical(self) -> bool {
-        matches!(self, Self::Voltage | Self::Current)
-    }
-
     fn of(self, noise: &mut Noise) -> &mut f64 {
         match self {
             Self::Disturbance => &mut noise.disturbance_n_m,
-            Self::Voltage => &mut noise.voltage_v,
+            Self::Input => &mut noise.input,
             Self::Correlation => &mut noise.correlation_s,
             Self::Current => &mut noise.current_a,
             Self::Speed => &mut noise.speed_rad_s,
@@ -346,22 +340,23 @@ impl Unknown {
 
     /// The noise with this logarithm, as far as it may go.
     fn set(self, noise: &Noise, floor: &Noise, log: f64) -> Noise {
+        let sensors = floor.sensors.exp();
         let (least, most) = match self {
             Self::Disturbance => (1e-6 * floor.disturbance_n_m, f64::MAX),
-            Self::Voltage => (1e-6, f64::MAX),
+            Self::Input => (f64::min(1e-6, 0.01 * floor.input), f64::MAX),
             Self::Correlation => (0.02, 3.0),
-            Self::Current => (0.9 * floor.current_a, 1.1 * floor.current_a),
-            Self::Speed => (0.9 * floor.speed_rad_s, 1.1 * floor.speed_rad_s),
+            Self::Current => (floor.current_a / sensors, floor.current_a * sensors),
+            Self::Speed => (floor.speed_rad_s / sensors, floor.speed_rad_s * sensors),
         };
         let mut noise = *noise;
         *self.of(&mut noise) = log.exp().clamp(least, most);
         noise
     }
 
-    /// First step: sensors are known to a few per cent, the rest hardly.
-    const fn step(self) -> f64 {
+    /// First step: of sensors as well as they are known, the rest hardly is.
+    const fn step(self, floor: &Noise) -> f64 {
         match self {
-            Self::Current | Self::Speed => 0.05,
+            Self::Current | Self::Speed => 0.5 * floor.sensors,
             _ => 0.8,
         }
     }
@@ -387,7 +382,7 @@ fn climb(
             // Known points of this line: logarithm and likelihood.
             let mut known = vec![(unknown.log(&now), best)];
             for sign in [1.0, -1.0] {
-                let mut stride = sign * unknown.step();
+                let mut stride = sign * unknown.step(floor);
                 loop {
                     let next = unknown.set(&now, floor, unknown.log(&now) + stride);
                     if next == now {
@@ -453,7 +448,8 @@ mod tests {
             speed_rad_s: 0.15,
             disturbance_n_m: 0.01,
             correlation_s: 0.5,
-            voltage_v: 0.01,
+            input: 0.01,
+            sensors: 0.1,
         };
         let count = Cell::new(0);
         let likelihood = |noise: &Noise| {
@@ -461,7 +457,7 @@ mod tests {
             let [d, t, v] = [
                 noise.disturbance_n_m / 3e-4,
                 noise.correlation_s / 0.2,
-                noise.voltage_v / 0.05,
+                noise.input / 0.05,
             ]
             .map(f64::ln);
             -3.0 * d * d

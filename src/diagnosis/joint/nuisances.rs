@@ -1,13 +1,15 @@
 //! What is always in beside the effects: the motor's parameters, errors of the stamps, other forms of the model's effects.
 
-use super::columns::{Around, Source, active, columns_of};
+use super::columns::{Around, SLAB, Source, active, columns_of};
 use super::tangent::{Tangent, Wave};
-use crate::plant::{Effect, Input, Model, Scenario, Slot, effect};
+use crate::plant::{Effect, Input, Model, MotorKey, Scenario, Slot, effect, typical_size};
 
 /// Prior standard deviation of the logarithm of a motor's parameter.
 const MOTOR: f64 = 0.3;
 /// Step of a difference of two runs with a motor's parameter, relative.
 const STEP: f64 = 2e-3;
+/// The same in standard deviations beforehand.
+const LINEAR_STEP: f64 = 0.02;
 /// Error of the stamps of commands and samples beforehand, as a share of the period: where the host stamped them, and where
 /// the drive did.
 const STAMP: f64 = 0.05;
@@ -15,23 +17,52 @@ const OWN_STAMP: f64 = 0.01;
 /// What the form of an effect may differ from its equation by.
 const FORM: f64 = 0.1;
 
+/// What is known of a motor's parameter beforehand.
+pub(super) enum MotorPrior {
+    /// Of the logarithm: its standard deviation.
+    Logarithm(f64),
+    /// Of the value itself.
+    Linear(f64),
+}
+
+/// `None` for a parameter that the run says nothing of. Where a torque drives, friction starts from a balance that lacks
+/// what is missing, so that it may be off by an effect's slab.
+pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> Option<MotorPrior> {
+    if scenario.input == Input::Voltage {
+        return Some(MotorPrior::Logarithm(MOTOR));
+    }
+    match key {
+        MotorKey::Inertia => Some(MotorPrior::Logarithm(MOTOR)),
+        MotorKey::LoadTorque => {
+            let slab = SLAB * typical_size(effect::find("constant_load")?, 0, model, scenario);
+            Some(MotorPrior::Linear(slab.max(MOTOR * model.motor.get(key)?)))
+        }
+        _ => None,
+    }
+}
+
 /// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
 /// samples alike; each with its standard deviation beforehand.
 pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
     let mut nuisances = Vec::new();
     for slot in model.free_slots() {
-        if let Slot::Motor(_) = slot {
-            let mut moved = model.clone();
-            let value = model.get(&slot)?;
-            moved.set(&slot, value * STEP.exp());
-            nuisances.push((
-                Source::Difference {
-                    model: moved,
-                    step: STEP,
-                },
-                MOTOR,
-            ));
-        }
+        let Slot::Motor(key) = slot else { continue };
+        let Some(prior) = motor_prior(key, model, scenario) else {
+            continue;
+        };
+        let value = model.get(&slot)?;
+        let mut moved = model.clone();
+        let (step, sd) = match prior {
+            MotorPrior::Logarithm(sd) => {
+                moved.set(&slot, value * STEP.exp());
+                (STEP, sd)
+            }
+            MotorPrior::Linear(sd) => {
+                moved.set(&slot, value + LINEAR_STEP * sd);
+                (LINEAR_STEP, 1.0)
+            }
+        };
+        nuisances.push((Source::Difference { model: moved, step }, sd));
     }
     nuisances.extend(stamps(model, scenario).map(|source| (source, 1.0)));
     Some(nuisances)
@@ -39,9 +70,10 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
 
 /// What the stamps of command, current and speed may be wrong by, at one standard deviation each.
 fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
-    let is_driven = scenario.input == Input::Voltage;
+    let by_voltage = scenario.input == Input::Voltage;
     let ids = ["command_delay", "current_filter", "speed_delay"];
-    let ids = ids.into_iter().filter(move |_| is_driven);
+    let count = if by_voltage { ids.len() } else { 1 };
+    let ids = ids.into_iter().take(count);
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     let of_samples_s = scenario
@@ -54,7 +86,12 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         } else {
             of_samples_s
         };
-        let least_s = known_s.map_or(OWN_STAMP * period_s, |_| STAMP * period_s);
+        // Of a torque nobody knows where in its period it stands.
+        let least_s = match known_s {
+            _ if !by_voltage => period_s,
+            None => OWN_STAMP * period_s,
+            Some(_) => STAMP * period_s,
+        };
         let error_s = least_s.max(known_s.unwrap_or(0.0));
         let effect = effect::find(id)?;
         let mut moved = model.clone();

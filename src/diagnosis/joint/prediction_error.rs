@@ -1,18 +1,18 @@
 //! Prediction-error fit: every free parameter of a model, and of its effects, from the whitened innovations of the runs.
 
+use super::asked::why_not;
 use super::columns::{Around, SLAB, single};
 use super::excess::excess;
 use super::follow::follow;
-use super::nuisances::of_equations;
+use super::nuisances::{MotorPrior, motor_prior, of_equations};
 use super::whitened::Whitened;
 use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
 use crate::plant::{Model, ParameterRole, Scenario, Slot, typical_size};
 
-/// Prior standard deviations: of the logarithm of a motor's parameter and of a shape's, and of a shape that may be zero in
+/// Prior standard deviations: of the logarithm of a shape, and of a shape that may be zero in
 /// units of its scale.
-const MOTOR: f64 = 0.3;
 const SHAPE: f64 = 1.0;
 const LINEAR_SHAPE: f64 = 3.0;
 
@@ -30,7 +30,7 @@ enum Unit {
 }
 
 impl Unit {
-    /// `None` for what is not fitted: the number of cogs, and the time of an event.
+    /// `None` for what is not fitted: the number of cogs, the time of an event, and what the run says nothing of.
     fn of(slot: &Slot, value: f64, model: &Model, scenario: &Scenario) -> Option<Self> {
         let Slot::Effect {
             spec,
@@ -39,16 +39,27 @@ impl Unit {
             ..
         } = slot
         else {
-            return Some(Self::Logarithm {
-                range: (1e-12, 1e9),
-                sd: MOTOR,
-                at: value.ln(),
+            let Slot::Motor(key) = slot else { return None };
+            return Some(match motor_prior(*key, model, scenario)? {
+                MotorPrior::Logarithm(sd) => Self::Logarithm {
+                    range: (1e-12, 1e9),
+                    sd,
+                    at: value.ln(),
+                },
+                MotorPrior::Linear(unit) => Self::Linear {
+                    range: (0.0, 1e9),
+                    unit,
+                    at: value / unit,
+                },
             });
         };
+        let effect = model.effects[*index].effect;
+        if why_not(effect, scenario).is_some() {
+            return None;
+        }
         if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
             return None;
         }
-        let effect = model.effects[*index].effect;
         if spec.is_coefficient() {
             let least = if takes_power(effect.card().id) {
                 0.0
@@ -282,7 +293,8 @@ mod tests {
             speed_rad_s: floor.speed_rad_s,
             disturbance_n_m,
             correlation_s: 0.5,
-            voltage_v: 1e-3,
+            input: 1e-3,
+            sensors: 0.1,
         }
     }
 

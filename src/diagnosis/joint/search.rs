@@ -5,7 +5,7 @@
 //! near                linearise -> noise -> linearise -> posterior over the sets -> refit of the best set -> ...
 //! ```
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::columns::{Around, Linear, linearise};
 use super::excess::excess;
@@ -16,7 +16,8 @@ use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event, Progress};
-use crate::plant::{ActiveEffect, Effect, Model, ParameterSpec, Scenario, State, effect};
+use crate::numerics::count::whole;
+use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect};
 
 /// Mean square of the innovations above which a linear solution is not believed.
 const FAR: f64 = 3.0;
@@ -33,10 +34,12 @@ const STARTS: usize = 3;
 const LEAST_START: f64 = 0.02;
 /// Rounds of weighing and refitting; in the first ones the noise is found too.
 const MOST_ROUNDS: usize = 10;
+/// The same where a torque drives: all is linear there, and what does not settle is not in the catalogue.
+const MOST_ROUNDS_BY_TORQUE: usize = 5;
 const NOISE_ROUNDS: usize = 3;
-/// Changes of the logarithms of disturbance and of the voltage's error that ask for another linearisation.
+/// Changes of the logarithms of disturbance and of the input's error that ask for another linearisation.
 const SAME_DISTURBANCE: f64 = 0.2;
-const SAME_VOLTAGE: f64 = 0.3;
+const SAME_INPUT: f64 = 0.3;
 /// Growth of the squares from which a refit has lost its way.
 const LOST: f64 = 1.05;
 
@@ -267,12 +270,22 @@ pub(super) fn search(
     progress: Progress<'_>,
 ) -> Option<Found> {
     let given = model.effect_ids();
-    let mut model = approach(model.clone(), asked, scenarios[0], starts[0], floor)?;
+    let mut model = model.clone();
+    // The balance of torques is linear in all that it holds, however much is missing.
+    let by_voltage = scenarios[0].input == Input::Voltage;
+    if by_voltage {
+        model = approach(model, asked, scenarios[0], starts[0], floor)?;
+    }
     let mut noise = floor;
     let mut seen: Vec<Vec<&'static str>> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
     let mut replaced = false;
-    for round in 0..MOST_ROUNDS {
+    let rounds = if by_voltage {
+        MOST_ROUNDS
+    } else {
+        MOST_ROUNDS_BY_TORQUE
+    };
+    for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
         let unknowns = round > 0;
         let linearised = |model: &Model, runs: &[Around<'_>]| {
@@ -296,7 +309,7 @@ pub(super) fn search(
             let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, noise);
             let change = |a: f64, b: f64| (a / b).ln().abs();
             let moved = change(better.disturbance_n_m, noise.disturbance_n_m) > SAME_DISTURBANCE
-                || change(better.voltage_v, noise.voltage_v) > SAME_VOLTAGE;
+                || change(better.input, noise.input) > SAME_INPUT;
             if moved {
                 noise = better;
                 drop(reduced);
@@ -309,7 +322,7 @@ pub(super) fn search(
         let set = names(&linear, &posterior.best);
         let stands =
             seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
-        if stands && round + 1 < MOST_ROUNDS {
+        if stands && round + 1 < rounds {
             let weighed = Weighed {
                 model: &model,
                 linear: &linear,
@@ -334,7 +347,7 @@ pub(super) fn search(
                 continue;
             }
         }
-        if stands || round + 1 == MOST_ROUNDS {
+        if stands || round + 1 == rounds {
             let excess = excess_of(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
             let wandering = wandering(runs.last()?);
@@ -359,8 +372,10 @@ pub(super) fn search(
         let now = squares(&runs);
         let start = at_solution(&model, &linear, &reduced, &posterior.best)?;
         let changes = start.effect_ids() != model.effect_ids();
-        let (next, left) = fit(&start, &runs)?;
-        if left < LOST * now || !changes {
+        // What cannot be refitted stays as it was.
+        if let Some((next, left)) = fit(&start, &runs)
+            && (left < LOST * now || !changes)
+        {
             drop(reduced);
             drop(runs);
             model = next;
@@ -576,18 +591,81 @@ fn unknown_shares(
     )
 }
 
+/// Blocks whose sums tell how much the sizes of a set really scatter.
+const BLOCKS: f64 = 20.0;
+
+/// How many times as large as white noise makes it the variance of an effect's size is by the scatter between blocks of
+/// the runs, for the worst of the set: what a torque leaves of a real machine is the same over a whole motion.
+fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVector<f64>]) -> f64 {
+    let m = linear.nuisances.len();
+    let (mut all, mut named): (Vec<usize>, Vec<usize>) = ((0..m).collect(), Vec::new());
+    for (candidate, form) in linear.candidates.iter().zip(set) {
+        let Some(form) = form else { continue };
+        let variant = &candidate.variants[*form];
+        all.extend(&variant.columns);
+        let sizes = variant.columns.iter().zip(&variant.units);
+        let sizes = sizes.filter(|(_, unit)| !candidate.is_unknown() && **unit > 0.0);
+        named.extend(sizes.map(|(column, _)| *column));
+    }
+    let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
+    let length = whole((samples as f64 / BLOCKS).ceil()).max(1);
+    let mut worst: f64 = 1.0;
+    for own in &named {
+        let others: Vec<usize> = all.iter().copied().filter(|k| k != own).collect();
+        let count = others.len();
+        let mut normal = DMatrix::from_fn(count, count, |r, c| linear.gram[(others[r], others[c])]);
+        for (k, column) in others.iter().enumerate() {
+            normal[(k, k)] += linear
+                .nuisances
+                .get(*column)
+                .map_or(1.0, |sd| 1.0 / (sd * sd));
+        }
+        let cross = DVector::from_fn(count, |r, _| linear.gram[(others[r], *own)]);
+        let Some(factor) = normal.cholesky() else {
+            continue;
+        };
+        let mut weights = DVector::zeros(linear.gram.nrows());
+        weights[*own] = 1.0;
+        for (column, share) in others.iter().zip(factor.solve(&cross).iter()) {
+            weights[*column] = -share;
+        }
+        let (mut scatter, mut expected) = (0.0, 0.0);
+        for ((run, columns), explained) in runs.iter().zip(&linear.columns).zip(explained) {
+            let column = columns * &weights;
+            let white: Vec<f64> = run.followed.white.iter().flatten().copied().collect();
+            let products: Vec<f64> = (0..white.len())
+                .map(|row| column[row] * (white[row] - explained[row]))
+                .collect();
+            let sums = products
+                .chunks(2 * length)
+                .map(|block| block.iter().sum::<f64>());
+            scatter += sums.map(|sum| sum * sum).sum::<f64>();
+            expected += column.norm_squared();
+        }
+        if expected > 0.0 {
+            worst = worst.max(scatter / expected);
+        }
+    }
+    worst
+}
+
 /// The excess of what a set leaves at its linear solution.
 fn excess_of(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]) -> f64 {
     let Some(solution) = solution(linear, reduced, set) else {
         return 1.0;
     };
     let explained = &solution - &linear.present;
-    let left = runs.iter().zip(&linear.columns).map(|(run, columns)| {
-        let explained = columns * &explained;
+    let explained: Vec<DVector<f64>> = linear.columns.iter().map(|w| w * &explained).collect();
+    let by_blocks = if runs[0].scenario.input == Input::Voltage {
+        1.0
+    } else {
+        clustered(linear, set, runs, &explained)
+    };
+    let left = runs.iter().zip(&explained).map(|(run, explained)| {
         let white = run.followed.white.iter().enumerate();
         let left =
             white.map(|(k, white)| [0, 1].map(|signal| white[signal] - explained[2 * k + signal]));
         (run, left.collect())
     });
-    excess(&left.collect::<Vec<_>>())
+    excess(&left.collect::<Vec<_>>()).max(by_blocks)
 }

@@ -2,6 +2,7 @@
 
 use super::columns::Around;
 use super::follow::{Dynamics, Passage, Update};
+use crate::numerics::count::whole;
 use crate::plant::{Instant, MotorKey, Sums, Terms};
 
 /// Deviations that pass a run at once: the step's coefficients are read once for all of them, and they fill registers.
@@ -32,7 +33,7 @@ impl Step {
             apply([1.0, 0.0], [0.0; 2]),
             apply([0.0, passage.kept], [0.0; 2]),
             apply([0.0; 2], [0.0, -dynamics.inverse_inertia * moves]),
-            apply([0.0; 2], [dynamics.inverse_inductance, 0.0]),
+            apply([0.0; 2], dynamics.per_input),
             apply([0.0; 2], [1.0, 0.0]),
             apply([0.0; 2], [0.0, moves]),
         ];
@@ -40,7 +41,7 @@ impl Step {
             current: on.map(|to| to[0]),
             speed: on.map(|to| to[1] * moves),
             forget,
-            keeps: passage.voltage_keeps,
+            keeps: passage.input_keeps,
         }
     }
 
@@ -163,6 +164,11 @@ pub(super) enum Tangent {
         centre: f64,
         width: f64,
         size: f64,
+    },
+    /// Torque over the speed by its values at equidistant speeds between plus and minus the largest.
+    Curve {
+        most: f64,
+        values: Vec<f64>,
     },
     /// What a sensor adds to every reading: A and rad/s.
     Offset([f64; 2]),
@@ -413,6 +419,16 @@ fn force(
                 put(k, [0.0, -size * turn[usize::from(wave.sine)] * inertia]);
             }
         }
+        Tangent::Curve { most, values } => {
+            let steps = (values.len() - 1) as f64;
+            for (k, at) in instants.iter().enumerate() {
+                let place = (0.5 * (at.speed_rad_s / most + 1.0) * steps).clamp(0.0, steps);
+                let left = whole(place.floor()).min(values.len() - 2);
+                let share = place - left as f64;
+                let torque = values[left] + share * (values[left + 1] - values[left]);
+                put(k, [0.0, -torque * inertia]);
+            }
+        }
         Tangent::Hat {
             axis,
             centre,
@@ -445,7 +461,8 @@ mod tests {
         speed_rad_s: SPEED_NOISE_RAD_S,
         disturbance_n_m: 0.01,
         correlation_s: 0.5,
-        voltage_v: 0.05,
+        input: 0.05,
+        sensors: 0.1,
     };
 
     /// Moves one way only: where a shaft breaks away differences are no tangents.

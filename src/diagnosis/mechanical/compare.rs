@@ -2,14 +2,14 @@
 
 use serde::Serialize;
 
-use super::Settings;
-use super::regression::{self, OnTrial};
-use super::score::Score;
-use super::sides::{Scale, Sides};
+use super::regression;
+use super::sides::{Balance, Scale, Sides};
+use super::trial::with_events_of;
 use crate::diagnosis::compare::{Comparison, HoldoutFigures, SignalComparison, Signals};
 use crate::diagnosis::evidence::Evidence;
 use crate::diagnosis::location::{ErrorOf, locate};
 use crate::diagnosis::residual::ResidualLights;
+use crate::diagnosis::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
 use crate::identification::torque_rows::{Method, TorqueRows};
@@ -64,43 +64,43 @@ pub fn compare(
     evidence: &Evidence,
     error_of: ErrorOf,
 ) -> Result<Comparison, FitError> {
-    let sides = Sides::weak_form(model, evidence, Settings::default())?;
-    let reference = Sides::new(
-        Method::InverseDynamics,
-        model,
-        evidence,
-        Settings::default(),
-    )
-    .ok();
+    let sides = Sides::weak_form(model, evidence)?;
+    let reference = Sides::new(Method::InverseDynamics, model, evidence).ok();
     let baseline = sides.fit(model);
     let scale = baseline.map(|fit| Scale::of(model, &evidence.training, &sides.training, &fit));
+    let scale = scale.unwrap_or(Scale {
+        unit_n_m: f64::NAN,
+        source: FloorSource::None,
+    });
     let mut processing = vec![processing_error(&sides, model, false)];
     processing.extend(reference.map(|sides| processing_error(&sides, model, false)));
-    Ok(comparison(
-        model, &sides, scale, processing, evidence, error_of,
-    ))
+    let balance = Balance { sides, scale };
+    Ok(comparison(model, &balance, processing, evidence, error_of))
 }
 
 /// Errors of a model under one processing.
 pub(super) fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> ProcessingError {
-    let relative = |rows: &TorqueRows| {
-        let model = super::trial::with_events_of(model, rows);
-        Score::of(&regression::predicted(&model, None, rows), rows).relative_percent
+    let relative = |model: &Model, rows: &TorqueRows| {
+        let predicted = regression::predicted(&with_events_of(model, rows), rows);
+        let pairs = rows.left.iter().zip(&predicted);
+        let squares: f64 = pairs.map(|(left, sum)| (left - sum).powi(2)).sum();
+        let whole: f64 = rows.left.iter().map(|left| left * left).sum();
+        100.0 * (squares / whole.max(f64::MIN_POSITIVE)).sqrt()
     };
     let of_the_whole = |rows: &TorqueRows| {
         if fitted {
-            let fit = regression::fit(model, OnTrial::default(), rows)?;
-            Some(Sides::score(&fit, None, rows).relative_percent)
+            let fit = regression::fit(model, None, rows)?;
+            Some(relative(&fit.model, rows))
         } else {
-            Some(relative(rows))
+            Some(relative(model, rows))
         }
     };
     ProcessingError {
         whole_run_relative_error_percent: sides.whole.as_ref().and_then(of_the_whole),
         method: sides.training.method,
-        relative_error_percent: relative(&sides.training),
-        holdout_relative_error_percent: relative(&sides.holdout),
-        confirm_relative_error_percent: sides.confirm.as_ref().map(relative),
+        relative_error_percent: relative(model, &sides.training),
+        holdout_relative_error_percent: relative(model, &sides.holdout),
+        confirm_relative_error_percent: sides.confirm.as_ref().map(|rows| relative(model, rows)),
         fitted,
         sentence: sides.training.sentence.clone(),
     }
@@ -108,38 +108,37 @@ pub(super) fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Pr
 
 pub(super) fn comparison(
     model: &Model,
-    sides: &Sides,
-    scale: Option<Scale>,
+    balance: &Balance,
     processing: Vec<ProcessingError>,
     evidence: &Evidence,
     error_of: ErrorOf,
 ) -> Comparison {
-    let score = |rows| {
-        let model = super::trial::with_events_of(model, rows);
-        Score::of(&regression::predicted(&model, None, rows), rows)
-    };
+    let Balance { sides, scale } = balance;
+    let score = |rows| balance.score(model, rows, &evidence.noise);
     let (training, holdout) = (score(&sides.training), score(&sides.holdout));
-    let source = scale.map_or(FloorSource::None, |scale| scale.source);
-    let unit = scale.map_or(f64::NAN, |scale| scale.unit_n_m);
-    let noise_floor = (source != FloorSource::None).then_some(unit);
+    let known = scale.source != FloorSource::None;
+    let noise_floor = known.then_some(scale.unit_n_m);
+    let figures = |score: &Score| HoldoutFigures {
+        fit_percent: score.torque.map_or(f64::NAN, |torque| torque.fit_percent),
+        rmse: score.torque.map_or(f64::NAN, |torque| torque.rmse),
+    };
+    let here = figures(&training);
     let speed_rad_s = speed(model, evidence);
     // Where it fails is a help; a run that it cannot be told for is still compared.
     let located = locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
     let torque = sides.holdout.left.iter().copied();
-    let with_torque: Vec<(f64, f64)> = holdout.residual.iter().copied().zip(torque).collect();
+    let left = holdout.torque_residual().into_iter();
+    let with_torque: Vec<(f64, f64)> = left.map(|(_, left)| left).zip(torque).collect();
     Comparison {
         signals: Signals {
             speed_windows_s: speed_rad_s.map(|_| SPEED_WINDOW_S),
             speed_rad_s,
             current_a: None,
             torque_n_m: Some(TorqueComparison {
-                fit_percent: training.fit_percent,
-                rmse: training.rmse,
+                fit_percent: here.fit_percent,
+                rmse: here.rmse,
                 noise_floor,
-                holdout: HoldoutFigures {
-                    fit_percent: holdout.fit_percent,
-                    rmse: holdout.rmse,
-                },
+                holdout: figures(&holdout),
                 processing,
             }),
         },
@@ -148,9 +147,9 @@ pub(super) fn comparison(
         map: located.map,
         limits: located.notes,
         residual: ResidualLights::of_torque(&with_torque),
-        noise_floor_from: source,
+        noise_floor_from: scale.source,
         holdout_from: evidence.holdout_from,
-        holdout_rmse: holdout.rmse / unit,
+        holdout_rmse: holdout.nrms,
     }
 }
 

@@ -1,20 +1,21 @@
-//! One effect more or less in the torque balance, before and after, under both processings.
+//! One rung up or down the ladder: an effect more or less, before and after, under both processings.
 
-use super::Settings;
 use super::compare::{ProcessingError, comparison, processing_error};
-use super::diagnose::{Start, superfluous_sentence};
 use super::regression::BalanceFit;
-use super::score::{first_rank_shares, z};
-use super::search::superfluous;
-use super::sides::Sides;
-use super::trial::{self, Trial, WORTHWHILE};
-use crate::diagnosis::decide::{Certainty, fall};
+use super::sides::{Balance, Sides};
+use super::trial::{refused, with_effect};
+use crate::diagnosis::decide::{Settings, WORTHWHILE, fall_in_words, pays, z};
 use crate::diagnosis::evidence::Evidence;
 use crate::diagnosis::ladder::{AddResult, Rung};
 use crate::diagnosis::location::ErrorOf;
+use crate::diagnosis::score::Score;
 use crate::identification::output_error::FitError;
 use crate::identification::torque_rows::Method;
 use crate::plant::{Effect, Model};
+
+/// Standard deviations from zero that a coefficient must have in training, and below which it may as well be zero.
+const CERTAIN: f64 = 3.0;
+const TOLD_FROM_ZERO: f64 = 2.0;
 
 /// Refits the torque balance with `effect` added; refused, with the reason, where that does not pay on the hold-out.
 pub fn add(
@@ -22,25 +23,46 @@ pub fn add(
     model: &Model,
     evidence: &Evidence,
 ) -> Result<AddResult, FitError> {
-    let start = Start::new(model, evidence, Settings::default())?;
-    let trial = trial::of_effect(effect, &start.baseline, &start.sides, &evidence.training);
-    let before = start.baseline.clone();
-    // Fixed to nothing where it cannot be judged: the answer is then the model as it was.
-    let after = match &trial.found {
-        Ok(judged) => judged.fit.clone(),
-        Err(_) => before.clone(),
+    let (balance, before) = Balance::with_baseline(model, evidence)?;
+    let rows = &balance.sides.training;
+    let trial = with_effect(effect, &before.model, rows, &evidence.training);
+    // Where it cannot be judged the answer is the model as it was.
+    let after = trial.as_ref().unwrap_or(&before).clone();
+    let [base, better] = [&before, &after].map(|fit| balance.held_out(fit, evidence));
+    let physics = trial
+        .as_ref()
+        .ok()
+        .and_then(|fit| refused(effect, fit, rows));
+    let certain = after.certainty_of(effect.card().id) >= CERTAIN;
+    let accepted = physics.is_none() && certain && pays(&base, &better, Settings::default());
+    let mut result = change(effect, &balance, evidence, [&before, &after], accepted);
+    let name = effect.card().name;
+    let figures = both_processings(&result);
+    let fall = fall_in_words(
+        &base,
+        &better,
+        balance.scale.source.times(),
+        Settings::default(),
+    );
+    let trained = after.rms() < (1.0 - WORTHWHILE) * before.rms();
+    result.reason = match (&trial, physics) {
+        (Err(reason), _) => format!("{name} cannot be judged from this run: {reason}"),
+        (_, Some(reason)) => format!("{name}: {reason}; {figures}"),
+        _ if accepted => format!("with {name} {fall}; {figures}"),
+        _ if trained && better.nrms >= (1.0 - WORTHWHILE) * base.nrms => {
+            format!("{name} helps only in training: {figures}")
+        }
+        _ => format!("{name} does not pay: {fall}; {figures}"),
     };
-    let base = start.sides.held_out(&before, None);
-    let accepted = trial.pays(&base, &start.sides);
-    let mut result = change(effect, &start, evidence, [&before, &after], accepted);
-    result.reason = adding(&trial, &result, &start, &before);
-    result.parameters = trial.parameters();
     if accepted {
-        let score = start.sides.held_out(&after, None);
-        for id in superfluous(&after, &score, &start.sides, &[effect.card().id]) {
-            result.reason.push_str(&superfluous_sentence(id));
+        for id in superfluous(&after, &better, &balance, evidence, effect.card().id) {
+            let is_superfluous = format!(
+                "; {id} is superfluous now: without it the held-out error does not rise by more than 1 % or chance"
+            );
+            result.reason.push_str(&is_superfluous);
         }
     }
+    result.parameters = own(&after, effect);
     Ok(result)
 }
 
@@ -50,21 +72,15 @@ pub fn remove(
     model: &Model,
     evidence: &Evidence,
 ) -> Result<AddResult, FitError> {
-    let start = Start::new(model, evidence, Settings::default())?;
-    let before = start.baseline.clone();
+    let (balance, before) = Balance::with_baseline(model, evidence)?;
     let without = before.model.without_effect(effect.card().id)?;
-    let after = start
-        .sides
-        .fit(&without)
-        .ok_or_else(|| FitError::CannotSimulate {
-            run: evidence.training.name.clone(),
-        })?;
-    let (with, without) = (
-        start.sides.held_out(&before, None),
-        start.sides.held_out(&after, None),
-    );
-    let accepted = !trial::pays(&without, &with, &start.sides);
-    let mut result = change(effect, &start, evidence, [&before, &after], accepted);
+    let after = balance.sides.fit(&without);
+    let after = after.ok_or_else(|| FitError::CannotSimulate {
+        run: evidence.training.name.clone(),
+    })?;
+    let [with, without] = [&before, &after].map(|fit| balance.held_out(fit, evidence));
+    let accepted = !pays(&without, &with, Settings::default());
+    let mut result = change(effect, &balance, evidence, [&before, &after], accepted);
     let verdict = if accepted {
         "it is superfluous"
     } else {
@@ -75,42 +91,39 @@ pub fn remove(
         effect.card().name,
         both_processings(&result)
     );
-    let prefix = format!("{}.", effect.card().id);
-    let own = before.parameters.iter();
-    result.parameters = own
-        .filter(|p| p.key.starts_with(&prefix))
-        .cloned()
-        .collect();
+    result.parameters = own(&before, effect);
     Ok(result)
+}
+
+impl Balance {
+    fn held_out(&self, fit: &BalanceFit, evidence: &Evidence) -> Score {
+        self.score(&fit.model, &self.sides.holdout, &evidence.noise)
+    }
+}
+
+/// The effect's own parameters.
+fn own(fit: &BalanceFit, effect: &dyn Effect) -> Vec<crate::sample::ParameterEstimate> {
+    let prefix = format!("{}.", effect.card().id);
+    let own = fit.parameters.iter().filter(|p| p.key.starts_with(&prefix));
+    own.cloned().collect()
 }
 
 fn change(
     effect: &'static dyn Effect,
-    start: &Start,
+    balance: &Balance,
     evidence: &Evidence,
     [before, after]: [&BalanceFit; 2],
     accepted: bool,
 ) -> AddResult {
-    let sides = &start.sides;
-    let unit = start.scale.unit_n_m;
-    let rung = |fit: &BalanceFit| Rung {
+    let sides = &balance.sides;
+    let rung = |fit: &BalanceFit, score: &Score| Rung {
         effects: fit.model.effect_ids(),
-        holdout_rmse: sides.held_out(fit, None).rmse / unit,
+        holdout_rmse: score.nrms,
     };
     let confirm = sides.confirm.as_ref().map(|rows| {
-        let on = |fit: &BalanceFit| Rung {
-            effects: fit.model.effect_ids(),
-            holdout_rmse: Sides::score(fit, None, rows).rmse / unit,
-        };
-        [on(before), on(after)]
+        [before, after].map(|fit| rung(fit, &balance.score(&fit.model, rows, &evidence.noise)))
     });
-    let reference = Sides::new(
-        Method::InverseDynamics,
-        &before.model,
-        evidence,
-        Settings::default(),
-    )
-    .ok();
+    let reference = Sides::new(Method::InverseDynamics, &before.model, evidence).ok();
     // Each processing with its own fit: what it makes of the data is part of what it finds.
     let figures = |fit: &BalanceFit| -> Vec<ProcessingError> {
         let mut figures = vec![processing_error(sides, &fit.model, true)];
@@ -121,14 +134,8 @@ fn change(
         figures
     };
     let compared = |fit: &BalanceFit| {
-        comparison(
-            &fit.model,
-            sides,
-            Some(start.scale),
-            figures(fit),
-            evidence,
-            ErrorOf::Structure,
-        )
+        let figures = figures(fit);
+        comparison(&fit.model, balance, figures, evidence, ErrorOf::Structure)
     };
     AddResult {
         effect: effect.card().id,
@@ -137,10 +144,37 @@ fn change(
         before: compared(before),
         after: compared(after),
         parameters: Vec::new(),
-        ladder: vec![rung(before), rung(after)],
+        ladder: [before, after]
+            .map(|fit| rung(fit, &balance.held_out(fit, evidence)))
+            .to_vec(),
         confirm,
-        fit: start.fitted(after, evidence),
+        fit: balance.fitted(after, evidence),
     }
+}
+
+/// Effects that were in the model before and are not needed any more: their removal, with everything refitted, costs
+/// nothing on the hold-out; or their size is not told from zero, and the hold-out does not miss them beyond chance.
+fn superfluous(
+    fit: &BalanceFit,
+    score: &Score,
+    balance: &Balance,
+    evidence: &Evidence,
+    added: &str,
+) -> Vec<&'static str> {
+    let settings = Settings::default();
+    let mut ids = fit.model.effect_ids();
+    ids.retain(|id| *id != added);
+    ids.retain(|id| {
+        let without = fit.model.without_effect(id).ok();
+        let Some(without) = without.and_then(|model| balance.sides.fit(&model)) else {
+            return false;
+        };
+        let without = balance.held_out(&without, evidence);
+        let chance = z(&without, score, settings) < settings.significant;
+        let costs_nothing = without.nrms < (1.0 + WORTHWHILE) * score.nrms;
+        costs_nothing || (chance && fit.certainty_of(id) < TOLD_FROM_ZERO)
+    });
+    ids
 }
 
 /// Held-out and fitted relative torque error of each processing, before and after.
@@ -176,38 +210,4 @@ fn both_processings(result: &AddResult) -> String {
         })
         .collect();
     parts.join("; ")
-}
-
-fn adding(trial: &Trial<'_>, result: &AddResult, start: &Start, before: &BalanceFit) -> String {
-    let name = trial.of.name();
-    let judged = match &trial.found {
-        Ok(judged) => judged,
-        Err(reason) => return format!("{name} cannot be judged from this run: {reason}"),
-    };
-    let figures = both_processings(result);
-    let sides = &start.sides;
-    let base = sides.held_out(before, None);
-    let (before_percent, after_percent) = (base.relative_percent, judged.holdout.relative_percent);
-    let fall = fall(
-        [before_percent, after_percent].map(|percent| format!("{percent:.2}")),
-        1.0 - judged.holdout.rmse / base.rmse,
-        " % of the torque",
-        Certainty {
-            better: first_rank_shares(&[&base, &judged.holdout])[1],
-            z: z(&base, &judged.holdout, sides.settings.block),
-            asked: sides.settings.significant,
-        },
-    );
-    if result.accepted {
-        return format!("with {name} {fall}; {figures}");
-    }
-    if let Some(reason) = &judged.refused {
-        return format!("{name}: {reason}; {figures}");
-    }
-    let helps_in_training = judged.fit.rms() < (1.0 - WORTHWHILE) * before.rms();
-    if helps_in_training && judged.holdout.rmse >= (1.0 - WORTHWHILE) * base.rmse {
-        format!("{name} helps only in training: {figures}")
-    } else {
-        format!("{name} does not pay: {fall}; {figures}")
-    }
 }

@@ -2,8 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::score::correlation_time_s;
-use super::terms::{self, Extra};
+use super::terms;
 use crate::identification::torque_rows::TorqueRows;
 use crate::identification::verdict::judge;
 use crate::numerics::count::whole;
@@ -27,16 +26,13 @@ const PROPORTIONAL: f64 = 1e-6;
 
 /// The fitted balance.
 #[derive(Clone, Debug)]
-pub(super) struct BalanceFit {
+pub(in crate::diagnosis) struct BalanceFit {
     pub(super) model: Model,
     /// Every parameter of the model, in the order of its slots.
     pub(super) parameters: Vec<ParameterEstimate>,
-    /// Size and standard deviation of the extra term, where there is one.
-    pub(super) extra: Option<(f64, f64)>,
     /// Largest ratio of an own coefficient over its standard deviation, for `own`.
     pub(super) certainty: Vec<(String, f64)>,
     pub(super) residual: Vec<f64>,
-    pub(super) free: usize,
 }
 
 impl BalanceFit {
@@ -114,11 +110,7 @@ pub(super) fn column(model: &Model, slot: &Slot, rows: &TorqueRows) -> Vec<f64> 
 }
 
 /// What the model, as it stands, says of the torque in each row.
-pub(super) fn predicted(
-    model: &Model,
-    extra: Option<(&Extra, f64)>,
-    rows: &TorqueRows,
-) -> Vec<f64> {
+pub(super) fn predicted(model: &Model, rows: &TorqueRows) -> Vec<f64> {
     let mut sum = vec![0.0; rows.rows()];
     for slot in unknowns(model) {
         let value = model.get(&slot).unwrap_or(0.0);
@@ -126,38 +118,25 @@ pub(super) fn predicted(
             *sum += value * cell;
         }
     }
-    if let Some((extra, size)) = extra {
-        let cells = rows.column(&(extra.values)(&rows.at));
-        for (sum, cell) in sum.iter_mut().zip(cells) {
-            *sum += size * cell;
-        }
-    }
     sum
 }
 
-/// A term beside the model, and the effect whose sign is open because it is on trial.
-#[derive(Clone, Copy, Default)]
-pub(super) struct OnTrial<'a> {
-    pub(super) extra: Option<&'a Extra>,
-    pub(super) effect: Option<&'a str>,
-}
-
 /// Fits every free parameter of the model to the rows; forms of effects start where the model has them. What can only
-/// take power from the shaft is not let below zero, but for the effect on trial. `None` where a term is not known in
+/// take power from the shaft is not let below zero, but for the effect `on_trial`. `None` where a term is not known in
 /// these rows, or there are too few of them.
-pub(super) fn fit(model: &Model, extra: OnTrial<'_>, rows: &TorqueRows) -> Option<BalanceFit> {
+pub(super) fn fit(model: &Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut model = model.clone();
     let forms: Vec<Slot> = forms_of(&model)
         .into_iter()
         .filter(|slot| !slot.has_role(ParameterRole::Choice))
         .collect();
     if !forms.is_empty() {
-        search(&mut model, &forms, extra, rows);
+        search(&mut model, &forms, on_trial, rows);
     }
-    finish(model, extra, rows)
+    finish(model, on_trial, rows)
 }
 
-/// Parameters of the torque balance that are not coefficients and not fixed: they count as parameters in a comparison.
+/// Parameters of the torque balance that are not coefficients and not fixed.
 fn forms_of(model: &Model) -> Vec<Slot> {
     let is_form = |slot: &Slot| match slot {
         Slot::Effect { index, spec, .. } => {
@@ -175,12 +154,12 @@ fn forms_of(model: &Model) -> Vec<Slot> {
 }
 
 /// Sum of squares that the model leaves with its forms as they are.
-pub(super) fn cost(model: &Model, extra: OnTrial<'_>, rows: &TorqueRows) -> f64 {
-    System::new(model, extra, rows).map_or(f64::INFINITY, |system| system.cost())
+pub(super) fn cost(model: &Model, on_trial: Option<&str>, rows: &TorqueRows) -> f64 {
+    System::new(model, on_trial, rows).map_or(f64::INFINITY, |system| system.cost())
 }
 
 /// Coordinate search with halving steps.
-fn search(model: &mut Model, forms: &[Slot], extra: OnTrial<'_>, rows: &TorqueRows) {
+fn search(model: &mut Model, forms: &[Slot], on_trial: Option<&str>, rows: &TorqueRows) {
     let span_s = rows.time_s.last().unwrap_or(&0.0) - rows.time_s.first().unwrap_or(&0.0);
     for slot in forms {
         if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
@@ -195,7 +174,7 @@ fn search(model: &mut Model, forms: &[Slot], extra: OnTrial<'_>, rows: &TorqueRo
             model.set(slot, start);
         }
     }
-    let mut best = cost(model, extra, rows);
+    let mut best = cost(model, on_trial, rows);
     let mut step = 1.0;
     for _ in 0..HALVINGS {
         for slot in forms {
@@ -212,7 +191,7 @@ fn search(model: &mut Model, forms: &[Slot], extra: OnTrial<'_>, rows: &TorqueRo
                     here + direction * step * spec.scale
                 };
                 model.set(slot, there.clamp(spec.min, spec.max));
-                let found = cost(model, extra, rows);
+                let found = cost(model, on_trial, rows);
                 if found < best {
                     best = found;
                     break;
@@ -224,7 +203,7 @@ fn search(model: &mut Model, forms: &[Slot], extra: OnTrial<'_>, rows: &TorqueRo
     }
 }
 
-fn finish(mut model: Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<BalanceFit> {
+fn finish(mut model: Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut system = System::new(&model, on_trial, rows)?;
     let mut x = system.solve_bounded()?;
     for _ in 0..PASSES {
@@ -290,15 +269,10 @@ fn finish(mut model: Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<
                 .unwrap_or_else(|| not_in_the_balance(&model, slot))
         })
         .collect();
-    let last = system.free.len();
     Some(BalanceFit {
         parameters,
-        extra: on_trial
-            .extra
-            .map(|_| (x[last], std(last).unwrap_or(f64::NAN))),
         certainty,
         residual: residual.as_slice().to_vec(),
-        free: system.matrix.ncols() + forms_of(&model).len(),
         model,
     })
 }
@@ -362,6 +336,25 @@ fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
         .collect()
 }
 
+/// Rows below which nothing is said of how long a series remembers itself.
+const TOO_FEW: usize = 8;
+
+/// Time over which a series remembers itself: half of `1 + 2 sum rho`, in seconds; the sum stops where the correlation
+/// is lost in chance.
+fn correlation_time_s(time_s: &[f64], values: &[f64]) -> f64 {
+    let n = values.len();
+    if n < TOO_FEW {
+        return 0.0;
+    }
+    let period_s = (time_s[time_s.len() - 1] - time_s[0]) / (n - 1) as f64;
+    let chance = 2.0 / (n as f64).sqrt();
+    let sum: f64 = statistics::autocorrelation(values, n / 4)
+        .into_iter()
+        .take_while(|rho| *rho > chance)
+        .sum();
+    0.5 * period_s * (1.0 + 2.0 * sum)
+}
+
 /// The linear system for given forms.
 struct System {
     free: Vec<Slot>,
@@ -372,7 +365,7 @@ struct System {
 }
 
 impl System {
-    fn new(model: &Model, on_trial: OnTrial<'_>, rows: &TorqueRows) -> Option<Self> {
+    fn new(model: &Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option<Self> {
         let mut right = DVector::from_column_slice(&rows.left);
         let (mut free, mut cells, mut takes_power) = (Vec::new(), Vec::new(), Vec::new());
         for slot in unknowns(model) {
@@ -385,10 +378,6 @@ impl System {
                 cells.extend(column);
                 free.push(slot);
             }
-        }
-        if let Some(extra) = on_trial.extra {
-            cells.extend(rows.column(&(extra.values)(&rows.at)));
-            takes_power.push(false);
         }
         let known = right.iter().chain(&cells).all(|cell| cell.is_finite());
         let columns = cells.len() / rows.rows().max(1);
@@ -442,7 +431,7 @@ impl System {
 }
 
 /// Whether a coefficient below zero would drive the shaft.
-fn takes_power_only(model: &Model, slot: &Slot, on_trial: OnTrial<'_>, rows: &TorqueRows) -> bool {
+fn takes_power_only(model: &Model, slot: &Slot, on_trial: Option<&str>, rows: &TorqueRows) -> bool {
     match *slot {
         Slot::Motor(key) => key == MotorKey::LoadTorque,
         Slot::Effect {
@@ -452,7 +441,7 @@ fn takes_power_only(model: &Model, slot: &Slot, on_trial: OnTrial<'_>, rows: &To
             ..
         } => {
             let active = &model.effects[index];
-            on_trial.effect != Some(id)
+            on_trial != Some(id)
                 && terms::only_takes_power(
                     active.effect,
                     &active.values_or_guess(),

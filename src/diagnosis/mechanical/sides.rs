@@ -1,56 +1,48 @@
 //! The rows of training, hold-out and confirming run, and the scale of the errors.
 
-use super::Settings;
-use super::regression::{self, BalanceFit, OnTrial};
-use super::score::Score;
-use super::terms::Extra;
+use super::regression::{self, BalanceFit};
+use super::trial::with_events_of;
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
+use crate::diagnosis::fitted::Fitted;
+use crate::diagnosis::score::Score;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::torque_rows::{Method, TorqueRows};
 use crate::identification::{inverse_dynamics, weak_form};
-use crate::plant::{Input, Model, ModelError, MotorKey, Scenario};
+use crate::plant::{Input, Model, ModelError, MotorKey, Scenario, State};
 
 /// Rows below which a balance is not fitted.
 const FEWEST_ROWS: usize = 30;
 
 /// One processing of all runs.
-pub(super) struct Sides {
-    pub(super) training: TorqueRows,
-    pub(super) holdout: TorqueRows,
-    pub(super) confirm: Option<TorqueRows>,
+pub(in crate::diagnosis) struct Sides {
+    pub(in crate::diagnosis) training: TorqueRows,
+    pub(in crate::diagnosis) holdout: TorqueRows,
+    pub(in crate::diagnosis) confirm: Option<TorqueRows>,
     /// The whole run where it was split: what figures in the literature are of.
     pub(super) whole: Option<TorqueRows>,
-    pub(super) settings: Settings,
 }
 
 impl Sides {
     /// The weak form, which decides.
-    pub(super) fn weak_form(
-        model: &Model,
-        evidence: &Evidence,
-        settings: Settings,
-    ) -> Result<Self, FitError> {
+    pub(super) fn weak_form(model: &Model, evidence: &Evidence) -> Result<Self, FitError> {
         let by_current = evidence.training.input != Input::Torque;
         if by_current && model.motor.torque_constant().is_none() {
             let key = MotorKey::TorqueConstant.key().to_owned();
             return Err(ModelError::Unset { key }.into());
         }
-        Self::new(Method::WeakForm, model, evidence, settings)
+        Self::new(Method::WeakForm, model, evidence)
     }
 
     pub(super) fn new(
         method: Method,
         model: &Model,
         evidence: &Evidence,
-        settings: Settings,
     ) -> Result<Self, FitError> {
         let rows = |scenario: &Scenario| {
             let rows = match method {
-                Method::WeakForm => weak_form::torque_rows(model, scenario, settings.filter),
-                Method::InverseDynamics => {
-                    inverse_dynamics::torque_rows(model, scenario, settings.filter)
-                }
+                Method::WeakForm => weak_form::torque_rows(model, scenario),
+                Method::InverseDynamics => inverse_dynamics::torque_rows(model, scenario),
             };
             let found = rows.as_ref().map_or(0, TorqueRows::rows);
             rows.filter(|rows| rows.rows() >= FEWEST_ROWS)
@@ -69,32 +61,69 @@ impl Sides {
             training: rows(&evidence.training)?,
             holdout: rows(&evidence.holdout)?,
             confirm: evidence.confirm.as_ref().map(rows).transpose()?,
-            settings,
         })
     }
 
-    pub(super) fn fit(&self, model: &Model) -> Option<BalanceFit> {
-        regression::fit(model, OnTrial::default(), &self.training)
+    pub(in crate::diagnosis) fn fit(&self, model: &Model) -> Option<BalanceFit> {
+        regression::fit(model, None, &self.training)
+    }
+}
+
+/// The balance of torques of all runs, and in what its errors are counted.
+pub(in crate::diagnosis) struct Balance {
+    pub(in crate::diagnosis) sides: Sides,
+    pub(in crate::diagnosis) scale: Scale,
+}
+
+impl Balance {
+    /// With the refitted baseline.
+    pub(in crate::diagnosis) fn with_baseline(
+        model: &Model,
+        evidence: &Evidence,
+    ) -> Result<(Self, BalanceFit), FitError> {
+        let sides = Sides::weak_form(model, evidence)?;
+        let baseline = sides.fit(model).ok_or_else(|| FitError::CannotSimulate {
+            run: evidence.training.name.clone(),
+        })?;
+        let scale = Scale::of(model, &evidence.training, &sides.training, &baseline);
+        Ok((Self { sides, scale }, baseline))
     }
 
-    /// The fitted balance on the hold-out; only times of events are found anew.
-    pub(super) fn held_out(&self, fit: &BalanceFit, extra: Option<&Extra>) -> Score {
-        Self::score(fit, extra, &self.holdout)
+    /// A complete model on these rows; only times of events are found anew.
+    pub(in crate::diagnosis) fn score(
+        &self,
+        model: &Model,
+        rows: &TorqueRows,
+        noise: &NoiseFloor,
+    ) -> Score {
+        let model = with_events_of(model, rows);
+        let predicted = regression::predicted(&model, rows);
+        Score::of_balance(rows, &predicted, self.scale.unit_n_m, noise)
     }
 
-    pub(super) fn score(fit: &BalanceFit, extra: Option<&Extra>, rows: &TorqueRows) -> Score {
-        let model = super::trial::with_events_of(&fit.model, rows);
-        let extra = extra.zip(fit.extra.map(|(size, _)| size));
-        Score::of(&regression::predicted(&model, extra, rows), rows)
+    pub(in crate::diagnosis) fn fitted(&self, fit: &BalanceFit, evidence: &Evidence) -> Fitted {
+        let speeds = &evidence.training.speed_rad_s;
+        let first = speeds.iter().copied().find(|speed| speed.is_finite());
+        Fitted {
+            model: fit.model.clone(),
+            parameters: fit.parameters.clone(),
+            nrms: fit.rms() / self.scale.unit_n_m,
+            noise: NoiseFloor {
+                source: self.scale.source,
+                ..evidence.noise
+            },
+            interval_factor: 1.0,
+            start: State::at(0.0, first.unwrap_or(0.0)),
+        }
     }
 }
 
 /// In what the errors are counted.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Scale {
+pub(in crate::diagnosis) struct Scale {
     /// N.m that count as one.
-    pub(super) unit_n_m: f64,
-    pub(super) source: FloorSource,
+    pub(in crate::diagnosis) unit_n_m: f64,
+    pub(in crate::diagnosis) source: FloorSource,
 }
 
 impl Scale {
@@ -116,22 +145,6 @@ impl Scale {
                 source: FloorSource::Standstill,
             },
         )
-    }
-
-    /// The floor in units of the scale: nothing is known to be below it where it is not known.
-    pub(super) fn floor(&self) -> f64 {
-        if self.source == FloorSource::None {
-            0.0
-        } else {
-            1.0
-        }
-    }
-
-    pub(super) fn of_noise(&self, noise: &NoiseFloor) -> NoiseFloor {
-        NoiseFloor {
-            source: self.source,
-            ..*noise
-        }
     }
 }
 

@@ -1,31 +1,10 @@
-//! What an effect, or any other term, contributes to the torque balance at each sample.
+//! What an effect contributes to the torque balance at each sample.
 
 use crate::identification::torque_rows::TorqueRows;
-use crate::plant::{Effect, Enters, Input, Instant, ParameterRole};
-
-/// Share of a period that the angle must cover before an effect of position is judged.
-const LEAST_TRAVEL: f64 = 0.5;
+use crate::plant::{Effect, Instant, ParameterRole};
 
 /// Samples at which the direction of a term's power is looked at.
 const LOOKS: usize = 500;
-
-/// Values of a term at each sample.
-pub(super) type Column = dyn Fn(&[Instant]) -> Vec<f64> + Send + Sync;
-
-/// A term that is not in the catalogue: a placebo, a dose, an idea. Judged like an effect with one coefficient.
-pub struct Extra {
-    pub id: &'static str,
-    /// Torque against positive motion per unit of its coefficient at each sample, N.m.
-    pub values: Box<Column>,
-}
-
-impl std::fmt::Debug for Extra {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Extra")
-            .field("id", &self.id)
-            .finish_non_exhaustive()
-    }
-}
 
 /// Torque of the effect with these parameter values at every sample, N.m.
 pub(super) fn torque(effect: &dyn Effect, values: &[f64], at: &[Instant]) -> Vec<f64> {
@@ -71,50 +50,6 @@ pub(super) fn alone(
             (false, _) => *value,
         };
     values.iter().enumerate().map(of).collect()
-}
-
-/// Why the torque balance of a run cannot judge an effect at all; `None` where it can.
-pub(super) fn why_not_judged(effect: &dyn Effect, input: Input) -> Option<String> {
-    let card = effect.card();
-    match card.enters {
-        Enters::Voltage => {
-            return Some("the run has no voltage, and it acts in the voltage balance".to_owned());
-        }
-        Enters::Path => {
-            return Some(
-                "it lies between motor and measurement, which a run without a voltage does not tell apart".to_owned(),
-            );
-        }
-        Enters::Both if input == Input::Torque => {
-            return Some("it acts through the current, which the run does not have".to_owned());
-        }
-        Enters::Both | Enters::Torque => {}
-    }
-    let guess: Vec<f64> = effect
-        .parameters()
-        .iter()
-        .map(crate::plant::ParameterSpec::guess)
-        .collect();
-    let terms = effect.terms(&guess);
-    if terms.coupling().is_some() || terms.states() > 0 {
-        return Some(
-            "a second inertia is no term of the torque balance: record the voltage too".to_owned(),
-        );
-    }
-    (effect.parameters().is_empty()).then(|| "it has no parameter of its own".to_owned())
-}
-
-/// Whether the angle moved far enough to tell an effect of position with this many periods per turn.
-pub(super) fn travels(rows: &TorqueRows, periods_per_turn: f64) -> bool {
-    let (least, most) = rows
-        .at
-        .iter()
-        .map(|at| at.angle_rad)
-        .filter(|angle| angle.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), angle| {
-            (a.min(angle), b.max(angle))
-        });
-    (most - least) * periods_per_turn >= LEAST_TRAVEL * std::f64::consts::TAU
 }
 
 /// Whether a term that takes power wherever the shaft moves: physics allows it no negative coefficient.

@@ -18,9 +18,6 @@ use crate::numerics::filter::Butterworth;
 use crate::plant::{Input, Instant, Model, Scenario};
 use crate::sample::{Channel, Origin, Run};
 
-/// Relative difference up to which a speed is the one that this program derives from the angle.
-const SAME: f64 = 1e-9;
-
 /// One part of the run without gaps.
 struct Stretch {
     /// The one of the decimation.
@@ -60,13 +57,12 @@ fn nearest_after(angles: &[(f64, f64)], time_s: f64) -> f64 {
         .map_or(f64::NAN, |point| point.1)
 }
 
-/// The torque balance of the scored part of `scenario`; every row, none left out by decimation. `stretch` divides the
-/// cut-off. `None` where nothing can be processed.
-pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<TorqueRows> {
+/// The torque balance of the scored part of `scenario`; every row, none left out by decimation. `None`
+/// where nothing can be processed.
+pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let run = as_run(scenario)?;
     let gridded = grid::gridded(&run, scenario)?;
-    let mut processing = Processing::choose(&gridded);
-    processing.cut_off_hz /= stretch;
+    let processing = Processing::choose(&gridded);
     let scored_from_s = *scenario.sample_time_s.get(scenario.scored.start)?;
     let scored_to_s = *scenario
         .sample_time_s
@@ -204,13 +200,12 @@ fn as_run(scenario: &Scenario) -> Option<Run> {
         run.set_column(Channel::Angle, angle, Origin::Measured)
             .ok()?;
     }
-    let is_derived = !scenario.angle.is_empty() && is_derived(&run, &speed);
     let drives = if scenario.input == Input::Torque {
         Channel::Torque
     } else {
         Channel::Current
     };
-    let origin = if is_derived {
+    let origin = if speed_from_angle::span(scenario).is_some() {
         Origin::Derived
     } else {
         Origin::Measured
@@ -220,26 +215,4 @@ fn as_run(scenario: &Scenario) -> Option<Run> {
     run.set_column(Channel::Speed, spread(&speed), origin)
         .ok()?;
     Some(run)
-}
-
-/// Whether the speed is the one that this program derives from the angle.
-fn is_derived(angle_alone: &Run, speed: &[(f64, f64)]) -> bool {
-    let Ok(completed) = speed_from_angle::complete(angle_alone) else {
-        return false;
-    };
-    let derived: Vec<(f64, f64)> = completed.points(Channel::Speed).collect();
-    let fastest = speed
-        .iter()
-        .fold(0.0, |most, point| f64::max(most, point.1.abs()));
-    let mut compared = 0_usize;
-    let mut same = true;
-    for point in speed {
-        let at = derived.partition_point(|other| other.0 < point.0);
-        #[expect(clippy::float_cmp, reason = "a stamp of the same row")]
-        if let Some(other) = derived.get(at).filter(|other| other.0 == point.0) {
-            compared += 1;
-            same &= (other.1 - point.1).abs() <= SAME * fastest;
-        }
-    }
-    same && compared > 0
 }

@@ -20,9 +20,9 @@ const REVERSAL: f64 = 0.015;
 /// Multiple of its nominal length beyond which a window spans a hole in the data.
 const LONGEST_WINDOW: f64 = 2.0;
 
-/// The torque balance of the scored part of `scenario`, in windows of the usual length times `stretch`. `None` where no
+/// The torque balance of the scored part of `scenario`. `None` where no
 /// window is left: the run has no torque (or no torque constant turns its current into one), or the shaft hardly moves.
-pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<TorqueRows> {
+pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let noise = Noise::of(scenario);
     let (at, left) = samples(model, scenario);
     let times: Vec<f64> = at.iter().map(|at| at.time_s + scenario.begin_s()).collect();
@@ -30,7 +30,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario, stretch: f64) -> Option<T
         return None;
     }
     let period_s = median_gap_s(times.iter().copied());
-    let half = whole((stretch * TORQUE_HALF_S / period_s).round()).max(FEWEST_HALF);
+    let half = whole((TORQUE_HALF_S / period_s).round()).max(FEWEST_HALF);
     let nominal_s = 2.0 * half as f64 * period_s;
     let scored_from_s = scenario.sample_time_s.get(scenario.scored.start)?;
     let scored_to_s = scenario

@@ -50,7 +50,8 @@ fn start(inertia: f64, load: f64, effects: &[&str]) -> Model {
 #[test]
 fn the_axis_misses_direction_dependent_viscous_friction() {
     let Some((data, model)) = emps() else { return };
-    let diagnosis = diagnose(&model, &data, false).unwrap();
+    let diagnosis = diagnose(&model, &data).unwrap();
+    tell(&diagnosis);
     assert_eq!(
         diagnosis.effect,
         Some("asymmetric_viscous"),
@@ -88,12 +89,29 @@ fn the_axis_misses_direction_dependent_viscous_friction() {
     assert!(!stribeck.accepted, "{}", stribeck.reason);
 }
 
+fn tell(diagnosis: &Diagnosis) {
+    eprintln!("{}; unknown {:?}", diagnosis.sentence, diagnosis.unknown);
+    let asked = diagnosis.candidates.iter();
+    for one in asked.filter(|one| one.status != Status::NotExcited) {
+        let sizes: Vec<_> = one
+            .parameters
+            .iter()
+            .map(|p| (&p.key, p.value, p.std))
+            .collect();
+        eprintln!(
+            "  {} {:?} {:.3} {sizes:?}",
+            one.evidence, one.status, one.probability
+        );
+    }
+}
+
 #[test]
 fn the_propeller_is_a_quadratic_load() {
     let Some((data, model)) = propeller() else {
         return;
     };
-    let diagnosis = diagnose(&model, &data, false).unwrap();
+    let diagnosis = diagnose(&model, &data).unwrap();
+    tell(&diagnosis);
     assert_eq!(
         diagnosis.effect,
         Some("quadratic_load"),
@@ -127,14 +145,10 @@ fn real_records_pass_the_tests_that_a_simulation_cannot_cheat() {
             ..data.clone()
         };
         assert_eq!(
-            diagnose(&model, &swapped, false).unwrap().effect,
+            diagnose(&model, &swapped).unwrap().effect,
             Some(name),
             "{name}: halves"
         );
-        for settings in turned() {
-            let named = diagnose_with(&model, &data, false, settings).unwrap();
-            assert_eq!(named.effect, Some(name), "{settings:?}: {}", named.sentence);
-        }
         let explained = add(effect::find(name).unwrap(), &model, &data)
             .unwrap()
             .fit
@@ -145,17 +159,6 @@ fn real_records_pass_the_tests_that_a_simulation_cannot_cheat() {
         for (id, unit, base) in [(name, unit, &model), (other, other_unit, base)] {
             doses(&data, base, id, unit);
         }
-        let (mut judged, mut passed) = (0, 0);
-        for model in [&model, &explained] {
-            for seed in 0..2 {
-                let found =
-                    judge_extras(model, &data, &placebos(100, seed), Settings::default()).unwrap();
-                judged += found.len();
-                passed += supported(&found);
-            }
-        }
-        eprintln!("{name}: placebos supported: {passed} of {judged}");
-        assert!(passed * 100 < judged, "{passed} of {judged}");
     }
 }
 

@@ -9,7 +9,7 @@ use rand_distr::StandardNormal;
 const PERIOD_S: f64 = 0.002;
 const DURATION_S: f64 = 12.0;
 
-fn axis() -> Model {
+pub(super) fn axis() -> Model {
     let motor = Motor::new("axis")
         .with(MotorKey::Inertia, 0.0045)
         .with(MotorKey::LoadTorque, 0.35);
@@ -19,13 +19,13 @@ fn axis() -> Model {
 }
 
 /// What a user starts from.
-fn nameplate() -> Model {
+pub(super) fn nameplate() -> Model {
     let mut model = axis();
     model.effects[0].values = vec![None];
     model
 }
 
-fn truth(id: &str, values: &[f64]) -> Model {
+pub(super) fn truth(id: &str, values: &[f64]) -> Model {
     let mut model = with_effects(axis(), &[id]);
     let last = model.effects.len() - 1;
     model.effects[last].values = values.iter().copied().map(Some).collect();
@@ -65,7 +65,7 @@ fn record(truth: &Model, seed: u64, mess: f64) -> Scenario {
     };
     let mut real = with_effects(truth.clone(), &["cogging"]);
     let last = real.effects.len() - 1;
-    real.effects[last].values = vec![Some(7.0), Some(0.01 * mess), Some(0.0)];
+    real.effects[last].values = vec![Some(0.01 * mess), Some(0.0), Some(7.0)];
     let out = Plant::new(&real, Input::Torque)
         .unwrap()
         .simulate(&scenario, State::default());
@@ -78,7 +78,7 @@ fn record(truth: &Model, seed: u64, mess: f64) -> Scenario {
     scenario
 }
 
-fn evidence(truth: &Model, seed: u64) -> Evidence {
+pub(super) fn evidence(truth: &Model, seed: u64) -> Evidence {
     Evidence::new(
         record(truth, 10 * seed, 1.0),
         Some(record(truth, 10 * seed + 1, 1.0)),
@@ -88,7 +88,7 @@ fn evidence(truth: &Model, seed: u64) -> Evidence {
 
 /// Sizes that this background leaves visible. Stribeck friction of 12 rad/s only just: the z of the paired test hardly
 /// depends on the size, it counts the blocks in which an effect shows, and these records pass zero fast and seldom.
-const KNOWN: [(&str, &[f64]); 5] = [
+pub(super) const KNOWN: [(&str, &[f64]); 5] = [
     ("quadratic_load", &[4e-5]),
     ("asymmetric_viscous", &[1.5e-3]),
     ("constant_load", &[0.08]),
@@ -99,7 +99,7 @@ const KNOWN: [(&str, &[f64]); 5] = [
 #[test]
 fn a_single_effect_is_named_in_a_messy_record_and_nothing_where_nothing_is_missing() {
     for (id, values) in KNOWN {
-        let diagnosis = diagnose(&nameplate(), &evidence(&truth(id, values), 1), false).unwrap();
+        let diagnosis = diagnose(&nameplate(), &evidence(&truth(id, values), 1)).unwrap();
         assert_eq!(diagnosis.effect, Some(id), "{}", diagnosis.sentence);
         assert_eq!(
             diagnosis.verdict,
@@ -117,7 +117,7 @@ fn a_single_effect_is_named_in_a_messy_record_and_nothing_where_nothing_is_missi
             Some(record(&axis(), 200 + seed, 0.0)),
             None,
         );
-        let diagnosis = diagnose(&nameplate(), &plain, true).unwrap();
+        let diagnosis = diagnose(&nameplate(), &plain).unwrap();
         assert_eq!(diagnosis.effect, None, "{}", diagnosis.sentence);
     }
 }
@@ -148,7 +148,7 @@ fn doses_are_found_within_their_interval_and_in_their_order() {
             );
             before = found;
             if dose >= 1.0 {
-                let named = diagnose(&nameplate(), &dosed_runs, false).unwrap();
+                let named = diagnose(&nameplate(), &dosed_runs).unwrap();
                 assert_eq!(named.effect, Some(id), "x {dose}: {}", named.sentence);
             }
         }
@@ -156,97 +156,7 @@ fn doses_are_found_within_their_interval_and_in_their_order() {
 }
 
 #[test]
-fn placebos_are_not_supported() {
-    let (mut judged, mut passed) = (0, 0);
-    for seed in 0..6 {
-        let hidden = truth(KNOWN[seed % KNOWN.len()].0, KNOWN[seed % KNOWN.len()].1);
-        // Half of the records miss an effect: a model that is wrong must not make placebos right.
-        let truth = if seed < 3 { hidden } else { axis() };
-        let data = evidence(&truth, 20 + seed as u64);
-        let candidates = judge_extras(
-            &nameplate(),
-            &data,
-            &placebos(50, seed as u64),
-            Settings::default(),
-        )
-        .unwrap();
-        judged += candidates.len();
-        passed += supported(&candidates);
-    }
-    // 0 of 300 still allows 1.0 % (95 %): fewer than one in a hundred must be seen.
-    eprintln!("placebos supported: {passed} of {judged}");
-    assert!(judged == 300 && passed < 3, "{passed} of {judged}");
-}
-
-/// A shifted `|w|` with its mean is no placebo where a constant load is missing: it is `mean + rest`, and the mean is that
-/// load. By construction it explains the share of its square that the mean has, beside the model's own terms. Nothing of
-/// it is left where the model has the constant already.
-#[test]
-fn a_placebo_with_a_mean_passes_by_its_mean_and_by_nothing_else() {
-    let raw = |seed: u64| -> Vec<Extra> {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let one = |shift: f64| Extra {
-            id: "shifted |w|",
-            values: Box::new(move |at: &[Instant]| {
-                let by = crate::numerics::count::whole(shift * at.len() as f64);
-                (0..at.len())
-                    .map(|k| at[(k + by) % at.len()].speed_rad_s.abs())
-                    .collect()
-            }),
-        };
-        (0..25).map(|_| one(rng.random_range(0.1..0.9))).collect()
-    };
-    let share =
-        |one: &Candidate| 1.0 - (one.holdout_after.expect("refitted") / one.holdout_before).powi(2);
-    let passed = |found: &[Candidate]| {
-        let is_supported = |one: &&Candidate| one.status == Status::Supported;
-        found.iter().filter(is_supported).count()
-    };
-    let judge = |model: &Model, data: &Evidence, seed| {
-        judge_extras(model, data, &raw(seed), Settings::default()).unwrap()
-    };
-    let with_constant = with_effects(nameplate(), &["constant_load"]);
-    let (mut elsewhere, mut judged) = (0, 0);
-    for (seed, (id, values)) in (30..).zip(KNOWN) {
-        let data = evidence(&truth(id, values), seed);
-        let beside = judge(&with_constant, &data, seed);
-        elsewhere += passed(&beside);
-        judged += beside.len();
-        let found = judge(&nameplate(), &data, seed);
-        if id != "constant_load" {
-            elsewhere += passed(&found);
-            judged += found.len();
-            continue;
-        }
-        let load = diagnose(&nameplate(), &data, false).unwrap();
-        let mut all = load.candidates.iter();
-        let load = all.find(|one| one.effect == id).unwrap();
-        let sizes: Vec<f64> = data.training.speed_rad_s.iter().map(|w| w.abs()).collect();
-        let mean = crate::numerics::statistics::mean(&sizes);
-        let squares: Vec<f64> = sizes.iter().map(|w| w * w).collect();
-        let mean_share = mean * mean / crate::numerics::statistics::mean(&squares);
-        assert_eq!(passed(&found), found.len(), "every one has a mean");
-        for one in &found {
-            let expected = mean_share * share(load);
-            assert!(
-                (share(one) - expected).abs() < 0.15,
-                "explains {:.2}, by its mean {expected:.2}",
-                share(one)
-            );
-        }
-    }
-    eprintln!("shifted |w| where no constant load is missing: {elsewhere} of {judged}");
-    assert!(elsewhere * 100 < judged, "{elsewhere} of {judged}");
-}
-
-/// z of an effect that no setting turned by a fifth may hide: a threshold a fifth higher, and a z that a longer filter or
-/// other blocks bring down by a fifth. Between the threshold and this an effect stands on the edge: a setting may make
-/// the answer `unexplained`, but never another name.
-const CLEAR: f64 = 1.2 * 3.0 / 0.8;
-
-#[test]
-fn halves_and_settings_do_not_change_the_name() {
-    let mut clear = 0;
+fn halves_do_not_change_the_name() {
     for (id, values) in KNOWN {
         let data = evidence(&truth(id, values), 5);
         let swapped = Evidence {
@@ -254,28 +164,9 @@ fn halves_and_settings_do_not_change_the_name() {
             holdout: data.training.clone(),
             ..data.clone()
         };
-        // Where two laws of the speed are left open, the true one is among them.
-        let is_named = |named: &Diagnosis| {
-            let mut open = named.confusable.iter().flatten();
-            named.effect == Some(id) || open.any(|rival| *rival == id)
-        };
-        let strict = Settings {
-            significant: CLEAR,
-            ..Settings::default()
-        };
-        let is_clear = is_named(&diagnose_with(&nameplate(), &data, false, strict).unwrap());
-        clear += usize::from(is_clear);
-        let halves = diagnose(&nameplate(), &swapped, false).unwrap();
-        assert!(is_named(&halves), "{id}, halves: {}", halves.sentence);
-        for settings in turned() {
-            let named = diagnose_with(&nameplate(), &data, false, settings).unwrap();
-            let is_on_the_edge = !is_clear && named.effect.is_none();
-            assert!(
-                is_named(&named) || is_on_the_edge,
-                "{id} {values:?}, {settings:?}: {}; {}",
-                named.sentence,
-                named.candidates[0].evidence
-            );
+        for data in [&data, &swapped] {
+            let named = diagnose(&nameplate(), data).unwrap();
+            assert_eq!(named.effect, Some(id), "{id}: {}", named.sentence);
         }
         let (one, one_std) = size(&nameplate(), &data, effect::find(id).unwrap());
         let (two, two_std) = size(&nameplate(), &swapped, effect::find(id).unwrap());
@@ -284,11 +175,6 @@ fn halves_and_settings_do_not_change_the_name() {
             "{id}: {one:.3e} +- {one_std:.1e} and {two:.3e} +- {two_std:.1e}"
         );
     }
-    assert_eq!(
-        clear,
-        KNOWN.len() - 1,
-        "all but the narrow Stribeck friction"
-    );
 }
 
 #[test]
@@ -298,7 +184,7 @@ fn sizes_of_two_effects_are_those_of_the_fit_with_both() {
     let last = truth.effects.len() - 1;
     truth.effects[last].values = vec![Some(0.12)];
     let data = Evidence::new(record(&truth, 80, 0.0), Some(record(&truth, 81, 0.0)), None);
-    let diagnosis = diagnose(&nameplate(), &data, true).unwrap();
+    let diagnosis = diagnose(&nameplate(), &data).unwrap();
     let mut named = diagnosis.effects.clone();
     named.sort_unstable();
     assert_eq!(
@@ -328,7 +214,7 @@ fn the_confirming_run_has_the_last_word() {
     let mut data = evidence(&truth, 1);
     for (third, holds) in [(&truth, true), (&axis(), false)] {
         data.confirm = Some(record(third, 12, 1.0));
-        let diagnosis = diagnose(&nameplate(), &data, false).unwrap();
+        let diagnosis = diagnose(&nameplate(), &data).unwrap();
         assert_eq!(diagnosis.effect, Some(id), "{}", diagnosis.sentence);
         let confirm = diagnosis.confirm.unwrap();
         assert_eq!(confirm.confirmed, Some(holds), "{}", confirm.sentence);
@@ -392,7 +278,7 @@ fn a_run_in_one_direction_does_not_name_what_only_two_would_show() {
             }
         }
     }
-    let diagnosis = diagnose(&nameplate(), &data, false).unwrap();
+    let diagnosis = diagnose(&nameplate(), &data).unwrap();
     for id in ["constant_load", "asymmetric_viscous"] {
         assert_eq!(
             status(&diagnosis, id),
@@ -407,13 +293,13 @@ fn a_run_in_one_direction_does_not_name_what_only_two_would_show() {
 fn a_run_without_motion_or_torque_constant_is_refused_with_the_reason() {
     let mut still = evidence(&axis(), 1);
     still.training.speed_rad_s.fill(0.0);
-    let error = diagnose(&nameplate(), &still, false).unwrap_err();
+    let error = diagnose(&nameplate(), &still).unwrap_err();
     assert!(
         error.to_string().contains("0 rows of the torque balance"),
         "{error}"
     );
     let mut by_current = evidence(&axis(), 1);
     by_current.training.input = Input::Current;
-    let error = diagnose(&nameplate(), &by_current, false).unwrap_err();
+    let error = diagnose(&nameplate(), &by_current).unwrap_err();
     assert!(error.to_string().contains("torque_n_m_per_a"), "{error}");
 }

@@ -34,6 +34,8 @@ pub(super) fn fitted(effects: &[&str]) -> Fitted {
             source: FloorSource::Standstill,
             samples: 300,
         },
+        interval_factor: 1.0,
+        start: crate::plant::State::default(),
     }
 }
 

@@ -1,0 +1,134 @@
+//! Which effects a run can be asked about at all, and what of it is fit to be asked.
+
+use std::f64::consts::TAU;
+
+use crate::identification::speed_from_angle;
+use crate::plant::{Effect, Enters, Input, ParameterSpec, Scenario};
+
+/// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
+/// what the frame and the drive's own loops do would decide.
+const APART_S: f64 = 0.03;
+/// Periods that the angle must cover before a wave over it is asked for: less is a slope.
+const LEAST_TRAVEL: f64 = 2.0;
+/// Longest part of a period between two samples, and the share of the samples that must lie so close.
+const RESOLVED: f64 = 0.25;
+const LEAST_RESOLVED: f64 = 0.1;
+/// Share of the longest step below which the shaft counts as resting.
+const MOVES: f64 = 0.02;
+
+/// Why a run that is driven by a torque or a current cannot judge an effect at all; `None` where it can. A voltage drives
+/// through every equation.
+pub(in crate::diagnosis) fn why_not(
+    effect: &dyn Effect,
+    scenario: &Scenario,
+) -> Option<&'static str> {
+    if scenario.input == Input::Voltage {
+        return None;
+    }
+    match effect.card().enters {
+        Enters::Voltage => {
+            return Some("the run has no voltage, and it acts in the voltage balance");
+        }
+        Enters::Path => {
+            return Some(
+                "it lies between motor and measurement, which a run without a voltage does not tell apart",
+            );
+        }
+        Enters::Both if scenario.input == Input::Torque => {
+            return Some("it acts through the current, which the run does not have");
+        }
+        Enters::Both | Enters::Torque => {}
+    }
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(ParameterSpec::guess)
+        .collect();
+    let terms = effect.terms(&guess);
+    if terms.coupling().is_some() || terms.states() > 0 {
+        return Some("a second inertia is no term of the torque balance: record the voltage too");
+    }
+    if effect.parameters().is_empty() {
+        return Some("it has no parameter of its own");
+    }
+    if !effect.card().needs_angle {
+        return None;
+    }
+    let orders = effect.parameters().iter().find(|spec| spec.key == "order");
+    let orders = orders.map_or(&[1.0][..], |spec| spec.shapes);
+    if !orders.iter().any(|order| travels(scenario, *order)) {
+        return Some("the shaft moves through less than two periods of it");
+    }
+    let is_shown = orders.iter().any(|order| shows_wave(scenario, *order));
+    (!is_shown).then_some("the shaft turns through it from one sample to the next")
+}
+
+/// Whether a run tells of a wave of so many periods per turn: all that a voltage drives is asked.
+pub(super) fn shows_wave(scenario: &Scenario, periods_per_turn: f64) -> bool {
+    scenario.input == Input::Voltage
+        || (travels(scenario, periods_per_turn) && resolves(scenario, periods_per_turn))
+}
+
+/// Whether the angle moved far enough to tell a wave from a slope.
+fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
+    let angles = scenario.shaft_angle();
+    let (least, most) = angles.iter().map(|point| point.1).fold(
+        (f64::INFINITY, f64::NEG_INFINITY),
+        |(least, most), angle| (least.min(angle), most.max(angle)),
+    );
+    (most - least) * periods_per_turn >= LEAST_TRAVEL * TAU
+}
+
+/// Whether samples lie close enough to see the wave pass.
+fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
+    let angles = scenario.shaft_angle();
+    let steps: Vec<f64> = angles
+        .windows(2)
+        .map(|pair| (pair[1].1 - pair[0].1).abs())
+        .collect();
+    // What the noise of a resting shaft adds up to is no motion.
+    let moves = MOVES * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
+    let moving = steps.iter().filter(|step| **step > moves).count();
+    let close = steps
+        .iter()
+        .filter(|step| **step > moves && **step * periods_per_turn < RESOLVED * TAU);
+    close.count() as f64 >= LEAST_RESOLVED * moving as f64
+}
+
+/// The run as it is asked. A measured current stands for what flowed until halfway to its neighbours, not from its
+/// instant on. Of a speed that was derived from the angle only values that share no sample of it are kept: what they
+/// have in common would pass for the motion of the shaft. The torque keeps every value: from one speed to the next its
+/// whole impulse counts.
+pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
+    let mut prepared = scenario.clone();
+    if scenario.input == Input::Voltage {
+        return prepared;
+    }
+    if scenario.input == Input::Current {
+        let events = &scenario.events;
+        for (event, pair) in prepared.events[1..].iter_mut().zip(events.windows(2)) {
+            event.0 = 0.5 * (pair[0].0 + pair[1].0);
+        }
+    }
+    let span = speed_from_angle::span(scenario);
+    let apart_s = if noise_is_known && span.is_none() {
+        0.0
+    } else {
+        APART_S
+    };
+    let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
+    for (time_s, speed) in scenario.sample_time_s.iter().zip(&mut prepared.speed_rad_s) {
+        if !speed.is_finite() {
+            continue;
+        }
+        if *time_s < next_s || skip > 0 {
+            *speed = f64::NAN;
+            skip -= usize::from(skip > 0);
+        } else {
+            // A hair of slack for stamps that are rounded.
+            next_s = time_s + (1.0 - 1e-6) * apart_s;
+            skip = span.map_or(0, |span| span - 1);
+        }
+    }
+    prepared
+}
