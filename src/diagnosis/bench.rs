@@ -1,12 +1,23 @@
 //! The two ways in which a run observes a model: the free run of what a voltage drives, and the balance of torques of what
 //! a torque or a current drives. Whoever fits and judges models asks here, and does not see which it is.
 
+use super::compare::{Comparison, compare};
 use super::evidence::Evidence;
 use super::fitted::Fitted;
-use super::mechanical::Balance;
+use super::joint::answer::{Inference, infer};
+use super::location::ErrorOf;
+use super::mechanical::{Balance, with_events_of};
+use super::progress::Progress;
 use super::score::Score;
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{Input, Model, Scenario};
+use crate::plant::{Effect, Input, Model, Scenario, State};
+
+/// A model on the confirming run, with its events and its start where they are in it.
+pub(super) struct Confirming {
+    pub(super) score: Score,
+    pub(super) model: Model,
+    pub(super) start: State,
+}
 
 /// The runs and how models are held against them.
 pub(super) struct Bench {
@@ -27,6 +38,20 @@ impl Bench {
         let fit = balance.fitted(&fit, &evidence);
         let balance = Some(balance);
         Ok((Self { evidence, balance }, fit))
+    }
+
+    /// What the runs say together of these effects beside the baseline.
+    pub(super) fn ask(
+        &self,
+        baseline: &Fitted,
+        asked: &[&'static dyn Effect],
+        progress: Progress<'_>,
+    ) -> Result<Inference, FitError> {
+        let mut inference = infer(baseline, asked, &self.evidence, progress)?;
+        if self.fits_at_once() {
+            agree(self, baseline, &mut inference)?;
+        }
+        Ok(inference)
     }
 
     /// Fits what is free in `start` to the training run alone.
@@ -58,21 +83,43 @@ impl Bench {
         let Evidence { holdout, noise, .. } = &self.evidence;
         match &self.balance {
             None => Score::of(model, holdout, noise),
-            Some(balance) => Ok(balance.score(model, &balance.sides.holdout, noise)),
+            Some(balance) => Ok(balance.score(model, &balance.sides.holdout)),
         }
     }
 
     /// A complete model on the confirming run.
-    pub(super) fn confirming(&self, model: &Model, run: &Scenario) -> Result<Score, FitError> {
+    pub(super) fn confirming(&self, model: &Model, run: &Scenario) -> Result<Confirming, FitError> {
         let noise = &self.evidence.noise;
+        let cannot = || FitError::CannotSimulate {
+            run: run.name.clone(),
+        };
         match &self.balance {
-            None => Score::of(model, run, noise),
-            Some(balance) => match &balance.sides.confirm {
-                Some(rows) => Ok(balance.score(model, rows, noise)),
-                None => Err(FitError::CannotSimulate {
-                    run: run.name.clone(),
-                }),
-            },
+            None => {
+                let predicted = output_error::predict(model, run, noise)?;
+                Ok(Confirming {
+                    score: Score::of(&predicted.model, run, noise)?,
+                    start: predicted.start,
+                    model: predicted.model,
+                })
+            }
+            Some(balance) => {
+                let rows = balance.sides.confirm.as_ref().ok_or_else(cannot)?;
+                let model = with_events_of(model, rows);
+                let mut speeds = run.speed_rad_s.iter().filter(|speed| speed.is_finite());
+                Ok(Confirming {
+                    score: balance.score(&model, rows),
+                    start: State::at(0.0, speeds.next().copied().unwrap_or(0.0)),
+                    model,
+                })
+            }
+        }
+    }
+
+    /// A fitted model beside the runs.
+    pub(super) fn compared(&self, fit: &Fitted) -> Result<Comparison, FitError> {
+        match &self.balance {
+            None => compare(&fit.model, &self.evidence, ErrorOf::Structure),
+            Some(balance) => Ok(balance.compare(&fit.model, &self.evidence)),
         }
     }
 
@@ -87,4 +134,79 @@ impl Bench {
         }));
         limits
     }
+}
+
+/// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
+pub(super) fn beside(
+    baseline: &Model,
+    inference: &Inference,
+    kept: &[&'static str],
+) -> Result<Model, FitError> {
+    let is_asked = |id: &&'static str| {
+        inference
+            .of(id)
+            .is_some_and(|found| found.why_not.is_none())
+    };
+    let given = baseline.effect_ids().into_iter().filter(is_asked);
+    let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
+    let mut start = inference
+        .with_effects(&ids)
+        .ok_or_else(|| FitError::CannotSimulate {
+            run: "the fit run".to_owned(),
+        })?;
+    let unasked = baseline
+        .effects
+        .iter()
+        .filter(|active| !start.has(active.id()));
+    let unasked: Vec<_> = unasked.cloned().collect();
+    start.effects.extend(unasked);
+    Ok(start)
+}
+
+/// Standard deviations below which a size may as well be zero, and the most that is believed of an effect with such a one.
+const TOLD_FROM_ZERO: f64 = 2.0;
+const AT_MOST: f64 = 0.5;
+
+/// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes first,
+/// and what the fit with all of it does not tell from zero is not named.
+fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
+    let mut left = inference.named.clone();
+    let mut order: Vec<&'static str> = Vec::new();
+    while !left.is_empty() {
+        let mut best = (0, f64::INFINITY);
+        for (place, id) in left.iter().enumerate() {
+            let kept: Vec<&'static str> = order.iter().copied().chain([*id]).collect();
+            let fit = bench.fit(&beside(&baseline.model, inference, &kept)?)?;
+            if fit.nrms < best.1 {
+                best = (place, fit.nrms);
+            }
+        }
+        order.push(left.remove(best.0));
+    }
+    while !order.is_empty() {
+        let fit = bench.fit(&beside(&baseline.model, inference, &order)?)?;
+        let is_zero = |id: &&str| !told_from_zero(&fit, id);
+        let Some(place) = order.iter().rposition(|id| is_zero(&*id)) else {
+            break;
+        };
+        let id = order.remove(place);
+        for effect in &mut inference.effects {
+            if effect.effect.card().id == id {
+                effect.probability = effect.probability.min(AT_MOST);
+            }
+        }
+    }
+    inference.confusable.retain(|pair| order.contains(&pair[0]));
+    inference.named = order;
+    Ok(())
+}
+
+fn told_from_zero(fit: &Fitted, id: &str) -> bool {
+    let prefix = format!("{id}.");
+    let own = fit
+        .parameters
+        .iter()
+        .filter(|own| own.key.starts_with(&prefix));
+    let mut sizes = own.filter_map(|own| Some((own.value?, own.std?)));
+    sizes.any(|(value, std)| std > 0.0 && value.abs() >= TOLD_FROM_ZERO * std)
 }

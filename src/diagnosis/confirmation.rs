@@ -3,8 +3,10 @@
 use serde::Serialize;
 
 use super::bench::Bench;
-use super::decide::{self, SIGNIFICANT, Settings, explained, pays, z};
 use super::diagnose::DiagnosisVerdict;
+use super::explained::{self, explained};
+use super::joint::Noise;
+use super::joint::likelihood_ratio::likelier;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
 use crate::plant::Model;
@@ -12,14 +14,14 @@ use crate::plant::Model;
 /// What the confirming run says of the answer.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Confirmation {
-    /// Whether the answer holds there: a named effect pays by the rules of the hold-out; where nothing is missing the error
+    /// Whether the answer holds there: the named effects make the run likelier and explain a good part of its error; where nothing is missing the error
     /// is at the floor; where something unexplained is missing it is above. Null where the answer claims nothing, or the run
     /// cannot be judged.
     pub confirmed: Option<bool>,
     /// Error without and with the named effects, in units of the noise.
     pub error_before: Option<f64>,
     pub error_after: Option<f64>,
-    /// Of the paired block test of the two; null where no effect is named.
+    /// By how many standard deviations the named effects make the run likelier; null where none is named.
     pub z: Option<f64>,
     pub explained_percent: Option<f64>,
     pub sentence: String,
@@ -32,19 +34,22 @@ struct Repeated {
     z: f64,
     /// Share of the explainable error that the named effects explain.
     share: f64,
-    /// Whether they pay and explain enough to be named.
+    /// Whether they make the run likelier and explain a good part of its error.
     holds: bool,
     /// Whether the error without them is at the floor.
     at_the_floor: bool,
 }
 
-/// Of two models; none without a confirming run.
+/// Standard deviations by which the named effects must make the run likelier.
+const SIGNIFICANT: f64 = 3.0;
+
+/// Of two models whose `noise` is what is random beside them; none without a confirming run.
 pub(super) fn of_models(
     bench: &Bench,
     [baseline, best]: [&Model; 2],
+    noise: Noise,
     verdict: DiagnosisVerdict,
     names: &[&str],
-    settings: Settings,
 ) -> Option<Confirmation> {
     let evidence = &bench.evidence;
     let run = evidence.confirm.as_ref()?;
@@ -52,14 +57,24 @@ pub(super) fn of_models(
     let repeated = || -> Result<Repeated, FitError> {
         let before = bench.confirming(baseline, run)?;
         let after = bench.confirming(best, run)?;
+        let z = likelier(
+            [&before.model, &after.model],
+            [before.start, after.start],
+            run,
+            noise,
+            source != FloorSource::None,
+        );
+        let z = z.ok_or_else(|| FitError::CannotSimulate {
+            run: run.name.clone(),
+        })?;
+        let [before, after] = [before.score.nrms, after.score.nrms];
         Ok(Repeated {
-            before: before.nrms,
-            after: after.nrms,
-            z: z(&before, &after, settings),
-            share: explained(before.nrms, after.nrms, evidence.floor()),
-            holds: pays(&before, &after, settings)
-                && decide::explains(evidence, &before, &after, &after),
-            at_the_floor: decide::at_the_floor(evidence, before.nrms),
+            before,
+            after,
+            z,
+            share: explained(before, after, evidence.floor()),
+            holds: z >= SIGNIFICANT && explained::explains_something(evidence, before, after),
+            at_the_floor: explained::at_the_floor(evidence, before),
         })
     };
     Some(match repeated() {

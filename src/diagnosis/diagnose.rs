@@ -5,14 +5,14 @@ use std::fmt::Write as _;
 use serde::Serialize;
 
 use super::axis_map::{AxisMap, axis_map};
-use super::bench::Bench;
+use super::bench::{Bench, beside};
 use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
-use super::decide::{self, Settings, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom, not_repeated};
+use super::explained::{self, explained};
 use super::fitted::Fitted;
-use super::joint::answer::{Inference, Part, asked, infer, refined};
+use super::joint::answer::{Inference, Part, asked, refined};
 use super::ladder::Rung;
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
@@ -155,10 +155,7 @@ pub fn diagnose_with(
         of: CATALOGUE.len(),
     });
     let asked = asked(&baseline.model, None);
-    let mut inference = infer(&baseline, &asked, &bench.evidence, options.progress)?;
-    if bench.fits_at_once() {
-        agree(&bench, &baseline, &mut inference)?;
-    }
+    let inference = bench.ask(&baseline, &asked, options.progress)?;
     (options.progress)(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
@@ -222,7 +219,7 @@ fn climb(
     let mut rungs = vec![on_rung(0, baseline)?];
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
-        let start = with_named(&rungs[0].fit.model, inference, kept)?;
+        let start = beside(&rungs[0].fit.model, inference, kept)?;
         let fit = bench.fit(&start)?;
         let rung = on_rung(place + 1, fit)?;
         progress(Event::Refitted {
@@ -238,81 +235,6 @@ fn climb(
     Ok(rungs)
 }
 
-/// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
-fn with_named(
-    baseline: &Model,
-    inference: &Inference,
-    kept: &[&'static str],
-) -> Result<Model, FitError> {
-    let is_asked = |id: &&'static str| {
-        inference
-            .of(id)
-            .is_some_and(|found| found.why_not.is_none())
-    };
-    let given = baseline.effect_ids().into_iter().filter(is_asked);
-    let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
-    let mut start = inference
-        .with_effects(&ids)
-        .ok_or_else(|| FitError::CannotSimulate {
-            run: "the fit run".to_owned(),
-        })?;
-    let unasked = baseline
-        .effects
-        .iter()
-        .filter(|active| !start.has(active.id()));
-    let unasked: Vec<_> = unasked.cloned().collect();
-    start.effects.extend(unasked);
-    Ok(start)
-}
-
-/// Standard deviations below which a size may as well be zero, and the most that is believed of an effect with such a one.
-const TOLD_FROM_ZERO: f64 = 2.0;
-const AT_MOST: f64 = 0.5;
-
-/// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes first,
-/// and what the fit with all of it does not tell from zero is not named.
-fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
-    let mut left = inference.named.clone();
-    let mut order: Vec<&'static str> = Vec::new();
-    while !left.is_empty() {
-        let mut best = (0, f64::INFINITY);
-        for (place, id) in left.iter().enumerate() {
-            let kept: Vec<&'static str> = order.iter().copied().chain([*id]).collect();
-            let fit = bench.fit(&with_named(&baseline.model, inference, &kept)?)?;
-            if fit.nrms < best.1 {
-                best = (place, fit.nrms);
-            }
-        }
-        order.push(left.remove(best.0));
-    }
-    while !order.is_empty() {
-        let fit = bench.fit(&with_named(&baseline.model, inference, &order)?)?;
-        let is_zero = |id: &&str| !told_from_zero(&fit, id);
-        let Some(place) = order.iter().rposition(|id| is_zero(&*id)) else {
-            break;
-        };
-        let id = order.remove(place);
-        for effect in &mut inference.effects {
-            if effect.effect.card().id == id {
-                effect.probability = effect.probability.min(AT_MOST);
-            }
-        }
-    }
-    inference.confusable.retain(|pair| order.contains(&pair[0]));
-    inference.named = order;
-    Ok(())
-}
-
-fn told_from_zero(fit: &Fitted, id: &str) -> bool {
-    let prefix = format!("{id}.");
-    let own = fit
-        .parameters
-        .iter()
-        .filter(|own| own.key.starts_with(&prefix));
-    let mut sizes = own.filter_map(|own| Some((own.value?, own.std?)));
-    sizes.any(|(value, std)| std > 0.0 && value.abs() >= TOLD_FROM_ZERO * std)
-}
-
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let evidence = &bench.evidence;
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
@@ -326,7 +248,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         Vec::new()
     };
     let eta = explained(base.score.nrms, best.score.nrms, floor);
-    let settled = decide::at_the_floor(evidence, best.score.nrms);
+    let settled = explained::at_the_floor(evidence, best.score.nrms);
     let candidates = describe(evidence, inference, rungs);
     let excited = candidates
         .iter()
@@ -341,7 +263,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             // Without a floor, or in a run that would show nothing, nobody knows whether something is missing.
             DiagnosisVerdict::None => evidence.noise.source != FloorSource::None && excited,
             DiagnosisVerdict::Unexplained => false,
-            _ => eta >= decide::SUFFICIENT || settled,
+            _ => eta >= explained::SUFFICIENT || settled,
         },
         noise_floor_from: evidence.noise.source,
         sensor_floor: (evidence.noise.source == FloorSource::Standstill).then_some(1.0),
@@ -374,9 +296,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     diagnosis.confirm = confirmation::of_models(
         bench,
         [&diagnosis.baseline.model, &diagnosis.model.model],
+        inference.noise,
         verdict,
         &diagnosis.effects,
-        Settings::default(),
     );
     diagnosis.sentence = sentence(&diagnosis);
     for id in &inference.superfluous {
@@ -441,7 +363,7 @@ fn verdict(
     let is_known = evidence.noise.source != FloorSource::None;
     // A sensor may be a little noisier in motion than at rest, which a repeated run tells.
     let in_motion = repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS));
-    let at_floor = !is_known || decide::at_the_floor(evidence, base.nrms / in_motion);
+    let at_floor = !is_known || explained::at_the_floor(evidence, base.nrms / in_motion);
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && at_floor {
             DiagnosisVerdict::None

@@ -2,20 +2,19 @@
 
 use serde::Serialize;
 
-use super::bench::Bench;
+use super::bench::{Bench, beside};
 use super::candidates::by_key;
-use super::compare::{Comparison, compare};
+use super::compare::Comparison;
 use super::describe::percent;
 use super::diagnose::Standing;
 use super::evidence::Evidence;
 use super::fitted::Fitted;
-use super::joint::answer::{Inference, asked, infer};
-use super::location::ErrorOf;
-use super::mechanical;
+use super::joint::answer::{Inference, asked};
 use super::progress::silent;
 use super::score::Score;
 use crate::identification::output_error::FitError;
-use crate::plant::{Effect, Input, Model};
+use crate::identification::torque_rows::Method;
+use crate::plant::{Effect, Model};
 use crate::sample::ParameterEstimate;
 
 /// One model on the ladder and its held-out error in units of the noise.
@@ -48,18 +47,19 @@ pub fn add(
     model: &Model,
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
-    if evidence.training.input != Input::Voltage {
-        return mechanical::add(effect, model, &evidence);
-    }
     let (bench, before) = Bench::new(model, evidence)?;
     let asked = asked(&before.model, Some(effect));
-    let inference = infer(&before, &asked, &bench.evidence, &silent)?;
-    let with = [before.model.effect_ids(), vec![effect.card().id]].concat();
-    let start = inference.with_effects(&with);
-    let start = start.ok_or_else(|| FitError::CannotSimulate {
-        run: bench.evidence.training.name.clone(),
-    })?;
-    let after = bench.fit(&start)?;
+    let inference = bench.ask(&before, &asked, &silent)?;
+    let id = effect.card().id;
+    let can_be_asked = inference
+        .of(id)
+        .is_some_and(|found| found.why_not.is_none());
+    // Where the runs cannot be asked for it the answer is the model as it was.
+    let after = if can_be_asked {
+        bench.fit(&beside(&before.model, &inference, &[id])?)?
+    } else {
+        before.clone()
+    };
     change(effect, &bench, &inference, [before, after], true)
 }
 
@@ -69,16 +69,8 @@ pub fn remove(
     model: &Model,
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
-    if evidence.training.input != Input::Voltage {
-        return mechanical::remove(effect, model, &evidence);
-    }
     let (bench, before) = Bench::new(model, evidence)?;
-    let inference = infer(
-        &before,
-        &asked(&before.model, None),
-        &bench.evidence,
-        &silent,
-    )?;
+    let inference = bench.ask(&before, &asked(&before.model, None), &silent)?;
     let without = before.model.without_effect(effect.card().id)?;
     let after = bench.fit(&without)?;
     change(effect, &bench, &inference, [before, after], false)
@@ -103,19 +95,23 @@ fn change(
     let confirm = match &evidence.confirm {
         Some(run) => {
             let on = |fit: &Fitted| bench.confirming(&fit.model, run);
-            Some([rung(&before, &on(&before)?), rung(&after, &on(&after)?)])
+            let scores = [on(&before)?.score, on(&after)?.score];
+            Some([rung(&before, &scores[0]), rung(&after, &scores[1])])
         }
         None => None,
     };
     let prefix = format!("{}.", effect.card().id);
     let owner = if adding { &after } else { &before };
-    let times = evidence.noise.source.times();
+    let sides = [bench.compared(&before)?, bench.compared(&after)?];
+    let fall = fall(&scores, evidence.noise.source.times()) + &both_processings(&sides);
+    let reason = reason(effect, inference, &fall, adding);
+    let [compared_before, compared_after] = sides;
     Ok(AddResult {
         effect: effect.card().id,
         accepted: is_there == adding,
-        reason: reason(effect, inference, &fall(&scores, times), adding),
-        before: compare(&before.model, evidence, ErrorOf::Structure)?,
-        after: compare(&after.model, evidence, ErrorOf::Structure)?,
+        reason,
+        before: compared_before,
+        after: compared_after,
         parameters: owner
             .parameters
             .iter()
@@ -126,6 +122,36 @@ fn change(
         confirm,
         fit: after,
     })
+}
+
+/// What each processing of a balance of torques says of the change, in words; nothing of a free run.
+fn both_processings(sides: &[Comparison; 2]) -> String {
+    let torque = |side: &Comparison| side.signals.torque_n_m.clone();
+    let (Some(before), Some(after)) = (torque(&sides[0]), torque(&sides[1])) else {
+        return String::new();
+    };
+    let pairs = before.processing.iter().zip(&after.processing);
+    pairs
+        .map(|(before, after)| {
+            let (from, to) = (
+                before.holdout_relative_error_percent,
+                after.holdout_relative_error_percent,
+            );
+            let whole = before
+                .whole_run_relative_error_percent
+                .zip(after.whole_run_relative_error_percent)
+                .map_or_else(String::new, |(from, to)| {
+                    format!(", {from:.2} -> {to:.2} % over the whole run")
+                });
+            let method = match before.method {
+                Method::WeakForm => "weak form",
+                Method::InverseDynamics => {
+                    "reference processing: inverse dynamics, zero-phase low pass"
+                }
+            };
+            format!("; torque error {from:.2} -> {to:.2} % held out{whole} ({method})")
+        })
+        .collect()
 }
 
 /// How the held-out error changes, in words.
@@ -154,6 +180,14 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
         };
         return format!("{name} is {word}: it is there with {likely}, and without it {fall}");
     }
+    if let Some(why_not) = found.and_then(|found| found.why_not) {
+        return format!("{name} cannot be judged from this run: {why_not}");
+    }
+    let superfluous: String = inference
+        .superfluous
+        .iter()
+        .map(|id| format!("; {id} is superfluous now"))
+        .collect();
     let rivals: Vec<&str> = inference
         .named
         .iter()
@@ -174,7 +208,7 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
                 twins.join(" and ")
             )
         };
-        return format!("{name} is there with {likely}{twins}; with it {fall}");
+        return format!("{name} is there with {likely}{twins}; with it {fall}{superfluous}");
     }
     let beside = if rivals.is_empty() {
         String::new()

@@ -9,26 +9,25 @@
 //!    |-> diagnose   joint: every set of effects weighed at once -> ladder of what is named, judged on the hold-out
 //!    |                 -> confirmation: the same on a run that had no part in the answer
 //!    |-> next_experiment  the run that tells what these runs cannot
-//!    '-> ladder     add or remove one effect: before and after, refused if it helps only in training
+//!    '-> ladder     add or remove one effect: before and after, refused if the runs do not ask for it
 //! ```
 //!
-//! The method is that of DISCOVERY.md; a name is given only for what pays on data that the fit has not seen.
+//! A name is given for what all runs together make likely beside everything else, and its error is told on data that the
+//! fit has not seen.
 
 mod axis_map;
 mod bench;
-mod bootstrap;
 mod candidates;
 mod compare;
 mod confirmation;
-mod decide;
 mod describe;
 mod diagnose;
 mod evidence;
+mod explained;
 mod family;
 mod fingerprint;
 mod fitted;
 mod joint;
-
 mod ladder;
 mod location;
 pub mod mechanical;
@@ -44,7 +43,6 @@ pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use confirmation::Confirmation;
-pub use decide::Settings;
 pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, Unknown, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};

@@ -3,7 +3,6 @@
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
 use crate::identification::torque_rows::TorqueRows;
-use crate::numerics::count::whole;
 use crate::plant::{Input, Model, Scenario};
 
 /// Figures of one signal.
@@ -25,8 +24,6 @@ pub struct Score {
     /// Root of the mean over the signals of `(rmse / noise)^2`. A signal whose noise is not known has figures of its own and
     /// no part in this.
     pub nrms: f64,
-    noise: NoiseFloor,
-    duration_s: f64,
     residuals: Residuals,
 }
 
@@ -37,8 +34,6 @@ struct Residuals {
     current_a: Vec<f64>,
     speed_rad_s: Vec<f64>,
     torque_n_m: Vec<f64>,
-    /// What a torque's are scaled by, N.m.
-    unit_n_m: f64,
 }
 
 impl Score {
@@ -75,25 +70,17 @@ impl Score {
             speed,
             torque: None,
             nrms,
-            noise: *noise,
-            duration_s: duration_s(times),
             residuals: Residuals {
                 time_s: times.to_vec(),
                 current_a,
                 speed_rad_s,
                 torque_n_m: Vec::new(),
-                unit_n_m: f64::INFINITY,
             },
         })
     }
 
     /// Of a balance of torques with this sum of its terms; `unit_n_m` is what noise leaves in a row.
-    pub(super) fn of_balance(
-        rows: &TorqueRows,
-        predicted: &[f64],
-        unit_n_m: f64,
-        noise: &NoiseFloor,
-    ) -> Self {
+    pub(super) fn of_balance(rows: &TorqueRows, predicted: &[f64], unit_n_m: f64) -> Self {
         let pairs = rows.left.iter().zip(predicted);
         let torque_n_m: Vec<f64> = pairs.map(|(left, predicted)| left - predicted).collect();
         let torque = signal_score(&torque_n_m, &rows.left);
@@ -102,14 +89,11 @@ impl Score {
             speed: None,
             torque,
             nrms: torque.map_or(f64::NAN, |torque| torque.rmse / unit_n_m),
-            noise: *noise,
-            duration_s: duration_s(&rows.time_s),
             residuals: Residuals {
                 time_s: rows.time_s.clone(),
                 current_a: Vec::new(),
                 speed_rad_s: Vec::new(),
                 torque_n_m,
-                unit_n_m,
             },
         }
     }
@@ -128,53 +112,6 @@ impl Score {
     pub(super) fn torque_residual(&self) -> Vec<(f64, f64)> {
         finite_points(&self.residuals.time_s, &self.residuals.torque_n_m)
     }
-
-    /// Sum of the squared weighted residuals in blocks of `block_s`. Every signal counts with its number of samples.
-    pub(super) fn blocks(&self, block_s: f64) -> Vec<f64> {
-        let blocks = self.counted_blocks(block_s);
-        blocks.into_iter().map(|(squares, _)| squares).collect()
-    }
-
-    /// Sum of the squared weighted residuals in blocks of `block_s`, and their number. Every signal counts with its number of
-    /// samples.
-    pub(super) fn counted_blocks(&self, block_s: f64) -> Vec<(f64, usize)> {
-        let Residuals {
-            time_s,
-            current_a,
-            speed_rad_s,
-            torque_n_m,
-            unit_n_m,
-        } = &self.residuals;
-        let Some(&begin_s) = time_s.first() else {
-            return Vec::new();
-        };
-        let end_s = time_s[time_s.len() - 1];
-        let mut blocks = vec![(0.0, 0); whole((end_s - begin_s) / block_s) + 1];
-        for (row, time_s) in time_s.iter().enumerate() {
-            let (block, count) = &mut blocks[whole((time_s - begin_s) / block_s)];
-            for (values, level) in [
-                (current_a, self.noise.current_a),
-                (speed_rad_s, self.noise.speed_rad_s),
-                (torque_n_m, *unit_n_m),
-            ] {
-                let value = values.get(row).copied().unwrap_or(f64::NAN);
-                if value.is_finite() && level.is_finite() {
-                    *block += (value / level).powi(2);
-                    *count += 1;
-                }
-            }
-        }
-        blocks
-    }
-
-    /// The floor that the residuals are scaled by.
-    pub(super) const fn noise(&self) -> &NoiseFloor {
-        &self.noise
-    }
-
-    pub const fn duration_s(&self) -> f64 {
-        self.duration_s
-    }
 }
 
 /// Whether a signal ever changes.
@@ -184,10 +121,6 @@ pub(super) fn varies(values: &[f64]) -> bool {
     present
         .next()
         .is_some_and(|first| present.any(|value| value != first))
-}
-
-fn duration_s(times: &[f64]) -> f64 {
-    times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0)
 }
 
 fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {

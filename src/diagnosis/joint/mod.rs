@@ -9,6 +9,7 @@
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
 //!         (excess: by how much what is left is more than white noise)
 //! asked:  which effects a run can be asked about, and what of it is fit to be asked
+//! likelihood_ratio: two models on a run that had no part in any of this
 //! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
@@ -18,6 +19,7 @@ mod columns;
 mod excess;
 mod follow;
 mod forms;
+pub(super) mod likelihood_ratio;
 mod noise;
 mod nuisances;
 mod prediction_error;
@@ -26,3 +28,5 @@ mod select;
 mod tangent;
 mod unknown;
 mod whitened;
+
+pub(super) use follow::Noise;

@@ -4,7 +4,6 @@ use serde::Serialize;
 
 use super::regression;
 use super::sides::{Balance, Scale, Sides};
-use super::trial::with_events_of;
 use crate::diagnosis::compare::{Comparison, HoldoutFigures, SignalComparison, Signals};
 use crate::diagnosis::evidence::Evidence;
 use crate::diagnosis::location::{ErrorOf, locate};
@@ -59,29 +58,53 @@ impl TorqueComparison {
 }
 
 /// Compares a complete model as it is with runs that have no voltage.
-pub fn compare(
+pub(in crate::diagnosis) fn compare(
     model: &Model,
     evidence: &Evidence,
     error_of: ErrorOf,
 ) -> Result<Comparison, FitError> {
     let sides = Sides::weak_form(model, evidence)?;
-    let reference = Sides::new(Method::InverseDynamics, model, evidence).ok();
     let baseline = sides.fit(model);
     let scale = baseline.map(|fit| Scale::of(model, &evidence.training, &sides.training, &fit));
     let scale = scale.unwrap_or(Scale {
         unit_n_m: f64::NAN,
         source: FloorSource::None,
     });
-    let mut processing = vec![processing_error(&sides, model, false)];
-    processing.extend(reference.map(|sides| processing_error(&sides, model, false)));
     let balance = Balance { sides, scale };
+    let under = |sides: &Sides| Some(processing_error(sides, model, false));
+    let processing = balance.under_both(model, evidence, under);
     Ok(comparison(model, &balance, processing, evidence, error_of))
 }
 
+impl Balance {
+    /// Compares a fitted model on these rows; the reference processing has a fit of its own, since what a processing makes
+    /// of the data is part of what it finds.
+    pub(in crate::diagnosis) fn compare(&self, model: &Model, evidence: &Evidence) -> Comparison {
+        let under = |sides: &Sides| {
+            let own = sides.fit(model)?;
+            Some(processing_error(sides, &own.model, true))
+        };
+        let processing = self.under_both(model, evidence, under);
+        comparison(model, self, processing, evidence, ErrorOf::Structure)
+    }
+
+    /// The errors under this processing and under the reference one, where that has rows.
+    fn under_both(
+        &self,
+        model: &Model,
+        evidence: &Evidence,
+        under: impl Fn(&Sides) -> Option<ProcessingError>,
+    ) -> Vec<ProcessingError> {
+        let reference = Sides::new(Method::InverseDynamics, model, evidence).ok();
+        let both = [Some(&self.sides), reference.as_ref()];
+        both.into_iter().flatten().filter_map(under).collect()
+    }
+}
+
 /// Errors of a model under one processing.
-pub(super) fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> ProcessingError {
+fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> ProcessingError {
     let relative = |model: &Model, rows: &TorqueRows| {
-        let predicted = regression::predicted(&with_events_of(model, rows), rows);
+        let predicted = regression::predicted(&regression::with_events_of(model, rows), rows);
         let pairs = rows.left.iter().zip(&predicted);
         let squares: f64 = pairs.map(|(left, sum)| (left - sum).powi(2)).sum();
         let whole: f64 = rows.left.iter().map(|left| left * left).sum();
@@ -89,7 +112,7 @@ pub(super) fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Pr
     };
     let of_the_whole = |rows: &TorqueRows| {
         if fitted {
-            let fit = regression::fit(model, None, rows)?;
+            let fit = regression::fit(model, rows)?;
             Some(relative(&fit.model, rows))
         } else {
             Some(relative(model, rows))
@@ -106,7 +129,7 @@ pub(super) fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Pr
     }
 }
 
-pub(super) fn comparison(
+fn comparison(
     model: &Model,
     balance: &Balance,
     processing: Vec<ProcessingError>,
@@ -114,7 +137,7 @@ pub(super) fn comparison(
     error_of: ErrorOf,
 ) -> Comparison {
     let Balance { sides, scale } = balance;
-    let score = |rows| balance.score(model, rows, &evidence.noise);
+    let score = |rows| balance.score(model, rows);
     let (training, holdout) = (score(&sides.training), score(&sides.holdout));
     let known = scale.source != FloorSource::None;
     let noise_floor = known.then_some(scale.unit_n_m);

@@ -3,8 +3,7 @@
 //! ```text
 //! Evidence --(torque balance in rows: weak form, and the reference processing beside it)--> Balance
 //!    |-> regression  every free parameter by least squares: baseline, and each rung of the ladder
-//!    |-> score       a model on held-out rows, in units of what noise leaves in one
-//!    |-> ladder      add or remove one effect
+//!    |-> sides       a model on held-out rows, in units of what noise leaves in one
 //!    '-> compare     torque by the inverse model, speed in windows of 0.75 s
 //! ```
 //!
@@ -13,14 +12,13 @@
 //! reference processing of the field stands beside it, because the two weigh frequencies differently.
 
 mod compare;
-mod ladder;
 mod regression;
 mod sides;
 mod terms;
-mod trial;
 
-pub use compare::{ProcessingError, TorqueComparison, compare};
-pub use ladder::{add, remove};
+pub(super) use compare::compare;
+pub use compare::{ProcessingError, TorqueComparison};
+pub(super) use regression::with_events_of;
 pub(super) use sides::Balance;
 
 #[cfg(test)]

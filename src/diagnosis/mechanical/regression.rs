@@ -30,8 +30,6 @@ pub(in crate::diagnosis) struct BalanceFit {
     pub(super) model: Model,
     /// Every parameter of the model, in the order of its slots.
     pub(super) parameters: Vec<ParameterEstimate>,
-    /// Largest ratio of an own coefficient over its standard deviation, for `own`.
-    pub(super) certainty: Vec<(String, f64)>,
     pub(super) residual: Vec<f64>,
 }
 
@@ -39,15 +37,6 @@ impl BalanceFit {
     pub(super) fn rms(&self) -> f64 {
         let squares: f64 = self.residual.iter().map(|r| r * r).sum();
         (squares / self.residual.len().max(1) as f64).sqrt()
-    }
-
-    /// Largest coefficient of the effect in its standard deviations.
-    pub(super) fn certainty_of(&self, id: &str) -> f64 {
-        let prefix = format!("{id}.");
-        self.certainty
-            .iter()
-            .filter(|(key, _)| key.starts_with(&prefix))
-            .fold(0.0, |most, (_, ratio)| f64::max(most, *ratio))
     }
 }
 
@@ -121,19 +110,67 @@ pub(super) fn predicted(model: &Model, rows: &TorqueRows) -> Vec<f64> {
     sum
 }
 
+/// The model with every time of an event found anew in these rows.
+pub(in crate::diagnosis) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
+    let mut model = model.clone();
+    let slots: Vec<Slot> = model
+        .slots()
+        .into_iter()
+        .filter(|slot| slot.has_role(ParameterRole::EventTime))
+        .collect();
+    for slot in slots {
+        let Slot::Effect { spec, .. } = slot else {
+            continue;
+        };
+        let cost = |model: &Model| -> f64 {
+            let pairs = rows.left.iter().zip(predicted(model, rows));
+            pairs.map(|(left, sum)| (left - sum).powi(2)).sum()
+        };
+        let span_s = rows.time_s.last().unwrap_or(&0.0) - rows.time_s.first().unwrap_or(&0.0);
+        let given = model.get(&slot);
+        let tried: Vec<f64> = terms::event_times(spec.shapes, rows)
+            .into_iter()
+            .chain(given)
+            .collect();
+        let best = tried
+            .into_iter()
+            .map(|time_s| {
+                model.set(&slot, time_s);
+                (cost(&model), time_s)
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((mut least, mut best_s)) = best else {
+            continue;
+        };
+        let mut step_s = span_s / 24.0;
+        for _ in 0..8 {
+            for there_s in [best_s - step_s, best_s + step_s] {
+                model.set(&slot, there_s.max(0.0));
+                let found = cost(&model);
+                if found < least {
+                    (least, best_s) = (found, there_s.max(0.0));
+                }
+            }
+            step_s *= 0.5;
+        }
+        model.set(&slot, best_s);
+    }
+    model
+}
+
 /// Fits every free parameter of the model to the rows; forms of effects start where the model has them. What can only
-/// take power from the shaft is not let below zero, but for the effect `on_trial`. `None` where a term is not known in
-/// these rows, or there are too few of them.
-pub(super) fn fit(model: &Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option<BalanceFit> {
+/// take power from the shaft is not let below zero. `None` where a term is not known in these rows, or there are too few of
+/// them.
+pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut model = model.clone();
     let forms: Vec<Slot> = forms_of(&model)
         .into_iter()
         .filter(|slot| !slot.has_role(ParameterRole::Choice))
         .collect();
     if !forms.is_empty() {
-        search(&mut model, &forms, on_trial, rows);
+        search(&mut model, &forms, rows);
     }
-    finish(model, on_trial, rows)
+    finish(model, rows)
 }
 
 /// Parameters of the torque balance that are not coefficients and not fixed.
@@ -154,12 +191,12 @@ fn forms_of(model: &Model) -> Vec<Slot> {
 }
 
 /// Sum of squares that the model leaves with its forms as they are.
-pub(super) fn cost(model: &Model, on_trial: Option<&str>, rows: &TorqueRows) -> f64 {
-    System::new(model, on_trial, rows).map_or(f64::INFINITY, |system| system.cost())
+fn cost(model: &Model, rows: &TorqueRows) -> f64 {
+    System::new(model, rows).map_or(f64::INFINITY, |system| system.cost())
 }
 
 /// Coordinate search with halving steps.
-fn search(model: &mut Model, forms: &[Slot], on_trial: Option<&str>, rows: &TorqueRows) {
+fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
     let span_s = rows.time_s.last().unwrap_or(&0.0) - rows.time_s.first().unwrap_or(&0.0);
     for slot in forms {
         if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
@@ -174,7 +211,7 @@ fn search(model: &mut Model, forms: &[Slot], on_trial: Option<&str>, rows: &Torq
             model.set(slot, start);
         }
     }
-    let mut best = cost(model, on_trial, rows);
+    let mut best = cost(model, rows);
     let mut step = 1.0;
     for _ in 0..HALVINGS {
         for slot in forms {
@@ -191,7 +228,7 @@ fn search(model: &mut Model, forms: &[Slot], on_trial: Option<&str>, rows: &Torq
                     here + direction * step * spec.scale
                 };
                 model.set(slot, there.clamp(spec.min, spec.max));
-                let found = cost(model, on_trial, rows);
+                let found = cost(model, rows);
                 if found < best {
                     best = found;
                     break;
@@ -203,13 +240,13 @@ fn search(model: &mut Model, forms: &[Slot], on_trial: Option<&str>, rows: &Torq
     }
 }
 
-fn finish(mut model: Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option<BalanceFit> {
-    let mut system = System::new(&model, on_trial, rows)?;
+fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
+    let mut system = System::new(&model, rows)?;
     let mut x = system.solve_bounded()?;
     for _ in 0..PASSES {
         let before = system.matrix.clone();
         system.put(&mut model, &x);
-        let again = System::new(&model, on_trial, rows)?;
+        let again = System::new(&model, rows)?;
         let moved = (&again.matrix - &before).norm();
         system = again;
         if moved <= PROPORTIONAL * before.norm() {
@@ -236,7 +273,6 @@ fn finish(mut model: Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option
         let variance = solution.covariance[(at, at)];
         variance.is_finite().then(|| variance.max(0.0).sqrt())
     };
-    let mut certainty = Vec::new();
     let judged: Vec<ParameterEstimate> = system
         .free
         .iter()
@@ -244,9 +280,6 @@ fn finish(mut model: Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option
         .map(|(place, slot)| {
             if !inside.contains(&place) {
                 return at_its_bound(slot);
-            }
-            if let Some(std) = std(place).filter(|std| *std > 0.0) {
-                certainty.push((slot.key(), x[place].abs() / std));
             }
             let widened = if white { 1.0 } else { WIDENED };
             judge(
@@ -271,7 +304,6 @@ fn finish(mut model: Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option
         .collect();
     Some(BalanceFit {
         parameters,
-        certainty,
         residual: residual.as_slice().to_vec(),
         model,
     })
@@ -365,7 +397,7 @@ struct System {
 }
 
 impl System {
-    fn new(model: &Model, on_trial: Option<&str>, rows: &TorqueRows) -> Option<Self> {
+    fn new(model: &Model, rows: &TorqueRows) -> Option<Self> {
         let mut right = DVector::from_column_slice(&rows.left);
         let (mut free, mut cells, mut takes_power) = (Vec::new(), Vec::new(), Vec::new());
         for slot in unknowns(model) {
@@ -374,7 +406,7 @@ impl System {
                 let value = model.get(&slot).unwrap_or(0.0);
                 right.axpy(-value, &DVector::from_vec(column), 1.0);
             } else {
-                takes_power.push(takes_power_only(model, &slot, on_trial, rows));
+                takes_power.push(takes_power_only(model, &slot, rows));
                 cells.extend(column);
                 free.push(slot);
             }
@@ -431,23 +463,15 @@ impl System {
 }
 
 /// Whether a coefficient below zero would drive the shaft.
-fn takes_power_only(model: &Model, slot: &Slot, on_trial: Option<&str>, rows: &TorqueRows) -> bool {
+fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     match *slot {
         Slot::Motor(key) => key == MotorKey::LoadTorque,
         Slot::Effect {
-            index,
-            parameter,
-            id,
-            ..
+            index, parameter, ..
         } => {
             let active = &model.effects[index];
-            on_trial != Some(id)
-                && terms::only_takes_power(
-                    active.effect,
-                    &active.values_or_guess(),
-                    parameter,
-                    &rows.at,
-                )
+            let values = active.values_or_guess();
+            terms::only_takes_power(active.effect, &values, parameter, &rows.at)
         }
     }
 }

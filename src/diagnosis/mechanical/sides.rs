@@ -1,7 +1,6 @@
 //! The rows of training, hold-out and confirming run, and the scale of the errors.
 
 use super::regression::{self, BalanceFit};
-use super::trial::with_events_of;
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
 use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::score::Score;
@@ -65,7 +64,7 @@ impl Sides {
     }
 
     pub(in crate::diagnosis) fn fit(&self, model: &Model) -> Option<BalanceFit> {
-        regression::fit(model, None, &self.training)
+        regression::fit(model, &self.training)
     }
 }
 
@@ -90,15 +89,10 @@ impl Balance {
     }
 
     /// A complete model on these rows; only times of events are found anew.
-    pub(in crate::diagnosis) fn score(
-        &self,
-        model: &Model,
-        rows: &TorqueRows,
-        noise: &NoiseFloor,
-    ) -> Score {
-        let model = with_events_of(model, rows);
+    pub(in crate::diagnosis) fn score(&self, model: &Model, rows: &TorqueRows) -> Score {
+        let model = regression::with_events_of(model, rows);
         let predicted = regression::predicted(&model, rows);
-        Score::of_balance(rows, &predicted, self.scale.unit_n_m, noise)
+        Score::of_balance(rows, &predicted, self.scale.unit_n_m)
     }
 
     pub(in crate::diagnosis) fn fitted(&self, fit: &BalanceFit, evidence: &Evidence) -> Fitted {

@@ -84,38 +84,6 @@ pub(super) fn only_takes_power(
     moves
 }
 
-/// Values that are tried for the parameters which give the effect its form, `(parameter, values)`; times of events as
-/// shares of the run's length.
-pub(super) fn shape_grid(effect: &dyn Effect, rows: &TorqueRows) -> Vec<Vec<f64>> {
-    let guess: Vec<f64> = effect
-        .parameters()
-        .iter()
-        .map(crate::plant::ParameterSpec::guess)
-        .collect();
-    let mut grid = vec![guess];
-    for (index, spec) in effect.parameters().iter().enumerate() {
-        if spec.is_coefficient() {
-            continue;
-        }
-        let tried: Vec<f64> = if spec.role == ParameterRole::EventTime {
-            event_times(spec.shapes, rows)
-        } else {
-            spec.shapes.to_vec()
-        };
-        grid = grid
-            .iter()
-            .flat_map(|values| {
-                tried.iter().map(move |shape| {
-                    let mut values = values.clone();
-                    values[index] = *shape;
-                    values
-                })
-            })
-            .collect();
-    }
-    grid
-}
-
 /// Shares of the rows' span as times since the run's first command.
 pub(super) fn event_times(shares: &[f64], rows: &TorqueRows) -> Vec<f64> {
     let (Some(first), Some(last)) = (rows.time_s.first(), rows.time_s.last()) else {

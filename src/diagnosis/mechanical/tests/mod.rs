@@ -5,7 +5,7 @@ mod placebo;
 mod real;
 mod simulated;
 
-use super::*;
+use crate::diagnosis::AddResult;
 use crate::diagnosis::candidates::Status;
 use crate::diagnosis::diagnose::{Diagnosis, DiagnosisVerdict};
 use crate::diagnosis::evidence::Evidence;
@@ -16,6 +16,14 @@ use rand_chacha::ChaCha8Rng;
 
 fn diagnose(model: &Model, evidence: &Evidence) -> Result<Diagnosis, FitError> {
     crate::diagnosis::diagnose(model, evidence.clone(), false)
+}
+
+fn add(
+    effect: &'static dyn Effect,
+    model: &Model,
+    evidence: &Evidence,
+) -> Result<AddResult, FitError> {
+    crate::diagnosis::add(effect, model, evidence.clone())
 }
 
 fn with_effects(mut model: Model, ids: &[&str]) -> Model {

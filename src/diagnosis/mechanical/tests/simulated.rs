@@ -258,10 +258,10 @@ fn add_and_remove_tell_both_processings_and_refuse_what_does_not_pay() {
         added.after.signals.speed_rad_s.unwrap().rmse
             < added.before.signals.speed_rad_s.unwrap().rmse
     );
-    let needed = remove(effect, &added.fit.model, &data).unwrap();
+    let needed = crate::diagnosis::remove(effect, &added.fit.model, data.clone()).unwrap();
     assert!(!needed.accepted, "{}", needed.reason);
     let offset = effect::find("constant_load").unwrap();
-    let gone = remove(offset, &added.fit.model, &data).unwrap();
+    let gone = crate::diagnosis::remove(offset, &added.fit.model, data.clone()).unwrap();
     assert!(gone.accepted, "{}", gone.reason);
     let nothing = add(offset, &nameplate(), &evidence(&axis(), 7)).unwrap();
     assert!(!nothing.accepted, "{}", nothing.reason);
