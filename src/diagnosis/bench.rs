@@ -185,8 +185,8 @@ fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<
     }
     while !order.is_empty() {
         let fit = bench.fit(&beside(&baseline.model, inference, &order)?)?;
-        let is_zero = |id: &&str| !told_from_zero(&fit, id);
-        let Some(place) = order.iter().rposition(|id| is_zero(&*id)) else {
+        let is_zero = |id: &&'static str| !told_from_zero(&fit, id);
+        let Some(place) = order.iter().rposition(is_zero) else {
             break;
         };
         let id = order.remove(place);

@@ -183,3 +183,10 @@ fn unit_of_size(effect: &dyn Effect) -> &'static str {
         unit => unit,
     }
 }
+
+/// What the model had and does not need any more, as the end of a sentence.
+pub(super) fn superfluous(inference: &Inference) -> String {
+    let ids = inference.superfluous.iter();
+    let words: Vec<String> = ids.map(|id| format!("; {id} is superfluous now")).collect();
+    words.concat()
+}

@@ -1,14 +1,12 @@
 //! Which effects are missing: what the runs say together, and how the held-out error falls with each.
 
-use std::fmt::Write as _;
-
 use serde::Serialize;
 
 use super::axis_map::{AxisMap, axis_map};
 use super::bench::{Bench, beside};
 use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
-use super::describe::{describe, sentence};
+use super::describe::{describe, sentence, superfluous};
 use super::evidence::{Evidence, HoldoutFrom, not_repeated};
 use super::explained::{self, explained};
 use super::fitted::Fitted;
@@ -301,9 +299,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         &diagnosis.effects,
     );
     diagnosis.sentence = sentence(&diagnosis);
-    for id in &inference.superfluous {
-        let _ = write!(diagnosis.sentence, "; {id} is superfluous now");
-    }
+    diagnosis.sentence += &superfluous(inference);
     let named = diagnosis.effects.iter();
     diagnosis.equivalences = named.flat_map(|id| equivalences(id)).copied().collect();
     diagnosis

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::bench::{Bench, beside};
 use super::candidates::by_key;
 use super::compare::Comparison;
-use super::describe::percent;
+use super::describe::{percent, superfluous};
 use super::diagnose::Standing;
 use super::evidence::Evidence;
 use super::fitted::Fitted;
@@ -131,7 +131,7 @@ fn both_processings(sides: &[Comparison; 2]) -> String {
         return String::new();
     };
     let pairs = before.processing.iter().zip(&after.processing);
-    pairs
+    let words: Vec<String> = pairs
         .map(|(before, after)| {
             let (from, to) = (
                 before.holdout_relative_error_percent,
@@ -151,7 +151,8 @@ fn both_processings(sides: &[Comparison; 2]) -> String {
             };
             format!("; torque error {from:.2} -> {to:.2} % held out{whole} ({method})")
         })
-        .collect()
+        .collect();
+    words.concat()
 }
 
 /// How the held-out error changes, in words.
@@ -183,11 +184,7 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
     if let Some(why_not) = found.and_then(|found| found.why_not) {
         return format!("{name} cannot be judged from this run: {why_not}");
     }
-    let superfluous: String = inference
-        .superfluous
-        .iter()
-        .map(|id| format!("; {id} is superfluous now"))
-        .collect();
+    let superfluous = superfluous(inference);
     let rivals: Vec<&str> = inference
         .named
         .iter()

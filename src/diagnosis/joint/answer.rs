@@ -240,19 +240,23 @@ pub(in crate::diagnosis) fn infer(
         effects,
         unknown,
         named,
-        wandering: {
-            let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
-            let signals = found.wandering.into_iter().zip(levels);
-            let squares: Vec<f64> = signals
-                .filter(|(_, level)| level.is_finite())
-                .map(|(rms, level)| (rms / level).powi(2))
-                .collect();
-            (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
-        },
+        wandering: in_noise(found.wandering, &evidence.noise),
         noise: found.noise,
         superfluous,
         found,
     })
+}
+
+/// Errors of current and speed, root mean squares, in units of the noise.
+fn in_noise(rms: [f64; 2], noise: &NoiseFloor) -> f64 {
+    let levels = [noise.current_a, noise.speed_rad_s];
+    let squares: Vec<f64> = rms
+        .into_iter()
+        .zip(levels)
+        .filter(|(_, level)| level.is_finite())
+        .map(|(rms, level)| (rms / level).powi(2))
+        .collect();
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
 }
 
 /// Growth of the error of a free run from which on a model is right only where it is led along the run.

@@ -270,31 +270,23 @@ pub(super) fn search(
     progress: Progress<'_>,
 ) -> Option<Found> {
     let given = model.effect_ids();
-    let mut model = model.clone();
     // The balance of torques is linear in all that it holds, however much is missing.
     let by_voltage = scenarios[0].input == Input::Voltage;
-    if by_voltage {
-        model = approach(model, asked, scenarios[0], starts[0], floor)?;
-    }
+    let mut model = if by_voltage {
+        approach(model.clone(), asked, scenarios[0], starts[0], floor)?
+    } else {
+        model.clone()
+    };
     let mut noise = floor;
     let mut seen: Vec<Vec<&'static str>> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
     let mut replaced = false;
-    let rounds = if by_voltage {
-        MOST_ROUNDS
-    } else {
-        MOST_ROUNDS_BY_TORQUE
-    };
+    let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
-        let unknowns = round > 0;
         let linearised = |model: &Model, runs: &[Around<'_>]| {
-            let mut linear = linearise(model, asked, runs, unknowns)?;
-            for candidate in &mut linear.candidates {
-                if barred.iter().any(|barred| barred.id == candidate.id) {
-                    candidate.log_odds = BARRED;
-                }
-            }
+            let mut linear = linearise(model, asked, runs, round > 0)?;
+            bar(&mut linear, &barred);
             Some(linear)
         };
         let mut runs = around(&model, scenarios, starts, noise)?;
@@ -407,6 +399,15 @@ struct Barred {
     id: &'static str,
     /// What the refit leaves of its probability.
     probability: f64,
+}
+
+/// Keeps effects that were barred out of the sets.
+fn bar(linear: &mut Linear, barred: &[Barred]) {
+    for candidate in &mut linear.candidates {
+        if barred.iter().any(|barred| barred.id == candidate.id) {
+            candidate.log_odds = BARRED;
+        }
+    }
 }
 
 /// Gives effects that were barred what the refit left of their probability.

@@ -56,11 +56,44 @@ fn dosed(scenario: &Scenario, effect: &'static dyn Effect, values: &[f64]) -> Sc
     dosed
 }
 
-/// Size and standard deviation of the effect's first coefficient, fitted beside the model.
-fn size(model: &Model, evidence: &Evidence, effect: &'static dyn Effect) -> (f64, f64) {
+/// Size and standard deviation of the effect's first coefficient, fitted beside the model; no deviation where it is held at
+/// zero because it would drive the shaft.
+fn size(model: &Model, evidence: &Evidence, effect: &'static dyn Effect) -> (f64, Option<f64>) {
     let result = add(effect, model, evidence).unwrap();
     let first = &result.parameters[0];
-    (first.value.unwrap(), first.std.unwrap())
+    (first.value.unwrap(), first.std)
+}
+
+/// Puts an effect of these values into a record in several sizes, and asserts that each is found by as much more.
+fn doses_are_found(model: &Model, data: &Evidence, id: &str, values: &[f64]) {
+    const DOSES: [f64; 4] = [2.0, 1.0, 0.5, 0.0];
+    assert!(!model.has(id), "{id} is in the model: nothing is tested");
+    let effect = effect::find(id).unwrap();
+    let unit = values[0];
+    let mut largest: Option<f64> = None;
+    let mut above = f64::INFINITY;
+    for dose in DOSES {
+        let mut values = values.to_vec();
+        values[0] = dose * unit;
+        let mut dosed_data = data.clone();
+        for run in [&mut dosed_data.training, &mut dosed_data.holdout] {
+            *run = dosed(run, effect, &values);
+        }
+        let (found, std) = size(model, &dosed_data, effect);
+        let largest = *largest.get_or_insert(found);
+        let expected = largest - (DOSES[0] - dose) * unit;
+        eprintln!("{id} x {dose}: {found:.4e} +- {std:?}, expected {expected:.4e}");
+        let Some(std) = std else {
+            assert!(expected < 0.1 * unit, "{id} x {dose}: held at zero");
+            continue;
+        };
+        assert!(
+            (found - expected).abs() < 3.0 * std + 0.03 * unit,
+            "{id} x {dose}: {found} +- {std}, {expected}"
+        );
+        assert!(found < above, "{id} x {dose}: {found} after {above}");
+        above = found;
+    }
 }
 
 fn status(diagnosis: &Diagnosis, id: &str) -> Status {

@@ -126,31 +126,17 @@ fn a_single_effect_is_named_in_a_messy_record_and_nothing_where_nothing_is_missi
 fn doses_are_found_within_their_interval_and_in_their_order() {
     let base = evidence(&axis(), 3);
     for (id, values) in KNOWN {
-        let effect = effect::find(id).unwrap();
-        let mut before = f64::NEG_INFINITY;
-        let (natural, _) = size(&nameplate(), &base, effect);
-        for dose in [0.0, 0.5, 1.0, 2.0] {
+        super::doses_are_found(&nameplate(), &base, id, values);
+        for dose in [1.0, 2.0] {
             let mut values = values.to_vec();
             values[0] *= dose;
+            let effect = effect::find(id).unwrap();
             let mut dosed_runs = base.clone();
             for run in [&mut dosed_runs.training, &mut dosed_runs.holdout] {
                 *run = dosed(run, effect, &values);
             }
-            let (found, std) = size(&nameplate(), &dosed_runs, effect);
-            let expected = natural + values[0];
-            assert!(
-                (found - expected).abs() < 3.0 * std + 0.03 * values[0],
-                "{id} x {dose}: {found:.3e} +- {std:.1e}, expected {expected:.3e}"
-            );
-            assert!(
-                found > before,
-                "{id} x {dose}: {found:.3e} after {before:.3e}"
-            );
-            before = found;
-            if dose >= 1.0 {
-                let named = diagnose(&nameplate(), &dosed_runs).unwrap();
-                assert_eq!(named.effect, Some(id), "x {dose}: {}", named.sentence);
-            }
+            let named = diagnose(&nameplate(), &dosed_runs).unwrap();
+            assert_eq!(named.effect, Some(id), "x {dose}: {}", named.sentence);
         }
     }
 }
@@ -171,8 +157,8 @@ fn halves_do_not_change_the_name() {
         let (one, one_std) = size(&nameplate(), &data, effect::find(id).unwrap());
         let (two, two_std) = size(&nameplate(), &swapped, effect::find(id).unwrap());
         assert!(
-            (one - two).abs() < 3.0 * one_std.hypot(two_std),
-            "{id}: {one:.3e} +- {one_std:.1e} and {two:.3e} +- {two_std:.1e}"
+            (one - two).abs() < 3.0 * one_std.unwrap().hypot(two_std.unwrap()),
+            "{id}: {one:.3e} +- {one_std:?} and {two:.3e} +- {two_std:?}"
         );
     }
 }
