@@ -10,6 +10,7 @@ use super::mechanical::{Balance, with_events_of};
 use super::progress::Progress;
 use super::score::Score;
 use crate::identification::output_error::{self, FitError};
+use crate::numerics::levenberg_marquardt::Options;
 use crate::plant::{Effect, Input, Model, Scenario, State};
 
 /// A model on the confirming run, with its events and its start where they are in it.
@@ -56,11 +57,25 @@ impl Bench {
 
     /// Fits what is free in `start` to the training run alone.
     pub(super) fn fit(&self, start: &Model) -> Result<Fitted, FitError> {
+        self.fit_with(start, Options::default())
+    }
+
+    /// The same for a rung that others follow: its error counts, not how well each parameter is known.
+    pub(super) fn fit_in_passing(&self, start: &Model) -> Result<Fitted, FitError> {
+        let options = Options {
+            one_of_many: false,
+            ..Options::thrifty()
+        };
+        self.fit_with(start, options)
+    }
+
+    fn fit_with(&self, start: &Model, options: Options) -> Result<Fitted, FitError> {
         let training = &self.evidence.training;
         match &self.balance {
             None => {
                 let start = std::slice::from_ref(start);
-                let fit = output_error::fit(start, training, &self.evidence.noise)?;
+                let fit =
+                    output_error::fit_with(start, training, &self.evidence.noise, options)?;
                 Ok(Fitted::from(&fit))
             }
             Some(balance) => {

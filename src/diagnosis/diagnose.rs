@@ -218,7 +218,11 @@ fn climb(
     for (place, id) in inference.named.iter().enumerate() {
         let kept = &inference.named[..=place];
         let start = beside(&rungs[0].fit.model, inference, kept)?;
-        let fit = bench.fit(&start)?;
+        let fit = if place + 1 < last {
+            bench.fit_in_passing(&start)?
+        } else {
+            bench.fit(&start)?
+        };
         let rung = on_rung(place + 1, fit)?;
         progress(Event::Refitted {
             effect: id,

@@ -314,7 +314,8 @@ pub(super) fn search(
         let set = names(&linear, &posterior.best);
         let stands =
             seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
-        if stands && round + 1 < rounds {
+        // Where a torque drives, the balance of torques has the last word instead.
+        if by_voltage && stands && round + 1 < rounds {
             let weighed = Weighed {
                 model: &model,
                 linear: &linear,

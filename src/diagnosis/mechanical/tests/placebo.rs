@@ -108,7 +108,7 @@ fn placebos_are_refused() {
         // Half of the records miss an effect: a model that is wrong must not make placebos right.
         let machine = if seed < 3 { truth(id, values) } else { axis() };
         let data = evidence(&machine, 20 + seed as u64);
-        for one in placebos(&data.training, 8, seed as u64) {
+        for one in placebos(&data.training, 6, seed as u64) {
             let added = add(one, &nameplate(), &data).unwrap();
             judged += 1;
             if added.accepted {
