@@ -1,6 +1,7 @@
 //! Whether another run can be judged by: of the same motor, moving, long enough, and not the data that are fitted.
 
 use std::cell::OnceCell;
+use std::path::Path;
 
 use super::output;
 use super::sanity_report::Judging;
@@ -91,6 +92,40 @@ impl Beside<'_> {
         let here = *self.fingerprint.get_or_init(|| fingerprint(model, fitted));
         let found = matches(here?, fingerprint(model, scenario)?);
         (found.kinship != Kinship::Same).then(|| (found.sentence, found.kinship == Kinship::Other))
+    }
+}
+
+/// Says that a model is judged by what it was fitted on, as far as its file tells: `holdout`, or the last part of `run`.
+pub(super) fn was_fitted_on(
+    fitted_on: &[String],
+    run: &Path,
+    holdout: Option<&Path>,
+) -> Option<String> {
+    let judge = holdout.unwrap_or(run);
+    let name = fitted_on.iter().find(|name| is_same(Path::new(name), judge))?;
+    Some(if holdout.is_some() {
+        format!(
+            "hold-out: the model was fitted on it (its file names {name}), so that its held-out figures are those of a fit and \
+             test nothing"
+        )
+    } else {
+        format!(
+            "the model was fitted on this run (its file names {name}): what is held out, its last 40 %, may have been fitted \
+             too; give another run with --holdout"
+        )
+    })
+}
+
+/// Whether two paths are of one run; a folder that is no longer there is known by its name.
+fn is_same(recorded: &Path, path: &Path) -> bool {
+    let folder = |path: &Path| {
+        let is_samples = path.file_name().is_some_and(|name| name == "samples.csv");
+        let parent = path.parent().filter(|_| is_samples);
+        parent.unwrap_or(path).to_owned()
+    };
+    match (recorded.canonicalize(), path.canonicalize()) {
+        (Ok(recorded), Ok(path)) => folder(&recorded) == folder(&path),
+        _ => folder(recorded).file_name() == folder(path).file_name(),
     }
 }
 

@@ -34,18 +34,20 @@ struct Repeated {
     share: f64,
     /// Whether they pay and explain enough to be named.
     holds: bool,
-    /// Whether the error without them is at the floor.
+    /// Whether the error without them is at the floor, and with them.
     at_the_floor: bool,
+    explains_it: bool,
 }
 
-/// Of two models; none without a confirming run.
+/// Of two models; none without a confirming run. `in_motion`: how much noisier the sensors are in motion than at rest.
 pub(super) fn of_models(
     bench: &Bench,
     [baseline, best]: [&Model; 2],
     verdict: DiagnosisVerdict,
     names: &[&str],
-    settings: Settings,
+    in_motion: f64,
 ) -> Option<Confirmation> {
+    let settings = Settings::default();
     let evidence = &bench.evidence;
     let run = evidence.confirm.as_ref()?;
     let source = evidence.noise.source;
@@ -59,7 +61,8 @@ pub(super) fn of_models(
             share: explained(before.nrms, after.nrms, evidence.floor()),
             holds: pays(&before, &after, settings)
                 && decide::explains(evidence, &before, &after, &after),
-            at_the_floor: decide::at_the_floor(evidence, before.nrms),
+            at_the_floor: decide::at_the_floor(evidence, before.nrms / in_motion),
+            explains_it: decide::at_the_floor(evidence, after.nrms / in_motion),
         })
     };
     Some(match repeated() {
@@ -97,10 +100,15 @@ fn confirmation(
     let found = match verdict {
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => format!(
             "there {} takes the error from {before:.2} to {after:.2} {times} and explains {:.0} % of what can be explained \
-             (z {:.1}, {SIGNIFICANT} is asked)",
+             (z {:.1}, {SIGNIFICANT} is asked){}",
             names.join(" and "),
             100.0 * repeated.share,
-            repeated.z
+            repeated.z,
+            if repeated.explains_it || source == FloorSource::None {
+                ""
+            } else {
+                "; what is left there is more than noise"
+            }
         ),
         DiagnosisVerdict::None if confirmed.is_none() => format!(
             "the error there is {before:.2} {times}, and without a noise floor nobody knows how large it may be"

@@ -8,7 +8,7 @@ use super::axis_map::{AxisMap, axis_map};
 use super::bench::Bench;
 use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
-use super::decide::{self, Settings, explained};
+use super::decide::{self, explained};
 use super::describe::{describe, sentence};
 use super::evidence::{Evidence, HoldoutFrom, not_repeated};
 use super::fitted::Fitted;
@@ -77,6 +77,14 @@ pub struct Diagnosis {
     /// For each confusable pair the model with its second effect in the place of the first, where a fit begins.
     #[serde(skip)]
     pub rivals: Vec<Model>,
+}
+
+impl Diagnosis {
+    /// Whether the run that had no part in the answer speaks against it.
+    pub fn is_refuted(&self) -> bool {
+        let confirm = self.confirm.as_ref();
+        confirm.is_some_and(|confirm| confirm.confirmed == Some(false))
+    }
 }
 
 /// A part of the error that follows something and that no effect of the catalogue explains.
@@ -376,8 +384,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         [&diagnosis.baseline.model, &diagnosis.model.model],
         verdict,
         &diagnosis.effects,
-        Settings::default(),
+        in_motion(repeat_floor),
     );
+    diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
     diagnosis.sentence = sentence(&diagnosis);
     for id in &inference.superfluous {
         let _ = write!(diagnosis.sentence, "; {id} is superfluous now");
@@ -428,6 +437,11 @@ fn repeat_floor(evidence: &Evidence, model: &Model) -> Option<f64> {
     (!squares.is_empty()).then(|| mean.sqrt())
 }
 
+/// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
+fn in_motion(repeat_floor: Option<f64>) -> f64 {
+    repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS))
+}
+
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF: f64 = 0.5;
 
@@ -439,9 +453,8 @@ fn verdict(
 ) -> DiagnosisVerdict {
     let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
-    // A sensor may be a little noisier in motion than at rest, which a repeated run tells.
-    let in_motion = repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS));
-    let at_floor = !is_known || decide::at_the_floor(evidence, base.nrms / in_motion);
+    let at_floor =
+        !is_known || decide::at_the_floor(evidence, base.nrms / in_motion(repeat_floor));
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && at_floor {
             DiagnosisVerdict::None

@@ -24,6 +24,7 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
     if let Some(half_width_s) = scenario.typical_half_width_s() {
         stamps::refuse(parameters, half_width_s);
     }
+    without_current(parameters, scenario);
     let claims = claims(run, scenario);
     for claim in &claims {
         for parameter in parameters.iter_mut() {
@@ -42,6 +43,33 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
         })
         .map(|claim| claim.reason)
         .collect()
+}
+
+/// What voltage and speed leave open together, whatever is run: only L/R, R J/(Ke Kt) and R Mc/Kt stand in their equations.
+const TIED_TO_RESISTANCE: [MotorKey; 4] = [
+    MotorKey::Resistance,
+    MotorKey::Inductance,
+    MotorKey::Inertia,
+    MotorKey::LoadTorque,
+];
+
+/// Without a current no excitation tells these apart, which is another thing than a run that does not excite them.
+fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
+    let has_current = scenario.current_a.iter().any(|current| current.is_finite());
+    let is_tied = |p: &ParameterEstimate| TIED_TO_RESISTANCE.iter().any(|key| key.key() == p.key);
+    let is_given = |p: &&ParameterEstimate| is_tied(p) && p.verdict == Verdict::Fixed;
+    if scenario.input != Input::Voltage || has_current || parameters.iter().any(|p| is_given(&p)) {
+        return;
+    }
+    for parameter in parameters.iter_mut() {
+        if is_tied(parameter) && parameter.verdict == Verdict::NotObservable {
+            parameter.reason = Some(
+                "without a current no run tells resistance, inductance, inertia and load torque apart: voltage and speed hold \
+                 only L/R, R J and R Mc; measure the current, or fix one of them in the model file"
+                    .to_owned(),
+            );
+        }
+    }
 }
 
 /// A parameter that a caution touches is not settled while the caution stands.

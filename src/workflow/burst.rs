@@ -1,16 +1,18 @@
-//! What a burst tells that the loop is too slow to see: resistance, inductance, and effects of the voltage.
+//! What a burst tells that the loop is too slow to see: resistance, inductance, and effects in the circuit.
 //!
 //! The loop samples at 10 ms and more, and the current has settled within L/R. A burst shows the whole transient.
+
+use std::fmt::Write as _;
 
 use serde::Serialize;
 
 use super::named_estimate::NamedEstimate;
-use crate::diagnosis::{Evidence, diagnose};
+use crate::diagnosis::{Diagnosis, Evidence, Status, diagnose};
 use crate::identification::output_error::FitError;
-use crate::identification::start;
+use crate::identification::{start, weak_form};
 use crate::numerics::count::whole;
-use crate::plant::{Model, MotorKey, Scenario};
-use crate::sample::ParameterEstimate;
+use crate::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
+use crate::sample::{ParameterEstimate, Verdict};
 
 /// What one burst said.
 #[derive(Clone, Debug, Serialize)]
@@ -19,25 +21,26 @@ pub struct BurstResult {
     pub capture: String,
     pub rows: usize,
     pub rate_hz: f64,
-    /// Resistance and inductance, with what the burst misses in the model.
+    /// Resistance and inductance, with the effects in the circuit.
     pub parameters: Vec<NamedEstimate>,
-    /// What the burst itself shows to be missing, or why it could not be asked.
+    /// Effects that its voltage equation misses.
     pub effects: Vec<&'static str>,
+    /// How well that equation holds, or why it could not be asked; never what is missing in the machine.
     pub sentence: String,
 }
 
 impl BurstResult {
-    /// Fits and diagnoses a burst by itself. Where the burst tells no inductance there is none in the result.
+    /// Fits the circuit to a burst by itself. Where the burst tells no inductance there is none in the result.
     pub fn of(nameplate: &Model, burst: &Scenario, capture: String) -> Self {
         let (rows, rate_hz) = (burst.samples(), rate_hz(burst));
         match told(nameplate, burst) {
-            Ok((estimates, effects, sentence)) => Self {
+            Ok(told) => Self {
                 capture,
                 rows,
                 rate_hz,
-                parameters: NamedEstimate::list(&estimates),
-                effects,
-                sentence,
+                parameters: NamedEstimate::list(&told.estimates),
+                effects: told.effects,
+                sentence: told.sentence,
             },
             Err(error) => Self {
                 capture,
@@ -63,6 +66,25 @@ impl BurstResult {
             model.motor.set(MotorKey::Inductance, inductance_h);
         }
         model
+    }
+
+    /// Beside the diagnosis of the runs, which has the last word on what is missing: the burst saw the circuit for a moment.
+    #[must_use]
+    pub fn beside(mut self, diagnosis: &Diagnosis) -> Self {
+        for id in &self.effects {
+            let named = diagnosis.effects.contains(id);
+            let judged = diagnosis.candidates.iter().find(|c| c.effect == *id);
+            let says = match judged.map(|candidate| candidate.status) {
+                _ if named => "the runs show it too",
+                Some(Status::NotExcited) | None => "the runs would not show it",
+                Some(Status::Supported | Status::Possible) => "the runs leave it open",
+                Some(Status::RuledOut) => "the runs rule it out",
+            };
+            let _ = write!(self.sentence, "; {id}: {says}");
+        }
+        self.sentence
+            .push_str("; what is missing is the diagnosis' to say, which has more to go by");
+        self
     }
 
     /// What the burst told, for the end of the loop.
@@ -91,20 +113,96 @@ impl BurstResult {
     }
 }
 
-type Told = (Vec<ParameterEstimate>, Vec<&'static str>, String);
+/// What the voltage equation of a burst says.
+struct Told {
+    estimates: Vec<ParameterEstimate>,
+    effects: Vec<&'static str>,
+    sentence: String,
+}
 
+/// Error of the voltage equation in units of its noise up to which it holds.
+const HOLDS: f64 = 1.15;
+/// Standard deviations by which a coefficient has to differ from zero.
+const CERTAIN: f64 = 3.0;
+
+/// The voltage equation alone, with the measured speed in it: in the first moments after a standstill a shaft sticks, slips
+/// and winds up, and a free run would put what its load does into the inductance.
 fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
     let model = start::complete(nameplate, burst)?;
+    let plain = VoltageBalance::of(&model, burst)?;
+    let Some(before) = plain.over_noise else {
+        return Ok(plain.told(Vec::new(), "no standstill in it tells its noise".to_owned()));
+    };
+    let leaves = format!("its voltage equation leaves {before:.2} times its noise");
+    if before <= HOLDS {
+        return Ok(plain.told(Vec::new(), leaves));
+    }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None), false)?;
-    let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
-    let estimates = diagnosis
-        .model
-        .parameters
-        .iter()
-        .filter(|estimate| electrical.contains(&estimate.key.as_str()))
-        .cloned()
-        .collect();
-    Ok((estimates, diagnosis.effects, diagnosis.sentence))
+    let mut with = diagnosis.model.model;
+    let of_circuit = |active: &ActiveEffect| active.effect.card().enters.includes(Balance::Voltage);
+    with.effects.retain(of_circuit);
+    let better = VoltageBalance::of(&with, burst)?;
+    let bears_out = |id: &&str| better.bears_out(id);
+    let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
+    let Some(after) = better.over_noise.filter(|_| !found.is_empty()) else {
+        return Ok(plain.told(found, format!("{leaves}: it misses something")));
+    };
+    let names = found.join(" and ");
+    Ok(better.told(found, format!("{leaves}, and {after:.2} times with {names}")))
+}
+
+/// The voltage equation fitted to a burst by itself.
+struct VoltageBalance {
+    parameters: Vec<ParameterEstimate>,
+    /// What is left over what noise alone would leave; none where the noise is not known.
+    over_noise: Option<f64>,
+}
+
+impl VoltageBalance {
+    fn of(model: &Model, burst: &Scenario) -> Result<Self, FitError> {
+        let mut balances = weak_form::fit(model, burst)?.into_iter();
+        let found = balances.find(|balanced| balanced.equation == Balance::Voltage);
+        let Some(found) = found else {
+            return Ok(Self {
+                parameters: Vec::new(),
+                over_noise: None,
+            });
+        };
+        let squares = found.residual.iter().map(|window| window.residual.powi(2));
+        let rms = (squares.sum::<f64>() / found.residual.len().max(1) as f64).sqrt();
+        Ok(Self {
+            over_noise: found.noise_floor.map(|floor| rms / floor),
+            parameters: found.parameters,
+        })
+    }
+
+    /// Whether the size of this effect is told from zero.
+    fn bears_out(&self, id: &str) -> bool {
+        let prefix = format!("{id}.");
+        let mut own = self.parameters.iter().filter(|p| p.key.starts_with(&prefix));
+        own.any(|p| matches!((p.value, p.std), (Some(value), Some(std)) if value.abs() > CERTAIN * std))
+    }
+
+    /// Resistance and inductance; not settled where the equation misses something.
+    fn told(self, effects: Vec<&'static str>, sentence: String) -> Told {
+        let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
+        let misses = self.over_noise.filter(|over| *over > HOLDS);
+        let mut estimates = self.parameters;
+        estimates.retain(|estimate| electrical.contains(&estimate.key.as_str()));
+        for estimate in &mut estimates {
+            if let (Some(over), Verdict::Settled) = (misses, estimate.verdict) {
+                estimate.verdict = Verdict::Searching;
+                estimate.reason = Some(format!(
+                    "the voltage equation of the burst leaves {over:.2} times its noise: something is missing in it"
+                ));
+            }
+        }
+        Told {
+            estimates,
+            effects,
+            sentence,
+        }
+    }
 }
 
 fn rate_hz(burst: &Scenario) -> f64 {

@@ -1,7 +1,7 @@
 //! Dynamics with their covariance as parameters with deviation and verdict.
 
 use super::inverse::Dynamics;
-use crate::identification::verdict::judge;
+use crate::identification::verdict::{SETTLED, judge};
 use crate::plant::{MotorKey, Slot};
 use crate::sample::{ParameterEstimate, Verdict};
 
@@ -135,7 +135,11 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         let relative = error.abs() / better.abs().max(f64::MIN_POSITIVE);
         // A comparison with what is not finite shows nothing.
         let visible = relative > VISIBLE && error.abs() > SIGNIFICANT * noise;
-        if !visible || judged.verdict == Verdict::Invalid {
+        if judged.verdict == Verdict::Invalid {
+            continue;
+        }
+        if !visible {
+            not_better_than(noise, doubt, &mut judged);
             continue;
         }
         judged.verdict = if relative > SPOILT {
@@ -155,6 +159,25 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         ));
     }
     judged
+}
+
+/// A bias is known no better than the value that shows it: what that leaves open is part of the uncertainty.
+fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
+    let (Some(value), Some(std)) = (judged.value, judged.std) else {
+        return;
+    };
+    // Not finite: the better value says nothing, as if there were none.
+    let open = if noise.is_finite() { noise } else { value.abs() };
+    judged.std = Some(std.hypot(open));
+    if judged.verdict == Verdict::Settled && std.hypot(open) > SETTLED * value.abs() {
+        judged.verdict = Verdict::Searching;
+        judged.reason = Some(format!(
+            "{}, and how far is known to {:.0} % only {}",
+            doubt.cause,
+            100.0 * open / value.abs(),
+            doubt.source
+        ));
+    }
 }
 
 /// Standard deviation of a function of the dynamics, by its gradient (central differences).
