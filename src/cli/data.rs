@@ -212,7 +212,10 @@ pub(super) fn prepare(
     let evidence = Evidence::new(fit_run, holdout.used, confirm);
     let mut objected = holdout.objected;
     if judging == Judging::AsGiven {
-        let own = args.holdout.as_deref().filter(|_| evidence.holdout_from == HoldoutFrom::Run);
+        let own = args
+            .holdout
+            .as_deref()
+            .filter(|_| evidence.holdout_from == HoldoutFrom::Run);
         let fitted = holdout::was_fitted_on(&model.file.history.fitted_on, path, own);
         objected |= fitted.is_some();
         output::warn(fitted.as_slice());

@@ -102,7 +102,9 @@ pub(super) fn was_fitted_on(
     holdout: Option<&Path>,
 ) -> Option<String> {
     let judge = holdout.unwrap_or(run);
-    let name = fitted_on.iter().find(|name| is_same(Path::new(name), judge))?;
+    let name = fitted_on
+        .iter()
+        .find(|name| is_same(Path::new(name), judge))?;
     Some(if holdout.is_some() {
         format!(
             "hold-out: the model was fitted on it (its file names {name}), so that its held-out figures are those of a fit and \
@@ -209,3 +211,35 @@ const MANY_MISSING: usize = 10;
 /// A time without rows that is worth a word: so many mean periods, and so many seconds.
 const LONG_GAP: f64 = 50.0;
 const LONG_GAP_S: f64 = 0.2;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::create_dir(&path).unwrap();
+            path
+        };
+        let (fit, select) = (run("20260101T000000Z-fit"), run("20260101T000000Z-select"));
+        let history = [fit.display().to_string()];
+        let says = |run: &Path, holdout: Option<&Path>| was_fitted_on(&history, run, holdout);
+        let warning = says(&select, Some(&fit)).unwrap();
+        assert!(
+            warning.contains("held-out figures are those of a fit"),
+            "{warning}"
+        );
+        assert!(says(&select, Some(&fit.join("samples.csv"))).is_some());
+        let warning = says(&fit, None).unwrap();
+        assert!(warning.contains("its last 40 %"), "{warning}");
+        // The run that a model was fitted on may stand beside one that it was not.
+        assert_eq!(says(&fit, Some(&select)), None);
+        assert_eq!(says(&select, None), None);
+        // The record moved since.
+        let moved = ["/gone/20260101T000000Z-fit".to_owned()];
+        assert!(was_fitted_on(&moved, &select, Some(&fit)).is_some());
+    }
+}

@@ -80,7 +80,11 @@ impl Comparison {
 
     /// Where it fails, in one sentence that holds for models that are nearly the same too.
     pub fn headline(&self) -> String {
-        let first = || self.locations.first().map(|location| location.sentence.clone());
+        let first = || {
+            self.locations
+                .first()
+                .map(|location| location.sentence.clone())
+        };
         self.undecided()
             .or_else(first)
             .unwrap_or_else(|| "the error follows nothing in particular".to_owned())

@@ -182,6 +182,23 @@ mod tests {
         let hidden = diagnose(&nameplate(), data.clone(), false).unwrap();
         assert_eq!(hidden.verdict, DiagnosisVerdict::None);
         assert_eq!(confirmed(&hidden).confirmed, Some(false));
+        // What one run contradicts is not said.
+        assert!(!hidden.sufficient && nothing.sufficient);
+        assert!(
+            nothing.sentence.starts_with("nothing is missing"),
+            "{}",
+            nothing.sentence
+        );
+        assert!(
+            !hidden.sentence.contains("nothing is missing"),
+            "{}",
+            hidden.sentence
+        );
+        assert!(
+            hidden.sentence.contains("on the confirming run"),
+            "{}",
+            hidden.sentence
+        );
         data.confirm = None;
         assert_eq!(diagnose(&nameplate(), data, false).unwrap().confirm, None);
     }

@@ -189,7 +189,10 @@ fn unseen(diagnosis: &Diagnosis) -> String {
         few if few.len() <= FEW => {
             format!("; these runs would not show {}", few.join(", "))
         }
-        many => format!("; these runs would not show {} effects of the catalogue", many.len()),
+        many => format!(
+            "; these runs would not show {} effects of the catalogue",
+            many.len()
+        ),
     }
 }
 

@@ -453,8 +453,7 @@ fn verdict(
 ) -> DiagnosisVerdict {
     let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
-    let at_floor =
-        !is_known || decide::at_the_floor(evidence, base.nrms / in_motion(repeat_floor));
+    let at_floor = !is_known || decide::at_the_floor(evidence, base.nrms / in_motion(repeat_floor));
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && at_floor {
             DiagnosisVerdict::None

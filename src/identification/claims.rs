@@ -318,6 +318,41 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
 mod tests {
     use super::*;
 
+    #[test]
+    fn what_no_run_tells_without_a_current_is_not_called_not_excited() {
+        let mut run = run(Origin::Measured);
+        let said = |run: &Run, verdict: Verdict| {
+            let unknown = |key: MotorKey| {
+                ParameterEstimate::not_observable(
+                    key.key(),
+                    key.unit(),
+                    "the run does not excite it",
+                )
+            };
+            let mut found =
+                [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia].map(unknown);
+            found[0].verdict = verdict;
+            limit(&mut found, run, &Scenario::from_run(run).unwrap());
+            found.map(|parameter| parameter.reason.unwrap())
+        };
+        let open = Verdict::NotObservable;
+        assert!(
+            said(&run, open)
+                .iter()
+                .all(|reason| reason.contains("does not excite"))
+        );
+        run.set_column(Channel::Current, vec![f64::NAN; ROWS], Origin::Unknown)
+            .unwrap();
+        let [resistance, back_emf, inertia] = said(&run, open);
+        assert!(
+            resistance.contains("R J and R Mc") && inertia == resistance,
+            "{resistance}"
+        );
+        assert!(back_emf.contains("does not excite"));
+        // One that is given tells the others, where they are excited.
+        assert!(said(&run, Verdict::Fixed)[2].contains("does not excite"));
+    }
+
     const ROWS: usize = 100;
 
     /// Voltage (and its measurement), current and speed; what they hold does not matter to a claim.

@@ -116,7 +116,10 @@ const fn axis_name(axis: &str) -> &'static str {
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
 pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
     page.section("Effects that were tried");
-    let named = diagnosis.candidates.iter().filter(|c| has_paid(c) && !c.parameters.is_empty());
+    let named = diagnosis
+        .candidates
+        .iter()
+        .filter(|c| has_paid(c) && !c.parameters.is_empty());
     if let Some(words) = named.filter_map(Candidate::widened).next() {
         page.paragraph(format!("Intervals of sizes: {words}."));
     }

@@ -148,7 +148,10 @@ fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
         return Ok(plain.told(found, format!("{leaves}: it misses something")));
     };
     let names = found.join(" and ");
-    Ok(better.told(found, format!("{leaves}, and {after:.2} times with {names}")))
+    Ok(better.told(
+        found,
+        format!("{leaves}, and {after:.2} times with {names}"),
+    ))
 }
 
 /// The voltage equation fitted to a burst by itself.
@@ -179,8 +182,13 @@ impl VoltageBalance {
     /// Whether the size of this effect is told from zero.
     fn bears_out(&self, id: &str) -> bool {
         let prefix = format!("{id}.");
-        let mut own = self.parameters.iter().filter(|p| p.key.starts_with(&prefix));
-        own.any(|p| matches!((p.value, p.std), (Some(value), Some(std)) if value.abs() > CERTAIN * std))
+        let mut own = self
+            .parameters
+            .iter()
+            .filter(|p| p.key.starts_with(&prefix));
+        own.any(
+            |p| matches!((p.value, p.std), (Some(value), Some(std)) if value.abs() > CERTAIN * std),
+        )
     }
 
     /// Resistance and inductance; not settled where the equation misses something.
@@ -215,7 +223,9 @@ fn rate_hz(burst: &Scenario) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Motor;
+    use crate::identification::noise::NoiseFloor;
+    use crate::identification::output_error;
+    use crate::plant::{Motor, testing};
     use crate::sample::{Channel, Origin, Run};
 
     const RATE_HZ: f64 = 10_000.0;
@@ -259,6 +269,41 @@ mod tests {
         let improved = result.improve(plate());
         assert_eq!(improved.motor.get(MotorKey::Inductance), Some(inductance_h));
         assert!(result.text().starts_with("1000 samples at 10000 Hz"));
+    }
+
+    #[test]
+    fn friction_of_a_shaft_that_breaks_away_is_no_part_of_the_inductance() {
+        let mut truth = Model::baseline(Motor::zk_22fc())
+            .with_effect("stribeck_friction")
+            .unwrap();
+        truth.effects[0].values = vec![Some(0.16), Some(10.0)];
+        // Steps of 1 V each 10 ms after a moment at rest, as the loop climbs to its first level.
+        let climb = (1..30).map(|step| (0.01 * f64::from(step), f64::from(step)));
+        let events = std::iter::once((0.0, 0.0)).chain(climb).collect();
+        let burst = testing::record(&truth, events, 1e-4, 0.3, 4);
+        let result = BurstResult::of(&plate(), &burst, "c".to_owned());
+        let inductance = result.parameters.iter().find(|p| p.key == "inductance_h");
+        let estimate = &inductance.unwrap().estimate;
+        let (value, std) = (estimate.value.unwrap(), estimate.std.unwrap());
+        assert!(
+            (value - 0.0099).abs() < 2.5 * std && std < 0.01 * value,
+            "{value} +- {std}"
+        );
+        assert!(result.effects.is_empty(), "{result:?}");
+        assert!(
+            result.sentence.contains("times its noise"),
+            "{}",
+            result.sentence
+        );
+        assert!(!result.sentence.contains("nothing"), "{}", result.sentence);
+        // The free run of the five parameters puts the stiction into the inductance.
+        let noise = NoiseFloor::from_standstill(&burst).unwrap();
+        let free = output_error::fit(&[Model::baseline(Motor::zk_22fc())], &burst, &noise).unwrap();
+        let free = free.model.motor.get(MotorKey::Inductance).unwrap();
+        assert!(
+            (free / 0.0099 - 1.0).abs() > 3.0 * (value / 0.0099 - 1.0).abs(),
+            "{free}"
+        );
     }
 
     #[test]

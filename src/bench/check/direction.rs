@@ -139,7 +139,10 @@ fn fault(known: &Known<'_>, direction: f64, seen: &Seen) -> Option<(String, &'st
         && amps * direction < 0.0
     {
         // A sensor the wrong way round shows a change the wrong way round too.
-        if let Some(rise_a) = seen.rise_a.filter(|rise| rise * direction > known.flowed_a()) {
+        if let Some(rise_a) = seen
+            .rise_a
+            .filter(|rise| rise * direction > known.flowed_a())
+        {
             return Some((
                 format!(
                     "an offset: the current is {amps:+.2} A against what is asked and goes with it all the same, by {rise_a:+.2} A; \
@@ -267,6 +270,43 @@ mod tests {
             let (_, refusal) = judged(volts, current, speed, true);
             assert!(refusal.contains(words), "{words}: {refusal}");
         }
+    }
+
+    #[test]
+    fn a_current_that_starts_elsewhere_and_goes_with_the_voltage_is_an_offset() {
+        let plate = Nameplate::zk_22fc();
+        let limits = Limits::for_motor(&plate, 100.0);
+        let size = Size::of(&plate, &limits, Demand::Voltage(0.0), 0.15, 0.01);
+        let known = Known {
+            plate: &plate,
+            size,
+            current: (0.0, 0.03),
+            speed: (0.0, 0.15),
+            signed_current: true,
+            set_point: None,
+        };
+        let pulse = |current_a: fn(f64) -> f64| {
+            let mut leg = Leg::new(1.0);
+            for step in 0..8 {
+                let volts = 0.4 * f64::from(step);
+                let sample = Sample::at(0.0)
+                    .with(Channel::Current, current_a(volts))
+                    .with(Channel::Speed, 0.0);
+                leg.push(&size, volts, &sample);
+            }
+            judge(&known, &[leg])
+                .1
+                .map_or_else(String::new, |(text, _)| text)
+        };
+        // Of a ramp to 2.8 V the motor gets 2.3 V less.
+        let offset = pulse(|volts| (volts - 2.3) / 1.1);
+        assert!(
+            offset.starts_with("an offset: the current is -2.09 A"),
+            "{offset}"
+        );
+        assert!(offset.contains("by +2.55 A"), "{offset}");
+        let reversed = pulse(|volts| -volts / 1.1);
+        assert!(reversed.contains("wrong sign"), "{reversed}");
     }
 
     #[test]

@@ -60,12 +60,6 @@ pub enum Ending {
         ohm_now: f64,
         below_rad_s: f64,
     },
-    /// Something is there where no voltage is asked.
-    Offset {
-        current_a: f64,
-        speed_rad_s: f64,
-        voltage_v: f64,
-    },
     /// The voltage limit was reached before the rated current.
     VoltageLimit {
         current_a: f64,
@@ -93,7 +87,6 @@ impl Ending {
             Self::LockedRotor { .. } => "locked rotor",
             Self::SpeedSignalDead { .. } => "speed signal dead",
             Self::VoltageLimit { .. } => "voltage limit",
-            Self::Offset { .. } => "offset",
             Self::CurrentSign { .. } => "current sign",
             Self::SpeedSign { .. } => "speed sign",
             Self::NotIdentified { .. } => "not identified",
@@ -140,14 +133,6 @@ impl Ending {
             } => format!(
                 "the shaft stands still and the voltage limit keeps the current low: {current_a:.2} A of {rated_current_a:.2} A rated at {voltage_v:.2} V"
             ),
-            Self::Offset {
-                current_a,
-                speed_rad_s,
-                voltage_v,
-            } => format!(
-                "an offset: with no voltage asked the current is {current_a:.3} A and the speed {speed_rad_s:.2} rad/s, so that \
-                 what they do at {voltage_v:.3} V tells no sign: the drive puts out a voltage of its own, or a sensor is not zeroed"
-            ),
             Self::CurrentSign {
                 voltage_v,
                 current_a,
@@ -177,9 +162,6 @@ impl Ending {
             Self::VoltageLimit { .. } => {
                 "turn the shaft by hand with the power off; raise limits.voltage_v if it is below the rated voltage"
             }
-            Self::Offset { .. } => {
-                "zero the offset of the drive's output and of its sensors, or give the nameplate's values in [motor]"
-            }
             Self::CurrentSign { .. } => {
                 "turn the current sensor round, or swap the motor's leads at the drive"
             }
@@ -193,28 +175,12 @@ impl Ending {
     }
 }
 
-const fn offset(seen: &Seen, current_a: f64, speed_rad_s: f64) -> Ending {
-    Ending::Offset {
-        current_a,
-        speed_rad_s,
-        voltage_v: seen.peak_v,
-    }
-}
-
-/// A sensor that is wired the wrong way round, or a drive that puts out a voltage of its own.
+/// A sensor that is wired the wrong way round.
 pub(super) fn wrong_sign(seen: &Seen) -> Option<Ending> {
     let against = |value: f64, volts: f64| value * volts < 0.0;
     // At its peak the current of a ramp, and that of the first steps, goes with the voltage; while braking it does not.
     let current_a = seen.current_at_peak_a;
     if current_a.abs() > 10.0 * seen.noise_a && against(current_a, seen.peak_v) && !seen.moves() {
-        // A sensor the wrong way round shows a change the wrong way round too.
-        let goes_with = |before_a: f64| {
-            let rise_a = current_a - before_a;
-            rise_a.abs() > 10.0 * seen.noise_a && !against(rise_a, seen.peak_v)
-        };
-        if let Some((before_a, before_rad_s)) = seen.before.filter(|before| goes_with(before.0)) {
-            return Some(offset(seen, before_a, before_rad_s));
-        }
         return Some(Ending::CurrentSign {
             voltage_v: seen.peak_v,
             current_a,
@@ -224,10 +190,6 @@ pub(super) fn wrong_sign(seen: &Seen) -> Option<Ending> {
     let is_driven = seen.voltage_of_motion_v.abs() > 0.2 * seen.peak_v.abs();
     let is_clear = seen.mean_speed_rad_s.abs() > 2.0 * seen.motion_rad_s;
     if is_clear && is_driven && against(seen.mean_speed_rad_s, seen.voltage_of_motion_v) {
-        let turned = |before_rad_s: f64| before_rad_s.abs() > seen.motion_rad_s;
-        if let Some((before_a, before_rad_s)) = seen.before.filter(|before| turned(before.1)) {
-            return Some(offset(seen, before_a, before_rad_s));
-        }
         return Some(Ending::SpeedSign {
             voltage_v: seen.voltage_of_motion_v,
             speed_rad_s: seen.mean_speed_rad_s,

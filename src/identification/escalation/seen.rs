@@ -10,8 +10,6 @@ const LEAST_NOISE: f64 = 1e-4;
 /// A mean speed counts as motion from so many of its standard deviations on, and from this share of the speed limit.
 const MOTION_NOISE: f64 = 8.0;
 const MOTION_SHARE: f64 = 5e-4;
-/// Share of the peak voltage below which none is asked.
-const NO_VOLTAGE: f64 = 0.02;
 /// Samples of which the mean is taken.
 const MEAN_OF: usize = 12;
 
@@ -33,8 +31,6 @@ pub struct Seen {
     pub(super) peak_time_s: f64,
     /// Mean current while they were, A.
     pub(super) current_at_peak_a: f64,
-    /// Means of current, A, and speed, rad/s, before any voltage is asked; none where the stage begins with one.
-    pub(super) before: Option<(f64, f64)>,
     /// Mean measured voltage while they were, V, where the drive measures it.
     pub(super) measured_at_peak_v: Option<f64>,
     /// Samples before the shaft left its rest.
@@ -110,9 +106,6 @@ impl Seen {
                 .collect();
             (!found.is_empty()).then(|| mean(&found))
         };
-        let unasked = volts.iter().take_while(|volts| volts.abs() <= NO_VOLTAGE * peak_v.abs());
-        let unasked = unasked.count();
-        let before = (unasked >= MEAN_OF).then(|| (mean(&amps[..unasked]), mean(&speeds[..unasked])));
         let slow = means(&speeds);
         // What comes before half of what counts as motion, with the samples of that mean, is rest for sure.
         let at_rest = slow
@@ -134,7 +127,6 @@ impl Seen {
             mean_speed_rad_s,
             peak_time_s: on_top.len() as f64 * step_s,
             current_at_peak_a: top_mean(&amps).unwrap_or(0.0),
-            before,
             measured_at_peak_v: top_mean(&measured),
             at_rest,
             break_away_current_a,

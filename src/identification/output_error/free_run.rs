@@ -279,7 +279,9 @@ impl<'a> FreeRun<'a> {
             (signal.len() > 2).then(|| (statistics::variance(&left) / spread, changes))
         };
         let shares: Vec<(f64, bool)> = [false, true].into_iter().filter_map(share).collect();
-        let most = shares.iter().fold(f64::INFINITY, |most, share| most.min(share.0));
+        let most = shares
+            .iter()
+            .fold(f64::INFINITY, |most, share| most.min(share.0));
         let explained = 100.0 * (1.0 - most).max(0.0);
         (most > STILL).then(|| {
             if shares.iter().any(|share| share.1) {

@@ -71,7 +71,11 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
     let mut longest = 0..0;
     let mut begin = 0;
     for row in 0..=table.speed_rad_s.len() {
-        if table.speed_rad_s.get(row).is_none_or(|speed| speed.abs() > 0.0 || speed.is_nan()) {
+        if table
+            .speed_rad_s
+            .get(row)
+            .is_none_or(|speed| speed.abs() > 0.0 || speed.is_nan())
+        {
             if row - begin > longest.len() {
                 longest = begin..row;
             }

@@ -167,7 +167,11 @@ fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
         return;
     };
     // Not finite: the better value says nothing, as if there were none.
-    let open = if noise.is_finite() { noise } else { value.abs() };
+    let open = if noise.is_finite() {
+        noise
+    } else {
+        value.abs()
+    };
     judged.std = Some(std.hypot(open));
     if judged.verdict == Verdict::Settled && std.hypot(open) > SETTLED * value.abs() {
         judged.verdict = Verdict::Searching;
@@ -201,4 +205,55 @@ fn quadratic<const N: usize>(gradient: &[f64; N], covariance: &[[f64; N]; N]) ->
                 .sum::<f64>()
         })
         .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A claim of the same dynamics as a better value of this relative deviation.
+    fn electrical(relative: f64) -> ParameterEstimate {
+        let dynamics = Dynamics {
+            ta_s: 0.009,
+            tm_s: 0.04,
+            ke: 0.35,
+            load_v: 1.4,
+        };
+        let diagonal = |share: f64| {
+            let at = dynamics.to_array();
+            std::array::from_fn(|i| {
+                std::array::from_fn(|j| if i == j { (share * at[i]).powi(2) } else { 0.0 })
+            })
+        };
+        let doubt = Doubt {
+            better: Dynamics {
+                ta_s: 0.0091,
+                ..dynamics
+            },
+            covariance: Some(diagonal(relative)),
+            cause: "noise of the speed biases least squares".to_owned(),
+            systematic: None,
+            source: "by 1-iv on the same run",
+        };
+        let claim = Claim {
+            dynamics,
+            covariance: Some(diagonal(0.005)),
+            period_s: 0.001,
+            resistance_ohm: None,
+            torque_n_m_per_a: None,
+            doubts: vec![doubt],
+        };
+        estimates(&claim).swap_remove(0)
+    }
+
+    #[test]
+    fn a_bias_that_nothing_bounds_settles_nothing() {
+        let bounded = electrical(0.01);
+        assert_eq!(bounded.verdict, Verdict::Settled, "{bounded:?}");
+        // Within the deviation of the better value, which is as good as none.
+        let open = electrical(0.6);
+        assert_eq!(open.verdict, Verdict::Searching, "{open:?}");
+        assert!(open.std.unwrap() > 0.5 * open.value.unwrap());
+        assert!(open.reason.unwrap().contains("known to 60 % only by 1-iv"));
+    }
 }

@@ -107,7 +107,10 @@ fn reason(candidate: &Candidate, times: &str) -> String {
             format!("possible, but leaves more: {before:.2} -> {after} {times}")
         }
         Status::RuledOut if candidate.holdout_after.is_none() => {
-            format!("ruled out: there with {:.0} %", 100.0 * candidate.probability)
+            format!(
+                "ruled out: there with {:.0} %",
+                100.0 * candidate.probability
+            )
         }
         Status::RuledOut => {
             format!("ruled out: held-out error {before:.2} -> {after} {times}")
