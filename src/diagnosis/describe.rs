@@ -160,18 +160,24 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
             format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
         }
         DiagnosisVerdict::Ambiguous => format!(
-            "behaves like {names}, which this run cannot tell from {}",
-            diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", ")
+            "behaves like {names}, which this run cannot tell from {}{}",
+            diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", "),
+            unconfirmed(diagnosis)
         ),
         DiagnosisVerdict::Effect => format!(
             "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}",
             diagnosis.explained_percent,
-            if diagnosis.is_refuted() {
-                "; NOT confirmed on the run that had no part in the answer"
-            } else {
-                ""
-            }
+            unconfirmed(diagnosis)
         ),
+    }
+}
+
+/// Said where the run that had no part in the answer speaks against it.
+fn unconfirmed(diagnosis: &Diagnosis) -> &'static str {
+    if diagnosis.is_refuted() {
+        "; NOT confirmed on the run that had no part in the answer"
+    } else {
+        ""
     }
 }
 
@@ -180,20 +186,24 @@ const FEW: usize = 4;
 
 /// Said beside "nothing is missing": of what it is not said.
 fn unseen(diagnosis: &Diagnosis) -> String {
-    let unseen: Vec<&str> = (diagnosis.candidates.iter())
-        .filter(|candidate| candidate.status == Status::NotExcited)
-        .map(|candidate| candidate.effect)
+    let with = |status: Status| {
+        let candidates = diagnosis.candidates.iter();
+        candidates.filter(move |candidate| candidate.status == status)
+    };
+    let possible: Vec<String> = with(Status::Possible)
+        .map(|candidate| format!("{} ({})", candidate.effect, percent(candidate.probability)))
         .collect();
-    match unseen.as_slice() {
-        [] => String::new(),
-        few if few.len() <= FEW => {
-            format!("; these runs would not show {}", few.join(", "))
-        }
-        many => format!(
-            "; these runs would not show {} effects of the catalogue",
-            many.len()
-        ),
+    let mut said = String::new();
+    if !possible.is_empty() {
+        said = format!("; possible: {}", possible.join(", "));
     }
+    let unseen: Vec<&str> = with(Status::NotExcited).map(|c| c.effect).collect();
+    let names = match unseen.len() {
+        0 => return said,
+        1..=FEW => unseen.join(", "),
+        many => format!("{many} effects of the catalogue"),
+    };
+    said + "; these runs would not show " + &names
 }
 
 /// Said where the machine does not do the same twice: how much of the error that is.

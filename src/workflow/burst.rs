@@ -131,7 +131,8 @@ fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
     let model = start::complete(nameplate, burst)?;
     let plain = VoltageBalance::of(&model, burst)?;
     let Some(before) = plain.over_noise else {
-        return Ok(plain.told(Vec::new(), "no standstill in it tells its noise".to_owned()));
+        let sentence = plain.why_unknown();
+        return Ok(plain.told(Vec::new(), sentence));
     };
     let leaves = format!("its voltage equation leaves {before:.2} times its noise");
     if before <= HOLDS {
@@ -177,6 +178,17 @@ impl VoltageBalance {
             over_noise: found.noise_floor.map(|floor| rms / floor),
             parameters: found.parameters,
         })
+    }
+
+    /// Why nothing says how well the equation holds.
+    fn why_unknown(&self) -> String {
+        let resistance = self.parameters.first();
+        let none = resistance.filter(|p| p.value.is_none());
+        let reason = none.and_then(|p| p.reason.clone());
+        reason.map_or_else(
+            || "how well its voltage equation holds is not known: no standstill tells the noise, or the shaft does not turn".to_owned(),
+            |reason| format!("it tells nothing: {reason}"),
+        )
     }
 
     /// Whether the size of this effect is told from zero.
