@@ -296,7 +296,7 @@ fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<
     while !order.is_empty() {
         let fit = bench.fit(&with_named(&baseline.model, inference, &order)?)?;
         let is_zero = |id: &&str| !told_from_zero(&fit, id);
-        let Some(place) = order.iter().rposition(|id| is_zero(&*id)) else {
+        let Some(place) = order.iter().rposition(|id| is_zero(&id)) else {
             break;
         };
         let id = order.remove(place);

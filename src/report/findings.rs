@@ -116,11 +116,11 @@ const fn axis_name(axis: &str) -> &'static str {
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
 pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
     page.section("Effects that were tried");
-    let named = diagnosis
+    let mut named = diagnosis
         .candidates
         .iter()
         .filter(|c| has_paid(c) && !c.parameters.is_empty());
-    if let Some(words) = named.filter_map(Candidate::widened).next() {
+    if let Some(words) = named.find_map(Candidate::widened) {
         page.paragraph(format!("Intervals of sizes: {words}."));
     }
     page.table(Table {

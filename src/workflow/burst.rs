@@ -83,7 +83,7 @@ impl BurstResult {
             let _ = write!(self.sentence, "; {id}: {says}");
         }
         self.sentence
-            .push_str("; what is missing is the diagnosis' to say, which has more to go by");
+            .push_str("; what is missing the diagnosis says, from all runs");
         self
     }
 
@@ -122,20 +122,20 @@ struct Told {
 
 /// Error of the voltage equation in units of its noise up to which it holds.
 const HOLDS: f64 = 1.15;
-/// Standard deviations by which a coefficient has to differ from zero.
+/// Standard deviations by which a coefficient has to differ from zero, and share of the error that may be left with it.
 const CERTAIN: f64 = 3.0;
+const EXPLAINS: f64 = 0.7;
 
 /// The voltage equation alone, with the measured speed in it: in the first moments after a standstill a shaft sticks, slips
 /// and winds up, and a free run would put what its load does into the inductance.
 fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
     let model = start::complete(nameplate, burst)?;
     let plain = VoltageBalance::of(&model, burst)?;
-    let Some(before) = plain.over_noise else {
-        let sentence = plain.why_unknown();
-        return Ok(plain.told(Vec::new(), sentence));
-    };
-    let leaves = format!("its voltage equation leaves {before:.2} times its noise");
-    if before <= HOLDS {
+    if let Some(reason) = plain.why_nothing() {
+        return Ok(plain.told(Vec::new(), format!("it tells nothing: {reason}")));
+    }
+    let leaves = format!("its voltage equation leaves {}", plain.level());
+    if plain.over_noise.is_some_and(|over| over <= HOLDS) {
         return Ok(plain.told(Vec::new(), leaves));
     }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None), false)?;
@@ -145,20 +145,23 @@ fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
     let better = VoltageBalance::of(&with, burst)?;
     let bears_out = |id: &&str| better.bears_out(id);
     let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
-    let Some(after) = better.over_noise.filter(|_| !found.is_empty()) else {
-        return Ok(plain.told(found, format!("{leaves}: it misses something")));
-    };
-    let names = found.join(" and ");
-    Ok(better.told(
-        found,
-        format!("{leaves}, and {after:.2} times with {names}"),
-    ))
+    if found.is_empty() || better.rms_v > EXPLAINS * plain.rms_v {
+        return Ok(plain.told(Vec::new(), leaves));
+    }
+    let sentence = format!(
+        "{leaves}, and with {} {}",
+        found.join(" and "),
+        better.level()
+    );
+    Ok(better.told(found, sentence))
 }
 
 /// The voltage equation fitted to a burst by itself.
 struct VoltageBalance {
     parameters: Vec<ParameterEstimate>,
-    /// What is left over what noise alone would leave; none where the noise is not known.
+    /// Root mean square of what is left, V.
+    rms_v: f64,
+    /// The same over what noise alone would leave; none where the noise is not known.
     over_noise: Option<f64>,
 }
 
@@ -169,25 +172,37 @@ impl VoltageBalance {
         let Some(found) = found else {
             return Ok(Self {
                 parameters: Vec::new(),
+                rms_v: 0.0,
                 over_noise: None,
             });
         };
         let squares = found.residual.iter().map(|window| window.residual.powi(2));
-        let rms = (squares.sum::<f64>() / found.residual.len().max(1) as f64).sqrt();
+        let rms_v = (squares.sum::<f64>() / found.residual.len().max(1) as f64).sqrt();
         Ok(Self {
-            over_noise: found.noise_floor.map(|floor| rms / floor),
+            rms_v,
+            over_noise: found.noise_floor.map(|floor| rms_v / floor),
             parameters: found.parameters,
         })
     }
 
-    /// Why nothing says how well the equation holds.
-    fn why_unknown(&self) -> String {
-        let resistance = self.parameters.first();
-        let none = resistance.filter(|p| p.value.is_none());
-        let reason = none.and_then(|p| p.reason.clone());
-        reason.map_or_else(
-            || "how well its voltage equation holds is not known: no standstill tells the noise, or the shaft does not turn".to_owned(),
-            |reason| format!("it tells nothing: {reason}"),
+    /// Why it has no resistance.
+    fn why_nothing(&self) -> Option<String> {
+        let resistance = self.parameters.first()?;
+        resistance
+            .reason
+            .clone()
+            .filter(|_| resistance.value.is_none())
+    }
+
+    fn level(&self) -> String {
+        self.over_noise.map_or_else(
+            || {
+                format!(
+                    "{:.2e} V (no standstill tells its noise, or the shaft does not turn)",
+                    self.rms_v
+                )
+            },
+            |over| format!("{over:.2} times its noise"),
         )
     }
 

@@ -257,7 +257,6 @@ impl Commission {
 
     /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step, and
     /// `diagnosing` hears of what the diagnosis does.
-    #[expect(clippy::too_many_lines, reason = "one step after the other")]
     pub fn analyse(
         &mut self,
         mut publish: impl FnMut(Progress),

@@ -20,6 +20,8 @@ const PLATEAU_ROWS: usize = 3;
 const STEEP: f64 = 0.03;
 /// Share of the rows from which clipping forbids an identification.
 const CLIPPED: f64 = 0.01;
+/// Share of the largest value that is none.
+const ROUNDING: f64 = 1e-9;
 /// Share of the largest voltage from which its direction counts.
 const CLEARLY: f64 = 0.2;
 /// Share of the largest value below which a signal has come through zero.
@@ -68,14 +70,13 @@ pub(super) fn check(table: &Table) -> Vec<Finding> {
 /// The longest stretch of a speed of exactly zero over which the winding takes a back-EMF: the shaft turns, and its sensor is
 /// dead. At rest resistance and inductance take the voltage.
 fn dead_at_zero(table: &Table) -> Option<Finding> {
+    // A slope of equal angles is zero but for rounding.
+    let zero_rad_s = ROUNDING * Activity::of(&table.speed_rad_s).largest();
     let mut longest = 0..0;
     let mut begin = 0;
     for row in 0..=table.speed_rad_s.len() {
-        if table
-            .speed_rad_s
-            .get(row)
-            .is_none_or(|speed| speed.abs() > 0.0 || speed.is_nan())
-        {
+        let speed = table.speed_rad_s.get(row);
+        if speed.is_none_or(|speed| speed.abs() > zero_rad_s || speed.is_nan()) {
             if row - begin > longest.len() {
                 longest = begin..row;
             }

@@ -175,11 +175,15 @@ fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
     judged.std = Some(std.hypot(open));
     if judged.verdict == Verdict::Settled && std.hypot(open) > SETTLED * value.abs() {
         judged.verdict = Verdict::Searching;
+        let percent = 100.0 * open / value.abs();
+        let known = if percent > 100.0 {
+            "is not known, also not".to_owned()
+        } else {
+            format!("is known to {percent:.0} % only")
+        };
         judged.reason = Some(format!(
-            "{}, and how far is known to {:.0} % only {}",
-            doubt.cause,
-            100.0 * open / value.abs(),
-            doubt.source
+            "{}, and how far {known} {}",
+            doubt.cause, doubt.source
         ));
     }
 }
