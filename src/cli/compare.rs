@@ -64,6 +64,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     value["rows_dropped"] = prepared.run.run.rows_dropped.into();
     value["notes"] = prepared.run.run.notes.clone().into();
     value["model"] = prepared.model.from.into();
+    value["undecided"] = comparison.undecided().into();
     output::result(&value, arguments.json, |_| {
         text(&comparison) + &map(&comparison)
     })?;
@@ -171,6 +172,9 @@ pub(super) fn text(comparison: &Comparison) -> String {
             text.push_str("where    nowhere: no equation fails beyond its noise\n");
         }
     } else {
+        if let Some(sentence) = comparison.undecided() {
+            let _ = writeln!(text, "where    {sentence}");
+        }
         for location in comparison.locations.iter().take(MOST_PLACES) {
             let _ = writeln!(text, "where    {}", location.sentence);
         }
@@ -197,7 +201,7 @@ fn lights(residual: &ResidualLights) -> String {
         return "too few samples to say whether only noise is left".to_owned();
     }
     let mut line = match (residual.white, residual.independent_of_input) {
-        (true, true) => "white and independent of the input: nothing but noise is left".to_owned(),
+        (true, true) => "white and independent of the input, as noise is".to_owned(),
         (true, false) => "white, but it goes with the input".to_owned(),
         (false, true) => "not white, but independent of the input".to_owned(),
         (false, false) => "not white, and it goes with the input".to_owned(),

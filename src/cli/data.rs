@@ -210,7 +210,18 @@ pub(super) fn prepare(
     let confirm = confirm
         .filter(|confirm| holdout::had_no_part(confirm, holdout.used.as_ref(), &mut run.run.notes));
     let evidence = Evidence::new(fit_run, holdout.used, confirm);
-    let about = About::new(path, &evidence, args, holdout.objected);
+    let mut objected = holdout.objected;
+    if judging == Judging::AsGiven {
+        let own = args
+            .holdout
+            .as_deref()
+            .filter(|_| evidence.holdout_from == HoldoutFrom::Run);
+        let fitted = holdout::was_fitted_on(&model.file.history.fitted_on, path, own);
+        objected |= fitted.is_some();
+        output::warn(fitted.as_slice());
+        run.run.notes.extend(fitted);
+    }
+    let about = About::new(path, &evidence, args, objected);
     Ok(Prepared {
         run,
         model,

@@ -1,6 +1,7 @@
 //! Whether another run can be judged by: of the same motor, moving, long enough, and not the data that are fitted.
 
 use std::cell::OnceCell;
+use std::path::Path;
 
 use super::output;
 use super::sanity_report::Judging;
@@ -94,6 +95,42 @@ impl Beside<'_> {
     }
 }
 
+/// Says that a model is judged by what it was fitted on, as far as its file tells: `holdout`, or the last part of `run`.
+pub(super) fn was_fitted_on(
+    fitted_on: &[String],
+    run: &Path,
+    holdout: Option<&Path>,
+) -> Option<String> {
+    let judge = holdout.unwrap_or(run);
+    let name = fitted_on
+        .iter()
+        .find(|name| is_same(Path::new(name), judge))?;
+    Some(if holdout.is_some() {
+        format!(
+            "hold-out: the model was fitted on it (its file names {name}), so that its held-out figures are those of a fit and \
+             test nothing"
+        )
+    } else {
+        format!(
+            "the model was fitted on this run (its file names {name}): what is held out, its last 40 %, may have been fitted \
+             too; give another run with --holdout"
+        )
+    })
+}
+
+/// Whether two paths are of one run; a folder that is no longer there is known by its name.
+fn is_same(recorded: &Path, path: &Path) -> bool {
+    let folder = |path: &Path| {
+        let is_samples = path.file_name().is_some_and(|name| name == "samples.csv");
+        let parent = path.parent().filter(|_| is_samples);
+        parent.unwrap_or(path).to_owned()
+    };
+    match (recorded.canonicalize(), path.canonicalize()) {
+        (Ok(recorded), Ok(path)) => folder(&recorded) == folder(&path),
+        _ => folder(recorded).file_name() == folder(path).file_name(),
+    }
+}
+
 /// Whether a confirming run is another than the hold-out, which selected; else the reason goes to stderr and to `notes`.
 pub(super) fn had_no_part(
     confirm: &Scenario,
@@ -174,3 +211,35 @@ const MANY_MISSING: usize = 10;
 /// A time without rows that is worth a word: so many mean periods, and so many seconds.
 const LONG_GAP: f64 = 50.0;
 const LONG_GAP_S: f64 = 0.2;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::create_dir(&path).unwrap();
+            path
+        };
+        let (fit, select) = (run("20260101T000000Z-fit"), run("20260101T000000Z-select"));
+        let history = [fit.display().to_string()];
+        let says = |run: &Path, holdout: Option<&Path>| was_fitted_on(&history, run, holdout);
+        let warning = says(&select, Some(&fit)).unwrap();
+        assert!(
+            warning.contains("held-out figures are those of a fit"),
+            "{warning}"
+        );
+        assert!(says(&select, Some(&fit.join("samples.csv"))).is_some());
+        let warning = says(&fit, None).unwrap();
+        assert!(warning.contains("its last 40 %"), "{warning}");
+        // The run that a model was fitted on may stand beside one that it was not.
+        assert_eq!(says(&fit, Some(&select)), None);
+        assert_eq!(says(&select, None), None);
+        // The record moved since.
+        let moved = ["/gone/20260101T000000Z-fit".to_owned()];
+        assert!(was_fitted_on(&moved, &select, Some(&fit)).is_some());
+    }
+}

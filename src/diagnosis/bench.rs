@@ -74,8 +74,7 @@ impl Bench {
         match &self.balance {
             None => {
                 let start = std::slice::from_ref(start);
-                let fit =
-                    output_error::fit_with(start, training, &self.evidence.noise, options)?;
+                let fit = output_error::fit_with(start, training, &self.evidence.noise, options)?;
                 Ok(Fitted::from(&fit))
             }
             Some(balance) => {

@@ -69,6 +69,21 @@ pub struct Candidate {
     pub evidence: String,
 }
 
+/// Factor from which on it is worth a word that intervals were widened.
+const WORTH_SAYING: f64 = 1.05;
+
+impl Candidate {
+    /// Said beside its size where its intervals are wider than the noise alone makes them.
+    pub fn widened(&self) -> Option<String> {
+        (self.interval_factor > WORTH_SAYING).then(|| {
+            format!(
+                "widened {:.1} times, as more than noise is left over: they hold if nothing else is missing",
+                self.interval_factor
+            )
+        })
+    }
+}
+
 /// Parameters as a JSON object by their key.
 pub(super) fn by_key<S: Serializer>(
     parameters: &[ParameterEstimate],

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, locate};
+use super::location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, locate, undecided};
 use super::mechanical::{self, TorqueComparison};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore};
@@ -70,6 +70,25 @@ pub struct Comparison {
     pub holdout_rmse: f64,
     /// What could not be asked of these runs, and why.
     pub limits: Vec<String>,
+}
+
+impl Comparison {
+    /// That it is not known which equation, or which variable, where two are within their uncertainty.
+    pub fn undecided(&self) -> Option<String> {
+        undecided(&self.balances, &self.locations)
+    }
+
+    /// Where it fails, in one sentence that holds for models that are nearly the same too.
+    pub fn headline(&self) -> String {
+        let first = || {
+            self.locations
+                .first()
+                .map(|location| location.sentence.clone())
+        };
+        self.undecided()
+            .or_else(first)
+            .unwrap_or_else(|| "the error follows nothing in particular".to_owned())
+    }
 }
 
 /// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of.

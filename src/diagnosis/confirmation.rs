@@ -36,20 +36,23 @@ struct Repeated {
     share: f64,
     /// Whether they make the run likelier and explain a good part of its error.
     holds: bool,
-    /// Whether the error without them is at the floor.
+    /// Whether the error without them is at the floor, and with them.
     at_the_floor: bool,
+    explains_it: bool,
 }
 
 /// Standard deviations by which the named effects must make the run likelier.
 const SIGNIFICANT: f64 = 3.0;
 
-/// Of two models whose `noise` is what is random beside them; none without a confirming run.
+/// Of two models whose `noise` is what is random beside them; none without a confirming run. `in_motion`: how much noisier
+/// the sensors are in motion than at rest.
 pub(super) fn of_models(
     bench: &Bench,
     [baseline, best]: [&Model; 2],
     noise: Noise,
     verdict: DiagnosisVerdict,
     names: &[&str],
+    in_motion: f64,
 ) -> Option<Confirmation> {
     let evidence = &bench.evidence;
     let run = evidence.confirm.as_ref()?;
@@ -74,7 +77,8 @@ pub(super) fn of_models(
             z,
             share: explained(before, after, evidence.floor()),
             holds: z >= SIGNIFICANT && explained::explains_something(evidence, before, after),
-            at_the_floor: explained::at_the_floor(evidence, before),
+            at_the_floor: explained::at_the_floor(evidence, before / in_motion),
+            explains_it: explained::at_the_floor(evidence, after / in_motion),
         })
     };
     Some(match repeated() {
@@ -112,10 +116,15 @@ fn confirmation(
     let found = match verdict {
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => format!(
             "there {} takes the error from {before:.2} to {after:.2} {times} and explains {:.0} % of what can be explained \
-             (z {:.1}, {SIGNIFICANT} is asked)",
+             (z {:.1}, {SIGNIFICANT} is asked){}",
             names.join(" and "),
             100.0 * repeated.share,
-            repeated.z
+            repeated.z,
+            if repeated.explains_it || source == FloorSource::None {
+                ""
+            } else {
+                "; what is left there is more than noise"
+            }
         ),
         DiagnosisVerdict::None if confirmed.is_none() => format!(
             "the error there is {before:.2} {times}, and without a noise floor nobody knows how large it may be"
@@ -189,6 +198,23 @@ mod tests {
         let hidden = diagnose(&nameplate(), data.clone(), false).unwrap();
         assert_eq!(hidden.verdict, DiagnosisVerdict::None);
         assert_eq!(confirmed(&hidden).confirmed, Some(false));
+        // What one run contradicts is not said.
+        assert!(!hidden.sufficient && nothing.sufficient);
+        assert!(
+            nothing.sentence.starts_with("nothing is missing"),
+            "{}",
+            nothing.sentence
+        );
+        assert!(
+            !hidden.sentence.contains("nothing is missing"),
+            "{}",
+            hidden.sentence
+        );
+        assert!(
+            hidden.sentence.contains("on the confirming run"),
+            "{}",
+            hidden.sentence
+        );
         data.confirm = None;
         assert_eq!(diagnose(&nameplate(), data, false).unwrap().confirm, None);
     }

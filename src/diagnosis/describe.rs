@@ -71,7 +71,8 @@ pub(super) fn describe(
                 holdout_before: rung.map_or(base, |rung| rung.0).score.nrms,
                 holdout_after: rung.map(|(_, after)| after.score.nrms),
                 explained_percent: share,
-                upper_bound: inferred.upper_bound,
+                // The size of what is named has an interval, and one bound is enough.
+                upper_bound: inferred.upper_bound.filter(|_| rung.is_none()),
                 detectable: inferred.detectable,
                 evidence: evidence_sentence(inferred, status, rung, evidence.noise.source.times()),
             }
@@ -131,10 +132,21 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
              is missing"
                 .to_owned()
         }
+        DiagnosisVerdict::None if diagnosis.is_refuted() => {
+            let there = diagnosis.confirm.as_ref().and_then(|confirm| confirm.error_before);
+            format!(
+                "the held-out error is {before:.2} {times}, but on the confirming run it is {:.2}: something is missing that \
+                 only that run shows",
+                there.unwrap_or(f64::NAN)
+            )
+        }
         DiagnosisVerdict::None if !diagnosis.sufficient => {
             "this run would not show any effect of the catalogue: nothing can be said".to_owned()
         }
-        DiagnosisVerdict::None => format!("nothing is missing: held-out error {before:.2} {times}"),
+        DiagnosisVerdict::None => format!(
+            "nothing is missing: held-out error {before:.2} {times}{}",
+            unseen(diagnosis)
+        ),
         DiagnosisVerdict::Unexplained => {
             let known = if names.is_empty() {
                 "no effect of the catalogue explains it".to_owned()
@@ -148,14 +160,50 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
             format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
         }
         DiagnosisVerdict::Ambiguous => format!(
-            "behaves like {names}, which this run cannot tell from {}",
-            diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", ")
+            "behaves like {names}, which this run cannot tell from {}{}",
+            diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", "),
+            unconfirmed(diagnosis)
         ),
         DiagnosisVerdict::Effect => format!(
-            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained",
-            diagnosis.explained_percent
+            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}",
+            diagnosis.explained_percent,
+            unconfirmed(diagnosis)
         ),
     }
+}
+
+/// Said where the run that had no part in the answer speaks against it.
+fn unconfirmed(diagnosis: &Diagnosis) -> &'static str {
+    if diagnosis.is_refuted() {
+        "; NOT confirmed on the run that had no part in the answer"
+    } else {
+        ""
+    }
+}
+
+/// Effects that are named one by one where these runs would not show them.
+const FEW: usize = 4;
+
+/// Said beside "nothing is missing": of what it is not said.
+fn unseen(diagnosis: &Diagnosis) -> String {
+    let with = |status: Status| {
+        let candidates = diagnosis.candidates.iter();
+        candidates.filter(move |candidate| candidate.status == status)
+    };
+    let possible: Vec<String> = with(Status::Possible)
+        .map(|candidate| format!("{} ({})", candidate.effect, percent(candidate.probability)))
+        .collect();
+    let mut said = String::new();
+    if !possible.is_empty() {
+        said = format!("; possible: {}", possible.join(", "));
+    }
+    let unseen: Vec<&str> = with(Status::NotExcited).map(|c| c.effect).collect();
+    let names = match unseen.len() {
+        0 => return said,
+        1..=FEW => unseen.join(", "),
+        many => format!("{many} effects of the catalogue"),
+    };
+    said + "; these runs would not show " + &names
 }
 
 /// Said where the machine does not do the same twice: how much of the error that is.

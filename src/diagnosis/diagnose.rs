@@ -77,6 +77,14 @@ pub struct Diagnosis {
     pub rivals: Vec<Model>,
 }
 
+impl Diagnosis {
+    /// Whether the run that had no part in the answer speaks against it.
+    pub fn is_refuted(&self) -> bool {
+        let confirm = self.confirm.as_ref();
+        confirm.is_some_and(|confirm| confirm.confirmed == Some(false))
+    }
+}
+
 /// A part of the error that follows something and that no effect of the catalogue explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unknown {
@@ -301,7 +309,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         inference.noise,
         verdict,
         &diagnosis.effects,
+        in_motion(repeat_floor),
     );
+    diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
     diagnosis.sentence = sentence(&diagnosis);
     diagnosis.sentence += &superfluous(inference);
     let named = diagnosis.effects.iter();
@@ -350,6 +360,11 @@ fn repeat_floor(evidence: &Evidence, model: &Model) -> Option<f64> {
     (!squares.is_empty()).then(|| mean.sqrt())
 }
 
+/// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
+fn in_motion(repeat_floor: Option<f64>) -> f64 {
+    repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS))
+}
+
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF: f64 = 0.5;
 
@@ -361,9 +376,8 @@ fn verdict(
 ) -> DiagnosisVerdict {
     let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
-    // A sensor may be a little noisier in motion than at rest, which a repeated run tells.
-    let in_motion = repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS));
-    let at_floor = !is_known || explained::at_the_floor(evidence, base.nrms / in_motion);
+    let at_floor =
+        !is_known || explained::at_the_floor(evidence, base.nrms / in_motion(repeat_floor));
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && at_floor {
             DiagnosisVerdict::None

@@ -24,6 +24,7 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
     if let Some(half_width_s) = scenario.typical_half_width_s() {
         stamps::refuse(parameters, half_width_s);
     }
+    without_current(parameters, scenario);
     let claims = claims(run, scenario);
     for claim in &claims {
         for parameter in parameters.iter_mut() {
@@ -42,6 +43,33 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
         })
         .map(|claim| claim.reason)
         .collect()
+}
+
+/// What voltage and speed leave open together, whatever is run: only L/R, R J/(Ke Kt) and R Mc/Kt stand in their equations.
+const TIED_TO_RESISTANCE: [MotorKey; 4] = [
+    MotorKey::Resistance,
+    MotorKey::Inductance,
+    MotorKey::Inertia,
+    MotorKey::LoadTorque,
+];
+
+/// Without a current no excitation tells these apart, which is another thing than a run that does not excite them.
+fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
+    let has_current = scenario.current_a.iter().any(|current| current.is_finite());
+    let is_tied = |p: &ParameterEstimate| TIED_TO_RESISTANCE.iter().any(|key| key.key() == p.key);
+    let is_given = |p: &&ParameterEstimate| is_tied(p) && p.verdict == Verdict::Fixed;
+    if scenario.input != Input::Voltage || has_current || parameters.iter().any(|p| is_given(&p)) {
+        return;
+    }
+    for parameter in parameters.iter_mut() {
+        if is_tied(parameter) && parameter.verdict == Verdict::NotObservable {
+            parameter.reason = Some(
+                "without a current no run tells resistance, inductance, inertia and load torque apart: voltage and speed hold \
+                 only L/R, R J and R Mc; measure the current, or fix one of them in the model file"
+                    .to_owned(),
+            );
+        }
+    }
 }
 
 /// A parameter that a caution touches is not settled while the caution stands.
@@ -289,6 +317,41 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_no_run_tells_without_a_current_is_not_called_not_excited() {
+        let mut run = run(Origin::Measured);
+        let said = |run: &Run, verdict: Verdict| {
+            let unknown = |key: MotorKey| {
+                ParameterEstimate::not_observable(
+                    key.key(),
+                    key.unit(),
+                    "the run does not excite it",
+                )
+            };
+            let mut found =
+                [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia].map(unknown);
+            found[0].verdict = verdict;
+            limit(&mut found, run, &Scenario::from_run(run).unwrap());
+            found.map(|parameter| parameter.reason.unwrap())
+        };
+        let open = Verdict::NotObservable;
+        assert!(
+            said(&run, open)
+                .iter()
+                .all(|reason| reason.contains("does not excite"))
+        );
+        run.set_column(Channel::Current, vec![f64::NAN; ROWS], Origin::Unknown)
+            .unwrap();
+        let [resistance, back_emf, inertia] = said(&run, open);
+        assert!(
+            resistance.contains("R J and R Mc") && inertia == resistance,
+            "{resistance}"
+        );
+        assert!(back_emf.contains("does not excite"));
+        // One that is given tells the others, where they are excited.
+        assert!(said(&run, Verdict::Fixed)[2].contains("does not excite"));
+    }
 
     const ROWS: usize = 100;
 

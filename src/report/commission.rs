@@ -64,9 +64,15 @@ impl CommissionReport<'_> {
     pub fn page(&self) -> Page {
         let mut page = Page::new(self.title, self.subtitle());
         let (tone, word) = match self.diagnosis.verdict {
+            DiagnosisVerdict::Effect if self.diagnosis.is_refuted() => {
+                (Tone::Attention, "Effect found, not confirmed")
+            }
             DiagnosisVerdict::Effect if self.diagnosis.sufficient => (Tone::Good, "Effect found"),
             DiagnosisVerdict::Effect => (Tone::Attention, "Effect found, not sufficient"),
             DiagnosisVerdict::Ambiguous => (Tone::Attention, "Ambiguous"),
+            DiagnosisVerdict::None if !self.diagnosis.sufficient => {
+                (Tone::Attention, "Nothing found")
+            }
             DiagnosisVerdict::None => (Tone::Good, "Nothing missing"),
             DiagnosisVerdict::Unexplained => (Tone::Bad, "Unexplained"),
         };

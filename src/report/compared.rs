@@ -99,7 +99,7 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
             );
         }
         let white = if residual.white {
-            "only noise is left"
+            "it is white, as noise is"
         } else {
             "there is more than noise in it"
         };
@@ -130,7 +130,8 @@ pub(super) fn places(page: &mut Page, comparisons: &[Named<'_>]) {
                 "{label}: the error follows no speed, current, angle or time."
             ));
         } else {
-            page.paragraph(format!("{label}:"));
+            let undecided = comparison.undecided().unwrap_or_default();
+            page.paragraph(format!("{label}: {undecided}").trim_end().to_owned());
             let places = comparison.locations.iter().take(MOST_PLACES);
             page.list(places.map(place).collect());
         }

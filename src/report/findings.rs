@@ -116,15 +116,12 @@ const fn axis_name(axis: &str) -> &'static str {
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
 pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
     page.section("Effects that were tried");
-    if diagnosis
+    let mut named = diagnosis
         .candidates
         .iter()
-        .any(|c| c.interval_factor > 1.0 && has_paid(c))
-    {
-        page.paragraph(
-            "More than noise is left beside some of these effects: their intervals are doubled, and hold if nothing else is \
-             missing.",
-        );
+        .filter(|c| has_paid(c) && !c.parameters.is_empty());
+    if let Some(words) = named.find_map(Candidate::widened) {
+        page.paragraph(format!("Intervals of sizes: {words}."));
     }
     page.table(Table {
         head: vec![

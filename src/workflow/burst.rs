@@ -1,16 +1,18 @@
-//! What a burst tells that the loop is too slow to see: resistance, inductance, and effects of the voltage.
+//! What a burst tells that the loop is too slow to see: resistance, inductance, and effects in the circuit.
 //!
 //! The loop samples at 10 ms and more, and the current has settled within L/R. A burst shows the whole transient.
+
+use std::fmt::Write as _;
 
 use serde::Serialize;
 
 use super::named_estimate::NamedEstimate;
-use crate::diagnosis::{Evidence, diagnose};
+use crate::diagnosis::{Diagnosis, Evidence, Status, diagnose};
 use crate::identification::output_error::FitError;
-use crate::identification::start;
+use crate::identification::{start, weak_form};
 use crate::numerics::count::whole;
-use crate::plant::{Model, MotorKey, Scenario};
-use crate::sample::ParameterEstimate;
+use crate::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
+use crate::sample::{ParameterEstimate, Verdict};
 
 /// What one burst said.
 #[derive(Clone, Debug, Serialize)]
@@ -19,25 +21,26 @@ pub struct BurstResult {
     pub capture: String,
     pub rows: usize,
     pub rate_hz: f64,
-    /// Resistance and inductance, with what the burst misses in the model.
+    /// Resistance and inductance, with the effects in the circuit.
     pub parameters: Vec<NamedEstimate>,
-    /// What the burst itself shows to be missing, or why it could not be asked.
+    /// Effects that its voltage equation misses.
     pub effects: Vec<&'static str>,
+    /// How well that equation holds, or why it could not be asked; never what is missing in the machine.
     pub sentence: String,
 }
 
 impl BurstResult {
-    /// Fits and diagnoses a burst by itself. Where the burst tells no inductance there is none in the result.
+    /// Fits the circuit to a burst by itself. Where the burst tells no inductance there is none in the result.
     pub fn of(nameplate: &Model, burst: &Scenario, capture: String) -> Self {
         let (rows, rate_hz) = (burst.samples(), rate_hz(burst));
         match told(nameplate, burst) {
-            Ok((estimates, effects, sentence)) => Self {
+            Ok(told) => Self {
                 capture,
                 rows,
                 rate_hz,
-                parameters: NamedEstimate::list(&estimates),
-                effects,
-                sentence,
+                parameters: NamedEstimate::list(&told.estimates),
+                effects: told.effects,
+                sentence: told.sentence,
             },
             Err(error) => Self {
                 capture,
@@ -63,6 +66,25 @@ impl BurstResult {
             model.motor.set(MotorKey::Inductance, inductance_h);
         }
         model
+    }
+
+    /// Beside the diagnosis of the runs, which has the last word on what is missing: the burst saw the circuit for a moment.
+    #[must_use]
+    pub fn beside(mut self, diagnosis: &Diagnosis) -> Self {
+        for id in &self.effects {
+            let named = diagnosis.effects.contains(id);
+            let judged = diagnosis.candidates.iter().find(|c| c.effect == *id);
+            let says = match judged.map(|candidate| candidate.status) {
+                _ if named => "the runs show it too",
+                Some(Status::NotExcited) | None => "the runs would not show it",
+                Some(Status::Supported | Status::Possible) => "the runs leave it open",
+                Some(Status::RuledOut) => "the runs rule it out",
+            };
+            let _ = write!(self.sentence, "; {id}: {says}");
+        }
+        self.sentence
+            .push_str("; what is missing the diagnosis says, from all runs");
+        self
     }
 
     /// What the burst told, for the end of the loop.
@@ -91,20 +113,131 @@ impl BurstResult {
     }
 }
 
-type Told = (Vec<ParameterEstimate>, Vec<&'static str>, String);
+/// What the voltage equation of a burst says.
+struct Told {
+    estimates: Vec<ParameterEstimate>,
+    effects: Vec<&'static str>,
+    sentence: String,
+}
 
+/// Error of the voltage equation in units of its noise up to which it holds.
+const HOLDS: f64 = 1.15;
+/// Standard deviations by which a coefficient has to differ from zero, and share of the error that may be left with it.
+const CERTAIN: f64 = 3.0;
+const EXPLAINS: f64 = 0.7;
+
+/// The voltage equation alone, with the measured speed in it: in the first moments after a standstill a shaft sticks, slips
+/// and winds up, and a free run would put what its load does into the inductance.
 fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
     let model = start::complete(nameplate, burst)?;
+    let plain = VoltageBalance::of(&model, burst)?;
+    if let Some(reason) = plain.why_nothing() {
+        return Ok(plain.told(Vec::new(), format!("it tells nothing: {reason}")));
+    }
+    let leaves = format!("its voltage equation leaves {}", plain.level());
+    if plain.over_noise.is_some_and(|over| over <= HOLDS) {
+        return Ok(plain.told(Vec::new(), leaves));
+    }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None), false)?;
-    let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
-    let estimates = diagnosis
-        .model
-        .parameters
-        .iter()
-        .filter(|estimate| electrical.contains(&estimate.key.as_str()))
-        .cloned()
-        .collect();
-    Ok((estimates, diagnosis.effects, diagnosis.sentence))
+    let mut with = diagnosis.model.model;
+    let of_circuit = |active: &ActiveEffect| active.effect.card().enters.includes(Balance::Voltage);
+    with.effects.retain(of_circuit);
+    let better = VoltageBalance::of(&with, burst)?;
+    let bears_out = |id: &&str| better.bears_out(id);
+    let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
+    if found.is_empty() || better.rms_v > EXPLAINS * plain.rms_v {
+        return Ok(plain.told(Vec::new(), leaves));
+    }
+    let sentence = format!(
+        "{leaves}, and with {} {}",
+        found.join(" and "),
+        better.level()
+    );
+    Ok(better.told(found, sentence))
+}
+
+/// The voltage equation fitted to a burst by itself.
+struct VoltageBalance {
+    parameters: Vec<ParameterEstimate>,
+    /// Root mean square of what is left, V.
+    rms_v: f64,
+    /// The same over what noise alone would leave; none where the noise is not known.
+    over_noise: Option<f64>,
+}
+
+impl VoltageBalance {
+    fn of(model: &Model, burst: &Scenario) -> Result<Self, FitError> {
+        let mut balances = weak_form::fit(model, burst)?.into_iter();
+        let found = balances.find(|balanced| balanced.equation == Balance::Voltage);
+        let Some(found) = found else {
+            return Ok(Self {
+                parameters: Vec::new(),
+                rms_v: 0.0,
+                over_noise: None,
+            });
+        };
+        let squares = found.residual.iter().map(|window| window.residual.powi(2));
+        let rms_v = (squares.sum::<f64>() / found.residual.len().max(1) as f64).sqrt();
+        Ok(Self {
+            rms_v,
+            over_noise: found.noise_floor.map(|floor| rms_v / floor),
+            parameters: found.parameters,
+        })
+    }
+
+    /// Why it has no resistance.
+    fn why_nothing(&self) -> Option<String> {
+        let resistance = self.parameters.first()?;
+        resistance
+            .reason
+            .clone()
+            .filter(|_| resistance.value.is_none())
+    }
+
+    fn level(&self) -> String {
+        self.over_noise.map_or_else(
+            || {
+                format!(
+                    "{:.2e} V (no standstill tells its noise, or the shaft does not turn)",
+                    self.rms_v
+                )
+            },
+            |over| format!("{over:.2} times its noise"),
+        )
+    }
+
+    /// Whether the size of this effect is told from zero.
+    fn bears_out(&self, id: &str) -> bool {
+        let prefix = format!("{id}.");
+        let mut own = self
+            .parameters
+            .iter()
+            .filter(|p| p.key.starts_with(&prefix));
+        own.any(
+            |p| matches!((p.value, p.std), (Some(value), Some(std)) if value.abs() > CERTAIN * std),
+        )
+    }
+
+    /// Resistance and inductance; not settled where the equation misses something.
+    fn told(self, effects: Vec<&'static str>, sentence: String) -> Told {
+        let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
+        let misses = self.over_noise.filter(|over| *over > HOLDS);
+        let mut estimates = self.parameters;
+        estimates.retain(|estimate| electrical.contains(&estimate.key.as_str()));
+        for estimate in &mut estimates {
+            if let (Some(over), Verdict::Settled) = (misses, estimate.verdict) {
+                estimate.verdict = Verdict::Searching;
+                estimate.reason = Some(format!(
+                    "the voltage equation of the burst leaves {over:.2} times its noise: something is missing in it"
+                ));
+            }
+        }
+        Told {
+            estimates,
+            effects,
+            sentence,
+        }
+    }
 }
 
 fn rate_hz(burst: &Scenario) -> f64 {
@@ -117,7 +250,9 @@ fn rate_hz(burst: &Scenario) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Motor;
+    use crate::identification::noise::NoiseFloor;
+    use crate::identification::output_error;
+    use crate::plant::{Motor, testing};
     use crate::sample::{Channel, Origin, Run};
 
     const RATE_HZ: f64 = 10_000.0;
@@ -161,6 +296,41 @@ mod tests {
         let improved = result.improve(plate());
         assert_eq!(improved.motor.get(MotorKey::Inductance), Some(inductance_h));
         assert!(result.text().starts_with("1000 samples at 10000 Hz"));
+    }
+
+    #[test]
+    fn friction_of_a_shaft_that_breaks_away_is_no_part_of_the_inductance() {
+        let mut truth = Model::baseline(Motor::zk_22fc())
+            .with_effect("stribeck_friction")
+            .unwrap();
+        truth.effects[0].values = vec![Some(0.16), Some(10.0)];
+        // Steps of 1 V each 10 ms after a moment at rest, as the loop climbs to its first level.
+        let climb = (1..30).map(|step| (0.01 * f64::from(step), f64::from(step)));
+        let events = std::iter::once((0.0, 0.0)).chain(climb).collect();
+        let burst = testing::record(&truth, events, 1e-4, 0.3, 4);
+        let result = BurstResult::of(&plate(), &burst, "c".to_owned());
+        let inductance = result.parameters.iter().find(|p| p.key == "inductance_h");
+        let estimate = &inductance.unwrap().estimate;
+        let (value, std) = (estimate.value.unwrap(), estimate.std.unwrap());
+        assert!(
+            (value - 0.0099).abs() < 2.5 * std && std < 0.01 * value,
+            "{value} +- {std}"
+        );
+        assert!(result.effects.is_empty(), "{result:?}");
+        assert!(
+            result.sentence.contains("times its noise"),
+            "{}",
+            result.sentence
+        );
+        assert!(!result.sentence.contains("nothing"), "{}", result.sentence);
+        // The free run of the five parameters puts the stiction into the inductance.
+        let noise = NoiseFloor::from_standstill(&burst).unwrap();
+        let free = output_error::fit(&[Model::baseline(Motor::zk_22fc())], &burst, &noise).unwrap();
+        let free = free.model.motor.get(MotorKey::Inductance).unwrap();
+        assert!(
+            (free / 0.0099 - 1.0).abs() > 3.0 * (value / 0.0099 - 1.0).abs(),
+            "{free}"
+        );
     }
 
     #[test]

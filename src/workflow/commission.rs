@@ -257,7 +257,6 @@ impl Commission {
 
     /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step, and
     /// `diagnosing` hears of what the diagnosis does.
-    #[expect(clippy::too_many_lines, reason = "one step after the other")]
     pub fn analyse(
         &mut self,
         mut publish: impl FnMut(Progress),
@@ -299,11 +298,7 @@ impl Commission {
         publish(self.progress());
 
         let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
-        let line = before.locations.first().map_or_else(
-            || "the error follows nothing in particular".to_owned(),
-            |location| location.sentence.clone(),
-        );
-        self.step_done(COMPARE, line, Task::Analyse);
+        self.step_done(COMPARE, before.headline(), Task::Analyse);
         publish(self.progress());
 
         let options = Options {
@@ -361,7 +356,7 @@ impl Commission {
             online: NamedEstimate::list(&self.online),
             nameplate: compared(&self.plate, &diagnosis.model.parameters),
             escalation: self.escalation.clone(),
-            burst,
+            burst: burst.map(|burst| burst.beside(&diagnosis)),
             ladder: diagnosis.ladder.clone(),
             truth: self.truth.clone().map(|effects| score(effects, &diagnosis)),
             runs: self.runs.clone(),

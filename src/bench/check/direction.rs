@@ -1,6 +1,6 @@
 //! Whether current and speed went the way that was asked. Pure.
 
-use super::pulse::{Kind, Leg, Size};
+use super::pulse::{Kind, Leg, Point, Size};
 use crate::bench::limits::Nameplate;
 
 /// Standard deviations at rest, and shares of the goal or the rated current, below which nothing has moved or flowed.
@@ -41,6 +41,8 @@ struct Seen {
     asked: f64,
     /// Largest current beside what holds a load, with its sign; `None`: not measured.
     current_a: Option<f64>,
+    /// What the current changes by from the first sample to that of the largest demand.
+    rise_a: Option<f64>,
     /// Mean of the last two samples; `None`: not measured.
     speed_rad_s: Option<f64>,
     /// By voltage and current, at the end.
@@ -68,6 +70,7 @@ impl Seen {
                 .map(|p| p.asked)
                 .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a }),
             current_a: currents.reduce(|a, b| if b.abs() > a.abs() { b } else { a }),
+            rise_a: rise_a(leg),
             speed_rad_s: (!speeds.is_empty()).then_some(mean),
             by_voltage_rad_s: leg
                 .points
@@ -88,6 +91,15 @@ impl Seen {
             figure(self.speed_rad_s, "rad/s")
         )
     }
+}
+
+/// Change of the current from the smallest demand to the largest.
+fn rise_a(leg: &Leg) -> Option<f64> {
+    let size = |point: &&Point| point.asked.abs();
+    let with_current = || leg.points.iter().filter(|point| point.current_a.is_some());
+    let least = with_current().min_by(|a, b| size(a).total_cmp(&size(b)))?;
+    let most = with_current().max_by(|a, b| size(a).total_cmp(&size(b)))?;
+    Some(most.current_a? - least.current_a?)
 }
 
 /// The figures of every way, and why they are refused, with the next step; `Ok`: everything went as asked.
@@ -126,6 +138,19 @@ fn fault(known: &Known<'_>, direction: f64, seen: &Seen) -> Option<(String, &'st
         && let Some(amps) = current
         && amps * direction < 0.0
     {
+        // A sensor the wrong way round shows a change the wrong way round too.
+        if let Some(rise_a) = seen
+            .rise_a
+            .filter(|rise| rise * direction > known.flowed_a())
+        {
+            return Some((
+                format!(
+                    "an offset: the current is {amps:+.2} A against what is asked and goes with it all the same, by {rise_a:+.2} A; \
+                     the drive puts out a voltage where none is asked, or its current is not zeroed"
+                ),
+                "zero the offset of the drive's output and of its current; --waive-direction goes on, and the diagnosis names it",
+            ));
+        }
         return Some((
             format!("the current has the wrong sign: {amps:+.2} A"),
             "exchange the leads of the current sensor, or set its sign in the drive's profile",
@@ -245,6 +270,43 @@ mod tests {
             let (_, refusal) = judged(volts, current, speed, true);
             assert!(refusal.contains(words), "{words}: {refusal}");
         }
+    }
+
+    #[test]
+    fn a_current_that_starts_elsewhere_and_goes_with_the_voltage_is_an_offset() {
+        let plate = Nameplate::zk_22fc();
+        let limits = Limits::for_motor(&plate, 100.0);
+        let size = Size::of(&plate, &limits, Demand::Voltage(0.0), 0.15, 0.01);
+        let known = Known {
+            plate: &plate,
+            size,
+            current: (0.0, 0.03),
+            speed: (0.0, 0.15),
+            signed_current: true,
+            set_point: None,
+        };
+        let pulse = |current_a: fn(f64) -> f64| {
+            let mut leg = Leg::new(1.0);
+            for step in 0..8 {
+                let volts = 0.4 * f64::from(step);
+                let sample = Sample::at(0.0)
+                    .with(Channel::Current, current_a(volts))
+                    .with(Channel::Speed, 0.0);
+                leg.push(&size, volts, &sample);
+            }
+            judge(&known, &[leg])
+                .1
+                .map_or_else(String::new, |(text, _)| text)
+        };
+        // Of a ramp to 2.8 V the motor gets 2.3 V less.
+        let offset = pulse(|volts| (volts - 2.3) / 1.1);
+        assert!(
+            offset.starts_with("an offset: the current is -2.09 A"),
+            "{offset}"
+        );
+        assert!(offset.contains("by +2.55 A"), "{offset}");
+        let reversed = pulse(|volts| -volts / 1.1);
+        assert!(reversed.contains("wrong sign"), "{reversed}");
     }
 
     #[test]

@@ -16,7 +16,7 @@ const STANDS_CYCLES: f64 = 3.0;
 
 const WATCHDOG: &str = "watchdog";
 
-pub(super) const AT_ZERO_HELP: &str = "the drive was stopped at once: check the set-points' address, scale and word order, and what the profile's enable command writes";
+pub(super) const AT_ZERO_HELP: &str = "the drive was stopped at once: check the set-points' address, scale and word order, and what the profile's enable command writes; an output with an offset does this too";
 
 impl Checker<'_> {
     /// Enables at zero, stops talking on purpose, and wants to hear that the drive gave up by itself.

@@ -244,28 +244,76 @@ fn refit(
     false
 }
 
+/// Error of a balance in units of its noise, of what is located.
+const fn nres(balance: &EquationBalance) -> Option<f64> {
+    if balance.refitted {
+        balance.nres_refitted
+    } else {
+        balance.nres
+    }
+}
+
+/// By what two failing balances are compared. An error that follows something says more than a larger one that follows
+/// nothing.
+fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
+    let follows = locations
+        .iter()
+        .find(|location| location.equation == balance.equation)
+        .map_or(0.0, |location| location.follows);
+    nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt()
+}
+
+/// Standard deviations within which two figures are alike.
+const ALIKE: f64 = 2.0;
+
+/// Where two equations fail alike, or the error of the worse one follows two variables alike, so that another run or a
+/// model that is nearly the same would put the other first: that neither is known to be the one.
+pub(super) fn undecided(
+    balances: &[EquationBalance],
+    locations: &[FailureLocation],
+) -> Option<String> {
+    let worst = balances.first().filter(|balance| balance.fails)?;
+    // Neighbouring windows share half of their samples.
+    let apart = |balance: &EquationBalance| 0.5 * balance.windows.max(1) as f64;
+    if let Some(other) = balances.get(1).filter(|other| other.fails) {
+        let size = |balance: &EquationBalance| {
+            let size = badness(balance, locations);
+            (size, size / (2.0 * apart(balance)).sqrt())
+        };
+        let ((worse, doubt), (less, other_doubt)) = (size(worst), size(other));
+        if worse - less < ALIKE * doubt.hypot(other_doubt) {
+            return Some(format!(
+                "the {} and the {} equation fail alike: which of them lacks something these runs do not tell",
+                worst.equation, other.equation
+            ));
+        }
+    }
+    let mut of_worst = locations.iter().filter(|l| l.equation == worst.equation);
+    let (first, second) = (of_worst.next()?, of_worst.next()?);
+    // Of a share of variance from so many values.
+    let doubt = |share: f64| {
+        let share = share.clamp(0.0, 1.0);
+        2.0 * share.sqrt() * (1.0 - share) / apart(worst).sqrt()
+    };
+    let both = doubt(first.follows).hypot(doubt(second.follows));
+    ((first.follows - second.follows).abs() < ALIKE * both).then(|| {
+        format!(
+            "the {} error follows the {} and the {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
+            worst.equation,
+            words::name_of_variable(first.variable),
+            words::name_of_variable(second.variable),
+            100.0 * first.follows,
+            100.0 * second.follows
+        )
+    })
+}
+
 /// The equation that fails worse first: by its error in units of the noise, else beside its drive.
 fn rank(found: &mut Located) {
-    let nres = |balance: &EquationBalance| {
-        if balance.refitted {
-            balance.nres_refitted
-        } else {
-            balance.nres
-        }
-    };
     let locations = &found.locations;
-    let badness = |balance: &EquationBalance| {
-        // An error that follows something says more than a larger one that follows nothing.
-        let follows = locations
-            .iter()
-            .find(|location| location.equation == balance.equation)
-            .map_or(0.0, |location| location.follows);
-        let size = nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt();
-        (f64::from(u8::from(balance.fails)), size)
-    };
     found.balances.sort_by(|a, b| {
-        let (a, b) = (badness(a), badness(b));
-        b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1))
+        let sizes = badness(b, locations).total_cmp(&badness(a, locations));
+        b.fails.cmp(&a.fails).then(sizes)
     });
     let order: Vec<&str> = found.balances.iter().map(|b| b.equation).collect();
     let place =

@@ -233,3 +233,65 @@ fn a_shaker_is_a_line_at_its_frequency() {
     );
     assert_eq!(line.equation, "torque");
 }
+
+/// A failing balance of so many times its noise over 200 windows, and the variables that its error follows.
+fn failing(
+    equation: Equation,
+    size: f64,
+    follows: &[(&'static str, f64)],
+) -> (EquationBalance, Vec<FailureLocation>) {
+    let balance = EquationBalance {
+        equation: equation.name(),
+        unit: equation.unit(),
+        nres: Some(size),
+        nres_refitted: Some(size),
+        own_changes: Vec::new(),
+        rms: 0.1,
+        relative: 0.1,
+        share_of_error: None,
+        forward_share_of_error: None,
+        forward_share_of_time: None,
+        windows: 200,
+        refitted: true,
+        fails: true,
+        sentence: String::new(),
+    };
+    let location = |&(variable, follows): &(&'static str, f64)| FailureLocation {
+        equation: equation.name(),
+        variable,
+        from: 0.0,
+        to: 1.0,
+        share_of_error: 0.8,
+        share_of_time: 0.2,
+        follows,
+        strength: 30.0,
+        sentence: String::new(),
+    };
+    (balance, follows.iter().map(location).collect())
+}
+
+#[test]
+fn neither_of_two_that_are_alike_is_said_to_be_the_one() {
+    let says = |torque: (f64, &[(&'static str, f64)]), voltage: (f64, &[(&'static str, f64)])| {
+        let (first, mut locations) = failing(Equation::Torque, torque.0, torque.1);
+        let (second, more) = failing(Equation::Voltage, voltage.0, voltage.1);
+        locations.extend(more);
+        undecided(&[first, second], &locations)
+    };
+    let speed: &[_] = &[("speed_rad_s", 0.9)];
+    // Sizes of 3.0 and 2.9 from 200 windows that overlap are one size, whichever comes first in the next run.
+    let alike = says((3.0, speed), (2.9, speed)).unwrap();
+    assert!(
+        alike.starts_with("the torque and the voltage equation fail alike"),
+        "{alike}"
+    );
+    assert_eq!(says((3.0, speed), (1.5, speed)), None);
+    let both: &[_] = &[("speed_rad_s", 0.92), ("angle_rad", 0.9)];
+    let alike = says((3.0, both), (1.5, speed)).unwrap();
+    assert_eq!(
+        alike,
+        "the torque error follows the speed and the angle alike (92 and 90 %): which of them these runs do not tell"
+    );
+    let one: &[_] = &[("speed_rad_s", 0.92), ("time_s", 0.4)];
+    assert_eq!(says((3.0, one), (1.5, speed)), None);
+}

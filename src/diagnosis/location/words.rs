@@ -38,8 +38,15 @@ fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
         "acceleration_rad_s2" => ("acceleration", "rad/s2"),
         "current_rate_a_s" => ("rate of the current", "A/s"),
         "direction" => ("direction of motion", ""),
+        "angle_rad" => ("angle", "rad"),
+        "voltage_edge_s" => ("timing of the voltage", "s"),
+        "frequency_hz" => ("phase of a line in frequency", ""),
         _ => ("variable", ""),
     }
+}
+
+pub(super) fn name_of_variable(variable: &str) -> &'static str {
+    name_and_unit(variable).0
 }
 
 /// The sentence of one variable.

@@ -99,7 +99,9 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
         }
         balances.push(balance);
     }
-    if let Some(gridded) = &gridded
+    // A torque has no armature circuit before it that would have to be resolved.
+    if scenario.input != Input::Torque
+        && let Some(gridded) = &gridded
         && let Some(ta_s) = model.motor.electrical_time_constant_s()
     {
         let period_s = gridded.parts[0].period_s;

@@ -19,6 +19,8 @@ const EFFECT_STATE_SCALE: f64 = 100.0;
 
 /// Share of a signal's power left as residual from which on it carries nothing.
 const STILL: f64 = 0.8;
+/// Spread of a signal over its mean from which on it changes, if it is no noise.
+const CHANGES: f64 = 0.1;
 
 /// How a parameter and its scaled coordinate belong together.
 #[derive(Clone, Copy, Debug)]
@@ -253,9 +255,9 @@ impl<'a> FreeRun<'a> {
     }
 
     /// Where no signal does more than its residual at a minimum: a machine at constant speed, whose noise would pass for
-    /// a transient of its initial state.
+    /// a transient of its initial state; or one that does what the model does not.
     pub(super) fn why_still(&self, residual: &[f64]) -> Option<String> {
-        let share = |speed: bool| -> Option<f64> {
+        let share = |speed: bool| -> Option<(f64, bool)> {
             let (values, level) = if speed {
                 (&self.scenario.speed_rad_s, self.noise.speed_rad_s)
             } else {
@@ -271,15 +273,27 @@ impl<'a> FreeRun<'a> {
                 signal.push(values[*sample]);
                 left.push(residual * level);
             }
-            (signal.len() > 2).then(|| statistics::variance(&left) / statistics::variance(&signal))
+            let spread = statistics::variance(&signal);
+            let changes = statistics::is_coloured(&signal)
+                && spread.sqrt() > CHANGES * statistics::mean(&signal).abs();
+            (signal.len() > 2).then(|| (statistics::variance(&left) / spread, changes))
         };
-        let shares: Vec<f64> = [false, true].into_iter().filter_map(share).collect();
-        let most = shares.iter().copied().fold(f64::INFINITY, f64::min);
+        let shares: Vec<(f64, bool)> = [false, true].into_iter().filter_map(share).collect();
+        let most = shares
+            .iter()
+            .fold(f64::INFINITY, |most, share| most.min(share.0));
+        let explained = 100.0 * (1.0 - most).max(0.0);
         (most > STILL).then(|| {
-            format!(
-                "the model explains {:.0} % of what the signals do, the rest is noise: the run is a steady state",
-                100.0 * (1.0 - most).max(0.0)
-            )
+            if shares.iter().any(|share| share.1) {
+                format!(
+                    "the model explains {explained:.0} % of what the signals do: its free run does not follow them; check \
+                     columns, units and what drives the shaft"
+                )
+            } else {
+                format!(
+                    "the model explains {explained:.0} % of what the signals do, the rest is noise: the run is a steady state"
+                )
+            }
         })
     }
 

@@ -223,3 +223,33 @@ fn a_second_inertia_is_found_from_the_neighbour_on_the_grid() {
     }
     assert!((fit.nrms - 1.0).abs() < 0.03, "{}", fit.nrms);
 }
+
+#[test]
+fn a_speed_that_the_model_does_not_follow_is_no_steady_state() {
+    // A voltage that has nothing to do with it.
+    let events = (0..600)
+        .map(|k| (0.01 * f64::from(k), 2.0 + 2.0 * (0.37 * f64::from(k)).sin()))
+        .collect();
+    let mut run =
+        crate::plant::testing::record(&Model::baseline(Motor::zk_22fc()), events, 0.01, 6.0, 3);
+    for (k, speed) in run.speed_rad_s.iter_mut().enumerate() {
+        let noise = 3.0 * (k as f64 * 7919.0).sin();
+        *speed = 1633.0 * (1.0 - (0.02 * k as f64).cos()) + noise;
+    }
+    for (k, current) in run.current_a.iter_mut().enumerate() {
+        *current = 0.2 + 0.3 * (k as f64 * 104_729.0).sin();
+    }
+    let noise = NoiseFloor::from_spread(&run);
+    let fit = fit(&[Model::baseline(Motor::zk_22fc())], &run, &noise).unwrap();
+    let reasons = fit.parameters.iter().filter_map(|p| p.reason.as_deref());
+    let said: Vec<&str> = reasons.collect();
+    assert!(
+        said.iter().all(|reason| !reason.contains("steady state")),
+        "{said:?}"
+    );
+    assert!(
+        said.iter()
+            .any(|reason| reason.contains("does not follow them")),
+        "{said:?}"
+    );
+}

@@ -1,5 +1,9 @@
 //! One signal that contradicts itself: frozen for a while, cut off at a limit, or without its direction.
 
+use std::ops::Range;
+
+use super::balance::{Roles, voltage_at_rest};
+use super::still::AT_REST;
 use super::table::{Activity, Table};
 use super::{Finding, Kind};
 use crate::plant::MotorKey;
@@ -16,6 +20,8 @@ const PLATEAU_ROWS: usize = 3;
 const STEEP: f64 = 0.03;
 /// Share of the rows from which clipping forbids an identification.
 const CLIPPED: f64 = 0.01;
+/// Share of the largest value that is none.
+const ROUNDING: f64 = 1e-9;
 /// Share of the largest voltage from which its direction counts.
 const CLEARLY: f64 = 0.2;
 /// Share of the largest value below which a signal has come through zero.
@@ -54,8 +60,53 @@ pub(super) fn check(table: &Table) -> Vec<Finding> {
         }
         findings.extend(unsigned(table, key, &activity, values));
     }
+    if speed_moves {
+        findings.extend(dead_at_zero(table));
+    }
     findings.extend(unsigned_voltage(table));
     findings
+}
+
+/// The longest stretch of a speed of exactly zero over which the winding takes a back-EMF: the shaft turns, and its sensor is
+/// dead. At rest resistance and inductance take the voltage.
+fn dead_at_zero(table: &Table) -> Option<Finding> {
+    // A slope of equal angles is zero but for rounding.
+    let zero_rad_s = ROUNDING * Activity::of(&table.speed_rad_s).largest();
+    let mut longest = 0..0;
+    let mut begin = 0;
+    for row in 0..=table.speed_rad_s.len() {
+        let speed = table.speed_rad_s.get(row);
+        if speed.is_none_or(|speed| speed.abs() > zero_rad_s || speed.is_nan()) {
+            if row - begin > longest.len() {
+                longest = begin..row;
+            }
+            begin = row + 1;
+        }
+    }
+    let inside = |window: &&Range<usize>| longest.start <= window.start && window.end < longest.end;
+    let windows: Vec<Range<usize>> = table.windows.iter().filter(inside).cloned().collect();
+    let largest = |values: &[f64]| Activity::of(values).largest();
+    if longest.len() < FROZEN_ROWS
+        || largest(&table.voltage_v[longest.clone()]) < CLEARLY * largest(&table.voltage_v)
+    {
+        return None;
+    }
+    let roles = Roles {
+        windows: &windows,
+        ..Roles::of(table)
+    };
+    let unexplained = voltage_at_rest(&roles).filter(|share| *share > AT_REST)?;
+    Some(Finding::refusal(
+        Kind::Frozen,
+        format!(
+            "speed_rad_s is exactly 0 from {:.3} to {:.3} s, but resistance and inductance leave {:.0} % of the voltage there \
+             unexplained: the shaft turns and its sensor is dead",
+            table.time_s[longest.start],
+            table.time_s[longest.end - 1],
+            100.0 * unexplained
+        ),
+        "check the encoder and its cable; cut the stretch out of the file",
+    ))
 }
 
 /// The longest stretch of one non-zero value in a signal that is live elsewhere, while another signal moves.

@@ -9,7 +9,7 @@ use crate::plant::MotorKey;
 /// Correlation of voltage and current above which the current answers the voltage.
 const ANSWERS: f64 = 0.3;
 /// Share of the voltage that resistance and inductance may leave unexplained in a winding at rest.
-const AT_REST: f64 = 0.3;
+pub(super) const AT_REST: f64 = 0.3;
 
 pub(super) fn check(table: &Table) -> Vec<Finding> {
     let [voltage, current, speed] =
@@ -74,6 +74,11 @@ fn open_for_a_while(
             && table.current_a[*row].is_finite()
     };
     let rows: Vec<usize> = (0..table.time_s.len()).filter(coasts).collect();
+    // A shaft that coasts slows down; a speed that repeats one value is that of a sensor that froze.
+    let speeds: Vec<f64> = rows.iter().map(|row| table.speed_rad_s[*row]).collect();
+    if Activity::of(&speeds).is_constant() {
+        return None;
+    }
     let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
     let level = median(&currents);
     if rows.len() < OPEN_ROWS || level > NO_CURRENT * current.largest() {

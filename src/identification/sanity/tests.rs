@@ -376,6 +376,51 @@ fn a_stretch_with_open_terminals_is_seen_within_a_record() {
 }
 
 #[test]
+fn a_frozen_encoder_is_named_and_neither_open_terminals_nor_rest() {
+    let events = [
+        (0.0, 0.0),
+        (0.3, 40.0),
+        (1.0, 70.0),
+        (1.8, -50.0),
+        (2.6, 60.0),
+        (3.2, 0.0),
+    ];
+    let truth = Model::baseline(Motor::zk_22fc());
+    let scenario = record(&truth, events.to_vec(), 0.001, 4.0, 5);
+    let frozen = |at: f64| Columns {
+        voltage: Table::new(&scenario).voltage_v,
+        time_s: scenario.sample_time_s.clone(),
+        current: scenario.current_a.clone(),
+        speed: (scenario.sample_time_s.iter().zip(&scenario.speed_rad_s))
+            .map(|(time_s, speed)| if *time_s < 1.4 { *speed } else { at })
+            .collect(),
+        angle: Vec::new(),
+    };
+    let whole = frozen(97.125);
+    refused(
+        &whole.run(),
+        Motor::zk_22fc(),
+        Kind::Frozen,
+        &["speed_rad_s repeats 97.125"],
+    );
+    let dead = frozen(0.0);
+    refused(
+        &dead.run(),
+        Motor::zk_22fc(),
+        Kind::Frozen,
+        &["exactly 0 from 1.4", "its sensor is dead"],
+    );
+    // A shaft that sticks under a small voltage reads exactly zero too, rightly.
+    let mut sticks = columns(0.001, 7);
+    for (row, speed) in sticks.speed.iter_mut().enumerate() {
+        if sticks.time_s[row] < 0.5 || speed.abs() < 1.0 {
+            *speed = 0.0;
+        }
+    }
+    assert!(examined(&sticks.run(), Motor::zk_22fc()).is_empty());
+}
+
+#[test]
 fn a_held_signal_is_no_measurement() {
     let mut bad = columns(0.005, 8);
     bad.speed = scaled(&bad.voltage, 2.5);

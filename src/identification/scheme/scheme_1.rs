@@ -105,7 +105,13 @@ fn least_squares(
     let parameters = match scheme.dynamics() {
         Ok(dynamics) => {
             let doubts = grid.doubts(form, data.model);
-            estimates(&grid.claim(data.model, dynamics, scheme.dynamics_covariance(), doubts))
+            let has_none = doubts.is_empty();
+            let claim = grid.claim(data.model, dynamics, scheme.dynamics_covariance(), doubts);
+            let mut parameters = estimates(&claim);
+            if has_none {
+                parameters.iter_mut().for_each(unproven);
+            }
+            parameters
         }
         Err(rejection) => all_unknown(&format!("{rejection}; {}", rejection.help())),
     };
@@ -119,6 +125,17 @@ fn least_squares(
     } else {
         found
     })
+}
+
+/// Where nothing on the run says how far noise of the speed biases least squares.
+fn unproven(parameter: &mut ParameterEstimate) {
+    if parameter.verdict == Verdict::Settled {
+        parameter.verdict = Verdict::Searching;
+        parameter.reason = Some(
+            "noise of the speed biases least squares, and how far this run does not tell: 1-iv finds no motor in it"
+                .to_owned(),
+        );
+    }
 }
 
 /// Adds what was given, and takes the model's fixed values over.

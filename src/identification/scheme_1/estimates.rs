@@ -1,7 +1,7 @@
 //! Dynamics with their covariance as parameters with deviation and verdict.
 
 use super::inverse::Dynamics;
-use crate::identification::verdict::judge;
+use crate::identification::verdict::{SETTLED, judge};
 use crate::plant::{MotorKey, Slot};
 use crate::sample::{ParameterEstimate, Verdict};
 
@@ -135,7 +135,11 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         let relative = error.abs() / better.abs().max(f64::MIN_POSITIVE);
         // A comparison with what is not finite shows nothing.
         let visible = relative > VISIBLE && error.abs() > SIGNIFICANT * noise;
-        if !visible || judged.verdict == Verdict::Invalid {
+        if judged.verdict == Verdict::Invalid {
+            continue;
+        }
+        if !visible {
+            not_better_than(noise, doubt, &mut judged);
             continue;
         }
         judged.verdict = if relative > SPOILT {
@@ -155,6 +159,33 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         ));
     }
     judged
+}
+
+/// A bias is known no better than the value that shows it: what that leaves open is part of the uncertainty.
+fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
+    let (Some(value), Some(std)) = (judged.value, judged.std) else {
+        return;
+    };
+    // Not finite: the better value says nothing, as if there were none.
+    let open = if noise.is_finite() {
+        noise
+    } else {
+        value.abs()
+    };
+    judged.std = Some(std.hypot(open));
+    if judged.verdict == Verdict::Settled && std.hypot(open) > SETTLED * value.abs() {
+        judged.verdict = Verdict::Searching;
+        let percent = 100.0 * open / value.abs();
+        let known = if percent > 100.0 {
+            "is not known, also not".to_owned()
+        } else {
+            format!("is known to {percent:.0} % only")
+        };
+        judged.reason = Some(format!(
+            "{}, and how far {known} {}",
+            doubt.cause, doubt.source
+        ));
+    }
 }
 
 /// Standard deviation of a function of the dynamics, by its gradient (central differences).
@@ -178,4 +209,55 @@ fn quadratic<const N: usize>(gradient: &[f64; N], covariance: &[[f64; N]; N]) ->
                 .sum::<f64>()
         })
         .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A claim of the same dynamics as a better value of this relative deviation.
+    fn electrical(relative: f64) -> ParameterEstimate {
+        let dynamics = Dynamics {
+            ta_s: 0.009,
+            tm_s: 0.04,
+            ke: 0.35,
+            load_v: 1.4,
+        };
+        let diagonal = |share: f64| {
+            let at = dynamics.to_array();
+            std::array::from_fn(|i| {
+                std::array::from_fn(|j| if i == j { (share * at[i]).powi(2) } else { 0.0 })
+            })
+        };
+        let doubt = Doubt {
+            better: Dynamics {
+                ta_s: 0.0091,
+                ..dynamics
+            },
+            covariance: Some(diagonal(relative)),
+            cause: "noise of the speed biases least squares".to_owned(),
+            systematic: None,
+            source: "by 1-iv on the same run",
+        };
+        let claim = Claim {
+            dynamics,
+            covariance: Some(diagonal(0.005)),
+            period_s: 0.001,
+            resistance_ohm: None,
+            torque_n_m_per_a: None,
+            doubts: vec![doubt],
+        };
+        estimates(&claim).swap_remove(0)
+    }
+
+    #[test]
+    fn a_bias_that_nothing_bounds_settles_nothing() {
+        let bounded = electrical(0.01);
+        assert_eq!(bounded.verdict, Verdict::Settled, "{bounded:?}");
+        // Within the deviation of the better value, which is as good as none.
+        let open = electrical(0.6);
+        assert_eq!(open.verdict, Verdict::Searching, "{open:?}");
+        assert!(open.std.unwrap() > 0.5 * open.value.unwrap());
+        assert!(open.reason.unwrap().contains("known to 60 % only by 1-iv"));
+    }
 }

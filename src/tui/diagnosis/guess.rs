@@ -46,8 +46,8 @@ pub(super) enum Guessing {
 pub(super) fn compared(guess: Guess, diagnosis: &Diagnosis) -> String {
     let answer = answer(diagnosis);
     let same = match (guess, diagnosis.verdict) {
-        (Guess::Nothing, DiagnosisVerdict::None)
-        | (Guess::Unknown, DiagnosisVerdict::Unexplained) => true,
+        (Guess::Nothing, DiagnosisVerdict::None) => diagnosis.sufficient,
+        (Guess::Unknown, DiagnosisVerdict::Unexplained) => true,
         (Guess::Effect(id), _) => diagnosis.effects.contains(&id),
         _ => false,
     };
@@ -87,6 +87,7 @@ pub(super) fn compared(guess: Guess, diagnosis: &Diagnosis) -> String {
 
 fn answer(diagnosis: &Diagnosis) -> String {
     match diagnosis.verdict {
+        DiagnosisVerdict::None if !diagnosis.sufficient => diagnosis.sentence.clone(),
         DiagnosisVerdict::None => "nothing is missing".to_owned(),
         DiagnosisVerdict::Unexplained => "no effect of the catalogue explains it".to_owned(),
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => diagnosis.effects.join(" and "),
@@ -99,11 +100,17 @@ fn reason(candidate: &Candidate, times: &str) -> String {
     let after = after.map_or("?".to_owned(), |after| format!("{after:.2}"));
     match candidate.status {
         Status::Supported => "supported".to_owned(),
+        Status::Possible if candidate.holdout_after.is_none() => {
+            format!("possible, with {:.0} %", 100.0 * candidate.probability)
+        }
         Status::Possible => {
             format!("possible, but leaves more: {before:.2} -> {after} {times}")
         }
         Status::RuledOut if candidate.holdout_after.is_none() => {
-            "ruled out at first sight: it explains next to nothing".to_owned()
+            format!(
+                "ruled out: there with {:.0} %",
+                100.0 * candidate.probability
+            )
         }
         Status::RuledOut => {
             format!("ruled out: held-out error {before:.2} -> {after} {times}")

@@ -195,6 +195,9 @@ fn guess_first(state: &State) -> String {
 /// The verdict as a word, which the colour only repeats.
 fn word(diagnosis: &Diagnosis) -> (&'static str, ratatui::style::Style) {
     match diagnosis.verdict {
+        DiagnosisVerdict::Effect if diagnosis.is_refuted() => {
+            ("~ MISSING, NOT CONFIRMED:", theme::CAREFUL)
+        }
         DiagnosisVerdict::Effect if diagnosis.sufficient => ("✓ MISSING:", theme::GOOD),
         DiagnosisVerdict::Effect => ("~ MISSING, IN PART:", theme::CAREFUL),
         DiagnosisVerdict::Ambiguous => ("? AMBIGUOUS", theme::CAREFUL),

@@ -50,9 +50,10 @@ pub(in crate::tui::diagnosis) fn card(
             let text = format!("up to {} {}{share}", with_std(peak.value, std), peak.unit);
             lines.push(block("in this run", text));
         }
-        if candidate.interval_factor > 1.0 {
-            let text =
-                "doubled, as more than noise is left over: they hold if nothing else is missing";
+        if let Some(text) = candidate
+            .widened()
+            .filter(|_| !candidate.parameters.is_empty())
+        {
             lines.push(block("intervals", text));
         }
         let error = candidate.error_after.map_or_else(String::new, |after| {

@@ -71,6 +71,8 @@ fn lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
         vec![Line::from(figures)]
     };
     lines.push(lights(&comparison.residual, area.width));
+    let undecided = comparison.undecided();
+    lines.extend(undecided.map(|sentence| Line::raw(format!(" - {sentence}"))));
     let places = comparison.locations.iter().take(MOST_PLACES);
     lines.extend(places.map(|place| Line::raw(format!(" - {}", place.sentence))));
     if comparison.locations.is_empty() {
