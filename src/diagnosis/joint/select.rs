@@ -473,6 +473,7 @@ mod tests {
                 units: vec![1.0],
                 parameters: vec![0],
                 present: vec![0.0],
+                moments: vec![],
                 mean: 0.0,
                 positive: false,
                 log_prior: 0.0,

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::emulator::truth::effect::{
     AsymmetricViscous, Backlash, Cogging, CommandDelay, ConstantLoad, CurrentFilter, CurrentOffset,
     DiscontinuousConduction, EccentricLoad, ElasticCoupling, FieldChange, FluxSaturation,
-    HiddenEffect, InductanceSaturation, LoadDependentFriction, LoadStep, QuadraticLoad, RandomLoad,
+    FrictionOnset, HiddenEffect, InductanceSaturation, InertiaChange, LoadDependentFriction, LoadStep, OneSidedLoad, QuadraticLoad, RandomLoad,
     Shaker, Site, SpeedDelay, SpeedFilter, SpeedOffset, StartDelay, StribeckFriction, SupplySag,
     TorqueBump, TorqueRipple, ViscousFriction, VoltageDrop, VoltageOffset, WindingHeating,
 };
@@ -26,6 +26,9 @@ pub(super) const KNOWN: &[&str] = &[
     "eccentric_load",
     "load_dependent_friction",
     "load_step",
+    "one_sided_load",
+    "friction_onset",
+    "inertia_change",
     "elastic_coupling",
     "backlash",
     "voltage_drop",
@@ -147,6 +150,18 @@ pub(super) fn sized(id: &str, rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<
         }),
         "load_step" => H::LoadStep(LoadStep {
             step_n_m: torque,
+            time_s: dice.between(3.0, 9.0),
+        }),
+        "one_sided_load" => H::OneSidedLoad(OneSidedLoad {
+            load_n_m: dice.sign() * torque,
+            time_s: dice.between(3.0, 9.0),
+        }),
+        "friction_onset" => H::FrictionOnset(FrictionOnset {
+            viscous_n_m_s_per_rad: torque / speed,
+            time_s: dice.between(3.0, 9.0),
+        }),
+        "inertia_change" => H::InertiaChange(InertiaChange {
+            ratio: dice.size(0.1, 0.5),
             time_s: dice.between(3.0, 9.0),
         }),
         "elastic_coupling" => H::ElasticCoupling(ElasticCoupling {

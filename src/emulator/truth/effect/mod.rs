@@ -26,10 +26,13 @@ mod elastic_coupling;
 mod field_change;
 mod flux_saturation;
 mod foreign;
+mod friction_onset;
 mod inductance_saturation;
+mod inertia_change;
 mod load_dependent_friction;
 mod load_step;
 mod mechanism;
+mod one_sided_load;
 mod parameter;
 mod quadratic_load;
 mod speed_delay;
@@ -62,10 +65,13 @@ pub use foreign::{
     ExponentialStribeck, FanThreeHalves, HarmonicCogging, LoadRamp, Messy, RandomLoad, Shaker,
     SoftDrop, TorqueBump,
 };
+pub use friction_onset::FrictionOnset;
 pub use inductance_saturation::InductanceSaturation;
+pub use inertia_change::InertiaChange;
 pub use load_dependent_friction::LoadDependentFriction;
 pub use load_step::LoadStep;
 pub use mechanism::{Mechanism, Moment, Site};
+pub use one_sided_load::OneSidedLoad;
 pub use parameter::{Refused, TrueParameter};
 pub use quadratic_load::QuadraticLoad;
 pub use speed_delay::SpeedDelay;
@@ -172,6 +178,9 @@ catalogue! {
         EccentricLoad = "eccentric_load",
         LoadDependentFriction = "load_dependent_friction",
         LoadStep = "load_step",
+        OneSidedLoad = "one_sided_load",
+        FrictionOnset = "friction_onset",
+        InertiaChange = "inertia_change",
         ElasticCoupling = "elastic_coupling",
         Backlash = "backlash",
         VoltageDrop = "voltage_drop",

@@ -46,6 +46,18 @@ pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
             step_n_m: 0.12,
             time_s: 0.6,
         }),
+        H::OneSidedLoad(OneSidedLoad {
+            load_n_m: 0.1,
+            time_s: 0.6,
+        }),
+        H::FrictionOnset(FrictionOnset {
+            viscous_n_m_s_per_rad: 4e-4,
+            time_s: 0.6,
+        }),
+        H::InertiaChange(InertiaChange {
+            ratio: 0.3,
+            time_s: 0.6,
+        }),
         H::ElasticCoupling(coupling),
         H::Backlash(Backlash {
             frequency_hz: 45.0,
