@@ -61,4 +61,6 @@ pub use score::{Score, SignalScore};
 pub use shared::shared_samples;
 
 #[cfg(test)]
+mod event_tests;
+#[cfg(test)]
 mod tests;

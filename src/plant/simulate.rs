@@ -23,6 +23,7 @@ use angle_track::AngleTrack;
 use equations::Equations;
 use sensors::{Reading, Sensors};
 use state::Mode;
+pub use commands::starts_from_rest;
 pub use state::State;
 use steep::Steep;
 use steps::Steps;

@@ -13,7 +13,9 @@ use super::columns::{Around, Candidate, Form, Linear, Part, SLAB, Source, Varian
 use super::forms::{add_products, gain};
 use super::select::Set;
 use super::tangent::{LANES, Lane, Tangent};
-use crate::plant::{ActiveEffect, Effect, Model, ParameterRole, ParameterSpec, typical_size};
+use crate::plant::{
+    ActiveEffect, Effect, Model, ParameterRole, ParameterSpec, Scenario, typical_size,
+};
 
 /// Log of the odds beforehand of a step of the load, and of each of the other events.
 const LOG_ODDS_STEP: f64 = -2.197_224_577_336_219_6;
@@ -26,6 +28,8 @@ const PAIRED: usize = 6;
 const AROUND: i32 = 8;
 /// Levels of looking more finely.
 const LEVELS: usize = 4;
+/// Periods of a run by which an event may still move.
+const STAYS: f64 = 1.5;
 /// Fall of the log likelihood at the ends of a 95 % interval.
 const INTERVAL: f64 = 1.92;
 
@@ -141,6 +145,19 @@ impl Hypothesis {
         without.model.effects.retain(|active| active.id() != id);
         without.events.retain(|event| event.id() != id);
         without
+    }
+
+    /// Whether no event happens at another sample than `before`: its form is linear only close to where it is.
+    pub(super) fn events_stay(&self, before: &Self, scenarios: &[&Scenario]) -> bool {
+        self.events.iter().all(|event| {
+            let times = &scenarios[event.run].sample_time_s;
+            let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+            let mut others = before.events.iter();
+            others.any(|other| {
+                (other.id(), other.run) == (event.id(), event.run)
+                    && (other.time_s() - event.time_s()).abs() <= STAYS * period_s
+            })
+        })
     }
 
     /// What there is, an event once for each of its runs.

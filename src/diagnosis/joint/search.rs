@@ -426,8 +426,10 @@ pub(super) fn search(
             }
         }
         let set = names(&linear, &posterior.best);
-        let stands =
-            seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
+        let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
+        let stays = start.events_stay(&hypothesis, scenarios);
+        let stands = stays
+            && (seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set);
         if stands && round + 1 < rounds {
             let weighed = Weighed {
                 hypothesis: &hypothesis,
@@ -480,7 +482,6 @@ pub(super) fn search(
         }
         seen.push(set);
         let now = squares(&runs);
-        let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
         let changes = start.ids() != hypothesis.ids();
         // What cannot be refitted stays as it was.
         if let Some((next, left)) = fit(&start, &runs)

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::emulator::truth::effect::{
     AsymmetricViscous, Backlash, Cogging, CommandDelay, ConstantLoad, CurrentFilter, CurrentOffset,
     DiscontinuousConduction, EccentricLoad, ElasticCoupling, FieldChange, FluxSaturation,
-    FrictionOnset, HiddenEffect, InductanceSaturation, InertiaChange, LoadDependentFriction, LoadStep, OneSidedLoad, QuadraticLoad, RandomLoad,
+    FrictionOnset, HiddenEffect, InductanceSaturation, InertiaChange, LoadDependentFriction, LoadStep, OneSidedLoad, QuadraticLoad, RandomLoad, RestartDelay,
     Shaker, Site, SpeedDelay, SpeedFilter, SpeedOffset, StartDelay, StribeckFriction, SupplySag,
     TorqueBump, TorqueRipple, ViscousFriction, VoltageDrop, VoltageOffset, WindingHeating,
 };
@@ -40,6 +40,7 @@ pub(super) const KNOWN: &[&str] = &[
     "discontinuous_conduction",
     "command_delay",
     "start_delay",
+    "restart_delay",
     "speed_delay",
     "speed_filter",
     "current_filter",
@@ -209,6 +210,9 @@ pub(super) fn sized(id: &str, rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<
             delay_s: dice.delay_s(2.0, 10.0),
         }),
         "start_delay" => H::StartDelay(StartDelay {
+            delay_s: dice.delay_s(30.0, 200.0),
+        }),
+        "restart_delay" => H::RestartDelay(RestartDelay {
             delay_s: dice.delay_s(30.0, 200.0),
         }),
         "speed_delay" => H::SpeedDelay(SpeedDelay {

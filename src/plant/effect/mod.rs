@@ -32,6 +32,7 @@ mod onset;
 mod parameter;
 mod path;
 mod quadratic_load;
+mod restart_delay;
 mod speed_delay;
 mod speed_filter;
 mod speed_offset;
@@ -76,6 +77,7 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &discontinuous_conduction::DiscontinuousConduction,
     &command_delay::CommandDelay,
     &start_delay::StartDelay,
+    &restart_delay::RestartDelay,
     &speed_delay::SpeedDelay,
     &speed_filter::SpeedFilter,
     &current_filter::CurrentFilter,

@@ -31,6 +31,7 @@ const KEYS: &[(&str, &[&str])] = &[
     ("discontinuous_conduction", &["boundary_a", "extra_ohm"]),
     ("command_delay", &["delay_s"]),
     ("start_delay", &["delay_s"]),
+    ("restart_delay", &["delay_s"]),
     ("speed_delay", &["delay_s"]),
     ("speed_filter", &["time_constant_s"]),
     ("current_filter", &["time_constant_s"]),
@@ -60,7 +61,7 @@ const KEYS: &[(&str, &[&str])] = &[
 
 /// There or not there: no size of it is none.
 fn is_finite_by_nature(effect: &dyn Effect) -> bool {
-    couples(effect) || effect.card().id == "start_delay"
+    couples(effect) || ["start_delay", "restart_delay"].contains(&effect.card().id)
 }
 
 /// Effects of a second inertia: no size of one coefficient makes them vanish in the balances.
@@ -113,11 +114,12 @@ fn added(effect: &dyn Effect, share: f64) -> [f64; 5] {
 }
 
 /// What lies on the way of command and measurement.
-fn on_the_way(effect: &dyn Effect, share: f64) -> [f64; 7] {
+fn on_the_way(effect: &dyn Effect, share: f64) -> [f64; 8] {
     let path = effect.terms(&sized(effect, share)).path();
     [
         path.command_delay_s,
         path.start_delay_s,
+        path.restart_delay_s,
         path.speed_delay_s,
         path.speed_filter_s,
         path.current_filter_s,

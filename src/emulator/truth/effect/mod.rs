@@ -35,6 +35,7 @@ mod mechanism;
 mod one_sided_load;
 mod parameter;
 mod quadratic_load;
+mod restart_delay;
 mod speed_delay;
 mod speed_filter;
 mod speed_offset;
@@ -74,6 +75,7 @@ pub use mechanism::{Mechanism, Moment, Site};
 pub use one_sided_load::OneSidedLoad;
 pub use parameter::{Refused, TrueParameter};
 pub use quadratic_load::QuadraticLoad;
+pub use restart_delay::RestartDelay;
 pub use speed_delay::SpeedDelay;
 pub use speed_filter::SpeedFilter;
 pub use speed_offset::SpeedOffset;
@@ -192,6 +194,7 @@ catalogue! {
         DiscontinuousConduction = "discontinuous_conduction",
         CommandDelay = "command_delay",
         StartDelay = "start_delay",
+        RestartDelay = "restart_delay",
         SpeedDelay = "speed_delay",
         SpeedFilter = "speed_filter",
         CurrentFilter = "current_filter",

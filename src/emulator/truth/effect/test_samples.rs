@@ -85,6 +85,7 @@ pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
         }),
         H::CommandDelay(CommandDelay { delay_s: 2e-3 }),
         H::StartDelay(StartDelay { delay_s: 0.05 }),
+        H::RestartDelay(RestartDelay { delay_s: 0.05 }),
         H::SpeedDelay(SpeedDelay { delay_s: 4e-3 }),
         H::SpeedFilter(SpeedFilter {
             time_constant_s: 5e-3,

@@ -289,7 +289,7 @@ fn sensors_show_delay_filter_and_offset() {
             effect.id()
         );
     }
-    assert_eq!(seen, 9, "five in the sensors, three in the drive, messy");
+    assert_eq!(seen, 10, "five in the sensors, four in the drive, messy");
 }
 
 #[test]
