@@ -425,8 +425,30 @@ impl Search<'_> {
             }
             step_s *= 2.0 / f64::from(AROUND);
         }
-        let most = seen.iter().fold(f64::NEG_INFINITY, |most, seen| most.max(seen.1));
-        let likely = seen.iter().filter(|seen| seen.1 > most - INTERVAL * excess);
+        let most = seen
+            .iter()
+            .fold(f64::NEG_INFINITY, |most, seen| most.max(seen.1));
+        let least = most - INTERVAL * excess;
+        // Where nothing moves the moment may be anywhere.
+        let wide_s = 0.5 * spacing_s(self.run);
+        for side in [-1.0, 1.0] {
+            let reach = seen.iter().filter(|seen| seen.1 > least);
+            let mut from_s = reach.map(|seen| side * seen.0).fold(f64::MIN, f64::max) * side;
+            loop {
+                let further: Vec<f64> = (1..=LANES)
+                    .map(|k| from_s + side * wide_s * k as f64)
+                    .filter(|time_s| (0.0..end_s).contains(time_s))
+                    .collect();
+                let gains = self.gains(&further);
+                let likely = gains.iter().take_while(|gain| **gain > least).count();
+                seen.extend(further.iter().copied().zip(gains).take(likely));
+                if likely < LANES {
+                    break;
+                }
+                from_s = further[LANES - 1];
+            }
+        }
+        let likely = seen.iter().filter(|seen| seen.1 > least);
         // Between two samples nothing is seen.
         let half_s = 0.5 * period_s;
         let interval_s = likely.fold([best_s - half_s, best_s + half_s], |[low, high], seen| {
