@@ -9,12 +9,13 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Form, Linear, Part, SLAB, Source, Variant};
+use super::columns::{Around, Candidate, Form, Linear, NO_PARAMETER, Part, SLAB, Source, Variant};
 use super::forms::{add_products, gain};
 use super::select::Set;
 use super::tangent::{LANES, Lane, Tangent};
 use crate::plant::{
-    ActiveEffect, Effect, Model, ParameterRole, ParameterSpec, Scenario, typical_size,
+    ActiveEffect, Effect, Instant, Model, ParameterRole, ParameterSpec, Scenario, Terms,
+    typical_size,
 };
 
 /// Log of the odds beforehand of a step of the load, and of each of the other events.
@@ -32,6 +33,42 @@ const LEVELS: usize = 4;
 const STAYS: f64 = 1.5;
 /// Fall of the log likelihood at the ends of a 95 % interval.
 const INTERVAL: f64 = 1.92;
+
+/// Time before and behind the moment by which an onset may have another form, s: nobody knows how fast it comes.
+const ONSET_S: f64 = 0.01;
+/// Its forms, at one standard deviation: later or earlier, and slower or faster, by the weights before, at and behind it.
+const ONSET_FORMS: [[f64; 3]; 2] = [[0.5, 0.0, -0.5], [0.5, -1.0, 0.5]];
+
+/// A sum of terms that have no states, each with its weight.
+struct Weighted(Vec<(f64, Box<dyn Terms>)>);
+
+impl Weighted {
+    fn sum(&self, of: impl Fn(&dyn Terms) -> f64) -> f64 {
+        self.0.iter().map(|(weight, terms)| weight * of(&**terms)).sum()
+    }
+}
+
+impl Terms for Weighted {
+    fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
+        self.sum(|terms| terms.voltage_v(at, own))
+    }
+
+    fn torque_n_m(&self, at: &Instant, own: &[f64]) -> f64 {
+        self.sum(|terms| terms.torque_n_m(at, own))
+    }
+
+    fn friction_n_m(&self, at: &Instant) -> f64 {
+        self.sum(|terms| terms.friction_n_m(at))
+    }
+
+    fn current_rate_gain(&self, at: &Instant) -> f64 {
+        self.sum(|terms| terms.current_rate_gain(at))
+    }
+
+    fn inertia_gain(&self, at: &Instant) -> f64 {
+        self.sum(|terms| terms.inertia_gain(at))
+    }
+}
 
 /// An event of one run.
 #[derive(Clone)]
@@ -77,6 +114,17 @@ impl Event {
             effect: self.effect,
             values: self.values.iter().copied().map(Some).collect(),
         }
+    }
+
+    /// What another form of its onset does.
+    fn bent(&self, weights: [f64; 3]) -> Box<dyn Terms> {
+        let parts = [-ONSET_S, 0.0, ONSET_S].into_iter().zip(weights);
+        let part = |(after_s, weight): (f64, f64)| {
+            let mut there = self.clone();
+            there.put_at(self.time_s() + after_s);
+            (weight, self.effect.terms(&there.values))
+        };
+        Box::new(Weighted(parts.map(part).collect()))
     }
 
     /// The same with a slab of it at another moment.
@@ -228,6 +276,12 @@ pub(super) fn parts(
             let source = Source::In(event.run, event.tangent(unit, event.time_s()));
             form.column(source, size, unit, event.values[size] / unit);
             form.variant.moments.push((event.run, event.time_s()));
+        }
+        for event in &own {
+            for weights in ONSET_FORMS {
+                let bent = Tangent::Terms(event.bent(weights));
+                form.column(Source::In(event.run, bent), NO_PARAMETER, 0.0, 0.0);
+            }
         }
         part.push(form);
         parts.push(part);
@@ -502,9 +556,16 @@ fn place(
     let (own, slab) = column_of(linear, set, event)?;
     let (run, whitened) = (runs.get(event.run)?, linear.columns.get(event.run)?);
     let chosen = linear.candidates.iter().zip(set);
-    let chosen = chosen.filter_map(|(candidate, form)| Some(&candidate.variants[(*form)?]));
+    let others = chosen.flat_map(|(candidate, form)| {
+        let variant = form.map(|form| &candidate.variants[form]);
+        let columns = variant.map_or(&[][..], |variant| &variant.columns);
+        // What another form of its onset does is what is looked for.
+        let is_own = candidate.id == event.id();
+        let kept = variant.map_or(0, |variant| variant.moments.len());
+        columns.iter().take(if is_own { kept } else { columns.len() })
+    });
     let base: Vec<usize> = (0..linear.nuisances.len())
-        .chain(chosen.flat_map(|variant| variant.columns.iter().copied()))
+        .chain(others.copied())
         .filter(|column| *column != own)
         .collect();
     let (factor, right) = base_of(linear, &base)?;

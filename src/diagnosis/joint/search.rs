@@ -7,7 +7,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::columns::{Around, Candidate, Linear, linearise};
+use super::columns::{Around, Candidate, Linear, Variant, linearise};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::excess::excess;
 use super::follow::{Noise, wandering};
@@ -329,6 +329,12 @@ fn best_step(
     singles.sort_by(|a, b| b.0.total_cmp(&a.0));
     let most = singles.first()?.0;
     singles.truncate(MOST_SINGLES);
+    // A linear solution knows little of what is there wholly or not at all, and just how much that leaves is known.
+    for whole in as_it_is(&linear, &set) {
+        if !singles.iter().any(|single| (single.1, single.2) == (whole.1, whole.2)) {
+            singles.push(whole);
+        }
+    }
     singles.retain(|single| single.0 >= WORTH_A_REFIT * most);
     let mut best: Option<Step> = None;
     let mut take = |candidate: usize, variant: usize| {
@@ -363,6 +369,27 @@ fn best_step(
         }
     }
     best
+}
+
+/// For each candidate that is there wholly or not at all its form that leaves least when it is put in and nothing else
+/// moves: the fall of the cost, the candidate and the form.
+fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
+    let candidates = linear.candidates.iter().enumerate();
+    candidates
+        .filter(|(k, candidate)| set[*k].is_none() && candidate.is_whole())
+        .filter_map(|(k, candidate)| {
+            let fall = |variant: &Variant| {
+                let (column, size) = (variant.columns[0], variant.mean);
+                let present = linear.gram.row(column).transpose().dot(&linear.present);
+                let right = linear.right[column] - present;
+                size * right - 0.5 * size * size * linear.gram[(column, column)]
+            };
+            let forms = candidate.variants.iter().enumerate();
+            forms
+                .map(|(form, variant)| (fall(variant), k, form))
+                .max_by(|a, b| a.0.total_cmp(&b.0))
+        })
+        .collect()
 }
 
 /// Searches from `model` on for `asked`, among them what the model has already; `floor` is the noise to begin with, whose
