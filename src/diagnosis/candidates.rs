@@ -38,6 +38,27 @@ impl Status {
     }
 }
 
+/// A run that speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RunOf {
+    Fit,
+    Holdout,
+    /// Both, where one run was split.
+    Whole,
+}
+
+/// When something that happens once did so in one run, and how large it was there: in the unit of its first parameter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Onset {
+    pub run: RunOf,
+    /// Since the run's first command.
+    pub time_s: f64,
+    pub interval_95_s: [f64; 2],
+    pub size: f64,
+    pub size_std: f64,
+}
+
 /// What is reported of one effect.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
@@ -50,6 +71,9 @@ pub struct Candidate {
     /// own.
     #[serde(serialize_with = "by_key")]
     pub parameters: Vec<ParameterEstimate>,
+    /// Of what happens once: when it did, in each run where it did.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub onsets: Vec<Onset>,
     /// What the standard deviations of the parameters were multiplied by: more than one where more than noise is left over,
     /// so that they hold only if nothing else is missing.
     pub interval_factor: f64,

@@ -1,12 +1,13 @@
 //! Findings in words and figures for a person.
 
-use super::candidates::{Candidate, Status};
+use super::candidates::{Candidate, Onset, RunOf, Status};
 use super::diagnose::{Diagnosis, DiagnosisVerdict, Standing};
-use super::evidence::Evidence;
+use super::evidence::{Evidence, HoldoutFrom};
 use super::joint::answer::{Inference, Inferred};
 use super::reached;
 use crate::identification::noise::FloorSource;
-use crate::plant::Effect;
+use crate::plant::{Effect, effect};
+use crate::sample::{ParameterEstimate, Verdict};
 
 /// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
 /// held-out error on its own rung of the ladder and its size beside the others.
@@ -48,6 +49,16 @@ pub(super) fn describe(
                     .collect(),
                 None => Vec::new(),
             };
+            let onsets = match rung {
+                Some(_) => inference.onsets(id),
+                None => Vec::new(),
+            };
+            // Of what did not happen in the fit run its fit knows nothing.
+            let elsewhere = onsets.first().filter(|onset| onset.run == RunOf::Holdout);
+            let parameters = match elsewhere {
+                Some(onset) => of_holdout(inferred.effect, onset),
+                None => parameters,
+            };
             let share = rung.map(|(before, after)| {
                 let whole = base.score.nrms.powi(2) - floor * floor;
                 let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
@@ -63,6 +74,7 @@ pub(super) fn describe(
                 status,
                 probability: inferred.probability,
                 parameters,
+                onsets,
                 interval_factor: best.fit.interval_factor,
                 reached: rung
                     .and_then(|_| reached::of_fit(&best.fit, inferred.effect, &evidence.training)),
@@ -74,10 +86,79 @@ pub(super) fn describe(
                 // The size of what is named has an interval, and one bound is enough.
                 upper_bound: inferred.upper_bound.filter(|_| rung.is_none()),
                 detectable: inferred.detectable,
-                evidence: evidence_sentence(inferred, status, rung, evidence.noise.source.times()),
+                evidence: evidence_sentence(
+                    inferred,
+                    status,
+                    rung,
+                    evidence.noise.source.times(),
+                    happening(
+                        inferred.effect,
+                        &inference.onsets(id),
+                        evidence.holdout_from,
+                    ),
+                ),
             }
         })
         .collect()
+}
+
+/// Parameters of what happened in the hold-out only.
+fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
+    let id = effect.card().id;
+    let [low, high] = onset.interval_95_s;
+    let specs = effect.parameters().iter();
+    specs
+        .map(|spec| {
+            let (value, std) = if spec.is_coefficient() {
+                (onset.size, onset.size_std)
+            } else {
+                (onset.time_s, (high - low) / (2.0 * INTERVAL))
+            };
+            ParameterEstimate {
+                key: format!("{id}.{}", spec.key),
+                value: Some(value),
+                std: Some(std),
+                unit: spec.unit,
+                verdict: Verdict::Settled,
+                reason: Some("it happened in the hold-out only".to_owned()),
+            }
+        })
+        .collect()
+}
+
+/// Standard deviations on either side of a value: its 95 % interval.
+const INTERVAL: f64 = 1.96;
+
+/// What an event changes, in words that can stand before a signed size.
+const CHANGES: &[(&str, &str)] = &[
+    ("inertia_change", "inertia"),
+    ("load_step", "friction"),
+    ("one_sided_load", "load"),
+    ("friction_onset", "drag"),
+];
+
+/// When something that happens once did so, and what it changed.
+pub(super) fn happening(
+    effect: &dyn Effect,
+    onsets: &[Onset],
+    from: HoldoutFrom,
+) -> Option<String> {
+    let id = effect.card().id;
+    let change = CHANGES.iter().find(|(known, _)| *known == id);
+    let change = change.map_or(effect.card().name, |(_, change)| change);
+    let size = |onset: &Onset| match unit_of_size(effect) {
+        "(a ratio)" => format!("{change} {:+.0} %", 100.0 * onset.size),
+        unit if onset.size.abs() < 0.01 => format!("{change} {:+.2e} {unit}", onset.size),
+        unit => format!("{change} {:+.3} {unit}", onset.size),
+    };
+    let when = |onset: &Onset| format!("from {:.2} s on, {}", onset.time_s, size(onset));
+    match onsets {
+        [] => None,
+        [one] if from == HoldoutFrom::Split => Some(when(one)),
+        [one] if one.run == RunOf::Holdout => Some(format!("in the hold-out only, {}", when(one))),
+        [one] => Some(format!("in the fit run only, {}", when(one))),
+        [one, other, ..] => Some(format!("{}; in the hold-out {}", when(one), when(other))),
+    }
 }
 
 fn evidence_sentence(
@@ -85,6 +166,7 @@ fn evidence_sentence(
     status: Status,
     rung: Option<(&Standing, &Standing)>,
     times: &str,
+    happening: Option<String>,
 ) -> String {
     let card = inferred.effect.card();
     let unit = unit_of_size(inferred.effect);
@@ -105,8 +187,11 @@ fn evidence_sentence(
             card.name, card.excite
         ),
         (_, Some((before, after))) => format!(
-            "{} is there with {percent}; with it the held-out error goes from {:.2} to {:.2} {times}",
-            card.name, before.score.nrms, after.score.nrms
+            "{} is there with {percent}{}; with it the held-out error goes from {:.2} to {:.2} {times}",
+            card.name,
+            happening.map_or_else(String::new, |when| format!(" ({when})")),
+            before.score.nrms,
+            after.score.nrms
         ),
         (Status::RuledOut, None) => format!("{} is there with {percent}{most}{shown}", card.name),
         (_, None) => format!("{} may be there, with {percent}{most}", card.name),
@@ -123,7 +208,21 @@ pub(super) fn percent(probability: f64) -> String {
 }
 
 pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
-    let names = diagnosis.effects.join(" and ");
+    let with_onset = |candidate: &Candidate| {
+        let known = effect::find(candidate.effect);
+        let when =
+            known.and_then(|known| happening(known, &candidate.onsets, diagnosis.holdout_from));
+        when.map(|when| format!("{} ({when})", candidate.effect))
+    };
+    let named = |id: &&'static str| {
+        let mut candidates = diagnosis.candidates.iter();
+        let candidate = candidates.find(|candidate| candidate.effect == *id);
+        candidate
+            .and_then(with_onset)
+            .unwrap_or_else(|| (*id).to_owned())
+    };
+    let names: Vec<String> = diagnosis.effects.iter().map(named).collect();
+    let names = names.join(" and ");
     let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
     let times = diagnosis.noise_floor_from.times();
     match diagnosis.verdict {

@@ -8,7 +8,10 @@ const RICHER: &[(&str, &str)] = &[
 ];
 
 /// Effects that are one to first order: a model holds one of them.
-const ALIKE: &[(&str, &str)] = &[("speed_delay", "speed_filter")];
+const ALIKE: &[(&str, &str)] = &[
+    ("speed_delay", "speed_filter"),
+    ("start_delay", "restart_delay"),
+];
 
 /// Effects that take power, of which a size below zero is no machine: a fit that asks for one leans on something else
 /// (DISCOVERY.md: a Stribeck curve of the wrong sign is not supported). A voltage drop may be over-compensated by the drive,

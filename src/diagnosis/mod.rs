@@ -40,7 +40,7 @@ mod shapes;
 mod shared;
 
 pub use axis_map::{AxisMap, axis_map};
-pub use candidates::{Candidate, Status};
+pub use candidates::{Candidate, Onset, RunOf, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use confirmation::Confirmation;
 pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, Unknown, diagnose, diagnose_with};
@@ -60,5 +60,7 @@ pub use residual::{LAGS, Light, ResidualLights, SignalLights};
 pub use score::{Score, SignalScore};
 pub use shared::shared_samples;
 
+#[cfg(test)]
+mod event_tests;
 #[cfg(test)]
 mod tests;

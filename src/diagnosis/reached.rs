@@ -187,6 +187,8 @@ impl<'a> Measure<'a> {
         let mut own = vec![0.0; terms.states()];
         let mut rate = own.clone();
         let mut last_s = self.run.begin_s();
+        let mut last_rad_s = self.start.speed_rad_s;
+        let inertia = value(MotorKey::Inertia);
         let (mut torque, mut voltage) = (0.0_f64, 0.0_f64);
         for (sample, &time_s) in self.run.sample_time_s.iter().enumerate() {
             while let Some(point) = angle.next_if(|point| point.0 <= time_s) {
@@ -210,9 +212,16 @@ impl<'a> Measure<'a> {
                     *state += rate * (time_s - last_s);
                 }
             }
-            last_s = time_s;
+            let interval_s = time_s - last_s;
+            let acceleration = if interval_s > 0.0 {
+                (at.speed_rad_s - last_rad_s) / interval_s
+            } else {
+                0.0
+            };
+            (last_s, last_rad_s) = (time_s, at.speed_rad_s);
             let sums = terms.sums(&at, &own);
-            torque = torque.max(sums.torque_n_m.abs() + sums.friction_n_m.abs());
+            let accelerating = (sums.inertia_gain * inertia * acceleration).abs();
+            torque = torque.max(sums.torque_n_m.abs() + sums.friction_n_m.abs() + accelerating);
             // What a faster current saves of the voltage that drives it.
             let driving_v = voltage_v - resistance_ohm * at.current_a - back_emf * at.speed_rad_s;
             voltage =

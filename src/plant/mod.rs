@@ -33,6 +33,6 @@ pub use model::{ActiveEffect, Held, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
-pub use simulate::{Correction, Plant, State, Trajectory};
+pub use simulate::{Correction, Plant, State, Trajectory, starts_from_rest};
 pub use typical_size::typical_size;
 pub use unknown_input::UnknownInput;

@@ -20,6 +20,7 @@ mod two_mass;
 use std::borrow::Cow;
 
 use angle_track::AngleTrack;
+pub use commands::starts_from_rest;
 use equations::Equations;
 use sensors::{Reading, Sensors};
 use state::Mode;

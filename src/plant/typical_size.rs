@@ -6,6 +6,8 @@ use super::scenario::{Input, Scenario};
 
 /// Share of the run's largest voltage or torque that an effect of typical size reaches.
 const SHARE: f64 = 0.03;
+/// Of the largest torque what accelerates, for a change of the inertia.
+const OF_TORQUE: f64 = 0.5;
 /// Samples that are looked at.
 const LOOKS: usize = 500;
 
@@ -86,6 +88,7 @@ pub fn typical_size(
             most.max(voltage)
                 .max(torque / largest_torque)
                 .max(terms.current_rate_gain(&at).abs())
+                .max(OF_TORQUE * terms.inertia_gain(&at).abs())
         });
     let largest_speed = finite(&scenario.speed_rad_s)
         .iter()

@@ -146,6 +146,7 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         status,
         probability,
         parameters,
+        onsets: vec![],
         interval_factor: 1.0,
         reached: None,
         error_before: 5.0,

@@ -2,11 +2,13 @@
 
 use super::asked::{prepared, why_not};
 use super::columns::Around;
+use super::events::Event;
 use super::follow::{Noise, constants};
 use super::prediction_error::estimate;
-use super::search::{self, Found};
+use super::search::{self, Found, Happened};
 use super::select::{Reduced, Set};
 use crate::diagnosis::Evidence;
+use crate::diagnosis::candidates::{Onset, RunOf};
 use crate::diagnosis::evidence::HoldoutFrom;
 use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::progress::Progress;
@@ -16,7 +18,7 @@ use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
 use crate::numerics::statistics;
 use crate::plant::effect::CATALOGUE;
-use crate::plant::{Effect, Input, Model, MotorKey, Scenario, State};
+use crate::plant::{ActiveEffect, Effect, Input, Model, MotorKey, Scenario, State};
 use crate::sample::Verdict;
 
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
@@ -76,6 +78,9 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) wandering: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
+    /// Length of the first run, s, and what each run is.
+    first_ends_s: f64,
+    runs: &'static [RunOf],
     found: Found,
 }
 
@@ -85,6 +90,21 @@ impl Inference {
         self.effects
             .iter()
             .find(|inferred| inferred.effect.card().id == id)
+    }
+
+    /// When an effect that happens once did so, in each of the runs that speak where it did.
+    pub(in crate::diagnosis) fn onsets(&self, id: &str) -> Vec<Onset> {
+        let own = self.found.happened.iter();
+        let mut own: Vec<_> = own.filter(|own| own.event.id() == id).collect();
+        own.sort_by_key(|own| own.event.run);
+        let onset = |own: &Happened| Onset {
+            run: self.runs[own.event.run],
+            time_s: own.moment.time_s,
+            interval_95_s: own.moment.interval_s,
+            size: own.event.values[own.event.size_index()],
+            size_std: own.deviation,
+        };
+        own.into_iter().map(onset).collect()
     }
 
     /// Whether an effect is more likely there than not, or these runs cannot tell it from one that is.
@@ -97,9 +117,10 @@ impl Inference {
     /// likeliest form.
     pub(in crate::diagnosis) fn with_effects(&self, ids: &[&'static str]) -> Option<Model> {
         let Found {
-            model,
+            hypothesis,
             linear,
             posterior,
+            happened,
             ..
         } = &self.found;
         let reduced = Reduced::new(linear, self.found.excess, true)?;
@@ -112,8 +133,29 @@ impl Inference {
                 Some(if candidate.in_model { 0 } else { *form })
             })
             .collect();
-        search::at_solution(model, linear, &reduced, &set).filter(|_| missing.is_empty())
+        let there = search::at_solution(hypothesis, linear, &reduced, &set)?;
+        let mut model = there.model;
+        let mut known: Vec<&Event> = happened.iter().map(|happened| &happened.event).collect();
+        known.sort_by_key(|event| event.run);
+        for event in known.into_iter().chain(&there.events) {
+            if ids.contains(&event.id()) && !model.has(event.id()) {
+                model.effects.push(in_first_run(event, self.first_ends_s));
+            }
+        }
+        (missing.is_empty() && ids.iter().all(|id| model.has(id))).then_some(model)
     }
+}
+
+/// Time behind the end of a run at which what begins there does nothing in it, s.
+const BEHIND_S: f64 = 1.0;
+
+/// An event as the first run has it: what happened in another one only comes after its end.
+fn in_first_run(event: &Event, ends_s: f64) -> ActiveEffect {
+    let mut event = event.clone();
+    if event.run != 0 {
+        event.put_at(ends_s + BEHIND_S);
+    }
+    event.active()
 }
 
 /// The effects of the catalogue, and those of a model or asked for that are in none.
@@ -216,7 +258,7 @@ pub(in crate::diagnosis) fn infer(
         .filter(|e| e.probability > NAMED || together(e.effect.card().id) > CERTAIN)
         .map(|e| e.effect.card().id)
         .collect();
-    let is_gone = |id: &&'static str| !found.model.has(id);
+    let is_gone = |id: &&'static str| !found.hypothesis.has(id);
     let superfluous = given.into_iter().filter(is_gone).collect();
     let mut confusable = confusable.clone();
     confusable.retain(|pair| named.contains(&pair[0]));
@@ -243,6 +285,11 @@ pub(in crate::diagnosis) fn infer(
         wandering: in_noise(found.wandering, &evidence.noise),
         noise: found.noise,
         superfluous,
+        runs: match evidence.holdout_from {
+            HoldoutFrom::Run => &[RunOf::Fit, RunOf::Holdout],
+            HoldoutFrom::Split => &[RunOf::Whole],
+        },
+        first_ends_s: runs[0].sample_time_s[runs[0].samples() - 1] - runs[0].begin_s(),
         found,
     })
 }

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::identification::speed_from_angle;
-use crate::plant::{Effect, Enters, Input, ParameterSpec, Scenario};
+use crate::plant::{Effect, Enters, Input, Instant, ParameterSpec, Scenario, starts_from_rest};
 
 /// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
 /// what the frame and the drive's own loops do would decide.
@@ -16,12 +16,14 @@ const LEAST_RESOLVED: f64 = 0.1;
 /// Share of the longest step below which the shaft counts as resting.
 const MOVES: f64 = 0.02;
 
-/// Why a run that is driven by a torque or a current cannot judge an effect at all; `None` where it can. A voltage drives
-/// through every equation.
+/// Why a run cannot judge an effect at all; `None` where it can. A voltage drives through every equation.
 pub(in crate::diagnosis) fn why_not(
     effect: &dyn Effect,
     scenario: &Scenario,
 ) -> Option<&'static str> {
+    if effect.card().id == "restart_delay" && starts_from_rest(&scenario.events).len() < 2 {
+        return Some("the run starts from rest once at most: there it is a start delay");
+    }
     if scenario.input == Input::Voltage {
         return None;
     }
@@ -45,6 +47,15 @@ pub(in crate::diagnosis) fn why_not(
         .map(ParameterSpec::guess)
         .collect();
     let terms = effect.terms(&guess);
+    if terms.inertia_gain(&Instant {
+        time_s: f64::MAX,
+        ..Instant::default()
+    }) != 0.0
+    {
+        return Some(
+            "a change of the inertia is no term of the torque balance: record the voltage too",
+        );
+    }
     if terms.coupling().is_some() || terms.states() > 0 {
         return Some("a second inertia is no term of the torque balance: record the voltage too");
     }

@@ -1,9 +1,12 @@
 //! What each effect at its slab size would add to the whitened innovations of a followed run.
 
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::asked::{shows_wave, why_not};
+use super::events::{self, Hypothesis};
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
 use super::nuisances::{bends, nuisances};
@@ -12,7 +15,6 @@ use super::unknown::unknown_curves;
 use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
-use crate::plant::effect;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario,
     State, typical_size,
@@ -32,6 +34,8 @@ pub(super) struct Variant {
     pub parameters: Vec<usize>,
     /// Where the model has the effect already: the coordinates that it has there.
     pub present: Vec<f64>,
+    /// Of an event, for each column the run and when it happens there, s after the run's first command.
+    pub moments: Vec<(usize, f64)>,
     /// Of what is there wholly or not at all the prior mean of its first column, in its unit; else zero.
     pub mean: f64,
     pub positive: bool,
@@ -54,6 +58,11 @@ impl Candidate {
     /// Whether it is there wholly or not at all, as a shaft's elasticity: its shape is all that there is.
     pub(super) fn is_whole(&self) -> bool {
         self.variants[0].mean > 0.0
+    }
+
+    /// Whether it happens once, in each run at a moment of its own.
+    pub(super) fn is_event(&self) -> bool {
+        !self.variants[0].moments.is_empty()
     }
 
     /// Whether it is a curve that no effect gives.
@@ -103,7 +112,9 @@ impl Source {
 
 /// Everything of one run that columns need.
 pub(super) struct Around<'a> {
-    pub model: &'a Model,
+    pub model: Model,
+    /// What of the model happens in this run alone.
+    pub(super) events: Vec<ActiveEffect>,
     pub scenario: &'a Scenario,
     pub start: State,
     pub noise: Noise,
@@ -120,14 +131,26 @@ pub(super) struct Around<'a> {
 
 impl<'a> Around<'a> {
     pub(super) fn new(
-        model: &'a Model,
+        model: &Model,
         scenario: &'a Scenario,
         start: State,
         noise: Noise,
     ) -> Option<Self> {
-        let (follower, followed) = lead(model, scenario, start, &noise)?;
-        let dynamics = Dynamics::of(model, scenario.input)?;
-        let instants = instants(model, scenario, &followed);
+        Self::beside(model, vec![], scenario, start, noise)
+    }
+
+    /// With events that other runs do not have.
+    pub(super) fn beside(
+        model: &Model,
+        events: Vec<ActiveEffect>,
+        scenario: &'a Scenario,
+        start: State,
+        noise: Noise,
+    ) -> Option<Self> {
+        let model = with_events(model, &events);
+        let (follower, followed) = lead(&model, scenario, start, &noise)?;
+        let dynamics = Dynamics::of(&model, scenario.input)?;
+        let instants = instants(&model, scenario, &followed);
         let turn = |at: &Instant| {
             let (sine, cosine) = at.angle_rad.sin_cos();
             [cosine, sine]
@@ -147,7 +170,8 @@ impl<'a> Around<'a> {
             .map(step)
             .collect();
         Some(Self {
-            model,
+            model: model.into_owned(),
+            events,
             scenario,
             start,
             noise,
@@ -160,13 +184,13 @@ impl<'a> Around<'a> {
         })
     }
 
-    /// What another model does to the whitened innovations, over `step`, in the whole run or the beginning of it that
-    /// `scenario` is; nothing where it cannot follow.
+    /// What another model, beside the run's own events, does to the whitened innovations, over `step`, in the whole run or
+    /// the beginning of it that `scenario` is; nothing where it cannot follow.
     pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
         let mut out = Vec::with_capacity(scenario.samples());
         if !follow(
             &self.follower,
-            model,
+            &with_events(model, &self.events),
             scenario,
             self.start,
             &self.noise,
@@ -199,6 +223,15 @@ impl<'a> Around<'a> {
     fn rows(&self) -> usize {
         2 * self.scenario.samples()
     }
+}
+
+fn with_events<'a>(model: &'a Model, events: &[ActiveEffect]) -> Cow<'a, Model> {
+    if events.is_empty() {
+        return Cow::Borrowed(model);
+    }
+    let mut model = model.clone();
+    model.effects.extend_from_slice(events);
+    Cow::Owned(model)
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "stored like this")]
@@ -305,6 +338,7 @@ impl Form {
             units: vec![],
             parameters: vec![],
             present: vec![],
+            moments: vec![],
             mean: 0.0,
             positive: false,
             log_prior,
@@ -331,9 +365,8 @@ pub(super) fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffec
     }
 }
 
-/// Log of the odds beforehand of an effect of the catalogue, of a step of the load in a run.
+/// Log of the odds beforehand of an effect of the catalogue.
 const LOG_ODDS: f64 = -2.197_224_577_336_219_6;
-const LOG_ODDS_STEP: f64 = -2.995_732_273_553_991;
 
 /// An effect of the model: its parameters, and what else its form may be.
 fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Option<Part> {
@@ -361,7 +394,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
         );
     }
     for (index, spec) in specs.iter().enumerate() {
-        if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
+        if spec.role == ParameterRole::Choice {
             continue;
         }
         let (unit, present, step) = if spec.is_coefficient() {
@@ -423,12 +456,6 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
         }
         let periods = order.map_or(1.0, |order| shape[order]);
         if effect.card().needs_angle && !shows_wave(scenario, periods) {
-            continue;
-        }
-        if specs
-            .iter()
-            .any(|spec| spec.role == ParameterRole::EventTime)
-        {
             continue;
         }
         let mut form = Form::new(shape.clone(), log_prior);
@@ -506,33 +533,32 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
     }
 }
 
-/// The linear problem of `runs` around one model. Every run must be followed with that same model.
+/// The linear problem of `runs` around one model and what happens in each. Every run must be followed with that.
 pub(super) fn linearise(
-    model: &Model,
+    hypothesis: &Hypothesis,
     asked: &[&'static dyn Effect],
     runs: &[Around<'_>],
     unknowns: bool,
 ) -> Option<Linear> {
-    let training = runs[0].scenario;
+    let (training, model) = (runs[0].scenario, &hypothesis.model);
     let (always, nuisances): (Vec<Source>, Vec<f64>) =
         nuisances(model, training)?.into_iter().unzip();
     let of_effect = |effect: &&'static dyn Effect| {
-        if model.has(effect.card().id) {
-            of_model(model, *effect, training)
+        if events::time_of(*effect).is_some() {
+            Some(events::parts(hypothesis, *effect, runs))
+        } else if model.has(effect.card().id) {
+            of_model(model, *effect, training).map(|part| vec![part])
         } else {
-            Some(beside_model(model, *effect, training))
+            Some(vec![beside_model(model, *effect, training)])
         }
     };
-    let mut parts: Vec<Part> = asked
+    let parts: Vec<Vec<Part>> = asked
         .par_iter()
         .filter(|effect| why_not(**effect, training).is_none())
         .map(of_effect)
         .collect::<Option<_>>()?;
+    let mut parts: Vec<Part> = parts.into_iter().flatten().collect();
     parts.retain(|part| !part.sources.is_empty());
-    let asked_for_steps = asked.iter().any(|effect| effect.card().id == "load_step");
-    if asked_for_steps && !model.has("load_step") {
-        parts.extend(load_steps(model, runs));
-    }
     if unknowns {
         parts.extend(unknown_curves(runs));
     }
@@ -593,7 +619,9 @@ pub(super) fn linearise(
             Whitened::new(order.iter().map(take).collect(), run.rows())
         })
         .collect();
-    Some(assemble(nuisances, candidates, runs, columns))
+    let mut linear = assemble(nuisances, candidates, runs, columns);
+    events::pair(&mut linear, runs.len());
+    Some(linear)
 }
 
 /// Columns with the numbers of their sources.
@@ -694,29 +722,6 @@ fn assemble(
     }
 }
 
-/// A step of the load in one run, at any of many times.
-fn load_steps(model: &Model, runs: &[Around<'_>]) -> Vec<Part> {
-    const PLACES: usize = 96;
-    let Some(effect) = effect::find("load_step") else {
-        return vec![];
-    };
-    let of_run = |(number, run): (usize, &Around<'_>)| {
-        let length_s =
-            run.scenario.sample_time_s[run.scenario.samples() - 1] - run.scenario.begin_s();
-        let slab = SLAB * typical_size(effect, 0, model, run.scenario);
-        let mut part = Part::new(effect, LOG_ODDS_STEP);
-        for place in 1..PLACES {
-            let values = vec![slab, length_s * place as f64 / PLACES as f64];
-            let terms = effect.terms(&values);
-            let mut form = Form::new(values, -(PLACES as f64).ln());
-            form.column(Source::In(number, Tangent::Terms(terms)), 0, slab, 0.0);
-            part.push(form);
-        }
-        part
-    };
-    runs.iter().enumerate().map(of_run).collect()
-}
-
 /// A torque's own curve is what a run is made of: there what is unknown stands beside the effects, not for them.
 fn exclusions(candidates: &mut [Candidate], input: Input) {
     let curve = |c: &Candidate| match c.id {
@@ -731,6 +736,11 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
                 && a.is_unknown() != b.is_unknown()
                 && curve(a).is_some()
                 && curve(a) == curve(b))
+    };
+    // Loads that set in: two of them at once are one that is neither.
+    let sets_in = |c: &Candidate| ["load_step", "one_sided_load", "friction_onset"].contains(&c.id);
+    let says_the_same = |a: &Candidate, b: &Candidate| {
+        says_the_same(a, b) || (sets_in(a) && sets_in(b) && a.id != b.id)
     };
     for k in 0..candidates.len() {
         let excludes = (0..candidates.len())

@@ -125,6 +125,7 @@ impl Forms {
                 - at.back_emf_v_s_per_rad * at.speed_rad_s;
             volts += sums.voltage_v.powi(2) + (sums.current_rate_gain * inductive).powi(2);
             torque += sums.torque_n_m.powi(2) + sums.friction_n_m.powi(2);
+            torque += (sums.inertia_gain * self.inertia * acceleration).powi(2);
         }
         [volts, torque, ringing]
     }

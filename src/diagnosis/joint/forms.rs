@@ -39,19 +39,21 @@ pub(super) fn keep_likeliest(
     for (number, part) in parts.iter().enumerate() {
         let many = part.sources.len() > KEPT && part.sources[0].len() <= 2;
         // Steps of the load at all times, a hair of each, stand for a load that wanders: they are not dropped.
+        let stays = part.candidate.in_model || part.candidate.id == "load_step";
         let tangents = part
             .sources
             .iter()
             .flatten()
-            .all(|source| matches!(source, Source::Tangent(_)));
-        if many && tangents {
+            .all(|source| matches!(source, Source::Tangent(_) | Source::In(..)));
+        if many && tangents && !stays {
             let width = part.sources[0].len();
-            let forms: Vec<usize> = (0..part.sources.len()).collect();
-            groups.extend(forms.chunks(LANES / width).map(|forms| Group {
-                part: number,
-                forms: forms.to_vec(),
-                products: vec![],
-            }));
+            for own in part.by_run() {
+                groups.extend(own.chunks(LANES / width).map(|forms| Group {
+                    part: number,
+                    forms: forms.to_vec(),
+                    products: vec![],
+                }));
+            }
         }
     }
     let residuals: Vec<&[[f64; 2]]> = runs.iter().map(|run| &run.followed.white[..]).collect();
@@ -70,7 +72,11 @@ pub(super) fn keep_likeliest(
                 .iter()
                 .filter_map(|source| source.tangent(number))
                 .collect();
-            add_products(run, base, &tangents, &mut group.products);
+            if !tangents.is_empty() {
+                let columns: Vec<&[f32]> = base.columns.iter().map(|own| &own[..]).collect();
+                let residual = &run.followed.white;
+                add_products(run, &columns, residual, &tangents, &mut group.products);
+            }
         }
     });
     for (number, part) in parts.iter_mut().enumerate() {
@@ -88,12 +94,32 @@ pub(super) fn keep_likeliest(
             continue;
         }
         gains.sort_by(|a, b| b.1.total_cmp(&a.1));
-        gains.truncate(KEPT);
-        part.keep(|form| gains.iter().any(|gain| gain.0 == form));
+        let kept: Vec<usize> = part
+            .by_run()
+            .iter()
+            .flat_map(|own| gains.iter().filter(|gain| own.contains(&gain.0)).take(KEPT))
+            .map(|gain| gain.0)
+            .collect();
+        part.keep(|form| kept.contains(&form));
     }
 }
 
 impl Part {
+    /// The forms of an event of each run; of what all runs share all forms.
+    fn by_run(&self) -> Vec<Vec<usize>> {
+        let run = |form: &usize| {
+            self.candidate.variants[*form]
+                .moments
+                .first()
+                .map_or(0, |at| at.0)
+        };
+        let forms: Vec<usize> = (0..self.sources.len()).collect();
+        forms
+            .chunk_by(|a, b| run(a) == run(b))
+            .map(<[usize]>::to_vec)
+            .collect()
+    }
+
     fn keep(&mut self, wanted: impl Fn(usize) -> bool) {
         let mut form = 0..;
         self.sources.retain(|_| form.next().is_some_and(&wanted));
@@ -205,17 +231,24 @@ fn base_of(
     ))
 }
 
-/// Products of the tangents with the base's columns, with the residual, with themselves, and of each even one with the
-/// next.
-fn add_products(run: &Around<'_>, base: &Whitened, tangents: &[&Tangent], products: &mut [Lane]) {
-    let (with_base, others) = products.split_at_mut(base.columns.len());
+/// Products of the tangents with these columns, with the residual, with themselves, and of each even one with the next.
+pub(super) fn add_products(
+    run: &Around<'_>,
+    columns: &[&[f32]],
+    residual: &[[f64; 2]],
+    tangents: &[&Tangent],
+    products: &mut [Lane],
+) {
+    let (with_base, others) = products.split_at_mut(columns.len());
     let [with_rest, squares, pairs] = others else {
         return;
     };
     carry(run, tangents, |first, white| {
-        for (sum, column) in with_base.iter_mut().zip(&base.columns) {
+        for (sum, column) in with_base.iter_mut().zip(columns) {
             let mut part = [0.0; LANES];
-            for (value, row) in column[2 * first..].iter().zip(white) {
+            // A column may end early.
+            let left = column.get(2 * first..).unwrap_or_default();
+            for (value, row) in left.iter().zip(white) {
                 let value = f64::from(*value);
                 for k in 0..LANES {
                     part[k] += value * row[k];
@@ -225,10 +258,7 @@ fn add_products(run: &Around<'_>, base: &Whitened, tangents: &[&Tangent], produc
                 sum[k] += part[k];
             }
         }
-        for (values, rows) in run.followed.white[first..]
-            .iter()
-            .zip(white.chunks_exact(2))
-        {
+        for (values, rows) in residual[first..].iter().zip(white.chunks_exact(2)) {
             for (value, row) in values.iter().zip(rows) {
                 for k in 0..LANES {
                     with_rest[k] += value * row[k];
@@ -247,7 +277,7 @@ fn add_products(run: &Around<'_>, base: &Whitened, tangents: &[&Tangent], produc
 }
 
 /// Log of the evidence of the form in these lanes, beside the base.
-fn gain(
+pub(super) fn gain(
     factor: &Cholesky<f64, Dyn>,
     right: &DVector<f64>,
     products: &[Lane],
@@ -276,6 +306,7 @@ fn gain(
 mod tests {
     use super::KEPT;
     use crate::diagnosis::joint::columns::{Around, Candidate, linearise};
+    use crate::diagnosis::joint::events::Hypothesis;
     use crate::diagnosis::joint::follow::Noise;
     use crate::plant::effect::CATALOGUE;
     use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
@@ -307,7 +338,7 @@ mod tests {
             sensors: 0.1,
         };
         let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
-        linearise(&model, CATALOGUE, &runs, false)
+        linearise(&Hypothesis::of(&model), CATALOGUE, &runs, false)
             .unwrap()
             .candidates
     }

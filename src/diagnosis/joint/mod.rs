@@ -6,6 +6,7 @@
 //!                 |             (nuisances: what is always in beside them; tangent: eight side by side; forms: the few worth a column; whitened: their storage)
 //!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
 //!                 '-> select    posterior over the sets of effects and forms
+//! events: what happens in one run, at a moment of its own
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
 //!         (excess: by how much what is left is more than white noise)
 //! asked:  which effects a run can be asked about, and what of it is fit to be asked
@@ -16,6 +17,7 @@
 pub(super) mod answer;
 pub(super) mod asked;
 mod columns;
+pub(super) mod events;
 mod excess;
 mod follow;
 mod forms;

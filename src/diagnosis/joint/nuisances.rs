@@ -114,8 +114,8 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
 pub(super) fn of_equations(run: &Around<'_>) -> Vec<Vec<f32>> {
     let of_effects = run.model.effects.iter();
     let forms =
-        of_effects.flat_map(|active| bends(run.model, active.effect, &active.values_or_guess()));
-    let sources: Vec<Source> = stamps(run.model, run.scenario).chain(forms).collect();
+        of_effects.flat_map(|active| bends(&run.model, active.effect, &active.values_or_guess()));
+    let sources: Vec<Source> = stamps(&run.model, run.scenario).chain(forms).collect();
     let sources: Vec<&Source> = sources.iter().collect();
     let columns = columns_of(&sources, std::slice::from_ref(run));
     columns

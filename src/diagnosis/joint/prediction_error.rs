@@ -2,6 +2,7 @@
 
 use super::asked::why_not;
 use super::columns::{Around, SLAB, single};
+use super::events::{Event, Hypothesis};
 use super::excess::excess;
 use super::follow::follow;
 use super::nuisances::{MotorPrior, motor_prior, of_equations};
@@ -115,16 +116,30 @@ impl Unit {
     }
 }
 
-/// Whitened innovations of the runs, and behind them the priors, as a function of the coordinates.
+/// Whitened innovations of the runs, and behind them the priors, as a function of the coordinates: those that all runs
+/// share, then the sizes of the events.
 struct Innovations<'a> {
-    model: Model,
+    hypothesis: Hypothesis,
     free: Vec<(Slot, Unit)>,
+    sizes: Vec<Unit>,
     runs: &'a [Around<'a>],
     len: usize,
 }
 
 impl<'a> Innovations<'a> {
-    fn new(model: &Model, runs: &'a [Around<'a>]) -> Self {
+    fn new(hypothesis: &Hypothesis, runs: &'a [Around<'a>]) -> Self {
+        let model = &hypothesis.model;
+        let size = |event: &Event| {
+            let index = event.size_index();
+            let spec = &event.effect.parameters()[index];
+            let run = &runs[event.run.min(runs.len() - 1)];
+            Unit::Linear {
+                range: (spec.min, spec.max),
+                unit: SLAB * typical_size(event.effect, index, model, run.scenario),
+                at: 0.0,
+            }
+        };
+        let sizes: Vec<Unit> = hypothesis.events.iter().map(size).collect();
         let free: Vec<(Slot, Unit)> = model
             .free_slots()
             .into_iter()
@@ -135,34 +150,52 @@ impl<'a> Innovations<'a> {
             .collect();
         let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
         Self {
-            model: model.clone(),
-            len: 2 * samples + free.len(),
+            hypothesis: hypothesis.clone(),
+            len: 2 * samples + free.len() + sizes.len(),
             free,
+            sizes,
             runs,
         }
     }
 
-    fn start(&self) -> Vec<f64> {
-        let value = |slot| self.model.get(slot).unwrap_or(f64::NAN);
-        let free = self.free.iter();
-        free.map(|(slot, unit)| unit.to_x(value(slot))).collect()
+    fn units(&self) -> impl Iterator<Item = Unit> {
+        let free = self.free.iter().map(|(_, unit)| *unit);
+        free.chain(self.sizes.iter().copied())
     }
 
-    fn model_at(&self, x: &[f64]) -> Model {
-        let mut model = self.model.clone();
+    fn start(&self) -> Vec<f64> {
+        let Hypothesis { model, events } = &self.hypothesis;
+        let free = self.free.iter();
+        let shared = free.map(|(slot, _)| model.get(slot).unwrap_or(f64::NAN));
+        let sizes = events.iter().map(|event| event.values[event.size_index()]);
+        let values = shared.chain(sizes);
+        values
+            .zip(self.units())
+            .map(|(value, unit)| unit.to_x(value))
+            .collect()
+    }
+
+    fn hypothesis_at(&self, x: &[f64]) -> Hypothesis {
+        let mut there = self.hypothesis.clone();
         for ((slot, unit), x) in self.free.iter().zip(x) {
-            model.set(slot, unit.to_value(*x));
+            there.model.set(slot, unit.to_value(*x));
         }
-        model
+        let sizes = self.sizes.iter().zip(&x[self.free.len()..]);
+        for (event, (unit, x)) in there.events.iter_mut().zip(sizes) {
+            let index = event.size_index();
+            event.values[index] = unit.to_value(*x);
+        }
+        there
     }
 }
 
 impl Problem for Innovations<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
-        let model = self.model_at(x);
+        let there = self.hypothesis_at(x);
         let mut cells = out.iter_mut();
         let mut white = Vec::new();
-        for run in self.runs {
+        for (number, run) in self.runs.iter().enumerate() {
+            let model = there.in_run(number);
             let Around {
                 follower,
                 scenario,
@@ -177,7 +210,7 @@ impl Problem for Innovations<'_> {
                 *cell = *value;
             }
         }
-        for (((_, unit), x), cell) in self.free.iter().zip(x).zip(cells) {
+        for ((unit, x), cell) in self.units().zip(x).zip(cells) {
             *cell = unit.surprise(*x);
         }
         true
@@ -188,14 +221,14 @@ impl Problem for Innovations<'_> {
     }
 
     fn difference_step(&self, index: usize) -> f64 {
-        match self.free[index].1 {
-            Unit::Logarithm { .. } => 2e-3,
-            Unit::Linear { .. } => 5e-3,
+        match self.units().nth(index) {
+            Some(Unit::Logarithm { .. }) => 2e-3,
+            _ => 5e-3,
         }
     }
 
     fn clamp(&self, x: &mut [f64]) {
-        for (x, (_, unit)) in x.iter_mut().zip(&self.free) {
+        for (x, unit) in x.iter_mut().zip(self.units()) {
             *x = match unit {
                 Unit::Logarithm { range, .. } => x.clamp(range.0.ln(), range.1.ln()),
                 Unit::Linear { range, unit, .. } => x.clamp(range.0 / unit, range.1 / unit),
@@ -204,17 +237,17 @@ impl Problem for Innovations<'_> {
     }
 }
 
-/// Fits all that is free in `model` to runs that were followed with a model near it, with the noise found there; and the
-/// sum of the squares of what is left. `None` where it cannot be simulated.
-pub(super) fn fit(model: &Model, runs: &[Around<'_>]) -> Option<(Model, f64)> {
-    let problem = Innovations::new(model, runs);
+/// Fits all that is free but the moments of events to runs that were followed with a model near it, with the noise found
+/// there; and the sum of the squares of what is left. `None` where it cannot be simulated.
+pub(super) fn fit(start: &Hypothesis, runs: &[Around<'_>]) -> Option<(Hypothesis, f64)> {
+    let problem = Innovations::new(start, runs);
     let options = Options {
         relative_cost: 1e-4,
         carry_jacobian: true,
         ..Options::default()
     };
     let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
-    Some((problem.model_at(&minimum.x), minimum.cost))
+    Some((problem.hypothesis_at(&minimum.x), minimum.cost))
 }
 
 /// What prediction errors say of a model's parameters on one run.
@@ -232,9 +265,9 @@ pub(super) struct Estimated {
 /// of the parameters beforehand has no part in it.
 pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
     let runs = std::slice::from_ref(run);
-    let problem = Innovations::new(run.model, runs);
+    let problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
     let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), Options::default())?;
-    let fitted = problem.model_at(&minimum.x);
+    let fitted = problem.hypothesis_at(&minimum.x).model;
     let there = Around::new(&fitted, run.scenario, run.start, run.noise)?;
     let own = problem.free.len();
     let rows = problem.len - own;
@@ -315,7 +348,7 @@ mod tests {
                 Around::new(&start, run, State::default(), noise).unwrap()
             })
             .collect();
-        fit(&start, &around).unwrap().0
+        fit(&Hypothesis::of(&start), &around).unwrap().0.model
     }
 
     #[test]

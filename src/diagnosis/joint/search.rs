@@ -7,7 +7,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::columns::{Around, Linear, linearise};
+use super::columns::{Around, Candidate, Linear, Variant, linearise};
+use super::events::{self, Event, Hypothesis, Moment};
 use super::excess::excess;
 use super::follow::{Noise, wandering};
 use super::noise::likeliest;
@@ -15,7 +16,7 @@ use super::prediction_error::fit;
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
-use crate::diagnosis::progress::{Event, Progress};
+use crate::diagnosis::progress::{Event as Notice, Progress};
 use crate::numerics::count::whole;
 use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect};
 
@@ -45,8 +46,9 @@ const LOST: f64 = 1.05;
 
 /// What the search ends with.
 pub(super) struct Found {
-    /// The best set, fitted on all runs.
-    pub(super) model: Model,
+    /// The best set, fitted on all runs, and when its events happened.
+    pub(super) hypothesis: Hypothesis,
+    pub(super) happened: Vec<Happened>,
     pub(super) linear: Linear,
     pub(super) posterior: Posterior,
     /// What is random in the runs.
@@ -59,15 +61,27 @@ pub(super) struct Found {
     pub(super) unknown_share: Vec<f64>,
 }
 
+/// An event of the best set.
+#[derive(Clone)]
+pub(super) struct Happened {
+    pub(super) event: Event,
+    pub(super) moment: Moment,
+    /// Standard deviation of its size.
+    pub(super) deviation: f64,
+}
+
 fn around<'a>(
-    model: &'a Model,
+    hypothesis: &Hypothesis,
     scenarios: &[&'a Scenario],
     starts: &[State],
     noise: Noise,
 ) -> Option<Vec<Around<'a>>> {
-    let runs = scenarios.iter().zip(starts);
-    runs.map(|(scenario, start)| Around::new(model, scenario, *start, noise))
-        .collect()
+    let runs = scenarios.iter().zip(starts).enumerate();
+    runs.map(|(number, (scenario, start))| {
+        let own = hypothesis.events_of(number);
+        Around::beside(&hypothesis.model, own, scenario, *start, noise)
+    })
+    .collect()
 }
 
 /// Sum of the squares of the innovations.
@@ -99,13 +113,40 @@ fn with_effect(model: &Model, effect: &'static dyn Effect, values: &[f64]) -> Mo
     model
 }
 
-/// The model at the linear solution of a set.
+/// The events of a form of a candidate, as large as the linear solution has them.
+fn happening(
+    candidate: &Candidate,
+    form: usize,
+    size: impl Fn(usize) -> Option<f64>,
+) -> Option<Vec<Event>> {
+    let variant = &candidate.variants[form];
+    let effect = candidate.effect?;
+    let time = events::time_of(effect)?;
+    let columns = variant.columns.iter().zip(&variant.units);
+    columns
+        .zip(&variant.moments)
+        .map(|((column, unit), (run, time_s))| {
+            let mut event = Event {
+                run: *run,
+                effect,
+                values: variant.values.clone(),
+            };
+            let index = event.size_index();
+            event.values[time] = *time_s;
+            let spec = &effect.parameters()[index];
+            event.values[index] = (size(*column)? * unit).clamp(spec.min, spec.max);
+            Some(event)
+        })
+        .collect()
+}
+
+/// What there is at the linear solution of a set.
 pub(super) fn at_solution(
-    model: &Model,
+    hypothesis: &Hypothesis,
     linear: &Linear,
     reduced: &Reduced<'_>,
     set: &Set,
-) -> Option<Model> {
+) -> Option<Hypothesis> {
     let columns = reduced.columns(set);
     let (mean, _) = reduced.sizes(&columns)?;
     let m = linear.nuisances.len();
@@ -115,11 +156,18 @@ pub(super) fn at_solution(
             .position(|c| *c == column - m)
             .map(|at| mean[at])
     };
-    let mut next = model.clone();
+    let mut next = hypothesis.model.clone();
+    let mut happens: Vec<Event> = Vec::new();
     for (candidate, chosen) in linear.candidates.iter().zip(set) {
         let Some(effect) = candidate.effect else {
             continue;
         };
+        if candidate.is_event() {
+            if let Some(form) = chosen {
+                happens.extend(happening(candidate, *form, size)?);
+            }
+            continue;
+        }
         match chosen {
             None => {
                 if candidate.in_model {
@@ -152,19 +200,79 @@ pub(super) fn at_solution(
             Some(_) => {}
         }
     }
+    Some(Hypothesis {
+        model: next,
+        events: happens,
+    })
+}
+
+/// The same with its events at their likeliest moments.
+fn placed(
+    hypothesis: &Hypothesis,
+    linear: &Linear,
+    reduced: &Reduced<'_>,
+    set: &Set,
+    runs: &[Around<'_>],
+) -> Option<Hypothesis> {
+    let mut next = at_solution(hypothesis, linear, reduced, set)?;
+    let moments = events::placed(&next.events, linear, set, runs, 1.0);
+    for (event, moment) in next.events.iter_mut().zip(moments) {
+        event.put_at(moment.time_s);
+    }
     Some(next)
 }
 
-/// The candidates of a set by their names.
-fn names(linear: &Linear, set: &Set) -> Vec<&'static str> {
+/// The events of a set with all that is known of them.
+fn happened(
+    linear: &Linear,
+    reduced: &Reduced<'_>,
+    set: &Set,
+    runs: &[Around<'_>],
+    excess: f64,
+) -> Option<Vec<Happened>> {
+    let columns = reduced.columns(set);
+    let (mean, covariance) = reduced.sizes(&columns)?;
+    let m = linear.nuisances.len();
+    let at = |column: usize| columns.iter().position(|c| *c == column - m);
+    let mut all = Vec::new();
+    for (candidate, chosen) in linear.candidates.iter().zip(set) {
+        let Some(form) = chosen.filter(|_| candidate.is_event()) else {
+            continue;
+        };
+        let variant = &candidate.variants[form];
+        let own = happening(candidate, form, |column| at(column).map(|k| mean[k]))?;
+        let moments = events::placed(&own, linear, set, runs, excess);
+        let columns = variant.columns.iter().zip(&variant.units);
+        for ((mut event, moment), (column, unit)) in own.into_iter().zip(moments).zip(columns) {
+            let k = at(*column)?;
+            event.put_at(moment.time_s);
+            all.push(Happened {
+                event,
+                moment,
+                deviation: covariance[(k, k)].sqrt() * unit,
+            });
+        }
+    }
+    Some(all)
+}
+
+/// The candidates of a set by their names, each with the runs in which it is one that happens.
+fn names(linear: &Linear, set: &Set) -> Vec<(&'static str, Vec<usize>)> {
     let candidates = linear.candidates.iter().zip(set);
-    let present = candidates.filter(|(_, chosen)| chosen.is_some());
-    present.map(|(candidate, _)| candidate.id).collect()
+    candidates
+        .filter_map(|(candidate, chosen)| {
+            let moments = &candidate.variants[(*chosen)?].moments;
+            Some((
+                candidate.id,
+                moments.iter().map(|moment| moment.0).collect(),
+            ))
+        })
+        .collect()
 }
 
 /// A step towards the data: the model with one effect more, and what it leaves.
 struct Step {
-    model: Model,
+    hypothesis: Hypothesis,
     squares: f64,
     candidate: usize,
 }
@@ -172,35 +280,35 @@ struct Step {
 /// Adds the single effects that explain most when refitted, one after the other, until the linear solution holds or none
 /// explains a good part of what is left. Only the first run is looked at.
 fn approach(
-    mut model: Model,
+    mut hypothesis: Hypothesis,
     asked: &[&'static dyn Effect],
     scenario: &Scenario,
     start: State,
     noise: Noise,
-) -> Option<Model> {
+) -> Option<Hypothesis> {
     for _ in 0..MOST_STEPS {
-        let runs = around(&model, &[scenario], &[start], noise)?;
+        let runs = around(&hypothesis, &[scenario], &[start], noise)?;
         let rows = runs[0].follower.rows as f64;
         let now = squares(&runs);
         if now < FAR * rows {
             break;
         }
-        match best_step(&model, asked, &runs, FAR * rows) {
-            Some(step) if step.squares < WORTH_A_STEP * now => model = step.model,
+        match best_step(&hypothesis, asked, &runs, FAR * rows) {
+            Some(step) if step.squares < WORTH_A_STEP * now => hypothesis = step.hypothesis,
             _ => break,
         }
     }
-    Some(model)
+    Some(hypothesis)
 }
 
-/// The best single effect beside `model`; `near` is where the squares are small enough.
+/// The best single effect beside what there is; `near` is where the squares are small enough.
 fn best_step(
-    model: &Model,
+    hypothesis: &Hypothesis,
     asked: &[&'static dyn Effect],
     runs: &[Around<'_>],
     near: f64,
 ) -> Option<Step> {
-    let linear = linearise(model, asked, runs, false)?;
+    let linear = linearise(hypothesis, asked, runs, false)?;
     let reduced = Reduced::new(&linear, 1.0, false)?;
     let set = present(&linear);
     let columns = reduced.columns(&set);
@@ -224,14 +332,24 @@ fn best_step(
     singles.sort_by(|a, b| b.0.total_cmp(&a.0));
     let most = singles.first()?.0;
     singles.truncate(MOST_SINGLES);
+    // A linear solution knows little of what is there wholly or not at all, and just how much that leaves is known.
+    for whole in as_it_is(&linear, &set) {
+        if !singles
+            .iter()
+            .any(|single| (single.1, single.2) == (whole.1, whole.2))
+        {
+            singles.push(whole);
+        }
+    }
     singles.retain(|single| single.0 >= WORTH_A_REFIT * most);
     let mut best: Option<Step> = None;
     let mut take = |candidate: usize, variant: usize| {
-        let start = at_solution(model, &linear, &reduced, &with(candidate, variant))?;
-        let (model, squares) = fit(&start, runs)?;
+        let set = with(candidate, variant);
+        let start = placed(hypothesis, &linear, &reduced, &set, runs)?;
+        let (hypothesis, squares) = fit(&start, runs)?;
         if best.as_ref().is_none_or(|best| squares < best.squares) {
             best = Some(Step {
-                model,
+                hypothesis,
                 squares,
                 candidate,
             });
@@ -259,6 +377,27 @@ fn best_step(
     best
 }
 
+/// For each candidate that is there wholly or not at all its form that leaves least when it is put in and nothing else
+/// moves: the fall of the cost, the candidate and the form.
+fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
+    let candidates = linear.candidates.iter().enumerate();
+    candidates
+        .filter(|(k, candidate)| set[*k].is_none() && candidate.is_whole())
+        .filter_map(|(k, candidate)| {
+            let fall = |variant: &Variant| {
+                let (column, size) = (variant.columns[0], variant.mean);
+                let present = linear.gram.row(column).transpose().dot(&linear.present);
+                let right = linear.right[column] - present;
+                size * right - 0.5 * size * size * linear.gram[(column, column)]
+            };
+            let forms = candidate.variants.iter().enumerate();
+            forms
+                .map(|(form, variant)| (fall(variant), k, form))
+                .max_by(|a, b| a.0.total_cmp(&b.0))
+        })
+        .collect()
+}
+
 /// Searches from `model` on for `asked`, among them what the model has already; `floor` is the noise to begin with, whose
 /// sensors are those at rest. `None` where the model cannot be followed on the runs.
 pub(super) fn search(
@@ -270,27 +409,26 @@ pub(super) fn search(
     progress: Progress<'_>,
 ) -> Option<Found> {
     let given = model.effect_ids();
+    let mut hypothesis = Hypothesis::of(model);
     // The balance of torques is linear in all that it holds, however much is missing.
     let by_voltage = scenarios[0].input == Input::Voltage;
-    let mut model = if by_voltage {
-        approach(model.clone(), asked, scenarios[0], starts[0], floor)?
-    } else {
-        model.clone()
-    };
+    if by_voltage {
+        hypothesis = approach(hypothesis, asked, scenarios[0], starts[0], floor)?;
+    }
     let mut noise = floor;
-    let mut seen: Vec<Vec<&'static str>> = Vec::new();
+    let mut seen: Vec<Vec<(&'static str, Vec<usize>)>> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
     let mut replaced = false;
     let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
-        let linearised = |model: &Model, runs: &[Around<'_>]| {
-            let mut linear = linearise(model, asked, runs, round > 0)?;
+        let linearised = |hypothesis: &Hypothesis, runs: &[Around<'_>]| {
+            let mut linear = linearise(hypothesis, asked, runs, round > 0)?;
             bar(&mut linear, &barred);
             Some(linear)
         };
-        let mut runs = around(&model, scenarios, starts, noise)?;
-        let mut linear = linearised(&model, &runs)?;
+        let mut runs = around(&hypothesis, scenarios, starts, noise)?;
+        let mut linear = linearised(&hypothesis, &runs)?;
         let mut reduced = Reduced::new(&linear, 1.0, true)?;
         if round == 0 {
             screened(&linear, &reduced, progress);
@@ -305,19 +443,21 @@ pub(super) fn search(
             if moved {
                 noise = better;
                 drop(reduced);
-                runs = around(&model, scenarios, starts, noise)?;
-                linear = linearised(&model, &runs)?;
+                runs = around(&hypothesis, scenarios, starts, noise)?;
+                linear = linearised(&hypothesis, &runs)?;
                 reduced = Reduced::new(&linear, 1.0, true)?;
                 posterior = select(&reduced, &sets);
             }
         }
         let set = names(&linear, &posterior.best);
-        let stands =
-            seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set;
+        let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
+        let stays = start.events_stay(&hypothesis, scenarios);
+        let stands = stays
+            && (seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set);
         // Where a torque drives, the balance of torques has the last word instead.
         if by_voltage && stands && round + 1 < rounds {
             let weighed = Weighed {
-                model: &model,
+                hypothesis: &hypothesis,
                 linear: &linear,
                 reduced: &reduced,
                 posterior: &posterior,
@@ -328,7 +468,7 @@ pub(super) fn search(
                 seen.clear();
                 drop(reduced);
                 drop(runs);
-                model = simpler;
+                hypothesis = simpler;
                 continue;
             }
             if let Some((doubt, without)) = weighed.doubtful(&given) {
@@ -336,7 +476,7 @@ pub(super) fn search(
                 seen.clear();
                 drop(reduced);
                 drop(runs);
-                model = without;
+                hypothesis = without;
                 continue;
             }
         }
@@ -349,10 +489,14 @@ pub(super) fn search(
                 posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
             }
             keep_doubts(&barred, &linear, &mut posterior);
+            let wider = Reduced::new(&linear, excess, true)?;
+            let happened = happened(&linear, &wider, &posterior.best, &runs, excess)?;
+            drop(wider);
             drop(reduced);
             drop(runs);
             return Some(Found {
-                model,
+                hypothesis,
+                happened,
                 linear,
                 posterior,
                 noise,
@@ -363,15 +507,14 @@ pub(super) fn search(
         }
         seen.push(set);
         let now = squares(&runs);
-        let start = at_solution(&model, &linear, &reduced, &posterior.best)?;
-        let changes = start.effect_ids() != model.effect_ids();
+        let changes = start.ids() != hypothesis.ids();
         // What cannot be refitted stays as it was.
         if let Some((next, left)) = fit(&start, &runs)
             && (left < LOST * now || !changes)
         {
             drop(reduced);
             drop(runs);
-            model = next;
+            hypothesis = next;
         }
     }
     None
@@ -383,7 +526,7 @@ fn screened(linear: &Linear, reduced: &Reduced<'_>, progress: Progress<'_>) {
         if k > 0 && linear.candidates[k - 1].id == candidate.id {
             continue;
         }
-        progress(Event::Screened {
+        progress(Notice::Screened {
             effect: candidate.id,
             share: reduced.share_alone(k),
         });
@@ -431,7 +574,7 @@ const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction
 
 /// Sets as the linear solution weighs them.
 struct Weighed<'a> {
-    model: &'a Model,
+    hypothesis: &'a Hypothesis,
     linear: &'a Linear,
     reduced: &'a Reduced<'a>,
     posterior: &'a Posterior,
@@ -441,12 +584,12 @@ struct Weighed<'a> {
 impl Weighed<'_> {
     /// The effect of the best set, none of `given`, that a refit refutes most clearly, and the model without it. A linear
     /// solution is wrong where an effect's own size bends what it does, as that of a large delay.
-    fn doubtful(&self, given: &[&'static str]) -> Option<(Barred, Model)> {
+    fn doubtful(&self, given: &[&'static str]) -> Option<(Barred, Hypothesis)> {
         let best = &self.posterior.best;
         let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
         let whole = likelihood(best);
-        let base = fit(self.model, self.runs)?;
-        let mut worst: Option<(f64, &'static str, Model)> = None;
+        let base = fit(self.hypothesis, self.runs)?;
+        let mut worst: Option<(f64, &'static str, Hypothesis)> = None;
         for (k, candidate) in self.linear.candidates.iter().enumerate() {
             let asked = best[k].is_some() && !candidate.is_unknown();
             if !asked || given.contains(&candidate.id) {
@@ -455,54 +598,55 @@ impl Weighed<'_> {
             let mut without = best.clone();
             without[k] = None;
             let promised = whole - likelihood(&without);
-            let (model, gained) = if candidate.in_model {
-                let (model, left) = fit(&self.model.without_effect(candidate.id).ok()?, self.runs)?;
-                (model, 0.5 * (left - base.1))
+            let (left, gained) = if candidate.in_model {
+                let (left, squares) = fit(&self.hypothesis.without(candidate.id), self.runs)?;
+                (left, 0.5 * (squares - base.1))
             } else {
                 let mut with = present(self.linear);
                 with[k] = best[k];
-                let start = at_solution(self.model, self.linear, self.reduced, &with)?;
+                let (linear, reduced) = (self.linear, self.reduced);
+                let start = placed(self.hypothesis, linear, reduced, &with, self.runs)?;
                 (
-                    self.model.clone(),
+                    self.hypothesis.clone(),
                     fit(&start, self.runs).map_or(0.0, |with| 0.5 * (base.1 - with.1)),
                 )
             };
             let odds = self.posterior.log_factor[k] - (promised - gained).max(0.0);
             if odds < 0.0 && worst.as_ref().is_none_or(|worst| odds < worst.0) {
-                worst = Some((odds, candidate.id, model));
+                worst = Some((odds, candidate.id, left));
             }
         }
-        let (odds, id, model) = worst?;
+        let (odds, id, left) = worst?;
         let probability = 1.0 / (1.0 + (-odds).exp());
-        Some((Barred { id, probability }, model))
+        Some((Barred { id, probability }, left))
     }
 
     /// The model with a simple effect in the place of a richer one, or of two that it is alike to, where those are not
     /// clearly better.
-    fn simpler(&self, given: &[&'static str]) -> Option<Model> {
+    fn simpler(&self, given: &[&'static str]) -> Option<Hypothesis> {
+        let there = &self.hypothesis.model;
         let (one, firsts, second) = LATE;
         let pairs = firsts.into_iter().map(|first| (one, vec![first, second]));
         let mut pairs = pairs.chain([(SIMPLE_FOR_RICH.0, vec![SIMPLE_FOR_RICH.1])]);
         pairs.find_map(|(simple, others)| {
-            let open = |id: &&str| self.model.has(id) && !given.contains(id);
-            if self.model.has(simple) || !others.iter().all(open) {
+            let open = |id: &&str| there.has(id) && !given.contains(id);
+            if there.has(simple) || !others.iter().all(open) {
                 return None;
             }
             let size = |id: &&str| {
-                let mut effects = self.model.effects.iter();
+                let mut effects = there.effects.iter();
                 let values = effects.find(|active| active.id() == *id)?.values_or_guess();
                 values.first().copied()
             };
             let sizes: Vec<f64> = others.iter().filter_map(size).collect();
             let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
-            let mut without = self.model.clone();
-            without
-                .effects
-                .retain(|active| !others.contains(&active.id()));
-            let start = with_effect(&without, effect::find(simple)?, &[mean]);
-            let (_, rich) = fit(self.model, self.runs)?;
-            let (model, left) = fit(&start, self.runs)?;
-            (0.5 * (left - rich) < WORTH_A_SECOND).then_some(model)
+            let mut start = self.hypothesis.clone();
+            let kept = |active: &ActiveEffect| !others.contains(&active.id());
+            start.model.effects.retain(kept);
+            start.model = with_effect(&start.model, effect::find(simple)?, &[mean]);
+            let (_, rich) = fit(self.hypothesis, self.runs)?;
+            let (found, left) = fit(&start, self.runs)?;
+            (0.5 * (left - rich) < WORTH_A_SECOND).then_some(found)
         })
     }
 }

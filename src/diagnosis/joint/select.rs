@@ -4,7 +4,7 @@
 //! `log 2 Phi(m/s)` for effects whose sign is known. From each of the best sets all that differ by one effect added,
 //! taken out or exchanged are weighed; the probability of an effect is its share among all sets weighed.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use statrs::function::erf::erfc;
@@ -59,8 +59,10 @@ impl<'a> Reduced<'a> {
             .collect();
         for candidate in &linear.candidates {
             if none_is_zero && !candidate.is_unknown() {
-                let columns = candidate.variants.iter().flat_map(|v| &v.columns);
-                hairs.extend(columns.map(|c| (*c, 1.0 / (HAIR * HAIR))));
+                // Forms of an event share columns.
+                let variants = candidate.variants.iter();
+                let columns: BTreeSet<usize> = variants.flat_map(|v| &v.columns).copied().collect();
+                hairs.extend(columns.into_iter().map(|c| (c, 1.0 / (HAIR * HAIR))));
             }
         }
         let k = hairs.len();
@@ -473,6 +475,7 @@ mod tests {
                 units: vec![1.0],
                 parameters: vec![0],
                 present: vec![0.0],
+                moments: vec![],
                 mean: 0.0,
                 positive: false,
                 log_prior: 0.0,

@@ -251,6 +251,7 @@ impl<'a> Traveller<'a> {
             torque_n_m: bend(sums.torque_n_m, self.most[1]),
             friction_n_m: bend(sums.friction_n_m, self.most[2]),
             current_rate_gain: 0.0,
+            inertia_gain: 0.0,
         }
     }
 }
@@ -378,11 +379,20 @@ fn force(
         run.dynamics.inverse_inductance,
         run.dynamics.inverse_inertia,
     );
-    let of = |sums: &Sums, direction: f64, inductive_v: f64| {
+    let of = |sums: &Sums, direction: f64, inductive_v: f64, acceleration: f64| {
         [
             (sums.current_rate_gain * inductive_v - sums.voltage_v) * inductance,
-            -(sums.torque_n_m + direction * sums.friction_n_m) * inertia,
+            -(sums.torque_n_m + direction * sums.friction_n_m) * inertia
+                - sums.inertia_gain * acceleration,
         ]
+    };
+    let followed = &run.followed;
+    let acceleration = |k: usize, interval_s: f64| {
+        let sample = range.start + k;
+        if sample == 0 || interval_s <= 0.0 {
+            return 0.0;
+        }
+        (followed.before[sample][1] - followed.after[sample - 1][1]) / interval_s
     };
     match traveller.tangent {
         Tangent::Offset(_) => {}
@@ -392,7 +402,8 @@ fn force(
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let sums = traveller.terms(&**terms, at, passage.interval_s);
                 let inductive_v = at.voltage_v - r * at.current_a - ke * at.speed_rad_s;
-                put(k, of(&sums, passage.direction, inductive_v));
+                let acceleration = acceleration(k, passage.interval_s);
+                put(k, of(&sums, passage.direction, inductive_v, acceleration));
             }
         }
         Tangent::Bent {
@@ -402,7 +413,7 @@ fn force(
         } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let sums = traveller.bent(&terms.sums(at, &[]), *power, *share);
-                put(k, of(&sums, passage.direction, 0.0));
+                put(k, of(&sums, passage.direction, 0.0, 0.0));
             }
         }
         Tangent::Wave(wave) => {

@@ -58,7 +58,7 @@ pub(super) fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
     };
     let (current, speed) = (most(0), most(1));
     let share = if by_voltage { 0.06 } else { 0.03 };
-    let torque = share * constants(run.model, run.scenario).torque_n_m_per_a * current;
+    let torque = share * constants(&run.model, run.scenario).torque_n_m_per_a * current;
     let volts = 0.06
         * run
             .scenario

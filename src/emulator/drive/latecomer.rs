@@ -15,34 +15,58 @@ use crate::emulator::truth::Path;
 pub(super) struct Latecomer {
     delay_ticks: u64,
     start_ticks: u64,
+    restart_ticks: u64,
     /// Set-points that differ from the one before, with the tick at which they act.
     line: VecDeque<(u64, Control)>,
     acting: Option<Control>,
     last: Option<Control>,
     /// Tick of the first set-point that is not zero since the start.
     began: Option<u64>,
+    /// Tick since which zero is set, and that of the last start from rest.
+    rests_since: Option<u64>,
+    left_rest: Option<u64>,
 }
+
+/// Time at zero that makes a rest, s.
+const REST_S: f64 = 0.2;
 
 impl Latecomer {
     pub(super) fn new(path: &Path) -> Self {
         Self {
             delay_ticks: ticks(path.command_delay_s),
             start_ticks: ticks(path.start_delay_s),
+            restart_ticks: ticks(path.restart_delay_s),
             line: VecDeque::new(),
             acting: None,
             last: None,
             began: None,
+            rests_since: Some(0),
+            left_rest: None,
         }
+    }
+
+    /// Whether a start from rest still waits at `tick`.
+    fn waits(&mut self, control: Control, tick: u64) -> bool {
+        if is_zero(control) {
+            self.rests_since.get_or_insert(tick);
+        } else if let Some(since) = self.rests_since.take()
+            && (self.left_rest.is_none() || tick >= since + ticks(REST_S))
+        {
+            self.left_rest = Some(tick);
+        }
+        let ticks = self.restart_ticks;
+        self.left_rest.is_some_and(|left| tick < left + ticks)
     }
 
     /// The set-point that acts at `tick` while the drive was told `control`; `None`: off.
     pub(super) fn acting(&mut self, control: Option<Control>, tick: u64) -> Option<Control> {
-        if self.delay_ticks == 0 && self.start_ticks == 0 {
+        if self.delay_ticks == 0 && self.start_ticks == 0 && self.restart_ticks == 0 {
             return control;
         }
         let Some(control) = control else {
             self.line.clear();
             (self.acting, self.last, self.began) = (None, None, None);
+            (self.rests_since, self.left_rest) = (Some(tick), None);
             return None;
         };
         if self.began.is_none() && !is_zero(control) {
@@ -51,7 +75,8 @@ impl Latecomer {
         let started = self
             .began
             .is_some_and(|began| tick >= began + self.start_ticks);
-        let control = if started || is_zero(control) {
+        let waits = self.waits(control, tick);
+        let control = if started && !waits || is_zero(control) {
             control
         } else {
             zero_of(control)

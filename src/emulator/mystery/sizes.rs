@@ -9,9 +9,10 @@ use rand_chacha::ChaCha8Rng;
 use crate::emulator::truth::effect::{
     AsymmetricViscous, Backlash, Cogging, CommandDelay, ConstantLoad, CurrentFilter, CurrentOffset,
     DiscontinuousConduction, EccentricLoad, ElasticCoupling, FieldChange, FluxSaturation,
-    HiddenEffect, InductanceSaturation, LoadDependentFriction, LoadStep, QuadraticLoad, RandomLoad,
-    Shaker, Site, SpeedDelay, SpeedFilter, SpeedOffset, StartDelay, StribeckFriction, SupplySag,
-    TorqueBump, TorqueRipple, ViscousFriction, VoltageDrop, VoltageOffset, WindingHeating,
+    FrictionOnset, HiddenEffect, InductanceSaturation, InertiaChange, LoadDependentFriction,
+    LoadStep, OneSidedLoad, QuadraticLoad, RandomLoad, RestartDelay, Shaker, Site, SpeedDelay,
+    SpeedFilter, SpeedOffset, StartDelay, StribeckFriction, SupplySag, TorqueBump, TorqueRipple,
+    ViscousFriction, VoltageDrop, VoltageOffset, WindingHeating,
 };
 
 /// What is drawn from where the host's catalogue has the answer.
@@ -26,6 +27,9 @@ pub(super) const KNOWN: &[&str] = &[
     "eccentric_load",
     "load_dependent_friction",
     "load_step",
+    "one_sided_load",
+    "friction_onset",
+    "inertia_change",
     "elastic_coupling",
     "backlash",
     "voltage_drop",
@@ -37,6 +41,7 @@ pub(super) const KNOWN: &[&str] = &[
     "discontinuous_conduction",
     "command_delay",
     "start_delay",
+    "restart_delay",
     "speed_delay",
     "speed_filter",
     "current_filter",
@@ -149,6 +154,18 @@ pub(super) fn sized(id: &str, rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<
             step_n_m: torque,
             time_s: dice.between(3.0, 9.0),
         }),
+        "one_sided_load" => H::OneSidedLoad(OneSidedLoad {
+            load_n_m: dice.sign() * torque,
+            time_s: dice.between(3.0, 9.0),
+        }),
+        "friction_onset" => H::FrictionOnset(FrictionOnset {
+            viscous_n_m_s_per_rad: torque / speed,
+            time_s: dice.between(3.0, 9.0),
+        }),
+        "inertia_change" => H::InertiaChange(InertiaChange {
+            ratio: dice.size(0.1, 0.5),
+            time_s: dice.between(3.0, 9.0),
+        }),
         "elastic_coupling" => H::ElasticCoupling(ElasticCoupling {
             frequency_hz: dice.between(10.0, 30.0),
             inertia_ratio: dice.between(0.3, 0.6),
@@ -194,6 +211,9 @@ pub(super) fn sized(id: &str, rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<
             delay_s: dice.delay_s(2.0, 10.0),
         }),
         "start_delay" => H::StartDelay(StartDelay {
+            delay_s: dice.delay_s(30.0, 200.0),
+        }),
+        "restart_delay" => H::RestartDelay(RestartDelay {
             delay_s: dice.delay_s(30.0, 200.0),
         }),
         "speed_delay" => H::SpeedDelay(SpeedDelay {

@@ -7,6 +7,8 @@ pub struct Path {
     pub command_delay_s: f64,
     /// The drive puts out nothing for this long after the first set-point that is not zero.
     pub start_delay_s: f64,
+    /// The same after every start from rest.
+    pub restart_delay_s: f64,
     /// Added to every voltage that the drive puts out while it runs.
     pub voltage_offset_v: f64,
     /// The measured speed is that of this much earlier.
@@ -26,6 +28,7 @@ impl Path {
         Self {
             command_delay_s: self.command_delay_s + other.command_delay_s,
             start_delay_s: self.start_delay_s + other.start_delay_s,
+            restart_delay_s: self.restart_delay_s + other.restart_delay_s,
             voltage_offset_v: self.voltage_offset_v + other.voltage_offset_v,
             speed_delay_s: self.speed_delay_s + other.speed_delay_s,
             speed_filter_s: self.speed_filter_s + other.speed_filter_s,

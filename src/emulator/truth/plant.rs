@@ -411,7 +411,7 @@ impl Plant {
             let s2 = self.load_motion.direction();
             let level = shaft.friction_split * motor.load_torque_n_m;
             let torque = (coupled - level * s2) * s2.abs();
-            (torque / (shaft.load_share * self.inertia()), w - w2)
+            (torque / (shaft.load_share * self.inertia(&at)), w - w2)
         });
         let mut rate = State {
             i: di,
@@ -429,7 +429,7 @@ impl Plant {
                 .sum();
             let held = (self.coulomb() + friction).max(0.0) * direction;
             let share = self.shaft.as_ref().map_or(1.0, |shaft| shaft.motor_share);
-            rate.w = (at.torque_n_m - held - drag - load - coupled) / (share * self.inertia());
+            rate.w = (at.torque_n_m - held - drag - load - coupled) / (share * self.inertia(&at));
             rate.theta = w;
         }
         rate
@@ -499,8 +499,9 @@ impl Plant {
         self.motor.inductance_h * factors.product::<f64>()
     }
 
-    fn inertia(&self) -> f64 {
-        self.changes.now().inertia_ratio * self.motor.inertia_kg_m2
+    fn inertia(&self, at: &Moment) -> f64 {
+        let factors = self.effects.iter().map(|effect| effect.inertia_factor(at));
+        self.changes.now().inertia_ratio * self.motor.inertia_kg_m2 * factors.product::<f64>()
     }
 
     fn supply_factor(&self) -> f64 {

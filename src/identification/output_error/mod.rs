@@ -268,6 +268,8 @@ pub fn predict(
         })
 }
 
+/// Time behind a run's end at which what begins there does nothing in it, s.
+const BEHIND_S: f64 = 1.0;
 /// Places of an event from which a search starts.
 const BEST_PLACES: usize = 3;
 
@@ -293,8 +295,8 @@ fn predict_from(
     Ok((prediction, minimum.cost))
 }
 
-/// The model with every event at every place of its grid: an event of another run stands anywhere in this one, and a
-/// fit finds it only from nearby.
+/// The model with every event at every place of its grid, and behind the end: an event of another run stands anywhere in
+/// this one or nowhere, and a fit finds it only from nearby.
 fn event_starts(model: &Model, events: &[Slot], scenario: &Scenario) -> Vec<Model> {
     let mut starts = vec![model.clone()];
     let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
@@ -306,11 +308,16 @@ fn event_starts(model: &Model, events: &[Slot], scenario: &Scenario) -> Vec<Mode
             .iter()
             .flat_map(|start| {
                 let mut placed: Vec<Model> = vec![start.clone()];
-                for share in spec.shapes {
+                let mut put = |time_s: f64| {
                     let mut there = start.clone();
-                    there.set(slot, share * length_s);
+                    there.set(slot, time_s);
                     placed.push(there);
+                };
+                for share in spec.shapes {
+                    put(share * length_s);
                 }
+                // It need not happen in this run at all.
+                put(length_s + BEHIND_S);
                 placed
             })
             .collect();

@@ -4,6 +4,7 @@
 //! Effect (card, parameters) --terms(values)--> Terms: what it adds to
 //!     the voltage balance (V, subtracted from u)      the friction level (N.m, against the motion)
 //!     the torque balance (N.m, subtracted)            states of its own
+//!     the rates of current and speed (gains on 1/L and on J)
 //!     the path of command and measurement (Path)      a second inertia behind a shaft (Coupling)
 //! ```
 
@@ -21,12 +22,17 @@ mod eccentric_load;
 mod elastic_coupling;
 mod field_change;
 mod flux_saturation;
+mod friction_onset;
 mod inductance_saturation;
+mod inertia_change;
 mod load_dependent_friction;
 mod load_step;
+mod one_sided_load;
+mod onset;
 mod parameter;
 mod path;
 mod quadratic_load;
+mod restart_delay;
 mod speed_delay;
 mod speed_filter;
 mod speed_offset;
@@ -59,6 +65,9 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &torque_ripple::TorqueRipple,
     &load_dependent_friction::LoadDependentFriction,
     &load_step::LoadStep,
+    &one_sided_load::OneSidedLoad,
+    &friction_onset::FrictionOnset,
+    &inertia_change::InertiaChange,
     &voltage_drop::VoltageDrop,
     &supply_sag::SupplySag,
     &winding_heating::WindingHeating,
@@ -68,6 +77,7 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &discontinuous_conduction::DiscontinuousConduction,
     &command_delay::CommandDelay,
     &start_delay::StartDelay,
+    &restart_delay::RestartDelay,
     &speed_delay::SpeedDelay,
     &speed_filter::SpeedFilter,
     &current_filter::CurrentFilter,

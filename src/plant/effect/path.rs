@@ -7,6 +7,8 @@ pub struct Path {
     pub command_delay_s: f64,
     /// The drive applies zero for this long after the first command that is not zero.
     pub start_delay_s: f64,
+    /// It applies zero for this long after every start from rest.
+    pub restart_delay_s: f64,
     /// The measured speed is that of this much earlier.
     pub speed_delay_s: f64,
     /// Time constants of first-order filters in the measurement.
@@ -24,6 +26,7 @@ impl Path {
         Self {
             command_delay_s: self.command_delay_s + other.command_delay_s,
             start_delay_s: self.start_delay_s + other.start_delay_s,
+            restart_delay_s: self.restart_delay_s + other.restart_delay_s,
             speed_delay_s: self.speed_delay_s + other.speed_delay_s,
             speed_filter_s: self.speed_filter_s + other.speed_filter_s,
             current_filter_s: self.current_filter_s + other.current_filter_s,
@@ -33,7 +36,7 @@ impl Path {
     }
 
     pub fn delays_command(&self) -> bool {
-        self.command_delay_s > 0.0 || self.start_delay_s > 0.0
+        self.command_delay_s > 0.0 || self.start_delay_s > 0.0 || self.restart_delay_s > 0.0
     }
 
     /// Whether what is measured is the truth.

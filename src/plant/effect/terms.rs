@@ -40,6 +40,7 @@ pub struct Sums {
     pub torque_n_m: f64,
     pub friction_n_m: f64,
     pub current_rate_gain: f64,
+    pub inertia_gain: f64,
 }
 
 /// What an effect adds to the baseline's equations. `own` are the effect's states.
@@ -64,13 +65,19 @@ pub trait Terms: Send + Sync {
         0.0
     }
 
-    /// The four above at once: one call through the table of methods where a simulation would need four.
+    /// Relative addition to the inertia: `g` makes `dw/dt` what all torques give over `(1 + g) J`.
+    fn inertia_gain(&self, _at: &Instant) -> f64 {
+        0.0
+    }
+
+    /// The five above at once: one call through the table of methods where a simulation would need five.
     fn sums(&self, at: &Instant, own: &[f64]) -> Sums {
         Sums {
             voltage_v: self.voltage_v(at, own),
             torque_n_m: self.torque_n_m(at, own),
             friction_n_m: self.friction_n_m(at),
             current_rate_gain: self.current_rate_gain(at),
+            inertia_gain: self.inertia_gain(at),
         }
     }
 

@@ -19,6 +19,9 @@ const KEYS: &[(&str, &[&str])] = &[
     ("eccentric_load", &["sin_n_m", "cos_n_m"]),
     ("load_dependent_friction", &["ratio"]),
     ("load_step", &["step_n_m", "time_s"]),
+    ("one_sided_load", &["load_n_m", "time_s"]),
+    ("friction_onset", &["viscous_n_m_s_per_rad", "time_s"]),
+    ("inertia_change", &["ratio", "time_s"]),
     ("voltage_drop", &["drop_v"]),
     ("supply_sag", &["sag_ohm"]),
     ("winding_heating", &["gain_per_a2_s", "time_constant_s"]),
@@ -28,6 +31,7 @@ const KEYS: &[(&str, &[&str])] = &[
     ("discontinuous_conduction", &["boundary_a", "extra_ohm"]),
     ("command_delay", &["delay_s"]),
     ("start_delay", &["delay_s"]),
+    ("restart_delay", &["delay_s"]),
     ("speed_delay", &["delay_s"]),
     ("speed_filter", &["time_constant_s"]),
     ("current_filter", &["time_constant_s"]),
@@ -57,7 +61,7 @@ const KEYS: &[(&str, &[&str])] = &[
 
 /// There or not there: no size of it is none.
 fn is_finite_by_nature(effect: &dyn Effect) -> bool {
-    couples(effect) || effect.card().id == "start_delay"
+    couples(effect) || ["start_delay", "restart_delay"].contains(&effect.card().id)
 }
 
 /// Effects of a second inertia: no size of one coefficient makes them vanish in the balances.
@@ -96,8 +100,8 @@ fn instant() -> Instant {
     }
 }
 
-/// Voltage, torque, friction and the current's rate.
-fn added(effect: &dyn Effect, share: f64) -> [f64; 4] {
+/// Voltage, torque, friction and the gains on the rates.
+fn added(effect: &dyn Effect, share: f64) -> [f64; 5] {
     let terms = effect.terms(&sized(effect, share));
     let sums = terms.sums(&instant(), &vec![2.0; terms.states()]);
     [
@@ -105,15 +109,17 @@ fn added(effect: &dyn Effect, share: f64) -> [f64; 4] {
         sums.torque_n_m,
         sums.friction_n_m,
         sums.current_rate_gain,
+        sums.inertia_gain,
     ]
 }
 
 /// What lies on the way of command and measurement.
-fn on_the_way(effect: &dyn Effect, share: f64) -> [f64; 7] {
+fn on_the_way(effect: &dyn Effect, share: f64) -> [f64; 8] {
     let path = effect.terms(&sized(effect, share)).path();
     [
         path.command_delay_s,
         path.start_delay_s,
+        path.restart_delay_s,
         path.speed_delay_s,
         path.speed_filter_s,
         path.current_filter_s,
@@ -268,8 +274,11 @@ fn size_zero_adds_nothing_and_a_small_size_adds_in_proportion() {
 fn an_effect_enters_the_balance_that_its_card_names_and_no_other() {
     for effect in CATALOGUE.iter().filter(|effect| !couples(**effect)) {
         let card = effect.card();
-        let [voltage, torque, friction, rate] = added(*effect, 1.0).map(f64::abs);
-        let entered = (voltage.max(rate) > 1e-6, torque.max(friction) > 1e-6);
+        let [voltage, torque, friction, rate, inertia] = added(*effect, 1.0).map(f64::abs);
+        let entered = (
+            voltage.max(rate) > 1e-6,
+            torque.max(friction).max(inertia) > 1e-6,
+        );
         let expected = (
             card.enters.includes(Balance::Voltage),
             card.enters.includes(Balance::Torque),

@@ -4,11 +4,56 @@ use std::borrow::Cow;
 
 use crate::plant::effect::Path;
 
+/// Time for which zero was commanded before a start from rest, s.
+const REST_S: f64 = 0.2;
+
+/// Times at which a command that is not zero follows a rest; what was before the first command was one.
+pub fn starts_from_rest(events: &[(f64, f64)]) -> Vec<f64> {
+    let mut starts = Vec::new();
+    let mut zero_since_s = Some(f64::NEG_INFINITY);
+    for &(time_s, value) in events {
+        if value == 0.0 {
+            zero_since_s.get_or_insert(time_s);
+        } else if let Some(since_s) = zero_since_s.take()
+            && time_s - since_s >= REST_S
+        {
+            starts.push(time_s);
+        }
+    }
+    starts
+}
+
+/// `events` with zero for a while after each start from rest.
+fn waiting(events: &[(f64, f64)], delay_s: f64) -> Vec<(f64, f64)> {
+    let starts = starts_from_rest(events);
+    let waits = |time_s: f64| {
+        let mut before = starts.iter().rev().filter(|start_s| **start_s <= time_s);
+        before
+            .next()
+            .is_some_and(|start_s| time_s < start_s + delay_s)
+    };
+    let mut out: Vec<(f64, f64)> = events
+        .iter()
+        .map(|&(time_s, value)| (time_s, if waits(time_s) { 0.0 } else { value }))
+        .collect();
+    for start_s in &starts {
+        let end_s = start_s + delay_s;
+        let held = events.iter().rev().find(|event| event.0 <= end_s);
+        if let Some((_, value)) = held {
+            let at = out.partition_point(|event| event.0 < end_s);
+            out.insert(at, (end_s, *value));
+        }
+    }
+    out
+}
+
 /// `events` (time, value held from there) later by the command's delay, and zero until the drive has started.
 pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f64, f64)]> {
     if !path.delays_command() {
         return Cow::Borrowed(events);
     }
+    let waited = (path.restart_delay_s > 0.0).then(|| waiting(events, path.restart_delay_s));
+    let events = waited.as_deref().unwrap_or(events);
     let (begin_s, first) = events[0];
     // What was held before the first command is not known; the first command stands for it.
     let mut out = vec![(begin_s, first)];
@@ -66,6 +111,34 @@ mod tests {
             applied(&EVENTS, &Path::default()),
             Cow::Borrowed(_)
         ));
+    }
+
+    #[test]
+    fn every_start_from_rest_waits_and_nothing_else_does() {
+        let events = [
+            (0.0, 5.0),
+            (1.0, 0.0),
+            (1.1, 4.0),
+            (2.0, 0.0),
+            (2.4, -5.0),
+            (2.45, -6.0),
+            (3.0, 0.0),
+        ];
+        assert_eq!(starts_from_rest(&events), [0.0, 2.4]);
+        let path = Path {
+            restart_delay_s: 0.1,
+            ..Path::default()
+        };
+        let expected = [
+            (0.0, 0.0),
+            (0.1, 5.0),
+            (1.0, 0.0),
+            (1.1, 4.0),
+            (2.0, 0.0),
+            (2.5, -6.0),
+            (3.0, 0.0),
+        ];
+        assert_eq!(*applied(&events, &path), expected);
     }
 
     #[test]

@@ -139,6 +139,7 @@ impl Equations {
             sums.torque_n_m += added.torque_n_m;
             sums.friction_n_m += added.friction_n_m;
             sums.current_rate_gain += added.current_rate_gain;
+            sums.inertia_gain += added.inertia_gain;
             own = &own[*states..];
         }
         sums
@@ -152,7 +153,14 @@ impl Equations {
             Mode::Stuck | Mode::Undecided => 0.0,
             moving => {
                 let level = (self.coulomb + sums.friction_n_m).max(0.0);
-                -(sums.torque_n_m + self.load_n_m + moving.sign() * level) * self.inverse_inertia
+                let against = sums.torque_n_m + self.load_n_m + moving.sign() * level;
+                let mut acceleration = -against * self.inverse_inertia;
+                if sums.inertia_gain != 0.0 {
+                    // The linear part has the motor's torque over its own inertia.
+                    let linear = self.a[1][0] * state.current_a;
+                    acceleration = (linear + acceleration) / (1.0 + sums.inertia_gain) - linear;
+                }
+                acceleration
             }
         };
         // The current is given, and what the motor leaves out would make it no number.

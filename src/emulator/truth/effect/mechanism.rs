@@ -68,6 +68,11 @@ pub trait Mechanism: Send {
     /// not rested, and keeps what it remembers.
     fn broke_away(&mut self, _direction: f64) {}
 
+    /// Inertia, as a multiple of the motor's.
+    fn inertia_factor(&self, _at: &Moment) -> f64 {
+        1.0
+    }
+
     /// Voltage lost inside the motor, V, with the sign of the current.
     fn voltage_loss_v(&self, _current_a: f64) -> f64 {
         0.0

@@ -26,12 +26,16 @@ mod elastic_coupling;
 mod field_change;
 mod flux_saturation;
 mod foreign;
+mod friction_onset;
 mod inductance_saturation;
+mod inertia_change;
 mod load_dependent_friction;
 mod load_step;
 mod mechanism;
+mod one_sided_load;
 mod parameter;
 mod quadratic_load;
+mod restart_delay;
 mod speed_delay;
 mod speed_filter;
 mod speed_offset;
@@ -62,12 +66,16 @@ pub use foreign::{
     ExponentialStribeck, FanThreeHalves, HarmonicCogging, LoadRamp, Messy, RandomLoad, Shaker,
     SoftDrop, TorqueBump,
 };
+pub use friction_onset::FrictionOnset;
 pub use inductance_saturation::InductanceSaturation;
+pub use inertia_change::InertiaChange;
 pub use load_dependent_friction::LoadDependentFriction;
 pub use load_step::LoadStep;
 pub use mechanism::{Mechanism, Moment, Site};
+pub use one_sided_load::OneSidedLoad;
 pub use parameter::{Refused, TrueParameter};
 pub use quadratic_load::QuadraticLoad;
+pub use restart_delay::RestartDelay;
 pub use speed_delay::SpeedDelay;
 pub use speed_filter::SpeedFilter;
 pub use speed_offset::SpeedOffset;
@@ -172,6 +180,9 @@ catalogue! {
         EccentricLoad = "eccentric_load",
         LoadDependentFriction = "load_dependent_friction",
         LoadStep = "load_step",
+        OneSidedLoad = "one_sided_load",
+        FrictionOnset = "friction_onset",
+        InertiaChange = "inertia_change",
         ElasticCoupling = "elastic_coupling",
         Backlash = "backlash",
         VoltageDrop = "voltage_drop",
@@ -183,6 +194,7 @@ catalogue! {
         DiscontinuousConduction = "discontinuous_conduction",
         CommandDelay = "command_delay",
         StartDelay = "start_delay",
+        RestartDelay = "restart_delay",
         SpeedDelay = "speed_delay",
         SpeedFilter = "speed_filter",
         CurrentFilter = "current_filter",

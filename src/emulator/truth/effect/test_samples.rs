@@ -46,6 +46,18 @@ pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
             step_n_m: 0.12,
             time_s: 0.6,
         }),
+        H::OneSidedLoad(OneSidedLoad {
+            load_n_m: 0.1,
+            time_s: 0.6,
+        }),
+        H::FrictionOnset(FrictionOnset {
+            viscous_n_m_s_per_rad: 4e-4,
+            time_s: 0.6,
+        }),
+        H::InertiaChange(InertiaChange {
+            ratio: 0.3,
+            time_s: 0.6,
+        }),
         H::ElasticCoupling(coupling),
         H::Backlash(Backlash {
             frequency_hz: 45.0,
@@ -73,6 +85,7 @@ pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
         }),
         H::CommandDelay(CommandDelay { delay_s: 2e-3 }),
         H::StartDelay(StartDelay { delay_s: 0.05 }),
+        H::RestartDelay(RestartDelay { delay_s: 0.05 }),
         H::SpeedDelay(SpeedDelay { delay_s: 4e-3 }),
         H::SpeedFilter(SpeedFilter {
             time_constant_s: 5e-3,

@@ -107,6 +107,7 @@ fn the_mirrored_command_gives_the_mirrored_motion_where_the_effect_has_no_direct
     // Those of one direction, of time, and of the shaft angle where they are not odd about the start are not symmetric.
     let skewed = [
         "constant_load",
+        "one_sided_load",
         "asymmetric_viscous",
         "torque_ripple",
         "eccentric_load",
@@ -163,14 +164,15 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             }
             "asymmetric_viscous" => (torque(m), 1e-4 * speed, 0.011),
             // 0.1 N.m, or a twentieth of 2 N.m.
-            "constant_load" | "cogging" | "harmonic_cogging" | "torque_ripple" => {
-                (torque(m), 0.1, 1e-9)
-            }
+            "constant_load" | "one_sided_load" | "cogging" | "harmonic_cogging"
+            | "torque_ripple" => (torque(m), 0.1, 1e-9),
             "eccentric_load" => {
                 let x = at.angle_rad;
                 (torque(m), 0.1 * x.sin() + 0.05 * x.cos(), 0.25)
             }
             "load_step" => (torque(m), 0.12, 1e-9),
+            "friction_onset" => (torque(m), 4e-4 * speed, 1e-9),
+            "inertia_change" => (m.inertia_factor(&at), 1.3, 1e-9),
             "voltage_drop" => (m.voltage_loss_v(amps), 1.2, 1e-3),
             "supply_sag" => (110.0 * (1.0 - m.supply_factor()), 0.4 * amps, 1e-6),
             "winding_heating" => (m.resistance_factor() - 1.0, 2e-3 * amps * amps * 0.1, 0.01),
@@ -286,7 +288,7 @@ fn sensors_show_delay_filter_and_offset() {
             effect.id()
         );
     }
-    assert_eq!(seen, 9, "five in the sensors, three in the drive, messy");
+    assert_eq!(seen, 10, "five in the sensors, four in the drive, messy");
 }
 
 #[test]

@@ -61,6 +61,7 @@ pub(super) fn candidate(effect: &'static str, status: Status, after: f64) -> Can
         .into_iter()
         .filter(|_| status == Status::Supported)
         .collect(),
+        onsets: vec![],
         interval_factor: 2.0,
         reached: Some(Reached {
             torque_n_m: Some(Peak {

@@ -64,6 +64,21 @@ pub(super) const KNOWN: &[(&str, &[Draw])] = &[
         &[Between("step_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0)],
     ),
     (
+        "one_sided_load",
+        &[Signed("load_n_m", 0.08, 0.2), Between("time_s", 3.0, 6.0)],
+    ),
+    (
+        "friction_onset",
+        &[
+            Between("viscous_n_m_s_per_rad", 4e-4, 8e-4),
+            Between("time_s", 3.0, 6.0),
+        ],
+    ),
+    (
+        "inertia_change",
+        &[Between("ratio", 0.15, 0.4), Between("time_s", 3.0, 6.0)],
+    ),
+    (
         "elastic_coupling",
         &[
             Between("frequency_hz", 14.0, 30.0),

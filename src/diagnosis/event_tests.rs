@@ -1,0 +1,163 @@
+//! What happens once in a run: named with its moment, in the runs in which it happened and in no other.
+
+use super::tests::{nameplate, truth};
+use super::*;
+use crate::plant::{Input, Model, Scenario, effect, testing};
+
+/// Steps of the voltage all along, in both directions: at every moment the shaft turns and its speed changes.
+fn lively(model: &Model, shift: usize, seed: u64) -> Scenario {
+    let levels = [30.0, 60.0, 45.0, 75.0, 20.0, 70.0, 35.0];
+    let mut events = vec![(0.0, 0.0)];
+    for step in 0..80 {
+        let level = levels[(step * (1 + shift) + shift) % levels.len()];
+        let sign = if (step / 16) % 2 == 0 { 1.0 } else { -1.0 };
+        events.push((0.3 + 0.09 * step as f64, sign * level));
+    }
+    testing::record(model, events, PERIOD_S, 7.5, seed)
+}
+
+fn with(id: &str, size: f64, time_s: Option<f64>) -> Model {
+    time_s.map_or_else(nameplate, |time_s| truth(id, &[size, time_s]))
+}
+
+/// Fit run and hold-out with the event at these times, or without it.
+fn evidence(id: &str, size: f64, [fit, holdout]: [Option<f64>; 2], seed: u64) -> Evidence {
+    let training = lively(&with(id, size, fit), 0, 10 * seed);
+    let holdout = lively(&with(id, size, holdout), 1, 10 * seed + 1);
+    Evidence::new(training, Some(holdout), None)
+}
+
+const PERIOD_S: f64 = 0.01;
+/// Samples by which an onset may be off.
+const FEW: f64 = 2.5;
+
+fn happened(id: &str, size: f64, times_s: [Option<f64>; 2]) -> Diagnosis {
+    let found = diagnose(&nameplate(), evidence(id, size, times_s, 3), false).unwrap();
+    assert_eq!(found.effects, [id], "{times_s:?}: {}", found.sentence);
+    assert_eq!(
+        found.verdict,
+        DiagnosisVerdict::Effect,
+        "{}",
+        found.sentence
+    );
+    assert!(found.holdout_after < 1.2, "{}", found.sentence);
+    let first = &found.candidates[0];
+    let expected = times_s
+        .into_iter()
+        .zip([RunOf::Fit, RunOf::Holdout])
+        .filter_map(|(time_s, run)| Some((time_s?, run)));
+    let expected: Vec<(f64, RunOf)> = expected.collect();
+    assert_eq!(first.onsets.len(), expected.len(), "{}", found.sentence);
+    for (onset, (time_s, run)) in first.onsets.iter().zip(expected) {
+        assert_eq!(onset.run, run);
+        let off_s = (onset.time_s - time_s).abs();
+        assert!(off_s < FEW * PERIOD_S, "{id} at {time_s}: {onset:?}");
+        let deviations = (onset.size - size).abs() / onset.size_std;
+        assert!(deviations < 3.0, "{onset:?}");
+    }
+    found
+}
+
+#[test]
+fn an_event_of_the_fit_run_only_is_named_there() {
+    let found = happened("load_step", 0.1, [Some(5.02), None]);
+    assert!(
+        found.sentence.contains("in the fit run only, from 5.0"),
+        "{}",
+        found.sentence
+    );
+}
+
+#[test]
+fn an_event_of_the_holdout_only_is_named_there_and_lowers_its_error() {
+    let found = happened("one_sided_load", 0.1, [None, Some(3.13)]);
+    assert!(
+        found.sentence.contains("in the hold-out only, from 3.1"),
+        "{}",
+        found.sentence
+    );
+    let size = &found.candidates[0].parameters[0];
+    assert!((size.value.unwrap() / 0.1 - 1.0).abs() < 0.1, "{size:?}");
+}
+
+#[test]
+fn an_event_at_different_times_in_both_runs_is_one_effect_with_two_moments() {
+    happened("friction_onset", 6e-4, [Some(2.6), Some(5.1)]);
+    happened("load_step", 0.1, [Some(5.02), Some(3.13)]);
+}
+
+#[test]
+fn a_heavier_shaft_from_a_moment_on_is_named_with_it() {
+    let found = happened("inertia_change", 0.3, [Some(5.02), Some(5.02)]);
+    assert!(
+        found.sentence.contains("from 5.02 s on, inertia +30 %"),
+        "{}",
+        found.sentence
+    );
+    // The same rule for whoever adds it by hand.
+    let data = evidence("inertia_change", 0.3, [Some(5.02), None], 4);
+    let change = effect::find("inertia_change").unwrap();
+    let added = add(change, &nameplate(), data).unwrap();
+    assert!(added.accepted, "{}", added.reason);
+}
+
+#[test]
+fn where_nothing_happened_no_event_is_likely() {
+    for seed in 0..10 {
+        let data = evidence("load_step", 0.0, [None, None], 30 + seed);
+        let found = diagnose(&nameplate(), data, false).unwrap();
+        assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
+        for id in [
+            "load_step",
+            "one_sided_load",
+            "friction_onset",
+            "inertia_change",
+        ] {
+            let mut candidates = found.candidates.iter();
+            let event = candidates.find(|candidate| candidate.effect == id).unwrap();
+            assert!(event.probability < 0.1, "{id}: {}", event.probability);
+        }
+    }
+}
+
+/// A machine whose drive lets each start from rest wait, as the commands that were given say nothing of.
+fn waiting(levels: &[f64], delay_s: f64, seed: u64) -> Scenario {
+    let (mut asked, mut came) = (vec![(0.0, 0.0)], vec![(0.0, 0.0)]);
+    for (start, level) in levels.iter().enumerate() {
+        let begin_s = 0.3 + 2.9 * start as f64;
+        for (after_s, share) in [(0.0, 1.0), (1.1, 0.6), (1.9, 0.0)] {
+            let late_s = if after_s == 0.0 { delay_s } else { 0.0 };
+            asked.push((begin_s + after_s, share * level));
+            came.push((begin_s + after_s + late_s, share * level));
+        }
+    }
+    let end_s = 0.3 + 2.9 * levels.len() as f64;
+    let run = testing::record(&nameplate(), came, 0.01, end_s, seed);
+    assert_eq!(run.input, Input::Voltage);
+    Scenario {
+        events: asked,
+        ..run
+    }
+}
+
+#[test]
+fn a_drive_that_lets_each_start_wait_is_told_from_a_shaft_that_sticks() {
+    let both = |fit: &[f64], holdout: &[f64]| {
+        let holdout = waiting(holdout, 0.25, 2);
+        Evidence::new(waiting(fit, 0.25, 1), Some(holdout), None)
+    };
+    for (data, name) in [
+        (
+            both(&[40.0, 70.0, -50.0, 25.0], &[60.0, -30.0, 80.0, 45.0]),
+            "restart_delay",
+        ),
+        (both(&[60.0], &[45.0]), "start_delay"),
+    ] {
+        let found = diagnose(&nameplate(), data.clone(), false).unwrap();
+        assert_eq!(found.effects, [name], "{}", found.sentence);
+        let delay = &found.candidates[0].parameters[0];
+        assert!((delay.value.unwrap() - 0.25).abs() < 0.01, "{delay:?}");
+        let added = add(effect::find(name).unwrap(), &nameplate(), data).unwrap();
+        assert!(added.accepted, "{}", added.reason);
+    }
+}

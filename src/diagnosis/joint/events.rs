@@ -1,0 +1,604 @@
+//! Events that happen once: each run has its own moment of one, or none.
+//!
+//! ```text
+//! what all runs share, events --in_run--> the model of one run
+//! parts     an event in one run at one of many moments; several runs: one each (paired)
+//! placed    the moment to the sample, by the evidence of moments side by side
+//! ```
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rayon::prelude::*;
+
+use super::columns::{Around, Candidate, Form, Linear, NO_PARAMETER, Part, SLAB, Source, Variant};
+use super::forms::{add_products, gain};
+use super::select::Set;
+use super::tangent::{LANES, Lane, Tangent};
+use crate::plant::{
+    ActiveEffect, Effect, Instant, Model, ParameterRole, ParameterSpec, Scenario, Terms,
+    typical_size,
+};
+
+/// Log of the odds beforehand of a step of the load, and of each of the other events.
+const LOG_ODDS_STEP: f64 = -2.197_224_577_336_219_6;
+const LOG_ODDS_OTHER: f64 = -3.5;
+/// Moments of a run that are tried are parts of so many.
+const PLACES: usize = 96;
+/// Moments of each run that are tried in pairs.
+const PAIRED: usize = 6;
+/// Moments on either side of the one that is looked for more finely, and how much finer they lie each time.
+const AROUND: i32 = 8;
+/// Levels of looking more finely.
+const LEVELS: usize = 4;
+/// Periods of a run by which an event may still move.
+const STAYS: f64 = 1.5;
+/// Fall of the log likelihood at the ends of a 95 % interval.
+const INTERVAL: f64 = 1.92;
+
+/// Time before and behind the moment by which an onset may have another form, s: nobody knows how fast it comes.
+const ONSET_S: f64 = 0.01;
+/// Its forms, at one standard deviation: later or earlier, and slower or faster, by the weights before, at and behind it.
+const ONSET_FORMS: [[f64; 3]; 2] = [[0.5, 0.0, -0.5], [0.5, -1.0, 0.5]];
+
+/// A sum of terms that have no states, each with its weight.
+struct Weighted(Vec<(f64, Box<dyn Terms>)>);
+
+impl Weighted {
+    fn sum(&self, of: impl Fn(&dyn Terms) -> f64) -> f64 {
+        self.0
+            .iter()
+            .map(|(weight, terms)| weight * of(&**terms))
+            .sum()
+    }
+}
+
+impl Terms for Weighted {
+    fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
+        self.sum(|terms| terms.voltage_v(at, own))
+    }
+
+    fn torque_n_m(&self, at: &Instant, own: &[f64]) -> f64 {
+        self.sum(|terms| terms.torque_n_m(at, own))
+    }
+
+    fn friction_n_m(&self, at: &Instant) -> f64 {
+        self.sum(|terms| terms.friction_n_m(at))
+    }
+
+    fn current_rate_gain(&self, at: &Instant) -> f64 {
+        self.sum(|terms| terms.current_rate_gain(at))
+    }
+
+    fn inertia_gain(&self, at: &Instant) -> f64 {
+        self.sum(|terms| terms.inertia_gain(at))
+    }
+}
+
+/// An event of one run.
+#[derive(Clone)]
+pub(super) struct Event {
+    pub(super) run: usize,
+    pub(super) effect: &'static dyn Effect,
+    pub(super) values: Vec<f64>,
+}
+
+/// Which of an effect's parameters says when it happens; none where it is no event.
+pub(in crate::diagnosis) fn time_of(effect: &dyn Effect) -> Option<usize> {
+    let mut specs = effect.parameters().iter();
+    specs.position(|spec| spec.role == ParameterRole::EventTime)
+}
+
+/// Which of its parameters gives it its size.
+fn size_of(effect: &dyn Effect) -> usize {
+    let mut specs = effect.parameters().iter();
+    specs.position(ParameterSpec::is_coefficient).unwrap_or(0)
+}
+
+impl Event {
+    pub(super) fn id(&self) -> &'static str {
+        self.effect.card().id
+    }
+
+    pub(super) fn time_s(&self) -> f64 {
+        time_of(self.effect).map_or(f64::NAN, |k| self.values[k])
+    }
+
+    pub(super) fn size_index(&self) -> usize {
+        size_of(self.effect)
+    }
+
+    pub(super) fn put_at(&mut self, time_s: f64) {
+        if let Some(k) = time_of(self.effect) {
+            self.values[k] = time_s;
+        }
+    }
+
+    pub(super) fn active(&self) -> ActiveEffect {
+        ActiveEffect {
+            effect: self.effect,
+            values: self.values.iter().copied().map(Some).collect(),
+        }
+    }
+
+    /// What another form of its onset does.
+    fn bent(&self, weights: [f64; 3]) -> Box<dyn Terms> {
+        let parts = [-ONSET_S, 0.0, ONSET_S].into_iter().zip(weights);
+        let part = |(after_s, weight): (f64, f64)| {
+            let mut there = self.clone();
+            there.put_at(self.time_s() + after_s);
+            (weight, self.effect.terms(&there.values))
+        };
+        Box::new(Weighted(parts.map(part).collect()))
+    }
+
+    /// The same with a slab of it at another moment.
+    fn tangent(&self, slab: f64, time_s: f64) -> Tangent {
+        let mut values = self.values.clone();
+        values[self.size_index()] = slab;
+        if let Some(k) = time_of(self.effect) {
+            values[k] = time_s;
+        }
+        Tangent::Terms(self.effect.terms(&values))
+    }
+}
+
+/// What all runs share, and what happens in one of them.
+#[derive(Clone)]
+pub(super) struct Hypothesis {
+    pub(super) model: Model,
+    pub(super) events: Vec<Event>,
+}
+
+impl Hypothesis {
+    /// A fitted model, whose events are those of the first run.
+    pub(super) fn of(model: &Model) -> Self {
+        let mut model = model.clone();
+        let mut events = Vec::new();
+        model.effects.retain(|active| {
+            let is_event = time_of(active.effect).is_some();
+            if is_event {
+                events.push(Event {
+                    run: 0,
+                    effect: active.effect,
+                    values: active.values_or_guess(),
+                });
+            }
+            !is_event
+        });
+        Self { model, events }
+    }
+
+    /// A model of one run, whatever happens in it.
+    pub(super) fn whole(model: &Model) -> Self {
+        Self {
+            model: model.clone(),
+            events: vec![],
+        }
+    }
+
+    pub(super) fn events_of(&self, run: usize) -> Vec<ActiveEffect> {
+        let own = self.events.iter().filter(|event| event.run == run);
+        own.map(Event::active).collect()
+    }
+
+    /// The model of one run.
+    pub(super) fn in_run(&self, run: usize) -> Model {
+        let mut model = self.model.clone();
+        model.effects.extend(self.events_of(run));
+        model
+    }
+
+    pub(super) fn has(&self, id: &str) -> bool {
+        self.model.has(id) || self.events.iter().any(|event| event.id() == id)
+    }
+
+    pub(super) fn without(&self, id: &str) -> Self {
+        let mut without = self.clone();
+        without.model.effects.retain(|active| active.id() != id);
+        without.events.retain(|event| event.id() != id);
+        without
+    }
+
+    /// Whether no event happens at another sample than `before`: its form is linear only close to where it is.
+    pub(super) fn events_stay(&self, before: &Self, scenarios: &[&Scenario]) -> bool {
+        self.events.iter().all(|event| {
+            let times = &scenarios[event.run].sample_time_s;
+            let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+            let mut others = before.events.iter();
+            others.any(|other| {
+                (other.id(), other.run) == (event.id(), event.run)
+                    && (other.time_s() - event.time_s()).abs() <= STAYS * period_s
+            })
+        })
+    }
+
+    /// What there is, an event once for each of its runs.
+    pub(super) fn ids(&self) -> Vec<(&'static str, usize)> {
+        let shared = self.model.effect_ids().into_iter().map(|id| (id, 0));
+        let events = self.events.iter().map(|event| (event.id(), 1 + event.run));
+        shared.chain(events).collect()
+    }
+}
+
+/// The moments of a run that are tried.
+fn places(run: &Around<'_>) -> impl Iterator<Item = f64> {
+    let part_s = spacing_s(run);
+    (1..PLACES).map(move |place| part_s * place as f64)
+}
+
+fn spacing_s(run: &Around<'_>) -> f64 {
+    let last_s = run.scenario.sample_time_s[run.scenario.samples() - 1];
+    (last_s - run.scenario.begin_s()) / PLACES as f64
+}
+
+/// Log of the share beforehand of what happens in one run only at a given moment, in so many runs.
+fn log_share_of_one(runs: usize) -> f64 {
+    let only = if runs > 1 { 0.5 / runs as f64 } else { 1.0 };
+    only.ln() - ((PLACES - 1) as f64).ln()
+}
+
+/// The same of what happens in two runs at given moments.
+fn log_share_of_two() -> f64 {
+    0.5_f64.ln() - 2.0 * ((PLACES - 1) as f64).ln()
+}
+
+/// An event in each of its forms: as the model has it, and in the runs in which the model lacks it.
+pub(super) fn parts(
+    hypothesis: &Hypothesis,
+    effect: &'static dyn Effect,
+    runs: &[Around<'_>],
+) -> Vec<Part> {
+    let id = effect.card().id;
+    let Some(time) = time_of(effect) else {
+        return vec![];
+    };
+    let size = size_of(effect);
+    let model = &hypothesis.model;
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(ParameterSpec::guess)
+        .collect();
+    let slab = |run: &Around<'_>| SLAB * typical_size(effect, size, model, run.scenario);
+    let log_odds = if id == "load_step" {
+        LOG_ODDS_STEP
+    } else {
+        LOG_ODDS_OTHER
+    };
+    let own: Vec<&Event> = hypothesis
+        .events
+        .iter()
+        .filter(|event| event.id() == id && event.run < runs.len())
+        .collect();
+    let mut parts = Vec::new();
+    if !own.is_empty() {
+        let mut part = Part::new(effect, log_odds);
+        part.candidate.in_model = true;
+        let log_prior = match own.len() {
+            1 => log_share_of_one(runs.len()),
+            _ => log_share_of_two(),
+        };
+        let mut form = Form::new(own[0].values.clone(), log_prior);
+        for event in &own {
+            let unit = slab(&runs[event.run]);
+            let source = Source::In(event.run, event.tangent(unit, event.time_s()));
+            form.column(source, size, unit, event.values[size] / unit);
+            form.variant.moments.push((event.run, event.time_s()));
+        }
+        for event in &own {
+            for weights in ONSET_FORMS {
+                let bent = Tangent::Terms(event.bent(weights));
+                form.column(Source::In(event.run, bent), NO_PARAMETER, 0.0, 0.0);
+            }
+        }
+        part.push(form);
+        parts.push(part);
+    }
+    // Beside what the model has, the other run may have it too.
+    let (log_odds, log_share) = if own.is_empty() {
+        (log_odds, log_share_of_one(runs.len()))
+    } else {
+        let also = log_share_of_two() - log_share_of_one(runs.len());
+        (0.0, also)
+    };
+    let mut part = Part::new(effect, log_odds);
+    for (number, run) in runs.iter().enumerate() {
+        if own.iter().any(|event| event.run == number) {
+            continue;
+        }
+        let unit = slab(run);
+        for time_s in places(run) {
+            let mut values = guess.clone();
+            (values[size], values[time]) = (unit, time_s);
+            let terms = effect.terms(&values);
+            let mut form = Form::new(values, log_share);
+            form.column(Source::In(number, Tangent::Terms(terms)), size, unit, 0.0);
+            form.variant.moments.push((number, time_s));
+            part.push(form);
+        }
+    }
+    parts.push(part);
+    parts
+}
+
+/// Adds to events that may be in several runs the forms in which they are: of what the model lacks the likeliest moments of
+/// two runs together, of what it has either alone.
+pub(super) fn pair(linear: &mut Linear, runs: usize) {
+    if runs < 2 {
+        return;
+    }
+    let base: Vec<usize> = (0..linear.nuisances.len())
+        .chain(in_model(&linear.candidates))
+        .collect();
+    let Some((factor, right)) = base_of(linear, &base) else {
+        return;
+    };
+    let gain = |column: usize| {
+        let cross = DVector::from_fn(base.len(), |r, _| linear.gram[(base[r], column)]);
+        let solved = factor.solve(&cross);
+        let own = linear.gram[(column, column)] + 1.0 - cross.dot(&solved);
+        let rest = linear.right[column] - right.dot(&solved);
+        0.5 * rest * rest / own - 0.5 * own.ln()
+    };
+    let added: Vec<Vec<Variant>> = linear
+        .candidates
+        .iter()
+        .map(|candidate| {
+            if candidate.in_model {
+                alone(candidate, runs)
+            } else {
+                together(candidate, &gain)
+            }
+        })
+        .collect();
+    for (candidate, added) in linear.candidates.iter_mut().zip(added) {
+        candidate.variants.extend(added);
+    }
+}
+
+fn in_model(candidates: &[Candidate]) -> impl Iterator<Item = usize> {
+    let inside = candidates.iter().filter(|candidate| candidate.in_model);
+    inside.flat_map(|candidate| candidate.variants[0].columns.clone())
+}
+
+/// An event of the model that is in two runs, in either alone.
+fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
+    let both = &candidate.variants[0];
+    if both.moments.len() < 2 {
+        return vec![];
+    }
+    let only = |k: usize| Variant {
+        columns: vec![both.columns[k]],
+        units: vec![both.units[k]],
+        parameters: vec![both.parameters[k]],
+        present: vec![both.present[k]],
+        moments: vec![both.moments[k]],
+        log_prior: log_share_of_one(runs),
+        ..both.clone()
+    };
+    (0..both.moments.len()).map(only).collect()
+}
+
+/// An event that the model lacks, in two runs at once.
+fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant> {
+    let of_run = |run: usize| -> Vec<&Variant> {
+        let mut own: Vec<(f64, &Variant)> = candidate
+            .variants
+            .iter()
+            .filter(|variant| {
+                variant
+                    .moments
+                    .first()
+                    .is_some_and(|moment| moment.0 == run)
+            })
+            .map(|variant| (gain(variant.columns[0]), variant))
+            .collect();
+        own.sort_by(|a, b| b.0.total_cmp(&a.0));
+        own.into_iter().take(PAIRED).map(|own| own.1).collect()
+    };
+    let (first, second) = (of_run(0), of_run(1));
+    let pairs = first
+        .iter()
+        .flat_map(|a| second.iter().map(move |b| (*a, *b)));
+    pairs
+        .map(|(a, b)| Variant {
+            columns: [&a.columns[..], &b.columns].concat(),
+            units: [&a.units[..], &b.units].concat(),
+            parameters: [&a.parameters[..], &b.parameters].concat(),
+            present: [&a.present[..], &b.present].concat(),
+            moments: [&a.moments[..], &b.moments].concat(),
+            log_prior: log_share_of_two(),
+            ..a.clone()
+        })
+        .collect()
+}
+
+/// The normal equations of some columns of all runs.
+fn base_of(linear: &Linear, base: &[usize]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
+    let k = base.len();
+    let mut gram = DMatrix::from_fn(k, k, |r, c| linear.gram[(base[r], base[c])]);
+    for (d, column) in base.iter().enumerate() {
+        let sd = linear.nuisances.get(*column);
+        gram[(d, d)] += sd.map_or(1.0, |sd| 1.0 / (sd * sd));
+    }
+    let right = DVector::from_fn(k, |r, _| linear.right[base[r]]);
+    Some((gram.cholesky()?, right))
+}
+
+/// When an event happened, with the interval that holds the moment with 95 %.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Moment {
+    pub(super) time_s: f64,
+    pub(super) interval_s: [f64; 2],
+}
+
+/// Where the whitened residual of a run, all that is in the model taken out, asks for an event beside the rest of a set.
+struct Search<'a> {
+    run: &'a Around<'a>,
+    event: &'a Event,
+    slab: f64,
+    residual: Vec<[f64; 2]>,
+    columns: Vec<&'a [f32]>,
+    factor: Cholesky<f64, Dyn>,
+    right: DVector<f64>,
+}
+
+impl Search<'_> {
+    /// Log evidence of the event at each of these moments.
+    fn gains(&self, times_s: &[f64]) -> Vec<f64> {
+        let groups: Vec<Vec<f64>> = times_s
+            .par_chunks(LANES)
+            .with_max_len(1)
+            .map(|some| {
+                let tangents: Vec<Tangent> = some
+                    .iter()
+                    .map(|time_s| self.event.tangent(self.slab, *time_s))
+                    .collect();
+                let tangents: Vec<&Tangent> = tangents.iter().collect();
+                let mut products: Vec<Lane> = vec![[0.0; LANES]; self.columns.len() + 3];
+                add_products(
+                    self.run,
+                    &self.columns,
+                    &self.residual,
+                    &tangents,
+                    &mut products,
+                );
+                (0..some.len())
+                    .map(|lane| gain(&self.factor, &self.right, &products, lane, 1))
+                    .collect()
+            })
+            .collect();
+        groups.concat()
+    }
+
+    /// The likeliest moment near the one that the event has; `excess` is that of the variance of what is left.
+    fn nearest(&self, excess: f64) -> Moment {
+        let times = &self.run.scenario.sample_time_s;
+        let end_s = times[times.len() - 1] - self.run.scenario.begin_s();
+        let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+        let mut step_s = spacing_s(self.run) / f64::from(AROUND / 2);
+        let mut best_s = self.event.time_s();
+        let mut seen: Vec<(f64, f64)> = Vec::new();
+        for _ in 0..LEVELS {
+            let tried: Vec<f64> = (-AROUND..=AROUND)
+                .map(|k| best_s + f64::from(k) * step_s)
+                .filter(|time_s| (0.0..end_s).contains(time_s))
+                .collect();
+            seen.extend(tried.iter().copied().zip(self.gains(&tried)));
+            let likeliest = seen.iter().max_by(|a, b| a.1.total_cmp(&b.1));
+            best_s = likeliest.map_or(best_s, |seen| seen.0);
+            if step_s < period_s {
+                break;
+            }
+            step_s *= 2.0 / f64::from(AROUND);
+        }
+        let most = seen
+            .iter()
+            .fold(f64::NEG_INFINITY, |most, seen| most.max(seen.1));
+        let least = most - INTERVAL * excess;
+        // Where nothing moves the moment may be anywhere.
+        let wide_s = 0.5 * spacing_s(self.run);
+        for side in [-1.0, 1.0] {
+            let reach = seen.iter().filter(|seen| seen.1 > least);
+            let mut from_s = reach.map(|seen| side * seen.0).fold(f64::MIN, f64::max) * side;
+            loop {
+                let further: Vec<f64> = (1..=LANES)
+                    .map(|k| from_s + side * wide_s * k as f64)
+                    .filter(|time_s| (0.0..end_s).contains(time_s))
+                    .collect();
+                let gains = self.gains(&further);
+                let likely = gains.iter().take_while(|gain| **gain > least).count();
+                seen.extend(further.iter().copied().zip(gains).take(likely));
+                if likely < LANES {
+                    break;
+                }
+                from_s = further[LANES - 1];
+            }
+        }
+        let likely = seen.iter().filter(|seen| seen.1 > least);
+        // Between two samples nothing is seen.
+        let half_s = 0.5 * period_s;
+        let interval_s = likely.fold([best_s - half_s, best_s + half_s], |[low, high], seen| {
+            [low.min(seen.0), high.max(seen.0)]
+        });
+        Moment {
+            time_s: best_s,
+            interval_s,
+        }
+    }
+}
+
+/// The candidate, the place in its form and the column that an event of a set has.
+fn column_of(linear: &Linear, set: &Set, event: &Event) -> Option<(usize, f64)> {
+    let chosen = linear.candidates.iter().zip(set);
+    chosen
+        .filter(|(candidate, _)| candidate.id == event.id())
+        .filter_map(|(candidate, form)| Some(&candidate.variants[(*form)?]))
+        .find_map(|variant| {
+            let place = variant
+                .moments
+                .iter()
+                .position(|moment| moment.0 == event.run)?;
+            Some((variant.columns[place], variant.units[place]))
+        })
+}
+
+/// When each of the events of a set happened, beside all else that is in it; as it was where it is not in the set.
+pub(super) fn placed(
+    events: &[Event],
+    linear: &Linear,
+    set: &Set,
+    runs: &[Around<'_>],
+    excess: f64,
+) -> Vec<Moment> {
+    events
+        .iter()
+        .map(|event| {
+            place(event, linear, set, runs, excess).unwrap_or(Moment {
+                time_s: event.time_s(),
+                interval_s: [event.time_s(); 2],
+            })
+        })
+        .collect()
+}
+
+fn place(
+    event: &Event,
+    linear: &Linear,
+    set: &Set,
+    runs: &[Around<'_>],
+    excess: f64,
+) -> Option<Moment> {
+    let (own, slab) = column_of(linear, set, event)?;
+    let (run, whitened) = (runs.get(event.run)?, linear.columns.get(event.run)?);
+    let chosen = linear.candidates.iter().zip(set);
+    let others = chosen.flat_map(|(candidate, form)| {
+        let variant = form.map(|form| &candidate.variants[form]);
+        let columns = variant.map_or(&[][..], |variant| &variant.columns);
+        // What another form of its onset does is what is looked for.
+        let is_own = candidate.id == event.id();
+        let kept = variant.map_or(0, |variant| variant.moments.len());
+        columns
+            .iter()
+            .take(if is_own { kept } else { columns.len() })
+    });
+    let base: Vec<usize> = (0..linear.nuisances.len())
+        .chain(others.copied())
+        .filter(|column| *column != own)
+        .collect();
+    let (factor, right) = base_of(linear, &base)?;
+    let shift = whitened * &linear.present;
+    let white = run.followed.white.iter().enumerate();
+    let residual = white
+        .map(|(k, white)| [0, 1].map(|signal| white[signal] + shift[2 * k + signal]))
+        .collect();
+    let search = Search {
+        run,
+        event,
+        slab,
+        residual,
+        columns: base.iter().map(|k| &whitened.columns[*k][..]).collect(),
+        factor,
+        right,
+    };
+    Some(search.nearest(excess))
+}
