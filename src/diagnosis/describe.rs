@@ -305,7 +305,7 @@ fn unseen(diagnosis: &Diagnosis) -> String {
     said + "; these runs would not show " + &names
 }
 
-/// Said where the machine does not do the same twice: how much of the error that is.
+/// Said where the machine does not do the same twice: how much of the error that is, and what it follows.
 fn not_repeating(diagnosis: &Diagnosis) -> String {
     let Some(floor) = diagnosis
         .repeat_floor
@@ -315,9 +315,13 @@ fn not_repeating(diagnosis: &Diagnosis) -> String {
     };
     let share = (floor * floor - 1.0) / (diagnosis.holdout_before.powi(2) - 1.0);
     let percent = 100.0 * share.clamp(0.0, 1.0);
+    let follows = diagnosis.repeat_follows.first().map_or_else(
+        || "what differs follows neither speed, current, angle nor time".to_owned(),
+        |location| format!("of what differs, {}", location.sentence),
+    );
     format!(
         "; this machine does not repeat: {percent:.0} % of the error is different each time (two runs of the same excitation \
-         differ by {floor:.2} times the sensors' noise)"
+         differ by {floor:.2} times the sensors' noise); {follows}"
     )
 }
 

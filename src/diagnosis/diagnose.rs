@@ -7,13 +7,15 @@ use super::bench::{Bench, beside};
 use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
 use super::describe::{describe, sentence, superfluous};
-use super::evidence::{Evidence, HoldoutFrom, not_repeated};
+use super::evidence::{Evidence, HoldoutFrom};
 use super::explained::{self, explained};
 use super::fitted::Fitted;
 use super::joint::answer::{Inference, Part, asked, refined};
 use super::ladder::Rung;
+use super::location::FailureLocation;
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
+use super::repeatability::Repeatability;
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
@@ -43,6 +45,9 @@ pub struct Diagnosis {
     pub repeat_floor: Option<f64>,
     /// Whether that is little more than the sensors' noise; null without a repeated run.
     pub repeats: Option<bool>,
+    /// What it follows where it is more; the most first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub repeat_follows: Vec<FailureLocation>,
     pub holdout_from: HoldoutFrom,
     /// Of the whole accepted set, on the hold-out.
     pub explained_percent: f64,
@@ -249,8 +254,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let evidence = &bench.evidence;
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = evidence.floor();
-    let repeat_floor = repeat_floor(evidence, &best.fit.model);
-    let verdict = verdict(bench, inference, [&base.score, &best.score], repeat_floor);
+    let repeatability = Repeatability::of(&best.fit.model, evidence);
+    let in_motion = repeatability.in_motion();
+    let verdict = verdict(bench, inference, [&base.score, &best.score], in_motion);
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
         // The maps are a help; without them the verdict stands.
         axis_map(&best.fit.model, &evidence.training, &evidence.noise).unwrap_or_default()
@@ -277,8 +283,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         },
         noise_floor_from: evidence.noise.source,
         sensor_floor: (evidence.noise.source == FloorSource::Standstill).then_some(1.0),
-        repeat_floor,
-        repeats: repeat_floor.map(|floor| floor <= REPEATS),
+        repeat_floor: repeatability.floor,
+        repeats: repeatability.repeats(),
+        repeat_follows: repeatability.follows,
         holdout_from: evidence.holdout_from,
         explained_percent: if named.is_empty() { 0.0 } else { 100.0 * eta },
         holdout_before: base.score.nrms,
@@ -296,7 +303,11 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .collect(),
         confirm: None,
         sentence: String::new(),
-        limits: bench.limits(),
+        limits: bench
+            .limits()
+            .into_iter()
+            .chain(repeatability.why_not)
+            .collect(),
         equivalences: Vec::new(),
         next_experiment: None,
         baseline: base.fit.clone(),
@@ -309,7 +320,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         inference.noise,
         verdict,
         &diagnosis.effects,
-        in_motion(repeat_floor),
+        in_motion,
     );
     diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
     diagnosis.sentence = sentence(&diagnosis);
@@ -338,33 +349,6 @@ fn rivals(inference: &Inference, given: &[&'static str]) -> Vec<Model> {
     models.collect()
 }
 
-/// Multiple of the sensors' noise by which two runs of the same excitation may differ and still repeat.
-const REPEATS: f64 = 1.5;
-
-/// What the machine does not repeat under `model`, in units of the sensors' noise; none without a repeated run, or where
-/// the sensors' noise is not known.
-fn repeat_floor(evidence: &Evidence, model: &Model) -> Option<f64> {
-    let repeat = evidence.repeat.as_ref()?;
-    if evidence.noise.source != FloorSource::Standstill {
-        return None;
-    }
-    let runs = [&evidence.training, repeat];
-    let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
-    let differs = not_repeated(model, runs, &evidence.noise).ok()?;
-    let squares: Vec<f64> = differs
-        .into_iter()
-        .zip(levels)
-        .filter_map(|(differs, level)| Some((differs? / level).powi(2)))
-        .collect();
-    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
-    (!squares.is_empty()).then(|| mean.sqrt())
-}
-
-/// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
-fn in_motion(repeat_floor: Option<f64>) -> f64 {
-    repeat_floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS))
-}
-
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF: f64 = 0.5;
 
@@ -372,12 +356,11 @@ fn verdict(
     bench: &Bench,
     inference: &Inference,
     [base, best]: [&Score; 2],
-    repeat_floor: Option<f64>,
+    in_motion: f64,
 ) -> DiagnosisVerdict {
     let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
-    let at_floor =
-        !is_known || explained::at_the_floor(evidence, base.nrms / in_motion(repeat_floor));
+    let at_floor = !is_known || explained::at_the_floor(evidence, base.nrms / in_motion);
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && at_floor {
             DiagnosisVerdict::None

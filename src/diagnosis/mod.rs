@@ -34,6 +34,7 @@ pub mod mechanical;
 pub mod next_experiment;
 mod progress;
 mod reached;
+mod repeatability;
 mod residual;
 mod score;
 mod shapes;

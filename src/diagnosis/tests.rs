@@ -310,4 +310,12 @@ fn a_machine_that_does_not_repeat_is_not_called_complete() {
         "{}",
         found.sentence
     );
+    // The load wanders by itself: its moment is all that the difference follows.
+    let follows = &found.repeat_follows[0];
+    assert_eq!(
+        (follows.equation, follows.variable),
+        ("torque", "time_s"),
+        "{}",
+        found.sentence
+    );
 }

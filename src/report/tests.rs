@@ -182,6 +182,7 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         sensor_floor: Some(1.0),
         repeat_floor: None,
         repeats: None,
+        repeat_follows: Vec::new(),
         verdict,
         effect: named.then_some("stribeck_friction"),
         effects: if named {

@@ -192,6 +192,34 @@ impl<'a> Windows<'a> {
         Ok(found)
     }
 
+    /// Takes the errors of another run of the same excitation out of this one's, window by window since their first
+    /// commands; what has no window there is not known.
+    pub(super) fn subtract(&mut self, other: &Windows<'_>) {
+        let begins_later_s = other.scenario.events[0].0 - self.scenario.events[0].0;
+        let near_s = 0.5 * self.length_s();
+        for window in &mut self.each {
+            let time_s = window.time_s + begins_later_s;
+            let after = other.each.partition_point(|there| there.time_s < time_s);
+            let around = [after.checked_sub(1), Some(after)];
+            let around = around.into_iter().flatten();
+            let nearest = around
+                .filter_map(|index| other.each.get(index))
+                .min_by(|a, b| {
+                    let (a, b) = (a.time_s - time_s, b.time_s - time_s);
+                    a.abs().total_cmp(&b.abs())
+                })
+                .filter(|there| (there.time_s - time_s).abs() < near_s);
+            let Some(there) = nearest else {
+                (window.torque_n_m, window.voltage_v) = (f64::NAN, f64::NAN);
+                continue;
+            };
+            window.torque_n_m -= there.torque_n_m;
+            window.voltage_v -= there.voltage_v;
+            window.torque_floor_n_m = window.torque_floor_n_m.hypot(there.torque_floor_n_m);
+            window.voltage_floor_v = window.voltage_floor_v.hypot(there.voltage_floor_v);
+        }
+    }
+
     pub(super) fn length_s(&self) -> f64 {
         let times = &self.scenario.sample_time_s;
         let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;

@@ -199,6 +199,41 @@ pub fn locate(
     Ok(found)
 }
 
+/// What the equations lack in the first of two runs of one excitation and not in the second, each with its own values of
+/// the motor: what it follows, the worse equation first. Empty where that is no more than the noise of both.
+pub(super) fn locate_difference(
+    model: &Model,
+    [first, second]: [&Scenario; 2],
+    noise: &NoiseFloor,
+) -> Result<Vec<FailureLocation>, FitError> {
+    let mut windows = Windows::new(model, first, noise)?;
+    let mut other = Windows::new(model, second, noise)?;
+    for equation in [Equation::Torque, Equation::Voltage] {
+        for run in [&mut windows, &mut other] {
+            if let Some(changes) = own::changes(run, equation) {
+                own::take_out(run, equation, &changes);
+            }
+        }
+    }
+    windows.subtract(&other);
+    let mut found = Located::default();
+    for equation in [Equation::Torque, Equation::Voltage] {
+        if windows.usable(equation) < FEWEST_WINDOWS {
+            continue;
+        }
+        let balance = windows.balance(equation, noise);
+        if balance.fails {
+            let axes = axis::ranked(&windows, equation, true, model);
+            found
+                .locations
+                .extend(axes.into_iter().map(Axis::into_location));
+        }
+        found.balances.push(balance);
+    }
+    rank(&mut found);
+    Ok(found.locations)
+}
+
 /// Lets the equation's own parameters move. The moves stay taken out of the windows where that is asked, and where they
 /// are small: a fit of the whole model that lacks something leaves values that are a little off, and a balance sees
 /// them well. Large ones are a fault of their own. Returns whether they were taken out.

@@ -90,6 +90,7 @@ pub(super) fn diagnosis() -> Diagnosis {
         sensor_floor: Some(1.0),
         repeat_floor: None,
         repeats: None,
+        repeat_follows: Vec::new(),
         verdict: DiagnosisVerdict::Effect,
         effect: Some("stribeck_friction"),
         effects: vec!["stribeck_friction"],

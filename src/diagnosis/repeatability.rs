@@ -1,0 +1,74 @@
+//! What a machine does not repeat from one run of an excitation to the next: how much that is, and what it follows.
+
+use super::evidence::{Evidence, not_repeated};
+use super::location::{FailureLocation, locate_difference};
+use crate::identification::noise::FloorSource;
+use crate::identification::output_error::FitError;
+use crate::plant::Model;
+
+/// Multiple of the sensors' noise by which two runs of the same excitation may differ and still repeat.
+const REPEATS: f64 = 1.5;
+
+/// Two runs of the same excitation, each with its own fit of one model.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Repeatability {
+    /// What differs between them, in units of the sensors' noise.
+    pub(super) floor: Option<f64>,
+    /// What the difference follows, where it is more than noise; the most first.
+    pub(super) follows: Vec<FailureLocation>,
+    /// Why nothing is known of it, where a run was repeated.
+    pub(super) why_not: Option<String>,
+}
+
+impl Repeatability {
+    /// Under `model`; empty without a repeated run, or where the sensors' noise is not known at rest.
+    pub(super) fn of(model: &Model, evidence: &Evidence) -> Self {
+        let is_known = evidence.noise.source == FloorSource::Standstill;
+        let Some(repeat) = evidence.repeat.as_ref().filter(|_| is_known) else {
+            return Self::default();
+        };
+        let runs = [&evidence.training, repeat];
+        let found = || -> Result<Self, FitError> {
+            let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, evidence);
+            let follows = if floor.is_some_and(|floor| floor > REPEATS) {
+                locate_difference(model, runs, &evidence.noise)?
+            } else {
+                Vec::new()
+            };
+            let why_not = None;
+            Ok(Self {
+                floor,
+                follows,
+                why_not,
+            })
+        };
+        found().unwrap_or_else(|error| Self {
+            why_not: Some(format!(
+                "whether this machine repeats is not known: {error}"
+            )),
+            ..Self::default()
+        })
+    }
+
+    /// Whether the difference is little more than the sensors' noise; none where it is not known.
+    pub(super) fn repeats(&self) -> Option<bool> {
+        self.floor.map(|floor| floor <= REPEATS)
+    }
+
+    /// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
+    pub(super) fn in_motion(&self) -> f64 {
+        self.floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS))
+    }
+}
+
+/// Deviations of current and speed in units of the sensors' noise.
+fn in_noise(differs: [Option<f64>; 2], evidence: &Evidence) -> Option<f64> {
+    let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
+    let squares: Vec<f64> = differs
+        .into_iter()
+        .zip(levels)
+        .filter_map(|(differs, level)| Some((differs? / level).powi(2)))
+        .collect();
+    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
+    (!squares.is_empty()).then(|| mean.sqrt())
+}
