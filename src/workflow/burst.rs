@@ -196,12 +196,7 @@ impl VoltageBalance {
 
     fn level(&self) -> String {
         self.over_noise.map_or_else(
-            || {
-                format!(
-                    "{:.2e} V (no standstill tells its noise, or the shaft does not turn)",
-                    self.rms_v
-                )
-            },
+            || format!("{:.2e} V (its noise is not known)", self.rms_v),
             |over| format!("{over:.2} times its noise"),
         )
     }
