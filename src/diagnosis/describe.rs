@@ -90,7 +90,11 @@ pub(super) fn describe(
                     status,
                     rung,
                     evidence.noise.source.times(),
-                    happening(inferred.effect, &inference.onsets(id), evidence.holdout_from),
+                    happening(
+                        inferred.effect,
+                        &inference.onsets(id),
+                        evidence.holdout_from,
+                    ),
                 ),
             }
         })
@@ -205,13 +209,16 @@ pub(super) fn percent(probability: f64) -> String {
 pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
     let with_onset = |candidate: &Candidate| {
         let known = effect::find(candidate.effect);
-        let when = known.and_then(|known| happening(known, &candidate.onsets, diagnosis.holdout_from));
+        let when =
+            known.and_then(|known| happening(known, &candidate.onsets, diagnosis.holdout_from));
         when.map(|when| format!("{} ({when})", candidate.effect))
     };
     let named = |id: &&'static str| {
         let mut candidates = diagnosis.candidates.iter();
         let candidate = candidates.find(|candidate| candidate.effect == *id);
-        candidate.and_then(with_onset).unwrap_or_else(|| (*id).to_owned())
+        candidate
+            .and_then(with_onset)
+            .unwrap_or_else(|| (*id).to_owned())
     };
     let names: Vec<String> = diagnosis.effects.iter().map(named).collect();
     let names = names.join(" and ");

@@ -34,7 +34,12 @@ const FEW: f64 = 2.5;
 fn happened(id: &str, size: f64, times_s: [Option<f64>; 2]) -> Diagnosis {
     let found = diagnose(&nameplate(), evidence(id, size, times_s, 3), false).unwrap();
     assert_eq!(found.effects, [id], "{times_s:?}: {}", found.sentence);
-    assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{}", found.sentence);
+    assert_eq!(
+        found.verdict,
+        DiagnosisVerdict::Effect,
+        "{}",
+        found.sentence
+    );
     assert!(found.holdout_after < 1.2, "{}", found.sentence);
     let first = &found.candidates[0];
     let expected = times_s
@@ -102,7 +107,12 @@ fn where_nothing_happened_no_event_is_likely() {
         let data = evidence("load_step", 0.0, [None, None], 30 + seed);
         let found = diagnose(&nameplate(), data, false).unwrap();
         assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
-        for id in ["load_step", "one_sided_load", "friction_onset", "inertia_change"] {
+        for id in [
+            "load_step",
+            "one_sided_load",
+            "friction_onset",
+            "inertia_change",
+        ] {
             let mut candidates = found.candidates.iter();
             let event = candidates.find(|candidate| candidate.effect == id).unwrap();
             assert!(event.probability < 0.1, "{id}: {}", event.probability);

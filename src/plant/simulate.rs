@@ -20,10 +20,10 @@ mod two_mass;
 use std::borrow::Cow;
 
 use angle_track::AngleTrack;
+pub use commands::starts_from_rest;
 use equations::Equations;
 use sensors::{Reading, Sensors};
 use state::Mode;
-pub use commands::starts_from_rest;
 pub use state::State;
 use steep::Steep;
 use steps::Steps;

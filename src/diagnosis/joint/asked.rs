@@ -52,7 +52,9 @@ pub(in crate::diagnosis) fn why_not(
         ..Instant::default()
     }) != 0.0
     {
-        return Some("a change of the inertia is no term of the torque balance: record the voltage too");
+        return Some(
+            "a change of the inertia is no term of the torque balance: record the voltage too",
+        );
     }
     if terms.coupling().is_some() || terms.states() > 0 {
         return Some("a second inertia is no term of the torque balance: record the voltage too");

@@ -107,7 +107,12 @@ pub(super) fn keep_likeliest(
 impl Part {
     /// The forms of an event of each run; of what all runs share all forms.
     fn by_run(&self) -> Vec<Vec<usize>> {
-        let run = |form: &usize| self.candidate.variants[*form].moments.first().map_or(0, |at| at.0);
+        let run = |form: &usize| {
+            self.candidate.variants[*form]
+                .moments
+                .first()
+                .map_or(0, |at| at.0)
+        };
         let forms: Vec<usize> = (0..self.sources.len()).collect();
         forms
             .chunk_by(|a, b| run(a) == run(b))
@@ -253,10 +258,7 @@ pub(super) fn add_products(
                 sum[k] += part[k];
             }
         }
-        for (values, rows) in residual[first..]
-            .iter()
-            .zip(white.chunks_exact(2))
-        {
+        for (values, rows) in residual[first..].iter().zip(white.chunks_exact(2)) {
             for (value, row) in values.iter().zip(rows) {
                 for k in 0..LANES {
                     with_rest[k] += value * row[k];

@@ -262,7 +262,10 @@ fn names(linear: &Linear, set: &Set) -> Vec<(&'static str, Vec<usize>)> {
     candidates
         .filter_map(|(candidate, chosen)| {
             let moments = &candidate.variants[(*chosen)?].moments;
-            Some((candidate.id, moments.iter().map(|moment| moment.0).collect()))
+            Some((
+                candidate.id,
+                moments.iter().map(|moment| moment.0).collect(),
+            ))
         })
         .collect()
 }
@@ -331,7 +334,10 @@ fn best_step(
     singles.truncate(MOST_SINGLES);
     // A linear solution knows little of what is there wholly or not at all, and just how much that leaves is known.
     for whole in as_it_is(&linear, &set) {
-        if !singles.iter().any(|single| (single.1, single.2) == (whole.1, whole.2)) {
+        if !singles
+            .iter()
+            .any(|single| (single.1, single.2) == (whole.1, whole.2))
+        {
             singles.push(whole);
         }
     }

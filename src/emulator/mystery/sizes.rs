@@ -9,9 +9,10 @@ use rand_chacha::ChaCha8Rng;
 use crate::emulator::truth::effect::{
     AsymmetricViscous, Backlash, Cogging, CommandDelay, ConstantLoad, CurrentFilter, CurrentOffset,
     DiscontinuousConduction, EccentricLoad, ElasticCoupling, FieldChange, FluxSaturation,
-    FrictionOnset, HiddenEffect, InductanceSaturation, InertiaChange, LoadDependentFriction, LoadStep, OneSidedLoad, QuadraticLoad, RandomLoad, RestartDelay,
-    Shaker, Site, SpeedDelay, SpeedFilter, SpeedOffset, StartDelay, StribeckFriction, SupplySag,
-    TorqueBump, TorqueRipple, ViscousFriction, VoltageDrop, VoltageOffset, WindingHeating,
+    FrictionOnset, HiddenEffect, InductanceSaturation, InertiaChange, LoadDependentFriction,
+    LoadStep, OneSidedLoad, QuadraticLoad, RandomLoad, RestartDelay, Shaker, Site, SpeedDelay,
+    SpeedFilter, SpeedOffset, StartDelay, StribeckFriction, SupplySag, TorqueBump, TorqueRipple,
+    ViscousFriction, VoltageDrop, VoltageOffset, WindingHeating,
 };
 
 /// What is drawn from where the host's catalogue has the answer.

@@ -275,7 +275,10 @@ fn an_effect_enters_the_balance_that_its_card_names_and_no_other() {
     for effect in CATALOGUE.iter().filter(|effect| !couples(**effect)) {
         let card = effect.card();
         let [voltage, torque, friction, rate, inertia] = added(*effect, 1.0).map(f64::abs);
-        let entered = (voltage.max(rate) > 1e-6, torque.max(friction).max(inertia) > 1e-6);
+        let entered = (
+            voltage.max(rate) > 1e-6,
+            torque.max(friction).max(inertia) > 1e-6,
+        );
         let expected = (
             card.enters.includes(Balance::Voltage),
             card.enters.includes(Balance::Torque),

@@ -28,7 +28,9 @@ fn waiting(events: &[(f64, f64)], delay_s: f64) -> Vec<(f64, f64)> {
     let starts = starts_from_rest(events);
     let waits = |time_s: f64| {
         let mut before = starts.iter().rev().filter(|start_s| **start_s <= time_s);
-        before.next().is_some_and(|start_s| time_s < start_s + delay_s)
+        before
+            .next()
+            .is_some_and(|start_s| time_s < start_s + delay_s)
     };
     let mut out: Vec<(f64, f64)> = events
         .iter()

@@ -164,9 +164,8 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             }
             "asymmetric_viscous" => (torque(m), 1e-4 * speed, 0.011),
             // 0.1 N.m, or a twentieth of 2 N.m.
-            "constant_load" | "one_sided_load" | "cogging" | "harmonic_cogging" | "torque_ripple" => {
-                (torque(m), 0.1, 1e-9)
-            }
+            "constant_load" | "one_sided_load" | "cogging" | "harmonic_cogging"
+            | "torque_ripple" => (torque(m), 0.1, 1e-9),
             "eccentric_load" => {
                 let x = at.angle_rad;
                 (torque(m), 0.1 * x.sin() + 0.05 * x.cos(), 0.25)
