@@ -211,8 +211,9 @@ impl<'a> Around<'a> {
     /// Columns of as many tangents as there are lanes, or fewer.
     fn along(&self, tangents: &[&Tangent]) -> Vec<Vec<f32>> {
         let mut columns = vec![Vec::with_capacity(self.rows()); tangents.len()];
-        carry(self, tangents, |_, white| {
+        carry(self, tangents, |first, white| {
             for (lane, column) in columns.iter_mut().enumerate() {
+                column.resize(2 * first, 0.0);
                 column.extend(white.iter().map(|row| single(row[lane])));
             }
         });

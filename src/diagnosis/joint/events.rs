@@ -21,10 +21,13 @@ use crate::plant::{
 /// Log of the odds beforehand of a step of the load, and of each of the other events.
 const LOG_ODDS_STEP: f64 = -2.197_224_577_336_219_6;
 const LOG_ODDS_OTHER: f64 = -3.5;
-/// Moments of a run that are tried are parts of so many.
+/// Moments of a run that are tried are parts of so many, of a step of the load and of each of the others.
 const PLACES: usize = 96;
+const PLACES_OTHER: usize = 48;
+/// Time before its moment from which on an event may do anything, s.
+const LEAD_S: f64 = 0.4;
 /// Moments of each run that are tried in pairs.
-const PAIRED: usize = 6;
+const PAIRED: usize = 4;
 /// Moments on either side of the one that is looked for more finely, and how much finer they lie each time.
 const AROUND: i32 = 8;
 /// Levels of looking more finely.
@@ -137,7 +140,10 @@ impl Event {
         if let Some(k) = time_of(self.effect) {
             values[k] = time_s;
         }
-        Tangent::Terms(self.effect.terms(&values))
+        Tangent::Event {
+            terms: self.effect.terms(&values),
+            begins_s: time_s - LEAD_S,
+        }
     }
 }
 
@@ -219,26 +225,29 @@ impl Hypothesis {
     }
 }
 
-/// The moments of a run that are tried.
-fn places(run: &Around<'_>) -> impl Iterator<Item = f64> {
-    let part_s = spacing_s(run);
-    (1..PLACES).map(move |place| part_s * place as f64)
+/// Parts of a run at whose ends an effect is looked for. Steps of the load stand for a load that wanders, too.
+fn parts_of_run(id: &str) -> usize {
+    if id == "load_step" {
+        PLACES
+    } else {
+        PLACES_OTHER
+    }
 }
 
-fn spacing_s(run: &Around<'_>) -> f64 {
+fn spacing_s(run: &Around<'_>, id: &str) -> f64 {
     let last_s = run.scenario.sample_time_s[run.scenario.samples() - 1];
-    (last_s - run.scenario.begin_s()) / PLACES as f64
+    (last_s - run.scenario.begin_s()) / parts_of_run(id) as f64
 }
 
 /// Log of the share beforehand of what happens in one run only at a given moment, in so many runs.
-fn log_share_of_one(runs: usize) -> f64 {
+fn log_share_of_one(id: &str, runs: usize) -> f64 {
     let only = if runs > 1 { 0.5 / runs as f64 } else { 1.0 };
-    only.ln() - ((PLACES - 1) as f64).ln()
+    only.ln() - ((parts_of_run(id) - 1) as f64).ln()
 }
 
 /// The same of what happens in two runs at given moments.
-fn log_share_of_two() -> f64 {
-    0.5_f64.ln() - 2.0 * ((PLACES - 1) as f64).ln()
+fn log_share_of_two(id: &str) -> f64 {
+    0.5_f64.ln() - 2.0 * ((parts_of_run(id) - 1) as f64).ln()
 }
 
 /// An event in each of its forms: as the model has it, and in the runs in which the model lacks it.
@@ -248,9 +257,6 @@ pub(super) fn parts(
     runs: &[Around<'_>],
 ) -> Vec<Part> {
     let id = effect.card().id;
-    let Some(time) = time_of(effect) else {
-        return vec![];
-    };
     let size = size_of(effect);
     let model = &hypothesis.model;
     let guess: Vec<f64> = effect
@@ -274,8 +280,8 @@ pub(super) fn parts(
         let mut part = Part::new(effect, log_odds);
         part.candidate.in_model = true;
         let log_prior = match own.len() {
-            1 => log_share_of_one(runs.len()),
-            _ => log_share_of_two(),
+            1 => log_share_of_one(id, runs.len()),
+            _ => log_share_of_two(id),
         };
         let mut form = Form::new(own[0].values.clone(), log_prior);
         for event in &own {
@@ -286,7 +292,10 @@ pub(super) fn parts(
         }
         for event in &own {
             for weights in ONSET_FORMS {
-                let bent = Tangent::Terms(event.bent(weights));
+                let bent = Tangent::Event {
+                    terms: event.bent(weights),
+                    begins_s: event.time_s() - ONSET_S - LEAD_S,
+                };
                 form.column(Source::In(event.run, bent), NO_PARAMETER, 0.0, 0.0);
             }
         }
@@ -295,9 +304,9 @@ pub(super) fn parts(
     }
     // Beside what the model has, the other run may have it too.
     let (log_odds, log_share) = if own.is_empty() {
-        (log_odds, log_share_of_one(runs.len()))
+        (log_odds, log_share_of_one(id, runs.len()))
     } else {
-        let also = log_share_of_two() - log_share_of_one(runs.len());
+        let also = log_share_of_two(id) - log_share_of_one(id, runs.len());
         (0.0, also)
     };
     let mut part = Part::new(effect, log_odds);
@@ -306,12 +315,18 @@ pub(super) fn parts(
             continue;
         }
         let unit = slab(run);
-        for time_s in places(run) {
-            let mut values = guess.clone();
-            (values[size], values[time]) = (unit, time_s);
-            let terms = effect.terms(&values);
-            let mut form = Form::new(values, log_share);
-            form.column(Source::In(number, Tangent::Terms(terms)), size, unit, 0.0);
+        let part_s = spacing_s(run, id);
+        for time_s in (1..parts_of_run(id)).map(|place| part_s * place as f64) {
+            let mut event = Event {
+                run: number,
+                effect,
+                values: guess.clone(),
+            };
+            event.put_at(time_s);
+            event.values[size] = unit;
+            let source = Source::In(number, event.tangent(unit, time_s));
+            let mut form = Form::new(event.values, log_share);
+            form.column(source, size, unit, 0.0);
             form.variant.moments.push((number, time_s));
             part.push(form);
         }
@@ -372,7 +387,7 @@ fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
         parameters: vec![both.parameters[k]],
         present: vec![both.present[k]],
         moments: vec![both.moments[k]],
-        log_prior: log_share_of_one(runs),
+        log_prior: log_share_of_one(candidate.id, runs),
         ..both.clone()
     };
     (0..both.moments.len()).map(only).collect()
@@ -406,7 +421,7 @@ fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant>
             parameters: [&a.parameters[..], &b.parameters].concat(),
             present: [&a.present[..], &b.present].concat(),
             moments: [&a.moments[..], &b.moments].concat(),
-            log_prior: log_share_of_two(),
+            log_prior: log_share_of_two(candidate.id),
             ..a.clone()
         })
         .collect()
@@ -475,7 +490,8 @@ impl Search<'_> {
         let times = &self.run.scenario.sample_time_s;
         let end_s = times[times.len() - 1] - self.run.scenario.begin_s();
         let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
-        let mut step_s = spacing_s(self.run) / f64::from(AROUND / 2);
+        let spacing_s = spacing_s(self.run, self.event.id());
+        let mut step_s = spacing_s / f64::from(AROUND);
         let mut best_s = self.event.time_s();
         let mut seen: Vec<(f64, f64)> = Vec::new();
         for _ in 0..LEVELS {
@@ -496,7 +512,7 @@ impl Search<'_> {
             .fold(f64::NEG_INFINITY, |most, seen| most.max(seen.1));
         let least = most - INTERVAL * excess;
         // Where nothing moves the moment may be anywhere.
-        let wide_s = 0.5 * spacing_s(self.run);
+        let wide_s = 0.5 * spacing_s;
         for side in [-1.0, 1.0] {
             let reach = seen.iter().filter(|seen| seen.1 > least);
             let mut from_s = reach.map(|seen| side * seen.0).fold(f64::MIN, f64::max) * side;

@@ -151,6 +151,11 @@ impl Deviations {
 /// A torque, or a voltage drop, of one size along a trajectory.
 pub(super) enum Tangent {
     Terms(Box<dyn Terms>),
+    /// Terms that do nothing before, s after the run's first command.
+    Event {
+        terms: Box<dyn Terms>,
+        begins_s: f64,
+    },
     /// Terms times a power of their own size: another form of the same effect.
     Bent {
         terms: Box<dyn Terms>,
@@ -172,6 +177,16 @@ pub(super) enum Tangent {
     },
     /// What a sensor adds to every reading: A and rad/s.
     Offset([f64; 2]),
+}
+
+impl Tangent {
+    /// When it begins, s after the run's first command.
+    fn begins_s(&self) -> f64 {
+        match self {
+            Self::Event { begins_s, .. } => *begins_s,
+            _ => f64::NEG_INFINITY,
+        }
+    }
 }
 
 /// A torque over the angle, in N.m, or in proportion to the current, of which it then is this share.
@@ -306,7 +321,7 @@ fn power(mut base: [f64; 2], mut exponent: u32) -> [f64; 2] {
 }
 
 /// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
-/// whitened innovations of its samples: current, speed, current, ...
+/// whitened innovations of its samples: current, speed, current, ... Chunks in which no tangent has begun are left out.
 pub(super) fn carry(
     run: &Around<'_>,
     tangents: &[&Tangent],
@@ -326,7 +341,15 @@ pub(super) fn carry(
         }
     }
     let n = run.scenario.samples();
-    for first in (0..n).step_by(CHUNK) {
+    let begin_s = tangents
+        .iter()
+        .map(|tangent| tangent.begins_s())
+        .fold(f64::INFINITY, f64::min);
+    // Where none has begun nothing deviates.
+    let silent = run
+        .instants
+        .partition_point(|instant| instant.time_s < begin_s);
+    for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No order is this: the first wave of a chunk is computed anew.
         let mut turns = Turns {
@@ -396,7 +419,7 @@ fn force(
     };
     match traveller.tangent {
         Tangent::Offset(_) => {}
-        Tangent::Terms(terms) => {
+        Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
             let value = |key| run.model.motor.get(key).unwrap_or(0.0);
             let (r, ke) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
