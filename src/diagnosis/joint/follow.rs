@@ -324,8 +324,9 @@ struct Filter<'a> {
     last_speed: f64,
     /// Number of the command that holds.
     event: usize,
-    /// By how much the times of commands are not known, s.
+    /// By how much the times of commands are not known, and by how much the model's machine gets them later, s.
     edge_s: f64,
+    late_s: f64,
     /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
     hole_ends_s: Vec<f64>,
     holes_passed: usize,
@@ -362,11 +363,14 @@ impl<'a> Filter<'a> {
         } else {
             LONGEST_HOLD
         };
+        let forms = Forms::of(model, scenario);
+        let late_s = forms.terms.iter().map(|terms| terms.path().command_delay_s);
         Some(Self {
             scenario,
             noise,
             dynamics,
-            forms: Forms::of(model, scenario),
+            late_s: late_s.sum(),
+            forms,
             p,
             load_n_m: 0.0,
             input: 0.0,
@@ -410,11 +414,25 @@ impl<'a> Filter<'a> {
         let events = &self.scenario.events;
         let share = (self.edge_s / interval_s).min(1.0);
         let mut variance = 0.0;
-        while self.event + 1 < events.len() && events[self.event + 1].0 < time_s {
+        while self.event + 1 < events.len() && events[self.event + 1].0 + self.late_s < time_s {
             variance += ((events[self.event + 1].1 - events[self.event].1) * share).powi(2);
             self.event += 1;
         }
         variance
+    }
+
+    /// Mean square of what is not known of the mean voltage between two instants, V2: what a hole of the record hides acts as
+    /// late as the model's commands do, behind the hole still. Errors of two holes have nothing to do with each other.
+    fn holes_v2(&self, from_s: f64, to_s: f64) -> f64 {
+        let holes = &self.scenario.unknown_input;
+        let (from_s, to_s) = (from_s - self.late_s, to_s - self.late_s);
+        let first = holes.partition_point(|hole| hole.to_s <= from_s);
+        (holes[first..].iter())
+            .take_while(|hole| hole.from_s < to_s)
+            .fold(0.0, |sum, hole| {
+                let shared_s = hole.to_s.min(to_s) - hole.from_s.max(from_s);
+                sum + hole.variance * (shared_s / (to_s - from_s)).powi(2)
+            })
     }
 
     /// Goes to the time of `sample`, where the model is in `state`.
@@ -443,7 +461,7 @@ impl<'a> Filter<'a> {
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
-        let unknown_v2 = self.scenario.input_variance_v2(sample) + edges_v2;
+        let unknown_v2 = self.holes_v2(time_s - interval_s, time_s) + edges_v2;
         let fresh = if begins_again {
             // A signal whose noise is not known is not looked at.
             [self.noise.current_a, self.noise.speed_rad_s].map(|level| {

@@ -1,5 +1,7 @@
 //! Prediction-error fit: every free parameter of a model, and of its effects, from the whitened innovations of the runs.
 
+use nalgebra::{DMatrix, DVector};
+
 use super::asked::why_not;
 use super::columns::{Around, SLAB, single};
 use super::excess::excess;
@@ -9,7 +11,7 @@ use super::whitened::Whitened;
 use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
-use crate::plant::{Model, ParameterRole, Scenario, Slot, typical_size};
+use crate::plant::{ActiveEffect, Model, ParameterRole, Scenario, Slot, typical_size};
 
 /// Prior standard deviations: of the logarithm of a shape, and of a shape that may be zero in
 /// units of its scale.
@@ -115,12 +117,95 @@ impl Unit {
     }
 }
 
-/// Whitened innovations of the runs, and behind them the priors, as a function of the coordinates.
+/// Whitened innovations of the runs, behind them the priors and the root of the log determinant of what they are freed of, as a function of the coordinates.
 struct Innovations<'a> {
     model: Model,
     free: Vec<(Slot, Unit)>,
     runs: &'a [Around<'a>],
     len: usize,
+    /// What the innovations are freed of.
+    vague: Option<Vague>,
+}
+
+/// What the stamps and the forms of the effects may be wrong by, each at one standard deviation, integrated out of whitened
+/// innovations `r`: `r'(I + F F')^-1 r` is the square of `(I + F F')^(-1/2) r = r - F A F' r`. The error of a form goes with
+/// the size of its effect.
+struct Vague {
+    columns: Vec<Vec<f32>>,
+    /// The effect of each column.
+    effects: Vec<Option<usize>>,
+    gram: DMatrix<f64>,
+    /// Of the effects as the columns have them.
+    sizes: Vec<f64>,
+}
+
+/// The size of each effect: of several coefficients the root of the sum of their squares.
+fn sizes(model: &Model) -> Vec<f64> {
+    let size = |active: &ActiveEffect| {
+        let pairs = active.effect.parameters().iter().zip(active.values_or_guess());
+        let squares = pairs.filter(|(spec, _)| spec.is_coefficient());
+        squares.map(|(_, value)| value * value).sum::<f64>().sqrt()
+    };
+    model.effects.iter().map(size).collect()
+}
+
+impl Vague {
+    /// Of runs that were followed with the model itself.
+    fn of(model: &Model, runs: &[Around<'_>]) -> Self {
+        let mut columns: Vec<Vec<f32>> = Vec::new();
+        let mut effects = Vec::new();
+        for run in runs {
+            let (numbers, own): (Vec<_>, Vec<_>) = of_equations(run).into_iter().unzip();
+            effects = numbers;
+            columns.resize(own.len(), Vec::new());
+            for (column, own) in columns.iter_mut().zip(own) {
+                column.extend(own);
+            }
+        }
+        let rows = columns.first().map_or(0, Vec::len);
+        let k = columns.len();
+        let whitened = Whitened::new(columns, rows);
+        let gram = whitened.gram(&vec![[0.0; 2]; rows / 2]);
+        Self {
+            columns: whitened.columns,
+            effects,
+            gram: gram.view((0, 0), (k, k)).into_owned(),
+            sizes: sizes(model),
+        }
+    }
+
+    /// Frees the innovations of `model` of it; the log determinant of `I + F F'`.
+    fn free(&self, model: &Model, white: &mut [f64]) -> f64 {
+        let now = sizes(model);
+        let share = |effect: &Option<usize>| match effect {
+            Some(effect) if self.sizes[*effect] > 0.0 => now[*effect] / self.sizes[*effect],
+            _ => 1.0,
+        };
+        let shares = DVector::from_iterator(self.effects.len(), self.effects.iter().map(share));
+        let scale = DMatrix::from_diagonal(&shares);
+        let eigen = (&scale * &self.gram * &scale).symmetric_eigen();
+        let of_one = |s: f64| {
+            if s > 1e-9 {
+                (1.0 - 1.0 / (1.0 + s).sqrt()) / s
+            } else {
+                0.0
+            }
+        };
+        let middle = DMatrix::from_diagonal(&eigen.eigenvalues.map(of_one));
+        let products = self.columns.iter().map(|column| {
+            let pairs = column.iter().zip(white.iter());
+            pairs.map(|(a, b)| f64::from(*a) * b).sum::<f64>()
+        });
+        let products = &scale * DVector::from_iterator(self.columns.len(), products);
+        let turned = eigen.eigenvectors.tr_mul(&products);
+        let weights = scale * &eigen.eigenvectors * (middle * turned);
+        for (column, weight) in self.columns.iter().zip(weights.iter()) {
+            for (white, value) in white.iter_mut().zip(column) {
+                *white -= weight * f64::from(*value);
+            }
+        }
+        eigen.eigenvalues.iter().map(|s| s.max(0.0).ln_1p()).sum()
+    }
 }
 
 impl<'a> Innovations<'a> {
@@ -136,9 +221,10 @@ impl<'a> Innovations<'a> {
         let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
         Self {
             model: model.clone(),
-            len: 2 * samples + free.len(),
+            len: 2 * samples + free.len() + 1,
             free,
             runs,
+            vague: None,
         }
     }
 
@@ -160,6 +246,7 @@ impl<'a> Innovations<'a> {
 impl Problem for Innovations<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let model = self.model_at(x);
+        let (out, priors) = out.split_at_mut(self.len - self.free.len() - 1);
         let mut cells = out.iter_mut();
         let mut white = Vec::new();
         for run in self.runs {
@@ -177,9 +264,11 @@ impl Problem for Innovations<'_> {
                 *cell = *value;
             }
         }
-        for (((_, unit), x), cell) in self.free.iter().zip(x).zip(cells) {
+        for (((_, unit), x), cell) in self.free.iter().zip(x).zip(&mut *priors) {
             *cell = unit.surprise(*x);
         }
+        let log_det = self.vague.as_ref().map_or(0.0, |vague| vague.free(&model, out));
+        priors[self.free.len()] = log_det.sqrt();
         true
     }
 
@@ -204,17 +293,41 @@ impl Problem for Innovations<'_> {
     }
 }
 
-/// Fits all that is free in `model` to runs that were followed with a model near it, with the noise found there; and the
-/// sum of the squares of what is left. `None` where it cannot be simulated.
-pub(super) fn fit(model: &Model, runs: &[Around<'_>]) -> Option<(Model, f64)> {
-    let problem = Innovations::new(model, runs);
+/// A model that was refitted.
+pub(super) struct Refit {
+    pub(super) model: Model,
+    /// Sum of the squares of what is left, of innovations that are white where the model is right.
+    pub(super) squares: f64,
+    /// Minus twice the log of the likelihood, but for what every model shares.
+    pub(super) deviance: f64,
+}
+
+/// Fits all that is free in `model` to runs, each followed with that model itself: what its effects and the stamps may be
+/// wrong by is no reproach to it, but counts for it neither. `None` where it cannot be simulated.
+pub(super) fn fit(model: &Model, runs: &[Around<'_>]) -> Option<Refit> {
+    let own: Vec<Around<'_>> = runs
+        .iter()
+        .map(|run| Around::new(model, run.scenario, run.start, run.noise))
+        .collect::<Option<_>>()?;
+    let mut problem = Innovations::new(model, &own);
+    problem.vague = Some(Vague::of(model, &own));
     let options = Options {
         relative_cost: 1e-4,
         carry_jacobian: true,
         ..Options::default()
     };
     let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
-    Some((problem.model_at(&minimum.x), minimum.cost))
+    let over_sd = own.iter().flat_map(|run| &run.follower.updates);
+    let over_sd = over_sd.flat_map(|update| [update.current[4], update.speed[4]]);
+    let logs: f64 = over_sd
+        .filter(|over_sd| *over_sd > 0.0)
+        .map(f64::ln)
+        .sum();
+    Some(Refit {
+        model: problem.model_at(&minimum.x),
+        squares: minimum.cost,
+        deviance: minimum.cost - 2.0 * logs,
+    })
 }
 
 /// What prediction errors say of a model's parameters on one run.
@@ -237,7 +350,7 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
     let fitted = problem.model_at(&minimum.x);
     let there = Around::new(&fitted, run.scenario, run.start, run.noise)?;
     let own = problem.free.len();
-    let rows = problem.len - own;
+    let rows = problem.len - own - 1;
     let slope = |parameter: usize| -> Vec<f32> {
         let column = minimum.jacobian.column(parameter);
         column
@@ -247,7 +360,7 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
             .collect()
     };
     let mut columns: Vec<Vec<f32>> = (0..own).map(slope).collect();
-    columns.extend(of_equations(&there));
+    columns.extend(of_equations(&there).into_iter().map(|(_, column)| column));
     let k = columns.len();
     let white = &there.followed.white;
     let products = Whitened::new(columns, rows).gram(white);
@@ -315,7 +428,7 @@ mod tests {
                 Around::new(&start, run, State::default(), noise).unwrap()
             })
             .collect();
-        fit(&start, &around).unwrap().0
+        fit(&start, &around).unwrap().model
     }
 
     #[test]

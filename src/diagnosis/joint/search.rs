@@ -11,7 +11,7 @@ use super::columns::{Around, Linear, linearise};
 use super::excess::excess;
 use super::follow::{Noise, wandering};
 use super::noise::likeliest;
-use super::prediction_error::fit;
+use super::prediction_error::{Refit, fit};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
@@ -164,8 +164,7 @@ fn names(linear: &Linear, set: &Set) -> Vec<&'static str> {
 
 /// A step towards the data: the model with one effect more, and what it leaves.
 struct Step {
-    model: Model,
-    squares: f64,
+    refit: Refit,
     candidate: usize,
 }
 
@@ -186,7 +185,7 @@ fn approach(
             break;
         }
         match best_step(&model, asked, &runs, FAR * rows) {
-            Some(step) if step.squares < WORTH_A_STEP * now => model = step.model,
+            Some(step) if step.refit.squares < WORTH_A_STEP * now => model = step.refit.model,
             _ => break,
         }
     }
@@ -228,15 +227,16 @@ fn best_step(
     let mut best: Option<Step> = None;
     let mut take = |candidate: usize, variant: usize| {
         let start = at_solution(model, &linear, &reduced, &with(candidate, variant))?;
-        let (model, squares) = fit(&start, runs)?;
-        if best.as_ref().is_none_or(|best| squares < best.squares) {
-            best = Some(Step {
-                model,
-                squares,
-                candidate,
-            });
+        let refit = fit(&start, runs)?;
+        if std::env::var("DBG").is_ok() { eprintln!("step {:?}: deviance {:.1}; squares {:.1}", refit.model.effect_ids(), refit.deviance, refit.squares); }
+        if best
+            .as_ref()
+            .is_none_or(|best| refit.deviance < best.refit.deviance)
+        {
+            best = Some(Step { refit, candidate });
         }
-        best.as_ref().map(|best| (best.candidate, best.squares))
+        best.as_ref()
+            .map(|best| (best.candidate, best.refit.squares))
     };
     let mut leads = None;
     for (_, candidate, variant) in &singles {
@@ -347,6 +347,8 @@ pub(super) fn search(
                 continue;
             }
         }
+        if std::env::var("DBG").is_ok() { eprintln!("round {round} model {:?} set {:?}", model.effects.iter().map(|a| (a.id(), a.values_or_guess())).collect::<Vec<_>>(), set);
+            if let Some(sol) = solution(&linear, &reduced, &posterior.best) { for (k, c) in linear.candidates.iter().enumerate() { if let Some(v) = posterior.best[k] { eprintln!("   {} {:?} units {:?}", c.id, c.variants[v].columns.iter().map(|x| sol[*x]).collect::<Vec<_>>(), c.variants[v].units); } } } }
         if stands || round + 1 == rounds {
             let excess = excess_of(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
@@ -373,12 +375,12 @@ pub(super) fn search(
         let start = at_solution(&model, &linear, &reduced, &posterior.best)?;
         let changes = start.effect_ids() != model.effect_ids();
         // What cannot be refitted stays as it was.
-        if let Some((next, left)) = fit(&start, &runs)
-            && (left < LOST * now || !changes)
+        if let Some(next) = fit(&start, &runs)
+            && (next.squares < LOST * now || !changes)
         {
             drop(reduced);
             drop(runs);
-            model = next;
+            model = next.model;
         }
     }
     None
@@ -454,15 +456,16 @@ impl Weighed<'_> {
             without[k] = None;
             let promised = whole - likelihood(&without);
             let (model, gained) = if candidate.in_model {
-                let (model, left) = fit(&self.model.without_effect(candidate.id).ok()?, self.runs)?;
-                (model, 0.5 * (left - base.1))
+                let left = fit(&self.model.without_effect(candidate.id).ok()?, self.runs)?;
+                (left.model, 0.5 * (left.deviance - base.deviance))
             } else {
                 let mut with = present(self.linear);
                 with[k] = best[k];
                 let start = at_solution(self.model, self.linear, self.reduced, &with)?;
                 (
                     self.model.clone(),
-                    fit(&start, self.runs).map_or(0.0, |with| 0.5 * (base.1 - with.1)),
+                    fit(&start, self.runs)
+                        .map_or(0.0, |with| 0.5 * (base.deviance - with.deviance)),
                 )
             };
             let odds = self.posterior.log_factor[k] - (promised - gained).max(0.0);
@@ -498,9 +501,10 @@ impl Weighed<'_> {
                 .effects
                 .retain(|active| !others.contains(&active.id()));
             let start = with_effect(&without, effect::find(simple)?, &[mean]);
-            let (_, rich) = fit(self.model, self.runs)?;
-            let (model, left) = fit(&start, self.runs)?;
-            (0.5 * (left - rich) < WORTH_A_SECOND).then_some(model)
+            let rich = fit(self.model, self.runs)?;
+            let left = fit(&start, self.runs)?;
+            if std::env::var("DBG").is_ok() { eprintln!("simpler {simple} for {others:?}: deviance {:.1} against {:.1}; squares {:.1} {:.1}", left.deviance, rich.deviance, left.squares, rich.squares); }
+            (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.model)
         })
     }
 }
