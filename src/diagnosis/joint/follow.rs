@@ -819,4 +819,36 @@ mod tests {
             assert!((a - b).abs() < 1e-9);
         }
     }
+
+    #[test]
+    fn what_a_hole_hides_acts_as_late_as_the_commands() {
+        let bare = Model::baseline(Motor::zk_22fc());
+        let mut scenario = record(&bare, vec![(0.0, 20.0)], 1e-3, 1.0, 3);
+        scenario.unknown_input = vec![crate::plant::UnknownInput {
+            from_s: 0.5,
+            to_s: 0.501,
+            lost_rows: 1,
+            mean: 20.0,
+            variance: 9.0,
+            restart: None,
+        }];
+        let noise = Noise {
+            current_a: CURRENT_NOISE_A,
+            speed_rad_s: SPEED_NOISE_RAD_S,
+            disturbance_n_m: 1e-6,
+            correlation_s: 0.5,
+            input: 1e-6,
+            sensors: 0.1,
+        };
+        let mut late = bare.with_effect("command_delay").unwrap();
+        late.effects[0].values = vec![Some(2e-3)];
+        for (model, begin_s) in [(bare, 0.5), (late, 0.502)] {
+            let filter = Filter::new(&model, &scenario, State::default(), &noise).unwrap();
+            for (from_s, unknown_v2) in [(0.0, 9.0), (-1e-3, 0.0), (1e-3, 0.0)] {
+                let from_s = begin_s + from_s;
+                let found = filter.holes_v2(from_s, from_s + 1e-3);
+                assert!((found - unknown_v2).abs() < 1e-6, "{from_s}: {found}");
+            }
+        }
+    }
 }

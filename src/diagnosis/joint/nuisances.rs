@@ -3,7 +3,8 @@
 use super::columns::{Around, SLAB, Source, active, columns_of};
 use super::tangent::{Tangent, Wave};
 use crate::plant::{
-    Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms, effect, typical_size,
+    Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms, effect,
+    typical_size,
 };
 
 /// Prior standard deviation of the logarithm of a motor's parameter.
@@ -18,8 +19,8 @@ const STAMP: f64 = 0.05;
 const OWN_STAMP: f64 = 0.01;
 /// What the form of an effect may differ from its equation by.
 const FORM: f64 = 0.1;
-/// Powers of its own size by which its form may go up more slowly or faster.
-const POWERS: [f64; 3] = [-0.5, 1.0, 2.0];
+/// Powers of its own size that its form may have beside itself.
+const POWERS: [f64; 2] = [1.0, 2.0];
 /// How many times more slowly than in its equation what has reached its level may build up, and how much of it may.
 const SLOWER: [f64; 3] = [2.0, 4.0, 8.0];
 const SLOW: f64 = 0.5;

@@ -228,7 +228,6 @@ fn best_step(
     let mut take = |candidate: usize, variant: usize| {
         let start = at_solution(model, &linear, &reduced, &with(candidate, variant))?;
         let refit = fit(&start, runs)?;
-        if std::env::var("DBG").is_ok() { eprintln!("step {:?}: deviance {:.1}; squares {:.1}", refit.model.effect_ids(), refit.deviance, refit.squares); }
         if best
             .as_ref()
             .is_none_or(|best| refit.deviance < best.refit.deviance)
@@ -347,8 +346,6 @@ pub(super) fn search(
                 continue;
             }
         }
-        if std::env::var("DBG").is_ok() { eprintln!("round {round} model {:?} set {:?}", model.effects.iter().map(|a| (a.id(), a.values_or_guess())).collect::<Vec<_>>(), set);
-            if let Some(sol) = solution(&linear, &reduced, &posterior.best) { for (k, c) in linear.candidates.iter().enumerate() { if let Some(v) = posterior.best[k] { eprintln!("   {} {:?} units {:?}", c.id, c.variants[v].columns.iter().map(|x| sol[*x]).collect::<Vec<_>>(), c.variants[v].units); } } } }
         if stands || round + 1 == rounds {
             let excess = excess_of(&linear, &reduced, &posterior.best, &runs);
             let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
@@ -419,12 +416,13 @@ fn keep_doubts(barred: &[Barred], linear: &Linear, posterior: &mut Posterior) {
     }
 }
 
-/// Pairs of effects that are one to first order: a command that comes late, and both signals that are read late.
-const LATE: (&str, [&str; 2], &str) = (
-    "command_delay",
-    ["speed_delay", "speed_filter"],
-    "current_filter",
-);
+/// Effects that are two others together to first order: a command that comes late and both signals that are read late, a
+/// current that is read wrongly and what that does to both equations.
+const ONE_FOR_TWO: &[(&str, [&str; 2])] = &[
+    ("command_delay", ["speed_delay", "current_filter"]),
+    ("command_delay", ["speed_filter", "current_filter"]),
+    ("current_offset", ["constant_load", "voltage_offset"]),
+];
 
 /// A drop of brushes, and that of gaps in the current: each fits what the other does to some degree.
 const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
@@ -481,29 +479,29 @@ impl Weighed<'_> {
     /// The model with a simple effect in the place of a richer one, or of two that it is alike to, where those are not
     /// clearly better.
     fn simpler(&self, given: &[&'static str]) -> Option<Model> {
-        let (one, firsts, second) = LATE;
-        let pairs = firsts.into_iter().map(|first| (one, vec![first, second]));
+        let pairs = ONE_FOR_TWO.iter().map(|(one, two)| (*one, two.to_vec()));
         let mut pairs = pairs.chain([(SIMPLE_FOR_RICH.0, vec![SIMPLE_FOR_RICH.1])]);
         pairs.find_map(|(simple, others)| {
             let open = |id: &&str| self.model.has(id) && !given.contains(id);
             if self.model.has(simple) || !others.iter().all(open) {
                 return None;
             }
-            let size = |id: &&str| {
-                let mut effects = self.model.effects.iter();
-                let values = effects.find(|active| active.id() == *id)?.values_or_guess();
-                values.first().copied()
+            let effect = effect::find(simple)?;
+            let unit = effect.parameters()[0].unit;
+            let size = |active: &ActiveEffect| {
+                let is_one = others.contains(&active.id());
+                let alike = is_one && active.effect.parameters()[0].unit == unit;
+                alike.then(|| active.values_or_guess()[0])
             };
-            let sizes: Vec<f64> = others.iter().filter_map(size).collect();
-            let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
+            let sizes: Vec<f64> = self.model.effects.iter().filter_map(size).collect();
+            let mean = sizes.iter().sum::<f64>() / sizes.len().max(1) as f64;
             let mut without = self.model.clone();
             without
                 .effects
                 .retain(|active| !others.contains(&active.id()));
-            let start = with_effect(&without, effect::find(simple)?, &[mean]);
+            let start = with_effect(&without, effect, &[mean]);
             let rich = fit(self.model, self.runs)?;
             let left = fit(&start, self.runs)?;
-            if std::env::var("DBG").is_ok() { eprintln!("simpler {simple} for {others:?}: deviance {:.1} against {:.1}; squares {:.1} {:.1}", left.deviance, rich.deviance, left.squares, rich.squares); }
             (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.model)
         })
     }
