@@ -190,6 +190,11 @@ impl Plant {
         let mut restarts = (scenario.unknown_input.iter())
             .filter_map(|hole| hole.restart.map(|measured| (hole.to_s, measured)))
             .peekable();
+        let late_s = self.equations.path.command_delay_s;
+        let mut shadows = (scenario.unknown_input.iter())
+            .filter(|hole| late_s > 0.0 && hole.restart.is_some())
+            .map(|hole| hole.to_s..hole.to_s + late_s)
+            .peekable();
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
         self.equations.set_supply(scenario.supply_v());
@@ -231,6 +236,14 @@ impl Plant {
             if self.equations.input != Input::Voltage {
                 let held = events.partition_point(|(time, _)| *time <= sample_s).max(1) - 1;
                 state.current_a = events[held].1;
+            }
+            // A late command of the hole acts until behind it: up to then nobody knows where the state goes.
+            if shadows.peek().is_some_and(|shadow| shadow.start < sample_s) {
+                self.take_over(
+                    &mut state,
+                    [scenario.current_a[sample], scenario.speed_rad_s[sample]],
+                );
+                shadows.next_if(|shadow| shadow.end <= sample_s);
             }
             let (current_a, speed_rad_s) = self
                 .sensors

@@ -44,6 +44,8 @@ pub(super) struct Told<'a> {
 /// Share of a period by which the time between rows may miss a multiple of it, and the share of rows that keep to it.
 const OFF_THE_GRID: f64 = 0.1;
 const NEARLY_ALL: f64 = 0.95;
+/// Rows up to which a step tells the period.
+const SHORT: f64 = 3.0;
 /// The same where rows are polled on a schedule, each a little late: share of a period by which a row may miss its place.
 const OFF_THE_SCHEDULE: f64 = 0.25;
 /// Share of rows that follow one period after the last one, at least.
@@ -121,8 +123,7 @@ fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
     if steps.len() < FEWEST_ROWS {
         return None;
     }
-    let period_s = median(&steps);
-    let multiples: Vec<f64> = steps.iter().map(|step| (step / period_s).round()).collect();
+    let (period_s, multiples) = schedule(&steps);
     let share = |count: usize| count as f64 / steps.len() as f64;
     let on_the_grid = (steps.iter().zip(&multiples))
         .filter(|(step, multiple)| (*step / period_s - *multiple).abs() <= OFF_THE_GRID)
@@ -155,6 +156,26 @@ fn lost_rows(told: &Told<'_>) -> Option<(f64, Vec<usize>)> {
         .iter()
         .map(|multiple| whole((multiple - 1.0).max(0.0)));
     Some((period_s, lost.collect()))
+}
+
+/// The period, and how many of it each step is. The median of polls that come late is that of steps a little too long, where
+/// some rows were lost: over a long hole it misses by a whole row. The mean of short steps does not.
+fn schedule(steps: &[f64]) -> (f64, Vec<f64>) {
+    let mut period_s = median(steps);
+    let rounded = |period_s: f64| -> Vec<f64> {
+        let multiple = |step: &f64| (step / period_s).round();
+        steps.iter().map(multiple).collect()
+    };
+    let multiples = rounded(period_s);
+    let short = steps.iter().zip(&multiples);
+    let short = short.filter(|(_, multiple)| (1.0..=SHORT).contains(*multiple));
+    let (length_s, rows) = short.fold((0.0, 0.0), |sum, (step, multiple)| {
+        (sum.0 + step, sum.1 + multiple)
+    });
+    if rows > 0.0 {
+        period_s = length_s / rows;
+    }
+    (period_s, rounded(period_s))
 }
 
 /// Rows that keep to the places of a schedule; `multiples` are the places between one row and the next.
@@ -466,6 +487,21 @@ mod tests {
         });
         let rows: usize = found.iter().map(|hole| hole.lost_rows).sum();
         assert_eq!(rows, 3000 - input.len());
+    }
+
+    #[test]
+    fn a_long_hole_among_late_polls_is_counted_to_the_row() {
+        let late = |row: usize| 1e-2 * (row as f64 + 0.3 * ((row * 7919) % 1000) as f64 / 1000.0);
+        let lost = |row: &usize| (row * 2741) % 97 < 10 || (500..541).contains(row);
+        let kept: Vec<usize> = (0..1200).filter(|row| !lost(row)).collect();
+        let steps: Vec<f64> = kept
+            .windows(2)
+            .map(|pair| late(pair[1]) - late(pair[0]))
+            .collect();
+        let (_, multiples) = schedule(&steps);
+        for (pair, multiple) in kept.windows(2).zip(multiples) {
+            assert_eq!(pair[1] - pair[0], whole(multiple), "row {}", pair[0]);
+        }
     }
 
     #[test]

@@ -1,12 +1,12 @@
 //! What the posterior says of each effect of the catalogue, and of what none of them explains.
 
 use super::asked::{prepared, why_not};
-use super::columns::Around;
+use super::columns::{Around, Candidate};
 use super::events::Event;
 use super::follow::{Noise, constants};
 use super::prediction_error::estimate;
 use super::search::{self, Found, Happened};
-use super::select::{Reduced, Set};
+use super::select::{Posterior, Reduced, Set};
 use crate::diagnosis::Evidence;
 use crate::diagnosis::candidates::{Onset, RunOf};
 use crate::diagnosis::evidence::HoldoutFrom;
@@ -33,6 +33,9 @@ const SETS: usize = 12;
 const NAMED: f64 = 0.5;
 /// The same for two together that cannot be told apart.
 const CERTAIN: f64 = 0.9;
+
+/// Share of the error from which on what follows an axis is a part of the answer.
+const LEAST_PART: f64 = 0.03;
 
 /// One effect.
 #[derive(Clone)]
@@ -262,21 +265,8 @@ pub(in crate::diagnosis) fn infer(
     let superfluous = given.into_iter().filter(is_gone).collect();
     let mut confusable = confusable.clone();
     confusable.retain(|pair| named.contains(&pair[0]));
-    let candidates = found.linear.candidates.iter();
-    let unknown = candidates
-        .zip(&found.posterior.probability)
-        .zip(&found.unknown_share)
-        .filter(|((candidate, p), _)| candidate.is_unknown() && **p > NAMED)
-        .map(|((candidate, p), share)| {
-            let (equation, follows) = axis(candidate.id);
-            Part {
-                equation,
-                follows,
-                probability: *p,
-                share: *share,
-            }
-        })
-        .collect();
+    let Posterior { probability, .. } = &found.posterior;
+    let unknown = unknown_parts(&found.linear.candidates, probability, &found.unknown_share);
     Ok(Inference {
         confusable,
         effects,
@@ -304,6 +294,26 @@ fn in_noise(rms: [f64; 2], noise: &NoiseFloor) -> f64 {
         .map(|(rms, level)| (rms / level).powi(2))
         .collect();
     (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+}
+
+/// The parts of the error that are unknown and no part too small to be one: what only bends the innovations, and takes
+/// nothing from the error of a free run, explains none of it.
+fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Part> {
+    let parts = candidates.iter().zip(probability).zip(shares);
+    parts
+        .filter(|((candidate, p), share)| {
+            candidate.is_unknown() && **p > NAMED && **share > LEAST_PART
+        })
+        .map(|((candidate, p), share)| {
+            let (equation, follows) = axis(candidate.id);
+            Part {
+                equation,
+                follows,
+                probability: *p,
+                share: *share,
+            }
+        })
+        .collect()
 }
 
 /// Growth of the error of a free run from which on a model is right only where it is led along the run.
@@ -578,4 +588,25 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
         }
     }
     pairs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_takes_nothing_from_the_error_is_no_part_of_it() {
+        let candidate = |id| Candidate {
+            id,
+            effect: None,
+            in_model: false,
+            log_odds: 0.0,
+            variants: vec![],
+            excludes: vec![],
+        };
+        let candidates = ["voltage over current", "torque over speed"].map(candidate);
+        let parts = unknown_parts(&candidates, &[1.0, 1.0], &[0.0, 0.4]);
+        let equations: Vec<&str> = parts.iter().map(|part| part.equation).collect();
+        assert_eq!(equations, ["torque"]);
+    }
 }

@@ -429,7 +429,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             present,
         );
     }
-    for source in bends(model, effect, &values) {
+    for source in bends(model, effect, &values, scenario) {
         form.column(source, NO_PARAMETER, 0.0, 0.0);
     }
     part.push(form);

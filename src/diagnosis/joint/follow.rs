@@ -325,8 +325,9 @@ struct Filter<'a> {
     last_speed: f64,
     /// Number of the command that holds.
     event: usize,
-    /// By how much the times of commands are not known, s.
+    /// By how much the times of commands are not known, and by how much the model's machine gets them later, s.
     edge_s: f64,
+    late_s: f64,
     /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
     hole_ends_s: Vec<f64>,
     holes_passed: usize,
@@ -363,11 +364,14 @@ impl<'a> Filter<'a> {
         } else {
             LONGEST_HOLD
         };
+        let forms = Forms::of(model, scenario);
+        let late_s = forms.terms.iter().map(|terms| terms.path().command_delay_s);
         Some(Self {
             scenario,
             noise,
             dynamics,
-            forms: Forms::of(model, scenario),
+            late_s: late_s.sum(),
+            forms,
             p,
             load_n_m: 0.0,
             input: 0.0,
@@ -411,11 +415,25 @@ impl<'a> Filter<'a> {
         let events = &self.scenario.events;
         let share = (self.edge_s / interval_s).min(1.0);
         let mut variance = 0.0;
-        while self.event + 1 < events.len() && events[self.event + 1].0 < time_s {
+        while self.event + 1 < events.len() && events[self.event + 1].0 + self.late_s < time_s {
             variance += ((events[self.event + 1].1 - events[self.event].1) * share).powi(2);
             self.event += 1;
         }
         variance
+    }
+
+    /// Mean square of what is not known of the mean voltage between two instants, V2: what a hole of the record hides acts as
+    /// late as the model's commands do, behind the hole still. Errors of two holes have nothing to do with each other.
+    fn holes_v2(&self, from_s: f64, to_s: f64) -> f64 {
+        let holes = &self.scenario.unknown_input;
+        let (from_s, to_s) = (from_s - self.late_s, to_s - self.late_s);
+        let first = holes.partition_point(|hole| hole.to_s <= from_s);
+        (holes[first..].iter())
+            .take_while(|hole| hole.from_s < to_s)
+            .fold(0.0, |sum, hole| {
+                let shared_s = hole.to_s.min(to_s) - hole.from_s.max(from_s);
+                sum + hole.variance * (shared_s / (to_s - from_s)).powi(2)
+            })
     }
 
     /// Goes to the time of `sample`, where the model is in `state`.
@@ -444,7 +462,7 @@ impl<'a> Filter<'a> {
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
-        let unknown_v2 = self.scenario.input_variance_v2(sample) + edges_v2;
+        let unknown_v2 = self.holes_v2(time_s - interval_s, time_s) + edges_v2;
         let fresh = if begins_again {
             // A signal whose noise is not known is not looked at.
             [self.noise.current_a, self.noise.speed_rad_s].map(|level| {
@@ -800,6 +818,38 @@ mod tests {
         ));
         for (a, b) in again.iter().flatten().zip(followed.white.iter().flatten()) {
             assert!((a - b).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn what_a_hole_hides_acts_as_late_as_the_commands() {
+        let bare = Model::baseline(Motor::zk_22fc());
+        let mut scenario = record(&bare, vec![(0.0, 20.0)], 1e-3, 1.0, 3);
+        scenario.unknown_input = vec![crate::plant::UnknownInput {
+            from_s: 0.5,
+            to_s: 0.501,
+            lost_rows: 1,
+            mean: 20.0,
+            variance: 9.0,
+            restart: None,
+        }];
+        let noise = Noise {
+            current_a: CURRENT_NOISE_A,
+            speed_rad_s: SPEED_NOISE_RAD_S,
+            disturbance_n_m: 1e-6,
+            correlation_s: 0.5,
+            input: 1e-6,
+            sensors: 0.1,
+        };
+        let mut late = bare.with_effect("command_delay").unwrap();
+        late.effects[0].values = vec![Some(2e-3)];
+        for (model, begin_s) in [(bare, 0.5), (late, 0.502)] {
+            let filter = Filter::new(&model, &scenario, State::default(), &noise).unwrap();
+            for (from_s, unknown_v2) in [(0.0, 9.0), (-1e-3, 0.0), (1e-3, 0.0)] {
+                let from_s = begin_s + from_s;
+                let found = filter.holes_v2(from_s, from_s + 1e-3);
+                assert!((found - unknown_v2).abs() < 1e-6, "{from_s}: {found}");
+            }
         }
     }
 }

@@ -2,7 +2,10 @@
 
 use super::columns::{Around, SLAB, Source, active, columns_of};
 use super::tangent::{Tangent, Wave};
-use crate::plant::{Effect, Input, Model, MotorKey, Scenario, Slot, effect, typical_size};
+use crate::plant::{
+    Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms, effect,
+    typical_size,
+};
 
 /// Prior standard deviation of the logarithm of a motor's parameter.
 const MOTOR: f64 = 0.3;
@@ -16,6 +19,14 @@ const STAMP: f64 = 0.05;
 const OWN_STAMP: f64 = 0.01;
 /// What the form of an effect may differ from its equation by.
 const FORM: f64 = 0.1;
+/// Powers of its own size that its form may have beside itself.
+const POWERS: [f64; 2] = [1.0, 2.0];
+/// How many times more slowly than in its equation what has reached its level may build up, and how much of it may.
+const SLOWER: [f64; 3] = [2.0, 4.0, 8.0];
+const SLOW: f64 = 0.5;
+/// Share of its level from which on it has been reached, and the share of the largest current where it has.
+const REACHED: f64 = 0.99;
+const SMALL: f64 = 0.1;
 
 /// What is known of a motor's parameter beforehand.
 pub(super) enum MotorPrior {
@@ -110,22 +121,44 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
 }
 
 /// What may be wrong with the equations of the model that a run is followed by, at one standard deviation each: its stamps,
-/// and the forms of its effects.
-pub(super) fn of_equations(run: &Around<'_>) -> Vec<Vec<f32>> {
-    let of_effects = run.model.effects.iter();
-    let forms =
-        of_effects.flat_map(|active| bends(&run.model, active.effect, &active.values_or_guess()));
-    let sources: Vec<Source> = stamps(&run.model, run.scenario).chain(forms).collect();
+/// and the forms of its effects; each with the number of its effect.
+pub(super) fn of_equations(run: &Around<'_>) -> Vec<(Option<usize>, Vec<f32>)> {
+    let of_effects = run.model.effects.iter().enumerate();
+    let forms = of_effects.flat_map(|(number, active)| {
+        let values = active.values_or_guess();
+        let forms = bends(&run.model, active.effect, &values, run.scenario);
+        forms.into_iter().map(move |form| (Some(number), form))
+    });
+    let stamps = stamps(&run.model, run.scenario).map(|stamp| (None, stamp));
+    let (numbers, sources): (Vec<Option<usize>>, Vec<Source>) = stamps.chain(forms).unzip();
     let sources: Vec<&Source> = sources.iter().collect();
     let columns = columns_of(&sources, std::slice::from_ref(run));
-    columns
-        .into_iter()
-        .flat_map(|whitened| whitened.columns)
-        .collect()
+    let columns = columns.into_iter().flat_map(|whitened| whitened.columns);
+    numbers.into_iter().zip(columns).collect()
+}
+
+/// Whether terms have reached a level by a small part of the run's currents, as a drop of brushes: in what range they build
+/// up is no part of their equation.
+fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
+    let currents = scenario.current_a.iter().filter(|value| value.is_finite());
+    let most_a = currents.fold(0.0_f64, |most, value| most.max(value.abs()));
+    let at = |current_a: f64| {
+        let at = Instant {
+            current_a,
+            ..Instant::default()
+        };
+        terms.voltage_v(&at, &[]).abs()
+    };
+    at(most_a) > 0.0 && at(SMALL * most_a) > REACHED * at(most_a)
 }
 
 /// Other forms of an effect of the model, each at one standard deviation.
-pub(super) fn bends(model: &Model, effect: &'static dyn Effect, values: &[f64]) -> Vec<Source> {
+pub(super) fn bends(
+    model: &Model,
+    effect: &'static dyn Effect,
+    values: &[f64],
+    scenario: &Scenario,
+) -> Vec<Source> {
     let mut bends = Vec::new();
     let specs = effect.parameters();
     let terms = effect.terms(values);
@@ -162,13 +195,21 @@ pub(super) fn bends(model: &Model, effect: &'static dyn Effect, values: &[f64]) 
         && path.measures_directly()
         && !path.delays_command()
     {
-        for power in [1, 2] {
-            let bent = Tangent::Bent {
+        let bent = |power| Tangent::Bent {
+            terms: effect.terms(values),
+            power,
+            share: FORM,
+        };
+        // What stands at its level is the same to any power.
+        if !has_a_level(&*terms, scenario) {
+            bends.extend(POWERS.map(bent).map(Source::Tangent));
+        } else if specs.iter().all(ParameterSpec::is_coefficient) {
+            let slow = |factor| Tangent::Slow {
                 terms: effect.terms(values),
-                power,
-                share: FORM,
+                factor,
+                share: SLOW,
             };
-            bends.push(Source::Tangent(bent));
+            bends.extend(SLOWER.map(slow).map(Source::Tangent));
         }
     }
     bends

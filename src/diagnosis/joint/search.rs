@@ -12,7 +12,7 @@ use super::events::{self, Event, Hypothesis, Moment};
 use super::excess::excess;
 use super::follow::{Noise, wandering};
 use super::noise::likeliest;
-use super::prediction_error::fit;
+use super::prediction_error::{Refit, fit};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
@@ -272,8 +272,7 @@ fn names(linear: &Linear, set: &Set) -> Vec<(&'static str, Vec<usize>)> {
 
 /// A step towards the data: the model with one effect more, and what it leaves.
 struct Step {
-    hypothesis: Hypothesis,
-    squares: f64,
+    refit: Refit,
     candidate: usize,
 }
 
@@ -294,7 +293,9 @@ fn approach(
             break;
         }
         match best_step(&hypothesis, asked, &runs, FAR * rows) {
-            Some(step) if step.squares < WORTH_A_STEP * now => hypothesis = step.hypothesis,
+            Some(step) if step.refit.squares < WORTH_A_STEP * now => {
+                hypothesis = step.refit.hypothesis;
+            }
             _ => break,
         }
     }
@@ -346,15 +347,15 @@ fn best_step(
     let mut take = |candidate: usize, variant: usize| {
         let set = with(candidate, variant);
         let start = placed(hypothesis, &linear, &reduced, &set, runs)?;
-        let (hypothesis, squares) = fit(&start, runs)?;
-        if best.as_ref().is_none_or(|best| squares < best.squares) {
-            best = Some(Step {
-                hypothesis,
-                squares,
-                candidate,
-            });
+        let refit = fit(&start, runs)?;
+        if best
+            .as_ref()
+            .is_none_or(|best| refit.deviance < best.refit.deviance)
+        {
+            best = Some(Step { refit, candidate });
         }
-        best.as_ref().map(|best| (best.candidate, best.squares))
+        best.as_ref()
+            .map(|best| (best.candidate, best.refit.squares))
     };
     let mut leads = None;
     for (_, candidate, variant) in &singles {
@@ -509,12 +510,12 @@ pub(super) fn search(
         let now = squares(&runs);
         let changes = start.ids() != hypothesis.ids();
         // What cannot be refitted stays as it was.
-        if let Some((next, left)) = fit(&start, &runs)
-            && (left < LOST * now || !changes)
+        if let Some(next) = fit(&start, &runs)
+            && (next.squares < LOST * now || !changes)
         {
             drop(reduced);
             drop(runs);
-            hypothesis = next;
+            hypothesis = next.hypothesis;
         }
     }
     None
@@ -562,12 +563,13 @@ fn keep_doubts(barred: &[Barred], linear: &Linear, posterior: &mut Posterior) {
     }
 }
 
-/// Pairs of effects that are one to first order: a command that comes late, and both signals that are read late.
-const LATE: (&str, [&str; 2], &str) = (
-    "command_delay",
-    ["speed_delay", "speed_filter"],
-    "current_filter",
-);
+/// Effects that are two others together to first order: a command that comes late and both signals that are read late, a
+/// current that is read wrongly and what that does to both equations.
+const ONE_FOR_TWO: &[(&str, [&str; 2])] = &[
+    ("command_delay", ["speed_delay", "current_filter"]),
+    ("command_delay", ["speed_filter", "current_filter"]),
+    ("current_offset", ["constant_load", "voltage_offset"]),
+];
 
 /// A drop of brushes, and that of gaps in the current: each fits what the other does to some degree.
 const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
@@ -599,8 +601,8 @@ impl Weighed<'_> {
             without[k] = None;
             let promised = whole - likelihood(&without);
             let (left, gained) = if candidate.in_model {
-                let (left, squares) = fit(&self.hypothesis.without(candidate.id), self.runs)?;
-                (left, 0.5 * (squares - base.1))
+                let left = fit(&self.hypothesis.without(candidate.id), self.runs)?;
+                (left.hypothesis, 0.5 * (left.deviance - base.deviance))
             } else {
                 let mut with = present(self.linear);
                 with[k] = best[k];
@@ -608,7 +610,8 @@ impl Weighed<'_> {
                 let start = placed(self.hypothesis, linear, reduced, &with, self.runs)?;
                 (
                     self.hypothesis.clone(),
-                    fit(&start, self.runs).map_or(0.0, |with| 0.5 * (base.1 - with.1)),
+                    fit(&start, self.runs)
+                        .map_or(0.0, |with| 0.5 * (base.deviance - with.deviance)),
                 )
             };
             let odds = self.posterior.log_factor[k] - (promised - gained).max(0.0);
@@ -625,28 +628,29 @@ impl Weighed<'_> {
     /// clearly better.
     fn simpler(&self, given: &[&'static str]) -> Option<Hypothesis> {
         let there = &self.hypothesis.model;
-        let (one, firsts, second) = LATE;
-        let pairs = firsts.into_iter().map(|first| (one, vec![first, second]));
+        let pairs = ONE_FOR_TWO.iter().map(|(one, two)| (*one, two.to_vec()));
         let mut pairs = pairs.chain([(SIMPLE_FOR_RICH.0, vec![SIMPLE_FOR_RICH.1])]);
         pairs.find_map(|(simple, others)| {
             let open = |id: &&str| there.has(id) && !given.contains(id);
             if there.has(simple) || !others.iter().all(open) {
                 return None;
             }
-            let size = |id: &&str| {
-                let mut effects = there.effects.iter();
-                let values = effects.find(|active| active.id() == *id)?.values_or_guess();
-                values.first().copied()
+            let effect = effect::find(simple)?;
+            let unit = effect.parameters()[0].unit;
+            let size = |active: &ActiveEffect| {
+                let is_one = others.contains(&active.id());
+                let alike = is_one && active.effect.parameters()[0].unit == unit;
+                alike.then(|| active.values_or_guess()[0])
             };
-            let sizes: Vec<f64> = others.iter().filter_map(size).collect();
-            let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
+            let sizes: Vec<f64> = there.effects.iter().filter_map(size).collect();
+            let mean = sizes.iter().sum::<f64>() / sizes.len().max(1) as f64;
             let mut start = self.hypothesis.clone();
             let kept = |active: &ActiveEffect| !others.contains(&active.id());
             start.model.effects.retain(kept);
-            start.model = with_effect(&start.model, effect::find(simple)?, &[mean]);
-            let (_, rich) = fit(self.hypothesis, self.runs)?;
-            let (found, left) = fit(&start, self.runs)?;
-            (0.5 * (left - rich) < WORTH_A_SECOND).then_some(found)
+            start.model = with_effect(&start.model, effect, &[mean]);
+            let rich = fit(self.hypothesis, self.runs)?;
+            let left = fit(&start, self.runs)?;
+            (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.hypothesis)
         })
     }
 }

@@ -159,7 +159,13 @@ pub(super) enum Tangent {
     /// Terms times a power of their own size: another form of the same effect.
     Bent {
         terms: Box<dyn Terms>,
-        power: i32,
+        power: f64,
+        share: f64,
+    },
+    /// What terms would do beside themselves if they built up more slowly, by this factor of current and speed.
+    Slow {
+        terms: Box<dyn Terms>,
+        factor: f64,
         share: f64,
     },
     Wave(Wave),
@@ -253,10 +259,10 @@ impl<'a> Traveller<'a> {
         sums
     }
 
-    fn bent(&self, sums: &Sums, power: i32, share: f64) -> Sums {
+    fn bent(&self, sums: &Sums, power: f64, share: f64) -> Sums {
         let bend = |value: f64, most: f64| {
-            if most > 0.0 {
-                share * value * (value / most).abs().powi(power)
+            if value != 0.0 && most > 0.0 {
+                share * value * (value / most).abs().powf(power)
             } else {
                 0.0
             }
@@ -436,6 +442,27 @@ fn force(
         } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let sums = traveller.bent(&terms.sums(at, &[]), *power, *share);
+                put(k, of(&sums, passage.direction, 0.0, 0.0));
+            }
+        }
+        Tangent::Slow {
+            terms,
+            factor,
+            share,
+        } => {
+            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
+                let slow = Instant {
+                    current_a: at.current_a / factor,
+                    speed_rad_s: at.speed_rad_s / factor,
+                    ..*at
+                };
+                let (slow, own) = (terms.sums(&slow, &[]), terms.sums(at, &[]));
+                let sums = Sums {
+                    voltage_v: share * (slow.voltage_v - own.voltage_v),
+                    torque_n_m: share * (slow.torque_n_m - own.torque_n_m),
+                    friction_n_m: share * (slow.friction_n_m - own.friction_n_m),
+                    ..Sums::default()
+                };
                 put(k, of(&sums, passage.direction, 0.0, 0.0));
             }
         }
