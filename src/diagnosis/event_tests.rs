@@ -140,19 +140,33 @@ fn waiting(levels: &[f64], delay_s: f64, seed: u64) -> Scenario {
     }
 }
 
+/// The same where it starts from rest once.
+fn late(shift: usize, delay_s: f64, seed: u64) -> Scenario {
+    let asked = lively(&nameplate(), shift, seed).events;
+    let begin_s = asked[1].0 + delay_s;
+    let held = asked.iter().rfind(|event| event.0 <= begin_s).unwrap().1;
+    let behind = asked.iter().filter(|event| event.0 > begin_s).copied();
+    let came = [(0.0, 0.0), (begin_s, held)].into_iter().chain(behind);
+    let run = testing::record(&nameplate(), came.collect(), PERIOD_S, 7.5, seed);
+    Scenario {
+        events: asked,
+        ..run
+    }
+}
+
 #[test]
-fn a_drive_that_lets_each_start_wait_is_told_from_a_shaft_that_sticks() {
-    let both = |fit: &[f64], holdout: &[f64]| {
-        let holdout = waiting(holdout, 0.25, 2);
-        Evidence::new(waiting(fit, 0.25, 1), Some(holdout), None)
-    };
-    for (data, name) in [
+fn a_drive_that_lets_each_start_wait_is_told_from_one_that_begins_late() {
+    let each = [40.0, 70.0, -50.0, 25.0];
+    let other = [60.0, -30.0, 80.0, 45.0];
+    for (fit, holdout, name) in [
         (
-            both(&[40.0, 70.0, -50.0, 25.0], &[60.0, -30.0, 80.0, 45.0]),
+            waiting(&each, 0.25, 1),
+            waiting(&other, 0.25, 2),
             "restart_delay",
         ),
-        (both(&[60.0], &[45.0]), "start_delay"),
+        (late(0, 0.25, 3), late(1, 0.25, 4), "start_delay"),
     ] {
+        let data = Evidence::new(fit, Some(holdout), None);
         let found = diagnose(&nameplate(), data.clone(), false).unwrap();
         assert_eq!(found.effects, [name], "{}", found.sentence);
         let delay = &found.candidates[0].parameters[0];

@@ -41,6 +41,13 @@ pub(super) fn why_no_regressor(
         speed_rad_s: 1.0,
         ..Instant::of(motor)
     };
+    let later = Instant {
+        time_s: f64::MAX,
+        ..somewhere
+    };
+    if terms.inertia_gain(&later) != 0.0 {
+        return Some("it changes the inertia, which the balance takes as constant");
+    }
     let sums = terms.sums(&somewhere, &[]);
     if sums.current_rate_gain != 0.0 {
         return Some("it changes the inductance, which the balance takes as constant");

@@ -30,8 +30,11 @@ const LEAD_S: f64 = 0.4;
 const PAIRED: usize = 4;
 /// Moments on either side of the one that is looked for more finely, and how much finer they lie each time.
 const AROUND: i32 = 8;
+/// Parts of a run on either side within which it is looked for: linearised far from the data it was put wrong by more than
+/// one.
+const WIDE: f64 = 4.0;
 /// Levels of looking more finely.
-const LEVELS: usize = 4;
+const LEVELS: usize = 5;
 /// Periods of a run by which an event may still move.
 const STAYS: f64 = 1.5;
 /// Fall of the log likelihood at the ends of a 95 % interval.
@@ -491,7 +494,7 @@ impl Search<'_> {
         let end_s = times[times.len() - 1] - self.run.scenario.begin_s();
         let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
         let spacing_s = spacing_s(self.run, self.event.id());
-        let mut step_s = spacing_s / f64::from(AROUND);
+        let mut step_s = WIDE * spacing_s / f64::from(AROUND);
         let mut best_s = self.event.time_s();
         let mut seen: Vec<(f64, f64)> = Vec::new();
         for _ in 0..LEVELS {

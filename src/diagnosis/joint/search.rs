@@ -38,6 +38,8 @@ const MOST_ROUNDS: usize = 10;
 /// The same where a torque drives: all is linear there, and what does not settle is not in the catalogue.
 const MOST_ROUNDS_BY_TORQUE: usize = 5;
 const NOISE_ROUNDS: usize = 3;
+/// Rounds that are spent because an event was found at another moment.
+const MOST_MOVES: usize = 3;
 /// Changes of the logarithms of disturbance and of the input's error that ask for another linearisation.
 const SAME_DISTURBANCE: f64 = 0.2;
 const SAME_INPUT: f64 = 0.3;
@@ -420,6 +422,7 @@ pub(super) fn search(
     let mut seen: Vec<Vec<(&'static str, Vec<usize>)>> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
     let mut replaced = false;
+    let mut moves = 0;
     let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
@@ -452,7 +455,8 @@ pub(super) fn search(
         }
         let set = names(&linear, &posterior.best);
         let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
-        let stays = start.events_stay(&hypothesis, scenarios);
+        let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
+        moves += usize::from(!stays);
         let stands = stays
             && (seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set);
         // Where a torque drives, the balance of torques has the last word instead.

@@ -106,6 +106,7 @@ fn is_of_this_instant(terms: &dyn Terms) -> bool {
     let (here, there) = (terms.sums(&here, &[]), terms.sums(&there, &[]));
     let same = |one: f64, other: f64| (one - other).abs() <= 1e-12 * one.abs();
     here.current_rate_gain == 0.0
+        && there.inertia_gain == 0.0
         && same(here.voltage_v, there.voltage_v)
         && same(here.torque_n_m, there.torque_n_m)
         && same(here.friction_n_m, there.friction_n_m)
