@@ -11,7 +11,7 @@ use super::columns::{Around, Linear, linearise};
 use super::excess::excess;
 use super::follow::{Noise, wandering};
 use super::noise::likeliest;
-use super::prediction_error::{Refit, fit};
+use super::prediction_error::{fit, fit_as_followed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
@@ -164,7 +164,8 @@ fn names(linear: &Linear, set: &Set) -> Vec<&'static str> {
 
 /// A step towards the data: the model with one effect more, and what it leaves.
 struct Step {
-    refit: Refit,
+    model: Model,
+    squares: f64,
     candidate: usize,
 }
 
@@ -185,7 +186,7 @@ fn approach(
             break;
         }
         match best_step(&model, asked, &runs, FAR * rows) {
-            Some(step) if step.refit.squares < WORTH_A_STEP * now => model = step.refit.model,
+            Some(step) if step.squares < WORTH_A_STEP * now => model = step.model,
             _ => break,
         }
     }
@@ -227,15 +228,16 @@ fn best_step(
     let mut best: Option<Step> = None;
     let mut take = |candidate: usize, variant: usize| {
         let start = at_solution(model, &linear, &reduced, &with(candidate, variant))?;
-        let refit = fit(&start, runs)?;
-        if best
-            .as_ref()
-            .is_none_or(|best| refit.deviance < best.refit.deviance)
-        {
-            best = Some(Step { refit, candidate });
+        // Far from the data a wider error of form would be the likelier: all are held against the same noise.
+        let (model, squares) = fit_as_followed(&start, runs)?;
+        if best.as_ref().is_none_or(|best| squares < best.squares) {
+            best = Some(Step {
+                model,
+                squares,
+                candidate,
+            });
         }
-        best.as_ref()
-            .map(|best| (best.candidate, best.refit.squares))
+        best.as_ref().map(|best| (best.candidate, best.squares))
     };
     let mut leads = None;
     for (_, candidate, variant) in &singles {
