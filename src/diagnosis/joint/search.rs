@@ -17,7 +17,9 @@ use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event, Progress};
 use crate::numerics::count::whole;
-use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect};
+use crate::plant::{
+    ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect, typical_size,
+};
 
 /// Mean square of the innovations above which a linear solution is not believed.
 const FAR: f64 = 3.0;
@@ -496,12 +498,16 @@ impl Weighed<'_> {
                 alike.then(|| active.values_or_guess()[0])
             };
             let sizes: Vec<f64> = self.model.effects.iter().filter_map(size).collect();
-            let mean = sizes.iter().sum::<f64>() / sizes.len().max(1) as f64;
+            let begin = if sizes.is_empty() {
+                typical_size(effect, 0, self.model, self.runs[0].scenario)
+            } else {
+                sizes.iter().sum::<f64>() / sizes.len() as f64
+            };
             let mut without = self.model.clone();
             without
                 .effects
                 .retain(|active| !others.contains(&active.id()));
-            let start = with_effect(&without, effect, &[mean]);
+            let start = with_effect(&without, effect, &[begin]);
             let rich = fit(self.model, self.runs)?;
             let left = fit(&start, self.runs)?;
             (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.model)
