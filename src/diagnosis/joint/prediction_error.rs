@@ -337,6 +337,15 @@ impl Problem for Innovations<'_> {
     }
 }
 
+/// Of a refit only its likelihood is asked.
+const QUICK: Options = Options {
+    most_iterations: 25,
+    relative_cost: 1e-4,
+    longest_step: 1.5,
+    carry_jacobian: true,
+    one_of_many: false,
+};
+
 /// A hypothesis that was refitted.
 pub(super) struct Refit {
     pub(super) hypothesis: Hypothesis,
@@ -344,6 +353,17 @@ pub(super) struct Refit {
     pub(super) squares: f64,
     /// Minus twice the log of the likelihood, but for what every model shares.
     pub(super) deviance: f64,
+}
+
+/// Fits all that is free but the moments of events to runs as they were followed, with another model it may be; and the sum
+/// of the squares of what is left. `None` where it cannot be simulated.
+pub(super) fn fit_as_followed(
+    start: &Hypothesis,
+    runs: &[Around<'_>],
+) -> Option<(Hypothesis, f64)> {
+    let problem = Innovations::new(start, runs);
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), QUICK)?;
+    Some((problem.hypothesis_at(&minimum.x), minimum.cost))
 }
 
 /// Fits all that is free but the moments of events to runs, each followed with the start itself: what its effects and the
@@ -359,12 +379,7 @@ pub(super) fn fit(start: &Hypothesis, runs: &[Around<'_>]) -> Option<Refit> {
         .collect::<Option<_>>()?;
     let mut problem = Innovations::new(start, &own);
     problem.vague = Some(Vague::of(&start.model, &own));
-    let options = Options {
-        relative_cost: 1e-4,
-        carry_jacobian: true,
-        ..Options::default()
-    };
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), QUICK)?;
     let over_sd = own.iter().flat_map(|run| &run.follower.updates);
     let over_sd = over_sd.flat_map(|update| [update.current[4], update.speed[4]]);
     let logs: f64 = over_sd.filter(|over_sd| *over_sd > 0.0).map(f64::ln).sum();

@@ -12,13 +12,15 @@ use super::events::{self, Event, Hypothesis, Moment};
 use super::excess::excess;
 use super::follow::{Noise, wandering};
 use super::noise::likeliest;
-use super::prediction_error::{Refit, fit};
+use super::prediction_error::{fit, fit_as_followed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event as Notice, Progress};
 use crate::numerics::count::whole;
-use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect};
+use crate::plant::{
+    ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect, typical_size,
+};
 
 /// Mean square of the innovations above which a linear solution is not believed.
 const FAR: f64 = 3.0;
@@ -274,7 +276,8 @@ fn names(linear: &Linear, set: &Set) -> Vec<(&'static str, Vec<usize>)> {
 
 /// A step towards the data: the model with one effect more, and what it leaves.
 struct Step {
-    refit: Refit,
+    hypothesis: Hypothesis,
+    squares: f64,
     candidate: usize,
 }
 
@@ -295,9 +298,7 @@ fn approach(
             break;
         }
         match best_step(&hypothesis, asked, &runs, FAR * rows) {
-            Some(step) if step.refit.squares < WORTH_A_STEP * now => {
-                hypothesis = step.refit.hypothesis;
-            }
+            Some(step) if step.squares < WORTH_A_STEP * now => hypothesis = step.hypothesis,
             _ => break,
         }
     }
@@ -349,15 +350,16 @@ fn best_step(
     let mut take = |candidate: usize, variant: usize| {
         let set = with(candidate, variant);
         let start = placed(hypothesis, &linear, &reduced, &set, runs)?;
-        let refit = fit(&start, runs)?;
-        if best
-            .as_ref()
-            .is_none_or(|best| refit.deviance < best.refit.deviance)
-        {
-            best = Some(Step { refit, candidate });
+        // Far from the data a wider error of form would be the likelier: all are held against the same noise.
+        let (hypothesis, squares) = fit_as_followed(&start, runs)?;
+        if best.as_ref().is_none_or(|best| squares < best.squares) {
+            best = Some(Step {
+                hypothesis,
+                squares,
+                candidate,
+            });
         }
-        best.as_ref()
-            .map(|best| (best.candidate, best.refit.squares))
+        best.as_ref().map(|best| (best.candidate, best.squares))
     };
     let mut leads = None;
     for (_, candidate, variant) in &singles {
@@ -647,11 +649,15 @@ impl Weighed<'_> {
                 alike.then(|| active.values_or_guess()[0])
             };
             let sizes: Vec<f64> = there.effects.iter().filter_map(size).collect();
-            let mean = sizes.iter().sum::<f64>() / sizes.len().max(1) as f64;
+            let begin = if sizes.is_empty() {
+                typical_size(effect, 0, there, self.runs[0].scenario)
+            } else {
+                sizes.iter().sum::<f64>() / sizes.len() as f64
+            };
             let mut start = self.hypothesis.clone();
             let kept = |active: &ActiveEffect| !others.contains(&active.id());
             start.model.effects.retain(kept);
-            start.model = with_effect(&start.model, effect, &[mean]);
+            start.model = with_effect(&start.model, effect, &[begin]);
             let rich = fit(self.hypothesis, self.runs)?;
             let left = fit(&start, self.runs)?;
             (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.hypothesis)
