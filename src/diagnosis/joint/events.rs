@@ -37,6 +37,8 @@ const WIDE: f64 = 4.0;
 const LEVELS: usize = 5;
 /// Periods of a run by which an event may still move.
 const STAYS: f64 = 1.5;
+/// Part of a period below which moments are not told apart.
+const FINE: f64 = 0.25;
 /// Fall of the log likelihood at the ends of a 95 % interval.
 const INTERVAL: f64 = 1.92;
 
@@ -505,7 +507,7 @@ impl Search<'_> {
             seen.extend(tried.iter().copied().zip(self.gains(&tried)));
             let likeliest = seen.iter().max_by(|a, b| a.1.total_cmp(&b.1));
             best_s = likeliest.map_or(best_s, |seen| seen.0);
-            if step_s < period_s {
+            if step_s < FINE * period_s {
                 break;
             }
             step_s *= 2.0 / f64::from(AROUND);

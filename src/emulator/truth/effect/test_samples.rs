@@ -48,7 +48,7 @@ pub(in crate::emulator) fn one_of_each() -> Vec<HiddenEffect> {
         }),
         H::OneSidedLoad(OneSidedLoad {
             load_n_m: 0.1,
-            time_s: 0.6,
+            time_s: 0.4,
         }),
         H::FrictionOnset(FrictionOnset {
             viscous_n_m_s_per_rad: 4e-4,
