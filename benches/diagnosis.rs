@@ -51,7 +51,7 @@ fn diagnosed(criterion: &mut Criterion) {
         .measurement_time(Duration::from_secs(8));
     for (name, evidence) in cases() {
         group.bench_function(name, |bencher| {
-            bencher.iter(|| diagnose(&nameplate(), black_box(evidence.clone()), false));
+            bencher.iter(|| diagnose(&nameplate(), black_box(evidence.clone())));
         });
     }
     group.finish();

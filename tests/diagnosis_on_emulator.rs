@@ -96,7 +96,7 @@ fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
         holdout: runs[2].clone(),
         ..evidence.clone()
     };
-    let found = diagnose(&nameplate, evidence, true).unwrap();
+    let found = diagnose(&nameplate, evidence).unwrap();
     let Some(effect) = effect else {
         assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
         return;

@@ -158,7 +158,7 @@ struct Row {
 fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
     let machine = 0;
     let plain = evidence(&[], machine);
-    let without = diagnose(&nameplate(), plain.clone(), false).unwrap();
+    let without = diagnose(&nameplate(), plain.clone()).unwrap();
     println!("no dose: {} {:?}", without.sentence, without.confusable);
     let multiples: &[f64] = if is_quick() {
         &FEW_MULTIPLES
@@ -186,7 +186,7 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
                     size,
                     value,
                     std,
-                    found: diagnose(&nameplate(), data, false).unwrap(),
+                    found: diagnose(&nameplate(), data).unwrap(),
                 }
             })
             .collect();
@@ -268,14 +268,14 @@ fn halves_and_a_fifth_of_the_floor_do_not_change_the_name() {
                     failures.push(format!("{}, {what}: {}", dose.id, found.sentence));
                 }
             };
-            let halves = diagnose(&nameplate(), swapped(&data), false).unwrap();
+            let halves = diagnose(&nameplate(), swapped(&data)).unwrap();
             judge("other half", &halves);
             for floor in turned {
                 let mut data = data.clone();
                 data.noise.current_a *= floor;
                 data.noise.speed_rad_s *= floor;
                 let what = format!("noise floor x {floor}");
-                judge(&what, &diagnose(&nameplate(), data, false).unwrap());
+                judge(&what, &diagnose(&nameplate(), data).unwrap());
             }
             let (one, one_std) = size_of(dose.id, &nameplate(), &data);
             let (two, two_std) = size_of(dose.id, &nameplate(), &swapped(&data));
@@ -363,7 +363,7 @@ fn doses_in_the_runs_of_another_simulator_are_found() {
                 }
                 let (found, std) = size_of(id, &nameplate(), &given);
                 let expected = natural + dose * unit;
-                let named = diagnose(&nameplate(), given, false).unwrap();
+                let named = diagnose(&nameplate(), given).unwrap();
                 println!(
                     "{id} x {dose}: {found:.4e} +- {std:.1e}, expected {expected:.4e}; {:?} {:?}",
                     named.verdict, named.effects

@@ -304,7 +304,7 @@ mod tests {
     /// A motor with a fan, which is not in the model; at rest for long enough to know the noise.
     fn discovery() -> Discovery {
         let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
-        Discovery::new(Model::baseline(Motor::zk_22fc()), evidence, false)
+        Discovery::new(Model::baseline(Motor::zk_22fc()), evidence)
     }
 
     #[test]

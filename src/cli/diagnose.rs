@@ -10,7 +10,7 @@ use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
 use super::{output, pages, progress, signals};
-use crate::diagnosis::{Candidate, Diagnosis, Options, Peak, Reached, Status, diagnose_with};
+use crate::diagnosis::{Candidate, Diagnosis, Peak, Reached, Status, diagnose_with};
 use crate::plant::effect::Axis;
 use crate::report::number::{significant, with_std};
 use crate::sample::ParameterEstimate;
@@ -34,7 +34,7 @@ pub(super) struct Arguments {
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Go on adding effects until the error is at the noise floor or nothing more pays
+    /// Name every effect that the runs ask for; so it is without this, too, which scripts may go on giving
     #[arg(long)]
     until_floor: bool,
     #[command(flatten)]
@@ -102,8 +102,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             output: on_screen.output.clone(),
         };
         let evidence = prepared.evidence.clone();
-        let discovery = Discovery::new(original.clone(), evidence, arguments.until_floor)
-            .with_limits(place.limits());
+        let discovery = Discovery::new(original.clone(), evidence).with_limits(place.limits());
         let left = discovery::show(discovery, shown)?;
         attended = Some((signals::endable()?, progress::begin("diagnose")));
         // Asked only now: from here on a signal ends the program by itself.
@@ -116,11 +115,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             .diagnosis
             .ok_or_else(|| Failure::new(INTERRUPTED, "left before there was an answer"))?
     } else {
-        let options = Options {
-            until_floor: arguments.until_floor,
-            progress: &progress::diagnosis,
-        };
-        diagnose_with(&original, prepared.evidence.clone(), options)?
+        diagnose_with(&original, prepared.evidence.clone(), &progress::diagnosis)?
     };
     if let Some(next) = known_next {
         place.take_over(&mut diagnosis, next);

@@ -169,7 +169,7 @@ mod tests {
     fn a_named_effect_is_confirmed_where_it_is_and_not_where_it_is_not() {
         let fan = truth("quadratic_load", &[2e-6]);
         let data = evidence(&fan, 1);
-        let there = diagnose(&nameplate(), data.clone(), false).unwrap();
+        let there = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(there.effects, ["quadratic_load"]);
         let found = confirmed(&there);
         assert_eq!(found.confirmed, Some(true), "{}", found.sentence);
@@ -179,7 +179,7 @@ mod tests {
         // The fan was taken off for the third run: the same answer, since that run has no part in it, and no confirmation.
         let mut off = data;
         off.confirm = Some(record(&nameplate(), 2, 77));
-        let elsewhere = diagnose(&nameplate(), off, false).unwrap();
+        let elsewhere = diagnose(&nameplate(), off).unwrap();
         assert_eq!(elsewhere.effects, there.effects);
         assert!((elsewhere.holdout_after - there.holdout_after).abs() < 1e-12);
         let found = confirmed(&elsewhere);
@@ -190,12 +190,12 @@ mod tests {
     #[test]
     fn that_nothing_is_missing_is_confirmed_only_where_the_error_is_at_the_floor() {
         let mut data = evidence(&nameplate(), 2);
-        let nothing = diagnose(&nameplate(), data.clone(), false).unwrap();
+        let nothing = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(nothing.verdict, DiagnosisVerdict::None);
         assert_eq!(confirmed(&nothing).confirmed, Some(true));
         assert_eq!(confirmed(&nothing).z, None);
         data.confirm = Some(record(&truth("voltage_drop", &[1.2]), 2, 78));
-        let hidden = diagnose(&nameplate(), data.clone(), false).unwrap();
+        let hidden = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(hidden.verdict, DiagnosisVerdict::None);
         assert_eq!(confirmed(&hidden).confirmed, Some(false));
         // What one run contradicts is not said.
@@ -216,7 +216,7 @@ mod tests {
             hidden.sentence
         );
         data.confirm = None;
-        assert_eq!(diagnose(&nameplate(), data, false).unwrap().confirm, None);
+        assert_eq!(diagnose(&nameplate(), data).unwrap().confirm, None);
     }
 
     #[test]

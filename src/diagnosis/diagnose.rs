@@ -121,57 +121,33 @@ impl From<&Part> for Unknown {
     }
 }
 
-/// How a diagnosis is done.
-#[derive(Clone, Copy)]
-pub struct Options<'a> {
-    pub until_floor: bool,
-    pub progress: Progress<'a>,
-}
-
-impl Default for Options<'_> {
-    fn default() -> Self {
-        Self {
-            until_floor: false,
-            progress: &silent,
-        }
-    }
-}
-
 /// Refits `model` as the baseline and searches for what it misses, with nobody watching.
-pub fn diagnose(
-    model: &Model,
-    evidence: Evidence,
-    until_floor: bool,
-) -> Result<Diagnosis, FitError> {
-    let options = Options {
-        until_floor,
-        ..Options::default()
-    };
-    diagnose_with(model, evidence, options)
+pub fn diagnose(model: &Model, evidence: Evidence) -> Result<Diagnosis, FitError> {
+    diagnose_with(model, evidence, &silent)
 }
 
 /// Refits `model` as the baseline and searches for what it misses.
 pub fn diagnose_with(
     model: &Model,
     evidence: Evidence,
-    options: Options<'_>,
+    progress: Progress<'_>,
 ) -> Result<Diagnosis, FitError> {
-    (options.progress)(Event::Begun {
+    progress(Event::Begun {
         stage: Stage::Baseline,
         of: 0,
     });
     let (bench, baseline) = Bench::new(model, evidence)?;
-    (options.progress)(Event::Begun {
+    progress(Event::Begun {
         stage: Stage::Screen,
         of: CATALOGUE.len(),
     });
     let asked = asked(&baseline.model, None);
-    let inference = bench.ask(&baseline, &asked, options.progress)?;
-    (options.progress)(Event::Begun {
+    let inference = bench.ask(&baseline, &asked, progress)?;
+    progress(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
     });
-    let rungs = climb(&bench, baseline, &inference, options.progress)?;
+    let rungs = climb(&bench, baseline, &inference, progress)?;
     Ok(answer(&bench, &inference, &rungs))
 }
 

@@ -32,7 +32,7 @@ const PERIOD_S: f64 = 0.01;
 const FEW: f64 = 2.5;
 
 fn happened(id: &str, size: f64, times_s: [Option<f64>; 2]) -> Diagnosis {
-    let found = diagnose(&nameplate(), evidence(id, size, times_s, 3), false).unwrap();
+    let found = diagnose(&nameplate(), evidence(id, size, times_s, 3)).unwrap();
     assert_eq!(found.effects, [id], "{times_s:?}: {}", found.sentence);
     assert_eq!(
         found.verdict,
@@ -105,7 +105,7 @@ fn a_heavier_shaft_from_a_moment_on_is_named_with_it() {
 fn where_nothing_happened_no_event_is_likely() {
     for seed in 0..10 {
         let data = evidence("load_step", 0.0, [None, None], 30 + seed);
-        let found = diagnose(&nameplate(), data, false).unwrap();
+        let found = diagnose(&nameplate(), data).unwrap();
         assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
         for id in [
             "load_step",
@@ -167,7 +167,7 @@ fn a_drive_that_lets_each_start_wait_is_told_from_one_that_begins_late() {
         (late(0, 0.25, 3), late(1, 0.25, 4), "start_delay"),
     ] {
         let data = Evidence::new(fit, Some(holdout), None);
-        let found = diagnose(&nameplate(), data.clone(), false).unwrap();
+        let found = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(found.effects, [name], "{}", found.sentence);
         let delay = &found.candidates[0].parameters[0];
         assert!((delay.value.unwrap() - 0.25).abs() < 0.01, "{delay:?}");

@@ -44,7 +44,7 @@ pub use axis_map::{AxisMap, axis_map};
 pub use candidates::{Candidate, Onset, RunOf, Status};
 pub use compare::{Comparison, SignalComparison, compare};
 pub use confirmation::Confirmation;
-pub use diagnose::{Diagnosis, DiagnosisVerdict, Options, Unknown, diagnose, diagnose_with};
+pub use diagnose::{Diagnosis, DiagnosisVerdict, Unknown, diagnose, diagnose_with};
 pub use evidence::{Evidence, HoldoutFrom, TRAINING_SHARE};
 pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
 pub use fitted::Fitted;

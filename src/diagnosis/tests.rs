@@ -49,7 +49,7 @@ fn a_single_effect_is_named_and_the_error_falls_to_the_floor() {
         ("voltage_drop", &[0.9]),
         ("constant_load", &[0.06]),
     ] {
-        let diagnosis = diagnose(&nameplate(), evidence(&truth(id, values), 1), false).unwrap();
+        let diagnosis = diagnose(&nameplate(), evidence(&truth(id, values), 1)).unwrap();
         assert_eq!(
             diagnosis.verdict,
             DiagnosisVerdict::Effect,
@@ -77,7 +77,7 @@ fn a_single_effect_is_named_and_the_error_falls_to_the_floor() {
 #[test]
 fn nothing_is_named_when_nothing_is_missing() {
     for seed in 0..4 {
-        let diagnosis = diagnose(&nameplate(), evidence(&nameplate(), seed), true).unwrap();
+        let diagnosis = diagnose(&nameplate(), evidence(&nameplate(), seed)).unwrap();
         assert_eq!(
             diagnosis.verdict,
             DiagnosisVerdict::None,
@@ -97,7 +97,7 @@ fn an_error_that_no_effect_explains_is_called_unexplained() {
             run.speed_rad_s[k] += 2.0 * (31.4 * time_s).sin();
         }
     }
-    let diagnosis = diagnose(&nameplate(), data, false).unwrap();
+    let diagnosis = diagnose(&nameplate(), data).unwrap();
     assert_eq!(
         diagnosis.verdict,
         DiagnosisVerdict::Unexplained,
@@ -114,7 +114,7 @@ fn two_effects_are_both_found() {
         .unwrap();
     both.effects[1].values = vec![Some(2.5e-6)];
     let data = evidence(&both, 3);
-    let diagnosis = diagnose(&nameplate(), data.clone(), true).unwrap();
+    let diagnosis = diagnose(&nameplate(), data.clone()).unwrap();
     let mut found = diagnosis.effects.clone();
     found.sort_unstable();
     assert_eq!(
@@ -160,7 +160,7 @@ fn two_effects_are_both_found() {
 #[test]
 fn one_run_alone_is_split_and_says_so() {
     let run = record(&truth("voltage_drop", &[1.2]), 0, 4);
-    let diagnosis = diagnose(&nameplate(), Evidence::new(run, None, None), false).unwrap();
+    let diagnosis = diagnose(&nameplate(), Evidence::new(run, None, None)).unwrap();
     assert_eq!(diagnosis.holdout_from, HoldoutFrom::Split);
     assert_eq!(
         diagnosis.effect,
@@ -204,7 +204,7 @@ fn a_signal_without_rest_samples_is_named_with_the_reason_and_the_other_answers(
     }
     let data = Evidence::new(data.training, Some(data.holdout), None);
     assert!(data.noise.current_a.is_infinite() && data.noise.speed_rad_s.is_finite());
-    let diagnosis = diagnose(&nameplate(), data.clone(), false).unwrap();
+    let diagnosis = diagnose(&nameplate(), data.clone()).unwrap();
     let [limit] = &diagnosis.limits[..] else {
         panic!("{:?}", diagnosis.limits);
     };
@@ -289,7 +289,7 @@ fn a_machine_that_does_not_repeat_is_not_called_complete() {
         .clone()
         .with_repeat(&nameplate(), record(&nameplate(), 0, 98))
         .unwrap();
-    let found = diagnose(&nameplate(), repeats, false).unwrap();
+    let found = diagnose(&nameplate(), repeats).unwrap();
     assert_eq!(
         (found.verdict, found.repeats),
         (DiagnosisVerdict::None, Some(true))
@@ -297,7 +297,7 @@ fn a_machine_that_does_not_repeat_is_not_called_complete() {
     let data = Evidence::new(wandering(3), Some(wandering(4)), None)
         .with_repeat(&nameplate(), wandering(5))
         .unwrap();
-    let found = diagnose(&nameplate(), data, false).unwrap();
+    let found = diagnose(&nameplate(), data).unwrap();
     assert_eq!(found.repeats, Some(false), "{:?}", found.repeat_floor);
     assert_eq!(
         found.verdict,

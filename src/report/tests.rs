@@ -341,7 +341,7 @@ fn commission(truth: &Model, name: &str) -> String {
     let nameplate = Model::baseline(Motor::zk_22fc());
     let runs = |shift: usize| record(truth, shift, 40 + shift as u64);
     let evidence = Evidence::new(runs(0), Some(runs(1)), Some(runs(2)));
-    let found = diagnose(&nameplate, evidence.clone(), true).unwrap();
+    let found = diagnose(&nameplate, evidence.clone()).unwrap();
     let before = compare(
         &found.baseline.model,
         &evidence,

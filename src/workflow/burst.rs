@@ -138,7 +138,7 @@ fn told(nameplate: &Model, burst: &Scenario) -> Result<Told, FitError> {
     if plain.over_noise.is_some_and(|over| over <= HOLDS) {
         return Ok(plain.told(Vec::new(), leaves));
     }
-    let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None), false)?;
+    let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None))?;
     let mut with = diagnosis.model.model;
     let of_circuit = |active: &ActiveEffect| active.effect.card().enters.includes(Balance::Voltage);
     with.effects.retain(of_circuit);

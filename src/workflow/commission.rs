@@ -8,8 +8,7 @@ use super::progress::{Progress, StepState, StepView};
 use super::result::{CommissionResult, RunRecord, Truth};
 use crate::bench::{BenchFile, CheckReport, Plan, experiment_limits, next_bench};
 use crate::diagnosis::{
-    self, Diagnosis, ErrorOf, Evidence, Options, Recipe, Rung, Score, compare, diagnose_with,
-    recommend,
+    self, Diagnosis, ErrorOf, Evidence, Recipe, Rung, Score, compare, diagnose_with, recommend,
 };
 use crate::identification::output_error::FitError;
 use crate::identification::start;
@@ -301,11 +300,7 @@ impl Commission {
         self.step_done(COMPARE, before.headline(), Task::Analyse);
         publish(self.progress());
 
-        let options = Options {
-            until_floor: true,
-            progress: diagnosing,
-        };
-        let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), options)?;
+        let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), diagnosing)?;
         if let Some(bench) = &self.bench {
             let limits = experiment_limits(bench);
             let mut next = recommend(&diagnosis, &evidence, &limits)?;
@@ -317,7 +312,7 @@ impl Commission {
             diagnosis.next_experiment = next;
         }
         // Whoever goes on by hand begins with this answer.
-        let discovery = Discovery::new(nameplate, evidence, true).with_answer(diagnosis.clone());
+        let discovery = Discovery::new(nameplate, evidence).with_answer(diagnosis.clone());
         self.discovery = Some(match &self.bench {
             Some(bench) => discovery.with_limits(experiment_limits(bench)),
             None => discovery,

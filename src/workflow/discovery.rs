@@ -9,7 +9,7 @@
 use super::curve;
 use crate::diagnosis::{
     self, AddResult, AxisMap, Comparison, Diagnosis, ErrorOf, Event, Evidence, ExperimentLimits,
-    Fitted, NextExperiment, Options, Rung, compare, diagnose_with, recommend,
+    Fitted, NextExperiment, Rung, compare, diagnose_with, recommend,
 };
 use crate::identification::output_error::FitError;
 use crate::plant::effect::{self, Axis};
@@ -53,7 +53,6 @@ pub type Tell<'a> = &'a (dyn Fn(News) + Sync);
 pub struct Discovery {
     model: Model,
     evidence: Evidence,
-    until_floor: bool,
     limits: Option<ExperimentLimits>,
     fitted: Option<Fitted>,
     ladder: Vec<Rung>,
@@ -65,11 +64,10 @@ pub struct Discovery {
 
 impl Discovery {
     /// `model` is where the fits start.
-    pub const fn new(model: Model, evidence: Evidence, until_floor: bool) -> Self {
+    pub const fn new(model: Model, evidence: Evidence) -> Self {
         Self {
             model,
             evidence,
-            until_floor,
             limits: None,
             fitted: None,
             ladder: Vec::new(),
@@ -163,11 +161,7 @@ impl Discovery {
 
     fn search(&self, tell: Tell<'_>) -> Result<Diagnosis, FitError> {
         let progress = |event| tell(News::Progress(event));
-        let options = Options {
-            until_floor: self.until_floor,
-            progress: &progress,
-        };
-        diagnose_with(&self.model, self.evidence.clone(), options)
+        diagnose_with(&self.model, self.evidence.clone(), &progress)
     }
 
     fn change(&mut self, id: &'static str, adds: bool, tell: Tell<'_>) -> Result<(), FitError> {
@@ -285,7 +279,7 @@ mod tests {
         };
         let evidence = Evidence::new(record(0), Some(record(3)), None);
         let model = Model::baseline(Motor::zk_22fc());
-        let mut discovery = Discovery::new(model, evidence, false);
+        let mut discovery = Discovery::new(model, evidence);
         let nothing = told(&mut discovery, Order::AddCurve(0));
         assert!(matches!(&nothing[..], [News::Failed(_)]), "{nothing:?}");
         let news = told(&mut discovery, Order::Diagnose);
@@ -319,7 +313,7 @@ mod tests {
     fn what_is_added_takes_the_error_to_the_floor_and_what_is_useless_is_refused() {
         let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
         let model = Model::baseline(Motor::zk_22fc());
-        let mut discovery = Discovery::new(model, evidence, false);
+        let mut discovery = Discovery::new(model, evidence);
         let news = told(&mut discovery, Order::Diagnose);
         assert!(matches!(news[0], News::Compared(_)), "{:?}", news[0]);
         let screened = news
@@ -370,7 +364,7 @@ mod tests {
     fn an_answer_that_there_is_already_is_not_searched_again() {
         let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
         let model = Model::baseline(Motor::zk_22fc());
-        let found = diagnosis::diagnose(&model, evidence.clone(), false).unwrap();
+        let found = diagnosis::diagnose(&model, evidence.clone()).unwrap();
         let next = NextExperiment {
             sentence: "turn it backward".to_owned(),
             bench: None,
@@ -387,7 +381,7 @@ mod tests {
             ..found
         };
         let limits = ExperimentLimits::seen_in(&evidence);
-        let mut discovery = Discovery::new(model, evidence, false)
+        let mut discovery = Discovery::new(model, evidence)
             .with_limits(limits)
             .with_answer(known);
         let news = told(&mut discovery, Order::Diagnose);

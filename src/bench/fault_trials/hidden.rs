@@ -48,7 +48,7 @@ fn answer(hidden: Hidden, act: Act, seed: u64) -> Option<Diagnosis> {
     let mut runs = records.map(|run| Scenario::from_run(run).unwrap());
     let evidence = Evidence::new(runs.next().unwrap(), runs.next(), runs.next());
     let motor = BenchFile::parse("bench.toml", &text).unwrap().motor.motor();
-    Some(diagnose(&Model::baseline(motor), evidence, false).unwrap())
+    Some(diagnose(&Model::baseline(motor), evidence).unwrap())
 }
 
 /// By how many standard deviations the motor's parameters lie apart.

@@ -144,7 +144,7 @@ fn answer(case: &Case) -> Answer {
     Answer {
         next,
         obtained,
-        again: diagnose(&nameplate(), again, false).unwrap(),
+        again: diagnose(&nameplate(), again).unwrap(),
     }
 }
 

@@ -15,7 +15,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn diagnose(model: &Model, evidence: &Evidence) -> Result<Diagnosis, FitError> {
-    crate::diagnosis::diagnose(model, evidence.clone(), false)
+    crate::diagnosis::diagnose(model, evidence.clone())
 }
 
 fn add(

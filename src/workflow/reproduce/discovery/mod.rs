@@ -134,7 +134,7 @@ fn answer(case: &Case) -> Answer {
     };
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs.fit, Some(runs.holdout), None);
-    match diagnose(&nameplate, evidence, false) {
+    match diagnose(&nameplate, evidence) {
         Ok(diagnosis) => Answer::of(case, &runs.truths, &diagnosis),
         Err(error) => Answer::failed(case, error.to_string()),
     }
