@@ -509,7 +509,8 @@ impl Weighed<'_> {
                 .retain(|active| !others.contains(&active.id()));
             let start = with_effect(&without, effect, &[begin]);
             let rich = fit(self.model, self.runs)?;
-            let left = fit(&start, self.runs)?;
+            // What is not known goes with the size that it was followed with: the second time that is its own.
+            let left = fit(&fit(&start, self.runs)?.model, self.runs)?;
             (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.model)
         })
     }
