@@ -219,24 +219,6 @@ impl Scenario {
             .any(|hole| hole.variance > 0.0)
     }
 
-    /// Mean square of what is not known of the mean voltage over the interval that ends at a sample, V2; zero where it
-    /// is known. Errors of two holes have nothing to do with each other.
-    pub fn input_variance_v2(&self, sample: usize) -> f64 {
-        let to_s = self.sample_time_s[sample];
-        let from_s = sample
-            .checked_sub(1)
-            .map_or_else(|| self.begin_s(), |before| self.sample_time_s[before]);
-        let first = self
-            .unknown_input
-            .partition_point(|hole| hole.to_s <= from_s);
-        (self.unknown_input[first..].iter())
-            .take_while(|hole| hole.from_s < to_s)
-            .fold(0.0, |sum, hole| {
-                let shared_s = hole.to_s.min(to_s) - hole.from_s.max(from_s);
-                sum + hole.variance * (shared_s / (to_s - from_s)).powi(2)
-            })
-    }
-
     /// A stamp far from its neighbours, or a time column in another unit, would be simulated step by step for ever.
     fn refuse_gaps(&self) -> Result<(), ScenarioError> {
         let gaps: Vec<f64> = self
@@ -592,19 +574,6 @@ mod tests {
         assert_eq!(holes.unknown_input.len(), 2);
         let long = holes.unknown_input[1];
         assert!(holes.input_is_unknown(1.15, 1.25) && !holes.input_is_unknown(0.6, 1.1999));
-        let at = |time_s: f64| {
-            holes
-                .sample_time_s
-                .partition_point(|time| *time < time_s - 1e-9)
-        };
-        let share = (0.2 / 0.201_f64).powi(2);
-        assert!(
-            (holes.input_variance_v2(at(1.4)) - share * long.variance).abs() < 1e-9 * long.variance
-        );
-        assert_eq!(
-            holes.input_variance_v2(at(0.7)).to_bits(),
-            0.0_f64.to_bits()
-        );
         assert!((holes.input_at(1.3) - long.mean).abs() < 1e-12);
         let whole = Scenario::from_run(&run(Origin::Unknown)).unwrap();
         assert!(whole.unknown_input.is_empty() && !whole.input_is_unknown(0.0, 1.0));

@@ -659,7 +659,8 @@ impl Weighed<'_> {
             start.model.effects.retain(kept);
             start.model = with_effect(&start.model, effect, &[begin]);
             let rich = fit(self.hypothesis, self.runs)?;
-            let left = fit(&start, self.runs)?;
+            // What is not known goes with the size that it was followed with: the second time that is its own.
+            let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.hypothesis)
         })
     }
