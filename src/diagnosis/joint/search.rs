@@ -488,29 +488,8 @@ pub(super) fn search(
             }
         }
         if stands || round + 1 == rounds {
-            let excess = excess_of(&linear, &reduced, &posterior.best, &runs);
-            let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, &runs)?;
-            let wandering = wandering(runs.last()?);
-            if excess > 1.0 {
-                let wider = Reduced::new(&linear, excess, true)?;
-                posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
-            }
-            keep_doubts(&barred, &linear, &mut posterior);
-            let wider = Reduced::new(&linear, excess, true)?;
-            let happened = happened(&linear, &wider, &posterior.best, &runs, excess)?;
-            drop(wider);
             drop(reduced);
-            drop(runs);
-            return Some(Found {
-                hypothesis,
-                happened,
-                linear,
-                posterior,
-                noise,
-                excess,
-                wandering,
-                unknown_share,
-            });
+            return ended(hypothesis, linear, posterior, &runs, noise, &barred);
         }
         seen.push(set);
         let now = squares(&runs);
@@ -525,6 +504,38 @@ pub(super) fn search(
         }
     }
     None
+}
+
+/// The answer where set and noise stand: the posterior again where what is left is more than white noise.
+fn ended(
+    hypothesis: Hypothesis,
+    linear: Linear,
+    mut posterior: Posterior,
+    runs: &[Around<'_>],
+    noise: Noise,
+    barred: &[Barred],
+) -> Option<Found> {
+    let reduced = Reduced::new(&linear, 1.0, true)?;
+    let excess = excess_of(&linear, &reduced, &posterior.best, runs);
+    let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, runs)?;
+    let wandering = wandering(runs.last()?);
+    let wider = Reduced::new(&linear, excess, true)?;
+    if excess > 1.0 {
+        posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
+    }
+    keep_doubts(barred, &linear, &mut posterior);
+    let happened = happened(&linear, &wider, &posterior.best, runs, excess)?;
+    drop((reduced, wider));
+    Some(Found {
+        hypothesis,
+        happened,
+        linear,
+        posterior,
+        noise,
+        excess,
+        wandering,
+        unknown_share,
+    })
 }
 
 /// Hands on what each effect would explain by itself.

@@ -277,6 +277,22 @@ impl<'a> Traveller<'a> {
     }
 }
 
+/// What terms that build up more slowly do beside themselves.
+fn slower(terms: &dyn Terms, at: &Instant, factor: f64, share: f64) -> Sums {
+    let slow = Instant {
+        current_a: at.current_a / factor,
+        speed_rad_s: at.speed_rad_s / factor,
+        ..*at
+    };
+    let (slow, own) = (terms.sums(&slow, &[]), terms.sums(at, &[]));
+    Sums {
+        voltage_v: share * (slow.voltage_v - own.voltage_v),
+        torque_n_m: share * (slow.torque_n_m - own.torque_n_m),
+        friction_n_m: share * (slow.friction_n_m - own.friction_n_m),
+        ..Sums::default()
+    }
+}
+
 /// Multiples of the shaft's angle at the samples of one chunk, as cosine and sine.
 struct Turns {
     order: f64,
@@ -451,18 +467,7 @@ fn force(
             share,
         } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let slow = Instant {
-                    current_a: at.current_a / factor,
-                    speed_rad_s: at.speed_rad_s / factor,
-                    ..*at
-                };
-                let (slow, own) = (terms.sums(&slow, &[]), terms.sums(at, &[]));
-                let sums = Sums {
-                    voltage_v: share * (slow.voltage_v - own.voltage_v),
-                    torque_n_m: share * (slow.torque_n_m - own.torque_n_m),
-                    friction_n_m: share * (slow.friction_n_m - own.friction_n_m),
-                    ..Sums::default()
-                };
+                let sums = slower(&**terms, at, *factor, *share);
                 put(k, of(&sums, passage.direction, 0.0, 0.0));
             }
         }
