@@ -13,9 +13,10 @@ const ALIKE: f64 = 3.0;
 /// A swing is at least so many times the noise, and this share of the reference.
 const NOISES: f64 = 10.0;
 const REFERENCE_SHARE: f64 = 0.02;
-/// What each step leaves of the gains, and how many steps are tried.
+/// What each step leaves of the gains, and how many steps are tried: a coupling of 21 Hz that is damped by 2 % goes on
+/// swinging with a tenth of them.
 const STEP: f64 = 0.7;
-const STEPS: i32 = 4;
+const STEPS: i32 = 8;
 /// A swing that is left at this share of the first after all steps is not the loop's own.
 const NOT_OWN: f64 = 0.7;
 
@@ -156,8 +157,8 @@ mod tests {
     #[test]
     fn a_swing_that_goes_on_is_not_the_loops_own() {
         let (found, share) = verdicts(9.0, |_| 8.0, 800);
-        assert_eq!(found.len(), 5, "{found:?}");
-        assert!(matches!(found[4], Verdict::GiveBack { .. }));
+        assert_eq!(found.len(), 9, "{found:?}");
+        assert!(matches!(found[8], Verdict::GiveBack { .. }));
         assert!((share - 1.0).abs() < 1e-12);
     }
 

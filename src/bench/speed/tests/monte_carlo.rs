@@ -61,7 +61,8 @@ fn fare(seed: u64) -> Fate {
         })
         .collect();
     let begin_s = end.first().map_or(0.0, |row| row.0);
-    let swings = (0..6_u32).map(|level| {
+    // On the first level a loop that swings may still be made softer.
+    let swings = (1..6_u32).map(|level| {
         let until_s = begin_s + 2.0 * f64::from(level + 1);
         let rows = end
             .iter()
