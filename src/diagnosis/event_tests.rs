@@ -102,6 +102,29 @@ fn a_heavier_shaft_from_a_moment_on_is_named_with_it() {
 }
 
 #[test]
+fn in_one_direction_a_pull_is_not_told_from_a_friction() {
+    let one_way = |size: Option<f64>, shift: usize, seed: u64| {
+        let model = with("one_sided_load", 0.15, size);
+        let mut events = lively(&model, shift, seed).events;
+        for event in &mut events {
+            event.1 = event.1.abs();
+        }
+        testing::record(&model, events, PERIOD_S, 7.5, seed)
+    };
+    let data = Evidence::new(one_way(Some(4.1), 0, 5), Some(one_way(None, 1, 6)), None);
+    let found = diagnose(&nameplate(), data).unwrap();
+    assert_eq!(
+        found.verdict,
+        DiagnosisVerdict::Ambiguous,
+        "{}",
+        found.sentence
+    );
+    let mut pair = found.confusable[0];
+    pair.sort_unstable();
+    assert_eq!(pair, ["load_step", "one_sided_load"], "{}", found.sentence);
+}
+
+#[test]
 fn where_nothing_happened_no_event_is_likely() {
     let mut complete = 0;
     for seed in 0..10 {

@@ -321,7 +321,11 @@ pub(super) fn parts(
         }
         let unit = slab(run);
         let part_s = spacing_s(run, id);
-        for time_s in (1..parts_of_run(id)).map(|place| part_s * place as f64) {
+        let grid = (1..parts_of_run(id)).map(|place| part_s * place as f64);
+        // Of what the model takes for another event, too: only there can the two be told apart, or not.
+        let others = hypothesis.events.iter();
+        let others = others.filter(|event| event.run == number && event.id() != id);
+        for time_s in grid.chain(others.map(Event::time_s)) {
             let mut event = Event {
                 run: number,
                 effect,

@@ -173,9 +173,10 @@ fn no_scheme_leaves_an_effect_out_in_silence() {
         let found = scheme.identify(&data).unwrap();
         for id in model.effect_ids() {
             let prefix = format!("{id}.");
-            let estimated = found.parameters.iter().any(|p| {
-                p.key.starts_with(&prefix) && (p.value.is_some() || p.reason.is_some())
-            });
+            let estimated = found
+                .parameters
+                .iter()
+                .any(|p| p.key.starts_with(&prefix) && (p.value.is_some() || p.reason.is_some()));
             let told = found.notes.iter().any(|note| note.starts_with(id));
             assert!(estimated || told, "{} ignores {id}", scheme.id());
             let twice = |p: &ParameterEstimate| {
