@@ -1,7 +1,7 @@
 //! How large the effect of a mystery is.
 //!
 //! Torques are 3 to 15 % of the rated torque. Voltages are 1 to 4 % of the rated voltage (the resistance itself drops
-//! 6 %). Delays and filters are of a size that a sample every 10 ms can see.
+//! 6 %); offsets stay within what a host's checks at rest allow. Delays and filters are of a size that a sample every 10 ms can see.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -225,14 +225,15 @@ pub(super) fn sized(id: &str, rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<
         "current_filter" => H::CurrentFilter(CurrentFilter {
             time_constant_s: dice.delay_s(4.0, 15.0),
         }),
+        // A host refuses to arm where more than this flows at rest, or where a voltage at zero reference moves the shaft.
         "current_offset" => H::CurrentOffset(CurrentOffset {
-            offset_a: dice.signed(0.03, 0.1) * amps,
+            offset_a: dice.signed(0.015, 0.03) * amps,
         }),
         "speed_offset" => H::SpeedOffset(SpeedOffset {
             offset_rad_s: dice.signed(0.003, 0.01) * speed,
         }),
         "voltage_offset" => H::VoltageOffset(VoltageOffset {
-            offset_v: dice.signed(0.01, 0.03) * volts,
+            offset_v: dice.signed(0.004, 0.009) * volts,
         }),
         "shaker" => H::Shaker(Shaker {
             amplitude_n_m: torque,
