@@ -349,8 +349,11 @@ fn verdict(
     let unknown: f64 = inference.unknown.iter().map(|part| part.share).sum();
     let explainable = above(base.nrms).max(0.0);
     let unexplained = inference.wandering.powi(2) + unknown * explainable;
-    // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do.
-    let is_led_astray = !bench.fits_at_once() && unexplained <= HALF * explainable;
+    // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
+    // names that take nothing from its error are no answer.
+    let is_led_astray = !bench.fits_at_once()
+        && unexplained <= HALF * explainable
+        && explained::explains_something(evidence, base.nrms, best.nrms);
     if !is_led_astray && above(best.nrms) > HALF * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
