@@ -260,7 +260,7 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
         }
         DiagnosisVerdict::Ambiguous => format!(
             "behaves like {names}, which this run cannot tell from {}{}",
-            diagnosis.confusable.iter().map(|pair| pair[1]).collect::<Vec<_>>().join(", "),
+            rivals(&diagnosis.confusable).join(", "),
             unconfirmed(diagnosis)
         ),
         DiagnosisVerdict::Effect => format!(
@@ -269,6 +269,17 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
             unconfirmed(diagnosis)
         ),
     }
+}
+
+/// What the first of each pair cannot be told from, each once.
+fn rivals(confusable: &[[&'static str; 2]]) -> Vec<&'static str> {
+    let mut rivals: Vec<&'static str> = Vec::new();
+    for [_, rival] in confusable {
+        if !rivals.contains(rival) {
+            rivals.push(rival);
+        }
+    }
+    rivals
 }
 
 /// Said where the run that had no part in the answer speaks against it.
@@ -340,4 +351,19 @@ pub(super) fn superfluous(inference: &Inference) -> String {
     let ids = inference.superfluous.iter();
     let words: Vec<String> = ids.map(|id| format!("; {id} is superfluous now")).collect();
     words.concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rival_of_two_names_is_listed_once() {
+        let pairs = [
+            ["quadratic_load", "load_step"],
+            ["quadratic_load", "constant_load"],
+            ["viscous_friction", "load_step"],
+        ];
+        assert_eq!(rivals(&pairs), ["load_step", "constant_load"]);
+    }
 }
