@@ -462,7 +462,12 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
             out.excited |= excited;
             if excited {
                 out.upper_bound = Some(out.upper_bound.map_or(bound, |b| b.max(bound)));
-                let detectable = detectable(found, reduced, &with, k, sd);
+                // Injected at one moment an event would say nothing of all the others at which it might have come.
+                let detectable = if candidate.is_event() {
+                    None
+                } else {
+                    detectable(found, reduced, &with, k, sd)
+                };
                 out.detectable = match (out.detectable, detectable) {
                     (Some(a), Some(b)) => Some(a.max(b)),
                     (a, b) => a.or(b),
