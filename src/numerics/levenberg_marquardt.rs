@@ -1,4 +1,4 @@
-//! Levenberg-Marquardt for a least-squares problem whose residual is a simulation: forward differences, Marquardt
+//! Levenberg-Marquardt for a least-squares problem whose residual is a simulation: forward differences where slopes are not known, Marquardt
 //! scaling, and a step that is clipped so that one bad direction cannot throw the simulation out of its range.
 
 use nalgebra::{DMatrix, DVector};
@@ -13,6 +13,10 @@ pub trait Problem: Sync {
     fn difference_step(&self, index: usize) -> f64;
     /// Keeps `x` within its bounds.
     fn clamp(&self, x: &mut [f64]);
+    /// For each parameter its column of the Jacobian at `x`, where it is known otherwise than by differences.
+    fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
+        vec![None; x.len()]
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -241,7 +245,7 @@ impl Search {
     }
 }
 
-/// Forward-difference Jacobian; a direction that cannot be evaluated forwards is tried backwards, else it is zero.
+/// The Jacobian, by forward differences where the problem does not know it; a direction that cannot be evaluated forwards is tried backwards, else it is zero.
 ///
 /// Its columns are found in parallel and do not depend on each other: the result is the same for any number of threads.
 pub fn jacobian_at(problem: &impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
@@ -258,17 +262,20 @@ fn differences(
     if residual.is_empty() {
         return jacobian;
     }
+    let known = problem.slopes(x);
+    let fill = |(index, column): (usize, &mut [f64])| match &known[index] {
+        Some(slope) => column.copy_from_slice(slope),
+        None => difference(problem, x, residual, index, column),
+    };
     // Column after column in memory.
     let cells = jacobian.as_mut_slice();
     if in_parallel {
         cells
             .par_chunks_mut(residual.len())
             .enumerate()
-            .for_each(|(index, column)| difference(problem, x, residual, index, column));
+            .for_each(fill);
     } else {
-        for (index, column) in cells.chunks_mut(residual.len()).enumerate() {
-            difference(problem, x, residual, index, column);
-        }
+        cells.chunks_mut(residual.len()).enumerate().for_each(fill);
     }
     jacobian
 }

@@ -10,14 +10,15 @@ use super::events::{self, Hypothesis};
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
 use super::nuisances::{bends, nuisances};
-use super::tangent::{LANES, Step, Tangent, Wave, carry};
+use super::slopes;
+use super::tangent::{LANES, Step, Tangent, carry};
 use super::unknown::unknown_curves;
 use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario,
-    State, typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario, State,
+    typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -380,6 +381,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
         .iter()
         .find(|active| active.id() == id)?
         .values_or_guess();
+    let along = slopes::are_tangents(model, scenario);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
         let without = model.without_effect(id).ok()?;
@@ -410,24 +412,24 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             };
             (unit, 0.0, 0.01 * unit)
         };
-        let mut moved = model.clone();
-        let mut there = values.clone();
-        there[index] += step;
-        for other in &mut moved.effects {
-            if other.id() == id {
-                *other = active(effect, &there);
-            }
-        }
         form.variant.positive |= spec.is_coefficient() && (spec.min >= 0.0 || takes_power(id));
-        form.column(
-            Source::Difference {
-                model: moved,
-                step: step / unit,
+        let change = (step, step / unit);
+        let tangent = along.then(|| slopes::of_effect(effect, &values, index, unit, change));
+        let source = tangent.flatten().map_or_else(
+            || {
+                let mut moved = model.clone();
+                let mut there = values.clone();
+                there[index] += step;
+                let own = moved.effects.iter_mut().filter(|other| other.id() == id);
+                own.for_each(|own| *own = active(effect, &there));
+                Source::Difference {
+                    model: moved,
+                    step: step / unit,
+                }
             },
-            index,
-            unit,
-            present,
+            Source::Tangent,
         );
+        form.column(source, index, unit, present);
     }
     for source in bends(model, effect, &values, scenario) {
         form.column(source, NO_PARAMETER, 0.0, 0.0);
@@ -492,37 +494,8 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
 /// What one coefficient of an effect adds, all others at zero.
 fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usize) -> Source {
     const PROBE: f64 = 0.25;
-    let wave = match effect.card().id {
-        "cogging" => Some(false),
-        "torque_ripple" => Some(true),
-        _ => None,
-    };
-    if let Some(of_current) = wave {
-        return Source::Tangent(Tangent::Wave(Wave {
-            order: values[2],
-            sine: index == 0,
-            size: values[index],
-            of_current,
-        }));
-    }
-    let terms = effect.terms(values);
-    let path = terms.path();
-    if path.measures_directly() && !path.delays_command() && terms.coupling().is_none() {
-        return Source::Tangent(Tangent::Terms(terms));
-    }
-    let Path {
-        current_offset_a,
-        speed_offset_rad_s,
-        ..
-    } = path;
-    if path
-        == (Path {
-            current_offset_a,
-            speed_offset_rad_s,
-            ..Path::default()
-        })
-    {
-        return Source::Tangent(Tangent::Offset([current_offset_a, speed_offset_rad_s]));
+    if let Some(tangent) = slopes::alone_at(effect, values, index) {
+        return Source::Tangent(tangent);
     }
     let mut with = model.clone();
     let mut values = values.to_vec();

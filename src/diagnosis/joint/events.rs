@@ -14,7 +14,7 @@ use super::forms::{add_products, gain};
 use super::select::Set;
 use super::tangent::{LANES, Lane, Tangent};
 use crate::plant::{
-    ActiveEffect, Effect, Instant, Model, ParameterRole, ParameterSpec, Scenario, Terms,
+    ActiveEffect, Effect, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario, Terms,
     typical_size,
 };
 
@@ -136,6 +136,12 @@ impl Event {
             (weight, self.effect.terms(&there.values))
         };
         Box::new(Weighted(parts.map(part).collect()))
+    }
+
+    /// What `unit` of its size does where it is; `None` where that is no forcing.
+    pub(super) fn slope(&self, unit: f64) -> Option<Tangent> {
+        let acts = self.effect.terms(&self.values).path() == Path::default();
+        acts.then(|| self.tangent(unit, self.time_s()))
     }
 
     /// The same with a slab of it at another moment.

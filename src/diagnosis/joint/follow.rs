@@ -9,7 +9,7 @@ use crate::identification::stamps::spread;
 use crate::numerics::statistics::median;
 use crate::plant::propagator::{LinearPart, Propagator};
 use crate::plant::{
-    Correction, Input, Instant, Model, MotorKey, Plant, Scenario, State, Terms, Trajectory,
+    Correction, Input, Instant, Model, MotorKey, Plant, Scenario, State, Sums, Terms, Trajectory,
 };
 
 /// What is random in a run.
@@ -71,6 +71,7 @@ struct Forms {
     motor: Instant,
     coupling: f64,
     inertia: f64,
+    friction: f64,
     /// Friction and torque per unit of the input whose forms count: none under a voltage.
     coulomb: f64,
     drive: f64,
@@ -93,20 +94,57 @@ impl Forms {
             motor: constants(model, scenario),
             coupling,
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
+            friction: model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
             coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
             drive: counts * DRIVE / FORM * constants(model, scenario).torque_n_m_per_a,
         }
     }
 
-    fn at(&self, time_s: f64, voltage_v: f64, state: &State, acceleration: f64) -> [f64; 3] {
-        let at = Instant {
+    fn instant(&self, time_s: f64, voltage_v: f64, state: &State) -> Instant {
+        Instant {
             time_s,
             voltage_v,
             current_a: state.current_a,
             speed_rad_s: state.speed_rad_s,
             angle_rad: state.angle_rad,
             ..self.motor
-        };
+        }
+    }
+
+    /// Rates of current, A/s, and speed, rad/s2, but for what a second inertia does.
+    fn rates(
+        &self,
+        at: &Instant,
+        state: &State,
+        load_n_m: f64,
+        inverse_inductance: f64,
+    ) -> [f64; 2] {
+        let mut sums = Sums::default();
+        let mut own = state.own();
+        for terms in self.terms.iter().filter(|terms| terms.coupling().is_none()) {
+            let added = terms.sums(at, own);
+            own = &own[terms.states().min(own.len())..];
+            sums.voltage_v += added.voltage_v;
+            sums.torque_n_m += added.torque_n_m;
+            sums.friction_n_m += added.friction_n_m;
+            sums.current_rate_gain += added.current_rate_gain;
+            sums.inertia_gain += added.inertia_gain;
+        }
+        let inductive_v = at.voltage_v
+            - sums.voltage_v
+            - at.resistance_ohm * at.current_a
+            - at.back_emf_v_s_per_rad * at.speed_rad_s;
+        let direction = state.direction();
+        let friction = direction * (self.friction + sums.friction_n_m).max(0.0);
+        let torque = at.torque_n_m_per_a * at.current_a - sums.torque_n_m - load_n_m - friction;
+        let inertia = self.inertia * (1.0 + sums.inertia_gain);
+        [
+            (1.0 + sums.current_rate_gain) * inductive_v * inverse_inductance,
+            direction.abs() * torque / inertia,
+        ]
+    }
+
+    fn at(&self, at: &Instant, state: &State, acceleration: f64) -> [f64; 3] {
         let (mut volts, mut torque) = (0.0, 0.0);
         let ringing = (self.coupling * self.inertia * acceleration).powi(2);
         if self.drive > 0.0 {
@@ -118,7 +156,7 @@ impl Forms {
             if terms.coupling().is_some() {
                 continue;
             }
-            let sums = terms.sums(&at, own);
+            let sums = terms.sums(at, own);
             own = &own[terms.states().min(own.len())..];
             let inductive = at.voltage_v
                 - at.resistance_ohm * at.current_a
@@ -263,6 +301,8 @@ pub(super) struct Follower {
     pub passages: Vec<Passage>,
     /// Innovations of both signals.
     pub rows: usize,
+    /// By how much the model's machine gets its commands later, s.
+    pub late_s: f64,
 }
 
 /// A followed run.
@@ -271,6 +311,8 @@ pub(super) struct Followed {
     /// Before and after each correction: current, speed.
     pub before: Vec<[f64; 2]>,
     pub after: Vec<[f64; 2]>,
+    /// Rates of current, A/s, and speed, rad/s2, as each sample is taken.
+    pub rates: Vec<[f64; 2]>,
     pub load_n_m: Vec<f64>,
     pub direction: Vec<f64>,
     /// Innovations over their standard deviations; zero where not measured.
@@ -436,8 +478,9 @@ impl<'a> Filter<'a> {
             })
     }
 
-    /// Goes to the time of `sample`, where the model is in `state`.
-    fn approach(&mut self, sample: usize, state: &State) -> (Passage, f64) {
+    /// Goes to the time of `sample`, where the model is in `state`: the passage, what the disturbance keeps, and the rates of
+    /// current and speed there.
+    fn approach(&mut self, sample: usize, state: &State) -> (Passage, f64, [f64; 2]) {
         let time_s = self.scenario.sample_time_s[sample];
         let interval_s = time_s - self.last_s;
         self.last_s = time_s;
@@ -453,12 +496,18 @@ impl<'a> Filter<'a> {
         } else {
             0.0
         };
-        let squares = self.forms.at(
-            time_s - self.scenario.begin_s(),
-            self.scenario.events[self.event].1,
-            state,
-            acceleration,
-        );
+        let input = self.scenario.events[self.event].1;
+        let at = self
+            .forms
+            .instant(time_s - self.scenario.begin_s(), input, state);
+        let squares = self.forms.at(&at, state, acceleration);
+        let inverse_inductance = self.dynamics.inverse_inductance;
+        let forms = &self.forms;
+        let rates = if interval_s > 0.0 {
+            forms.rates(&at, state, self.load_n_m, inverse_inductance)
+        } else {
+            [0.0; 2]
+        };
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
@@ -512,7 +561,7 @@ impl<'a> Filter<'a> {
         }
         self.load_n_m *= forget;
         self.input *= passage.input_keeps;
-        (passage, forget)
+        (passage, forget, rates)
     }
 
     /// Gains for what was measured at `sample`, where the model reads `reading`, and the variances that the samples
@@ -563,6 +612,7 @@ pub(super) fn lead(
         forgets: Vec::with_capacity(n),
         passages: Vec::with_capacity(n),
         rows: 0,
+        late_s: filter.late_s,
     };
     let mut out = Followed::with_capacity(n);
     let mut trajectory = Trajectory::default();
@@ -571,7 +621,8 @@ pub(super) fn lead(
         start,
         &mut trajectory,
         |sample, reading, state| {
-            let (passage, forget) = filter.approach(sample, state);
+            let (passage, forget, rates) = filter.approach(sample, state);
+            out.rates.push(rates);
             let now = passage.direction;
             let (update, vague) = filter.gains(sample, reading, now == 0.0);
             let values = measured(scenario, noise, sample);
@@ -747,6 +798,7 @@ impl Followed {
         Self {
             before: Vec::with_capacity(n),
             after: Vec::with_capacity(n),
+            rates: Vec::with_capacity(n),
             load_n_m: Vec::with_capacity(n),
             direction: Vec::with_capacity(n),
             white: Vec::with_capacity(n),

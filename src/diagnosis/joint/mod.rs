@@ -27,6 +27,7 @@ mod nuisances;
 mod prediction_error;
 mod search;
 mod select;
+mod slopes;
 mod tangent;
 mod unknown;
 mod whitened;

@@ -1,6 +1,7 @@
 //! What is always in beside the effects: the motor's parameters, errors of the stamps, other forms of the model's effects.
 
 use super::columns::{Around, SLAB, Source, active, columns_of};
+use super::slopes::are_tangents;
 use super::tangent::{Tangent, Wave};
 use crate::plant::{
     Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms, effect,
@@ -55,6 +56,7 @@ pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> 
 /// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
 /// samples alike; each with its standard deviation beforehand.
 pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
+    let along = are_tangents(model, scenario);
     let mut nuisances = Vec::new();
     for slot in model.free_slots() {
         let Slot::Motor(key) = slot else { continue };
@@ -62,18 +64,18 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
             continue;
         };
         let value = model.get(&slot)?;
-        let mut moved = model.clone();
-        let (step, sd) = match prior {
-            MotorPrior::Logarithm(sd) => {
-                moved.set(&slot, value * STEP.exp());
-                (STEP, sd)
-            }
-            MotorPrior::Linear(sd) => {
-                moved.set(&slot, value + LINEAR_STEP * sd);
-                (LINEAR_STEP, 1.0)
-            }
+        let (unit, step, sd) = match prior {
+            MotorPrior::Logarithm(sd) => (value, STEP, sd),
+            MotorPrior::Linear(unit) => (unit, LINEAR_STEP, 1.0),
         };
-        nuisances.push((Source::Difference { model: moved, step }, sd));
+        let source = if along {
+            Source::Tangent(Tangent::Motor(key, unit))
+        } else {
+            let mut moved = model.clone();
+            moved.set(&slot, value + step * unit);
+            Source::Difference { model: moved, step }
+        };
+        nuisances.push((source, sd));
     }
     nuisances.extend(stamps(model, scenario).map(|source| (source, 1.0)));
     Some(nuisances)
@@ -82,6 +84,7 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
 /// What the stamps of command, current and speed may be wrong by, at one standard deviation each.
 fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let by_voltage = scenario.input == Input::Voltage;
+    let along = by_voltage && are_tangents(model, scenario);
     let ids = ["command_delay", "current_filter", "speed_delay"];
     let count = if by_voltage { ids.len() } else { 1 };
     let ids = ids.into_iter().take(count);
@@ -104,6 +107,13 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
             Some(_) => STAMP * period_s,
         };
         let error_s = least_s.max(known_s.unwrap_or(0.0));
+        if along {
+            return Some(Source::Tangent(match id {
+                "command_delay" => Tangent::LateCommands(error_s),
+                "current_filter" => Tangent::LateReadings([error_s, 0.0]),
+                _ => Tangent::LateReadings([0.0, error_s]),
+            }));
+        }
         let effect = effect::find(id)?;
         let mut moved = model.clone();
         match moved.effects.iter_mut().find(|active| active.id() == id) {

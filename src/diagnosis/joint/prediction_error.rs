@@ -3,11 +3,13 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::asked::why_not;
-use super::columns::{Around, SLAB, single};
+use super::columns::{Around, SLAB, Source, columns_of, single};
 use super::events::{Event, Hypothesis};
 use super::excess::excess;
 use super::follow::follow;
 use super::nuisances::{MotorPrior, motor_prior, of_equations};
+use super::slopes;
+use super::tangent::Tangent;
 use super::whitened::Whitened;
 use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
 use crate::numerics::least_squares::inverse_of_normal;
@@ -109,6 +111,22 @@ impl Unit {
         }
     }
 
+    /// What a step of one of the coordinate adds to the value.
+    fn slope(self, value: f64) -> f64 {
+        match self {
+            Self::Logarithm { .. } => value,
+            Self::Linear { unit, .. } => unit,
+        }
+    }
+
+    /// What a step of one of the coordinate adds to the surprise.
+    const fn surprise_slope(self) -> f64 {
+        match self {
+            Self::Logarithm { sd, .. } => 1.0 / sd,
+            Self::Linear { .. } => 1.0,
+        }
+    }
+
     /// How far from what was believed before, in standard deviations.
     fn surprise(self, x: f64) -> f64 {
         match self {
@@ -126,6 +144,8 @@ struct Innovations<'a> {
     sizes: Vec<Unit>,
     runs: &'a [Around<'a>],
     len: usize,
+    /// Whether their slopes are tangents.
+    along: bool,
     /// What the innovations are freed of.
     vague: Option<Vague>,
 }
@@ -185,8 +205,8 @@ impl Vague {
         }
     }
 
-    /// Frees the innovations of `model` of it; the log determinant of `I + F F'`.
-    fn free(&self, model: &Model, white: &mut [f64]) -> f64 {
+    /// What frees innovations of `model` of it.
+    fn at(&self, model: &Model) -> Freeing<'_> {
         let now = sizes(model);
         let share = |effect: &Option<usize>| match effect {
             Some(effect) if self.sizes[*effect] > 0.0 => now[*effect] / self.sizes[*effect],
@@ -203,19 +223,35 @@ impl Vague {
             }
         };
         let middle = DMatrix::from_diagonal(&eigen.eigenvalues.map(of_one));
+        let turn = scale * &eigen.eigenvectors;
+        Freeing {
+            columns: &self.columns,
+            weights: &turn * middle * turn.transpose(),
+            log_det: eigen.eigenvalues.iter().map(|s| s.max(0.0).ln_1p()).sum(),
+        }
+    }
+}
+
+/// `F A F'` of a model, and the log determinant of `I + F F'`.
+struct Freeing<'a> {
+    columns: &'a [Vec<f32>],
+    weights: DMatrix<f64>,
+    log_det: f64,
+}
+
+impl Freeing<'_> {
+    fn free(&self, white: &mut [f64]) {
         let products = self.columns.iter().map(|column| {
             let pairs = column.iter().zip(white.iter());
             pairs.map(|(a, b)| f64::from(*a) * b).sum::<f64>()
         });
-        let products = &scale * DVector::from_iterator(self.columns.len(), products);
-        let turned = eigen.eigenvectors.tr_mul(&products);
-        let weights = scale * &eigen.eigenvectors * (middle * turned);
+        let products = DVector::from_iterator(self.columns.len(), products);
+        let weights = &self.weights * products;
         for (column, weight) in self.columns.iter().zip(weights.iter()) {
             for (white, value) in white.iter_mut().zip(column) {
                 *white -= weight * f64::from(*value);
             }
         }
-        eigen.eigenvalues.iter().map(|s| s.max(0.0).ln_1p()).sum()
     }
 }
 
@@ -248,6 +284,7 @@ impl<'a> Innovations<'a> {
             free,
             sizes,
             runs,
+            along: slopes::are_tangents(model, runs[0].scenario),
             vague: None,
         }
     }
@@ -255,6 +292,36 @@ impl<'a> Innovations<'a> {
     fn units(&self) -> impl Iterator<Item = Unit> {
         let free = self.free.iter().map(|(_, unit)| *unit);
         free.chain(self.sizes.iter().copied())
+    }
+
+    /// The slope of the innovations over one coordinate where it is a tangent, of a hypothesis that is these coordinates.
+    fn slope(&self, there: &Hypothesis, x: &[f64], parameter: usize) -> Option<Source> {
+        if !self.along {
+            return None;
+        }
+        let Some((slot, unit)) = self.free.get(parameter) else {
+            let number = parameter - self.free.len();
+            let event = &there.events[number];
+            let slope = event.slope(self.sizes[number].slope(0.0));
+            return slope.map(|slope| Source::In(event.run, slope));
+        };
+        let value = unit.to_value(x[parameter]);
+        match slot {
+            Slot::Motor(key) => Some(Source::Tangent(Tangent::Motor(*key, unit.slope(value)))),
+            Slot::Effect {
+                index,
+                parameter: place,
+                ..
+            } => {
+                let own = &there.model.effects[*index];
+                let over = self.difference_step(parameter);
+                let step = unit.to_value(x[parameter] + over) - value;
+                let unit = unit.slope(value);
+                let values = own.values_or_guess();
+                let tangent = slopes::of_effect(own.effect, &values, *place, unit, (step, over));
+                tangent.map(Source::Tangent)
+            }
+        }
     }
 
     fn start(&self) -> Vec<f64> {
@@ -308,11 +375,13 @@ impl Problem for Innovations<'_> {
         for ((unit, x), cell) in self.units().zip(x).zip(&mut *priors) {
             *cell = unit.surprise(*x);
         }
-        let log_det = self
-            .vague
-            .as_ref()
-            .map_or(0.0, |vague| vague.free(&there.model, out));
-        priors[x.len()] = log_det.sqrt();
+        if let Some(vague) = &self.vague {
+            let freeing = vague.at(&there.model);
+            freeing.free(out);
+            priors[x.len()] = freeing.log_det.sqrt();
+        } else {
+            priors[x.len()] = 0.0;
+        }
         true
     }
 
@@ -325,6 +394,54 @@ impl Problem for Innovations<'_> {
             Some(Unit::Logarithm { .. }) => 2e-3,
             _ => 5e-3,
         }
+    }
+
+    fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
+        let there = self.hypothesis_at(x);
+        let sources: Vec<Option<Source>> = (0..x.len()).map(|k| self.slope(&there, x, k)).collect();
+        let known: Vec<&Source> = sources.iter().flatten().collect();
+        let columns = columns_of(&known, self.runs);
+        let log_det = |x: &[f64]| {
+            let vague = self.vague.as_ref();
+            vague.map_or(0.0, |vague| {
+                vague.at(&self.hypothesis_at(x).model).log_det.sqrt()
+            })
+        };
+        let freeing = self.vague.as_ref().map(|vague| vague.at(&there.model));
+        let own = self.len - x.len() - 1;
+        let mut next = 0..;
+        let mut column = |parameter: usize| {
+            let number = next.next()?;
+            let mut slope = vec![0.0; self.len];
+            let cells = columns
+                .iter()
+                .zip(self.runs)
+                .scan(0, |from, (whitened, run)| {
+                    let range = *from..*from + 2 * run.scenario.samples();
+                    *from = range.end;
+                    Some((&whitened.columns[number], range))
+                });
+            for (values, range) in cells {
+                // An event of one run leaves the others as they are.
+                for (cell, value) in slope[range].iter_mut().zip(values) {
+                    *cell = f64::from(*value);
+                }
+            }
+            if let Some(freeing) = &freeing {
+                freeing.free(&mut slope[..own]);
+            }
+            // Columns are what is taken from the innovations.
+            slope[..own].iter_mut().for_each(|cell| *cell = -*cell);
+            slope[own + parameter] = self.units().nth(parameter)?.surprise_slope();
+            let step = self.difference_step(parameter);
+            let mut moved = x.to_vec();
+            moved[parameter] += step;
+            slope[own + x.len()] = (log_det(&moved) - log_det(x)) / step;
+            Some(slope)
+        };
+        let each = sources.iter().enumerate();
+        each.map(|(parameter, source)| source.as_ref().and_then(|_| column(parameter)))
+            .collect()
     }
 
     fn clamp(&self, x: &mut [f64]) {
@@ -457,7 +574,7 @@ mod tests {
     use crate::diagnosis::joint::follow::Noise;
     use crate::diagnosis::tests::{nameplate, record, truth};
     use crate::identification::noise::NoiseFloor;
-    use crate::plant::{MotorKey, State};
+    use crate::plant::{MotorKey, State, testing};
 
     fn noise(run: &Scenario, disturbance_n_m: f64) -> Noise {
         let floor = NoiseFloor::from_standstill(run).unwrap();
@@ -509,6 +626,40 @@ mod tests {
         }
         let size = found.effects[0].values[0].unwrap();
         assert!((size / 2e-6 - 1.0).abs() < 0.1, "{size}");
+    }
+
+    #[test]
+    fn slopes_are_what_differences_of_two_simulations_are() {
+        let mut model = truth("viscous_friction", &[2e-4]);
+        for (id, values) in [
+            ("cogging", vec![0.02, 0.01, 3.0]),
+            ("stribeck_friction", vec![0.05, 5.0]),
+            ("supply_sag", vec![0.02]),
+            ("command_delay", vec![4e-4]),
+            ("current_offset", vec![0.02]),
+        ] {
+            model = model.with_effect(id).unwrap();
+            let own = model.effects.last_mut().unwrap();
+            own.values = values.into_iter().map(Some).collect();
+        }
+        // Moves one way only: where a shaft breaks away differences are no slopes.
+        let levels = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
+        let run = testing::record(&model, levels, 1e-3, 2.5, 11);
+        let noise = noise(&record(&model, 0, 7), 1e-3);
+        let around = [Around::new(&model, &run, State::default(), noise).unwrap()];
+        let mut problem = Innovations::new(&Hypothesis::whole(&model), &around);
+        let x = problem.start();
+        assert!(problem.slopes(&x).iter().all(Option::is_some));
+        let mut residual = vec![0.0; problem.residual_len()];
+        assert!(problem.residual(&x, &mut residual));
+        let along = levenberg_marquardt::jacobian_at(&problem, &x, &residual);
+        problem.along = false;
+        let differences = levenberg_marquardt::jacobian_at(&problem, &x, &residual);
+        for (parameter, (slot, _)) in problem.free.iter().enumerate() {
+            let [a, b] = [&along, &differences].map(|all| all.column(parameter).into_owned());
+            let apart = (&a - &b).norm() / b.norm();
+            assert!(apart < 0.05, "{}: {apart}", slot.key());
+        }
     }
 
     #[test]

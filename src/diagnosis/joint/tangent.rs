@@ -183,6 +183,18 @@ pub(super) enum Tangent {
     },
     /// What a sensor adds to every reading: A and rad/s.
     Offset([f64; 2]),
+    /// What an effect does with other parameters instead, over the step of a coordinate that made them others.
+    Change {
+        from: Box<dyn Terms>,
+        to: Box<dyn Terms>,
+        over: f64,
+    },
+    /// A parameter of the motor that is larger by this much.
+    Motor(MotorKey, f64),
+    /// Commands that act later, s.
+    LateCommands(f64),
+    /// Sensors that show current and speed of a while ago, s.
+    LateReadings([f64; 2]),
 }
 
 impl Tangent {
@@ -219,6 +231,30 @@ struct Traveller<'a> {
     rate: Vec<f64>,
     /// Largest voltage, torque and friction that the terms reach, where they are bent.
     most: [f64; 3],
+    /// Forcing of the current by commands that are late, for each sample.
+    pulses: Vec<f64>,
+}
+
+/// What commands that act `late_s` later do to the current in the interval before each sample, as a constant forcing of it.
+fn pulses(run: &Around<'_>, late_s: f64) -> Vec<f64> {
+    let times = &run.scenario.sample_time_s;
+    let mut forcing = vec![0.0; times.len()];
+    let known_s = run.follower.late_s;
+    for pair in run.scenario.events.windows(2) {
+        let acts_s = pair[1].0 + known_s;
+        let sample = times.partition_point(|time_s| *time_s <= acts_s);
+        let (Some(time_s), Some(cell)) = (times.get(sample), forcing.get_mut(sample)) else {
+            continue;
+        };
+        let gain = run.steps[sample].current[4];
+        if gain > 0.0 {
+            let missing_a = (pair[0].1 - pair[1].1) * late_s * run.dynamics.inverse_inductance;
+            let rests = run.follower.passages[sample].direction == 0.0;
+            let rest = run.dynamics.over(time_s - acts_s, rests);
+            *cell += rest.apply([missing_a, 0.0], [0.0; 2])[0] / gain;
+        }
+    }
+    forcing
 }
 
 impl<'a> Traveller<'a> {
@@ -240,11 +276,16 @@ impl<'a> Traveller<'a> {
                 }
             }
         }
+        let pulses = match tangent {
+            Tangent::LateCommands(late_s) => pulses(run, *late_s),
+            _ => vec![],
+        };
         Self {
             tangent,
             own: vec![0.0; states],
             rate: vec![0.0; states],
             most,
+            pulses,
         }
     }
 
@@ -357,9 +398,12 @@ pub(super) fn carry(
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
     let mut beside = [[0.0; LANES]; 2];
+    let mut late: Vec<(usize, [f64; 2])> = Vec::new();
     for (lane, tangent) in tangents.iter().enumerate() {
-        if let Tangent::Offset(offset) = tangent {
-            (beside[0][lane], beside[1][lane]) = (offset[0], offset[1]);
+        match tangent {
+            Tangent::Offset(offset) => (beside[0][lane], beside[1][lane]) = (offset[0], offset[1]),
+            Tangent::LateReadings(by_s) => late.push((lane, *by_s)),
+            _ => {}
         }
     }
     let n = run.scenario.samples();
@@ -393,6 +437,11 @@ pub(super) fn carry(
         for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2))
         {
             deviations.pass(&run.steps[sample], forcing);
+            for (lane, by_s) in &late {
+                for (signal, beside) in beside.iter_mut().enumerate() {
+                    beside[*lane] = -by_s[signal] * run.followed.rates[sample][signal];
+                }
+            }
             white.copy_from_slice(&deviations.correct(&run.follower.updates[sample], &beside));
         }
         hand_on(first, &white[..2 * range.len()]);
@@ -406,6 +455,13 @@ fn sinc(x: f64) -> f64 {
     } else {
         x.sin() / x
     }
+}
+
+/// Voltage across the inductance, but for what effects drop.
+fn inductive_v(run: &Around<'_>, at: &Instant) -> f64 {
+    let value = |key| run.model.motor.get(key).unwrap_or(0.0);
+    let (r, ke) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));
+    at.voltage_v - r * at.current_a - ke * at.speed_rad_s
 }
 
 /// The forcing of one tangent at the samples of a chunk.
@@ -432,21 +488,59 @@ fn force(
         ]
     };
     let followed = &run.followed;
-    let acceleration = |k: usize, interval_s: f64| {
-        let sample = range.start + k;
+    let start = range.start;
+    let mean_rate = |signal: usize, k: usize, interval_s: f64| {
+        let sample = start + k;
         if sample == 0 || interval_s <= 0.0 {
             return 0.0;
         }
-        (followed.before[sample][1] - followed.after[sample - 1][1]) / interval_s
+        (followed.before[sample][signal] - followed.after[sample - 1][signal]) / interval_s
     };
+    let acceleration = |k: usize, interval_s: f64| mean_rate(1, k, interval_s);
     match traveller.tangent {
-        Tangent::Offset(_) => {}
+        Tangent::Offset(_) | Tangent::LateReadings(_) => {}
+        Tangent::LateCommands(_) => {
+            for (k, pulse) in traveller.pulses[range].iter().enumerate() {
+                put(k, [*pulse, 0.0]);
+            }
+        }
+        Tangent::Motor(key, by) => {
+            let is_tied = run.model.motor.get(MotorKey::TorqueConstant).is_none();
+            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
+                let (i, w) = (at.current_a, at.speed_rad_s);
+                let forcing = match key {
+                    MotorKey::Resistance => [-i * inductance, 0.0],
+                    MotorKey::Inductance => {
+                        [-mean_rate(0, k, passage.interval_s) * inductance, 0.0]
+                    }
+                    MotorKey::BackEmf if is_tied => [-w * inductance, i * inertia],
+                    MotorKey::BackEmf => [-w * inductance, 0.0],
+                    MotorKey::TorqueConstant => [0.0, i * inertia],
+                    MotorKey::Inertia => [0.0, -acceleration(k, passage.interval_s) * inertia],
+                    MotorKey::LoadTorque => [0.0, -passage.direction * inertia],
+                };
+                put(k, forcing.map(|forcing| by * forcing));
+            }
+        }
+        Tangent::Change { from, to, over } => {
+            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
+                let (from, to) = (from.sums(at, &[]), to.sums(at, &[]));
+                let change = Sums {
+                    voltage_v: (to.voltage_v - from.voltage_v) / over,
+                    torque_n_m: (to.torque_n_m - from.torque_n_m) / over,
+                    friction_n_m: (to.friction_n_m - from.friction_n_m) / over,
+                    current_rate_gain: (to.current_rate_gain - from.current_rate_gain) / over,
+                    inertia_gain: (to.inertia_gain - from.inertia_gain) / over,
+                };
+                let inductive_v = inductive_v(run, at);
+                let acceleration = acceleration(k, passage.interval_s);
+                put(k, of(&change, passage.direction, inductive_v, acceleration));
+            }
+        }
         Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
-            let value = |key| run.model.motor.get(key).unwrap_or(0.0);
-            let (r, ke) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let sums = traveller.terms(&**terms, at, passage.interval_s);
-                let inductive_v = at.voltage_v - r * at.current_a - ke * at.speed_rad_s;
+                let inductive_v = inductive_v(run, at);
                 let acceleration = acceleration(k, passage.interval_s);
                 put(k, of(&sums, passage.direction, inductive_v, acceleration));
             }
@@ -595,6 +689,50 @@ mod tests {
                 .collect();
             let apart = distance(&columns(&around, &[&tangent])[0], &difference);
             assert!(apart < 0.05, "{id}: {apart}");
+        }
+    }
+
+    #[test]
+    fn what_comes_late_and_a_motor_that_is_another_one_are_what_two_followed_runs_differ_by() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let scenario = run(&model);
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        let late = |id: &str, by_s: f64| {
+            let mut with = model.clone();
+            with.effects.push(ActiveEffect {
+                effect: effect::find(id).unwrap(),
+                values: vec![Some(by_s)],
+            });
+            with
+        };
+        let other = |key: MotorKey| {
+            let mut with = model.clone();
+            let value = model.motor.get(key).unwrap();
+            with.motor.set(key, 1.002 * value);
+            (Tangent::Motor(key, 0.002 * value), with)
+        };
+        let by_s = 2e-5;
+        let mut cases = vec![
+            (Tangent::LateCommands(by_s), late("command_delay", by_s)),
+            (
+                Tangent::LateReadings([by_s, 0.0]),
+                late("current_filter", by_s),
+            ),
+            (
+                Tangent::LateReadings([0.0, by_s]),
+                late("speed_delay", by_s),
+            ),
+        ];
+        let keys = MotorKey::ALL.into_iter();
+        cases.extend(
+            keys.filter(|key| *key != MotorKey::TorqueConstant)
+                .map(other),
+        );
+        for (number, (tangent, with)) in cases.iter().enumerate() {
+            let difference = around.difference(with, &scenario, 1.0);
+            let difference: Vec<f64> = difference.into_iter().map(f64::from).collect();
+            let apart = distance(&columns(&around, &[tangent])[0], &difference);
+            assert!(apart < 0.05, "case {number}: {apart}");
         }
     }
 
