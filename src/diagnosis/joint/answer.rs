@@ -320,8 +320,9 @@ fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) 
 const LED_ONLY: f64 = 1.1;
 
 /// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
-/// motor's, counts as what it is. As it was where the model cannot be followed on the run, or is right only where it is led; times of
-/// events stay.
+/// motor's, counts as what it is. Where those values do not foretell a free run, as where the form of an effect differs from
+/// its equation, the fit's own stay, each uncertain by how far it is from the other beside. As it was where the model cannot
+/// be followed on the run; times of events stay.
 pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
@@ -329,16 +330,21 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
     let Some(estimated) = estimated else {
         return fit;
     };
-    let nrms = match Score::of(&estimated.model, run, &fit.noise) {
-        Ok(score) if score.nrms < LED_ONLY * fit.nrms => score.nrms,
-        _ => return fit,
+    let led = Score::of(&estimated.model, run, &fit.noise);
+    let led = led.ok().filter(|score| score.nrms < LED_ONLY * fit.nrms);
+    let kept = if led.is_some() {
+        estimated.model.clone()
+    } else {
+        model
     };
     let times = &run.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     for (slot, deviation) in &estimated.deviations {
         let key = slot.key();
-        let value = estimated.model.get(slot).unwrap_or(f64::NAN);
-        let mut judged = judge(slot, value, *deviation, period_s);
+        let value = kept.get(slot).unwrap_or(f64::NAN);
+        let apart = estimated.model.get(slot).unwrap_or(f64::NAN) - value;
+        let deviation = deviation.map(|deviation| deviation.hypot(apart));
+        let mut judged = judge(slot, value, deviation, period_s);
         if !estimated.converged && judged.verdict == Verdict::Settled {
             judged.verdict = Verdict::Searching;
             judged.reason = Some("the fit had not converged".to_owned());
@@ -352,9 +358,9 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
         }
     }
     Fitted {
-        model: estimated.model,
+        model: kept,
         interval_factor: estimated.factor,
-        nrms,
+        nrms: led.map_or(fit.nrms, |score| score.nrms),
         ..fit
     }
 }

@@ -3,16 +3,16 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::asked::why_not;
-use super::columns::{Around, SLAB, single};
+use super::columns::{Around, SLAB};
 use super::events::{Event, Hypothesis};
 use super::excess::excess;
 use super::follow::follow;
-use super::nuisances::{MotorPrior, motor_prior, of_equations};
+use super::nuisances::{MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::whitened::Whitened;
 use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
-use crate::plant::{ActiveEffect, Model, ParameterRole, Scenario, Slot, typical_size};
+use crate::plant::{ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, typical_size};
 
 /// Prior standard deviations: of the logarithm of a shape, and of a shape that may be zero in
 /// units of its scale.
@@ -405,31 +405,18 @@ pub(super) struct Estimated {
 /// of the parameters beforehand has no part in it.
 pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
     let runs = std::slice::from_ref(run);
-    let problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
+    let mut problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
+    // Values that took all of the misfit would be further off than values for which stamps and forms may be wrong.
+    problem.vague = Some(Vague::of(&run.model, runs));
     let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), Options::default())?;
+    let rows = problem.len - problem.free.len() - 1;
+    let slopes = minimum.jacobian.rows(0, rows);
+    let (covariance, determined) = inverse_of_normal(&slopes.tr_mul(&slopes));
+    let left = minimum.residual[..rows].chunks_exact(2);
+    let left = left.map(|pair| [pair[0], pair[1]]).collect();
+    let factor = excess(&[(run, left)]).sqrt();
     let fitted = problem.hypothesis_at(&minimum.x).model;
-    let there = Around::new(&fitted, run.scenario, run.start, run.noise)?;
-    let own = problem.free.len();
-    let rows = problem.len - own - 1;
-    let slope = |parameter: usize| -> Vec<f32> {
-        let column = minimum.jacobian.column(parameter);
-        column
-            .rows(0, rows)
-            .iter()
-            .map(|value| single(*value))
-            .collect()
-    };
-    let mut columns: Vec<Vec<f32>> = (0..own).map(slope).collect();
-    columns.extend(of_equations(&there).into_iter().map(|(_, column)| column));
-    let k = columns.len();
-    let white = &there.followed.white;
-    let products = Whitened::new(columns, rows).gram(white);
-    let mut normal = products.view((0, 0), (k, k)).into_owned();
-    for nuisance in own..k {
-        normal[(nuisance, nuisance)] += 1.0;
-    }
-    let (covariance, determined) = inverse_of_normal(&normal);
-    let factor = excess(&[(&there, white.clone())]).sqrt();
+    let left_ohm = left_beyond_ohm(&fitted, run.scenario);
     let deviations = problem
         .free
         .iter()
@@ -440,12 +427,17 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
                 Unit::Linear { unit, .. } => *unit,
             };
             let variance = covariance[(index, index)].max(0.0);
-            let deviation = factor * slope * variance.sqrt();
+            let beside = if let Slot::Motor(MotorKey::Resistance) = slot {
+                left_ohm
+            } else {
+                0.0
+            };
+            let deviation = (factor * slope * variance.sqrt()).hypot(beside);
             (*slot, determined[index].then_some(deviation))
         });
     Some(Estimated {
         deviations: deviations.collect(),
-        model: fitted.clone(),
+        model: fitted,
         factor,
         converged: minimum.converged,
     })
@@ -457,7 +449,7 @@ mod tests {
     use crate::diagnosis::joint::follow::Noise;
     use crate::diagnosis::tests::{nameplate, record, truth};
     use crate::identification::noise::NoiseFloor;
-    use crate::plant::{MotorKey, State};
+    use crate::plant::State;
 
     fn noise(run: &Scenario, disturbance_n_m: f64) -> Noise {
         let floor = NoiseFloor::from_standstill(run).unwrap();
