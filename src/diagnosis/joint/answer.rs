@@ -604,6 +604,9 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::tests::{nameplate, truth};
+    use crate::identification::output_error;
+    use crate::plant::{effect, testing};
 
     #[test]
     fn what_takes_nothing_from_the_error_is_no_part_of_it() {
@@ -619,5 +622,49 @@ mod tests {
         let parts = unknown_parts(&candidates, &[1.0, 1.0], &[0.0, 0.4]);
         let equations: Vec<&str> = parts.iter().map(|part| part.equation).collect();
         assert_eq!(equations, ["torque"]);
+    }
+
+    #[test]
+    fn beside_gaps_of_the_current_of_another_form_the_interval_holds_the_resistance() {
+        // The load line bends over where the catalogue's has a corner.
+        let bent = "equation = \"voltage\"\nparameters = [\"r\"]\nexpression = \"2*r*tanh(i/2)\"";
+        let (bent, _) = effect::define("custom", &bent.parse().unwrap()).unwrap();
+        let mut machine = nameplate();
+        machine.effects.push(ActiveEffect {
+            effect: bent,
+            values: vec![Some(1.4)],
+        });
+        // Ramps of 150 V/s between levels that hold: currents of some amperes.
+        let volts = |at_s: f64| {
+            let phase_s = at_s % 2.0;
+            let rising = 150.0 * phase_s.min(0.5) - 150.0 * (phase_s - 1.0).clamp(0.0, 0.5);
+            if at_s % 4.0 < 2.0 { rising } else { -rising }
+        };
+        let times = (0..700_u16).map(|step| 0.01 * f64::from(step));
+        let events = times.map(|at_s| (at_s, volts((at_s - 0.5).max(0.0))));
+        let run = testing::record(&machine, events.collect(), 0.01, 7.0, 7);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let start = truth("discontinuous_conduction", &[1.4, 2.0]);
+        let free = Fitted::from(&output_error::fit(&[start], &run, &noise).unwrap());
+        let led = refined(free.clone(), &run, beginning(&noise, &free.model, &run));
+        let key = MotorKey::Resistance;
+        let off = |fit: &Fitted| {
+            let own = fit.parameters.iter().find(|p| p.key == key.key()).unwrap();
+            let known = machine.motor.get(key).unwrap();
+            ((own.value.unwrap() - known).abs(), own.std.unwrap())
+        };
+        let ((off_ohm, std_ohm), (free_ohm, free_std_ohm)) = (off(&led), off(&free));
+        assert!(off_ohm < 2.0 * std_ohm, "{off_ohm} +- {std_ohm}");
+        assert!(
+            free_ohm > 4.0 * free_std_ohm,
+            "{free_ohm} +- {free_std_ohm}"
+        );
+        // What foretells a free run is not given away for it.
+        assert!(
+            led.nrms < LED_ONLY * free.nrms,
+            "{} {}",
+            led.nrms,
+            free.nrms
+        );
     }
 }

@@ -163,6 +163,10 @@ fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
 pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
     let left = model.effects.iter().map(|active| {
         let terms = active.effect.terms(&active.values_or_guess());
+        // What has a state is no matter of the current alone.
+        if terms.states() > 0 {
+            return 0.0;
+        }
         let ([small_v, _], small_a) = small_and_most_v(&*terms, scenario);
         if small_v > 0.0 && !has_a_level(&*terms, scenario) {
             FORM * small_v / small_a
@@ -234,4 +238,23 @@ pub(super) fn bends(
         }
     }
     bends
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::tests::{nameplate, record, truth};
+    use crate::plant::effect::CATALOGUE;
+
+    #[test]
+    fn only_gaps_of_the_current_leave_something_of_a_resistance_beyond() {
+        let run = record(&nameplate(), 0, 7);
+        let left = |model: &Model| left_beyond_ohm(model, &run);
+        for effect in CATALOGUE {
+            let model = nameplate().with_effect(effect.card().id).unwrap();
+            assert!(left(&model) <= 0.0, "{}", effect.card().id);
+        }
+        let gaps = truth("discontinuous_conduction", &[1.4, 20.0]);
+        assert!((left(&gaps) / (0.1 * 1.4) - 1.0).abs() < 1e-9);
+    }
 }

@@ -517,4 +517,25 @@ mod tests {
         let mean = found.squares / around[0].follower.rows as f64;
         assert!(mean < 1.5, "{mean}");
     }
+
+    #[test]
+    fn what_the_stamps_may_be_wrong_by_is_no_error_of_the_inertia() {
+        let mut run = record(&truth("speed_delay", &[2e-4]), 0, 7);
+        run.time_half_width_s = vec![2e-4; run.samples()];
+        let model = nameplate();
+        let run = Around::new(&model, &run, State::default(), noise(&run, 1e-4)).unwrap();
+        let key = MotorKey::Inertia;
+        let off = |found: &Model| {
+            let [found, known] = [found, &model].map(|model| model.motor.get(key).unwrap());
+            (found - known).abs()
+        };
+        let found = estimate(&run).unwrap();
+        let is_inertia = |slot: &Slot| matches!(slot, Slot::Motor(MotorKey::Inertia));
+        let own = found.deviations.iter().find(|(slot, _)| is_inertia(slot));
+        let deviation = own.unwrap().1.unwrap();
+        assert!(off(&found.model) < 2.0 * deviation);
+        let whole = Hypothesis::whole(&model);
+        let (exact, _) = fit_as_followed(&whole, std::slice::from_ref(&run)).unwrap();
+        assert!(off(&exact.model) > 4.0 * deviation);
+    }
 }
