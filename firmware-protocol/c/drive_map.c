@@ -254,18 +254,19 @@ void drive_slave_telemetry(struct drive_slave *slave, bool reads_status, struct 
     unlock(slave);
 }
 
-/* A value of the stream in the coarser steps of a register: rounded, halves away from zero, saturated. */
+/* A value of the stream in the coarser steps of a register: rounded, halves to the even one, saturated. */
 static uint16_t coarse(int32_t fine, int32_t lowest, int32_t highest, int32_t not_available)
 {
     const int32_t half = STREAM_FINER / 2;
-    int32_t raw;
+    int32_t raw, most;
     if (fine == DB_STREAM_NOT_AVAILABLE) {
         return (uint16_t)not_available;
     }
     raw = fine / STREAM_FINER;
-    if (fine % STREAM_FINER >= half) {
+    most = raw % 2 != 0 ? half - 1 : half;
+    if (fine % STREAM_FINER > most) {
         raw++;
-    } else if (fine % STREAM_FINER <= -half) {
+    } else if (fine % STREAM_FINER < -most) {
         raw--;
     }
     return (uint16_t)(raw < lowest ? lowest : raw > highest ? highest : raw);

@@ -190,7 +190,16 @@ size_t drive_slave_captured(const struct drive_slave *slave, uint16_t index, siz
 
 /* ---- For who measures in floating point ------------------------------------------------------------------------ */
 
-/* Nearest whole step, halves away from zero; saturates; NaN is "not available". */
+/* Nearest whole step, halves to the even one, of what is within 32 bits. */
+static inline int64_t drive_nearest(double steps)
+{
+    const int64_t whole = (int64_t)steps;
+    const double rest = steps < 0.0 ? (double)whole - steps : steps - (double)whole;
+    const bool is_odd = whole % 2 != 0;
+    return rest > 0.5 || (is_odd && rest >= 0.5) ? whole + (steps < 0.0 ? -1 : 1) : whole;
+}
+
+/* The same of a value; saturates; NaN is "not available". */
 static inline int32_t drive_steps(double value, double steps_per_unit)
 {
     const double steps = value * steps_per_unit;
@@ -203,14 +212,14 @@ static inline int32_t drive_steps(double value, double steps_per_unit)
     if (steps <= -2147483647.0) {
         return -2147483647;
     }
-    return (int32_t)(steps < 0.0 ? steps - 0.5 : steps + 0.5);
+    return (int32_t)drive_nearest(steps);
 }
 
 /* The angle of drive_sample: wraps instead of saturating. */
 static inline int32_t drive_angle(double angle_rad)
 {
     const double steps = angle_rad * (double)DB_STREAM_ANGLE_PER_UNIT;
-    return drive_signed32((uint32_t)(int64_t)(steps < 0.0 ? steps - 0.5 : steps + 0.5));
+    return drive_signed32((uint32_t)drive_nearest(steps));
 }
 
 #endif

@@ -329,10 +329,18 @@ impl Kind {
     }
 }
 
-/// Nearest whole number, halves away from zero; saturates, NaN gives 0 (`core` has no `f64::round`).
+/// Nearest whole number, halves to the even one: where a sensor has finer steps than a register, halves that all went away
+/// from zero would make every reading too large. Saturates, NaN gives 0 (`core` has no `f64::round_ties_even`).
 #[expect(clippy::cast_possible_truncation, reason = "the cast saturates")]
 pub(crate) fn rounded(value: f64) -> i64 {
-    (value + f64::copysign(0.5, value)) as i64
+    let whole = value as i64;
+    let rest = (value - whole as f64).abs();
+    let is_odd = whole % 2 != 0;
+    if rest > 0.5 || (is_odd && rest >= 0.5) {
+        whole.saturating_add(if value < 0.0 { -1 } else { 1 })
+    } else {
+        whole
+    }
 }
 
 /// Keeps the low 32 bits as a signed number.

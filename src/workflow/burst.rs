@@ -213,18 +213,24 @@ impl VoltageBalance {
         )
     }
 
-    /// Resistance and inductance; not settled where the equation misses something.
+    /// Resistance and inductance; not settled where the equation misses something, or holds only with effects: in what
+    /// range of the current a drop builds up is no part of its equation, and goes into both.
     fn told(self, effects: Vec<&'static str>, sentence: String) -> Told {
         let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
-        let misses = self.over_noise.filter(|over| *over > HOLDS);
+        let misses = self.over_noise.filter(|over| *over > HOLDS).map(|over| {
+            format!(
+                "the voltage equation of the burst leaves {over:.2} times its noise: something is missing in it"
+            )
+        });
+        let rests_on = (!effects.is_empty())
+            .then(|| format!("it rests on the form of {}", effects.join(" and ")));
+        let doubt = misses.or(rests_on);
         let mut estimates = self.parameters;
         estimates.retain(|estimate| electrical.contains(&estimate.key.as_str()));
         for estimate in &mut estimates {
-            if let (Some(over), Verdict::Settled) = (misses, estimate.verdict) {
+            if let (Some(reason), Verdict::Settled) = (&doubt, estimate.verdict) {
                 estimate.verdict = Verdict::Searching;
-                estimate.reason = Some(format!(
-                    "the voltage equation of the burst leaves {over:.2} times its noise: something is missing in it"
-                ));
+                estimate.reason = Some(reason.clone());
             }
         }
         Told {
@@ -326,6 +332,19 @@ mod tests {
             (free / 0.0099 - 1.0).abs() > 3.0 * (value / 0.0099 - 1.0).abs(),
             "{free}"
         );
+    }
+
+    #[test]
+    fn what_rests_on_the_form_of_an_effect_is_not_settled() {
+        let balance = || VoltageBalance::of(&plate(), &burst(0.0099)).unwrap();
+        let settled = |told: Told| {
+            let is_settled = |p: &ParameterEstimate| p.verdict == Verdict::Settled;
+            told.estimates.iter().any(is_settled)
+        };
+        assert!(settled(balance().told(Vec::new(), String::new())));
+        assert!(!settled(
+            balance().told(vec!["voltage_drop"], String::new())
+        ));
     }
 
     #[test]

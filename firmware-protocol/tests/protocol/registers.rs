@@ -62,6 +62,16 @@ fn values_saturate_round_and_say_when_they_are_missing() {
 }
 
 #[test]
+fn halves_of_a_step_cancel() {
+    for sign in [-1.0, 1.0] {
+        let halves = (1_u16..401).map(|step| sign * f64::from(step) / 200.0);
+        let errors = halves.map(|current_a| CURRENT.decode(CURRENT.encode(current_a)) - current_a);
+        let mean_a = errors.sum::<f64>() / 400.0;
+        assert!(mean_a.abs() < 1e-4, "{mean_a}");
+    }
+}
+
+#[test]
 fn the_angle_wraps_by_its_span_and_never_saturates() {
     let angle = |radian| ANGLE.decode(ANGLE.encode(radian));
     let half = Telemetry::ANGLE_SPAN_RAD / 2.0;

@@ -320,8 +320,9 @@ fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) 
 const LED_ONLY: f64 = 1.1;
 
 /// The same fit with values and deviations from its prediction errors: a load that wanders, which a free run takes for the
-/// motor's, counts as what it is. As it was where the model cannot be followed on the run, or is right only where it is led; times of
-/// events stay.
+/// motor's, counts as what it is. Where those values do not foretell a free run, as where the form of an effect differs from
+/// its equation, the fit's own stay, each uncertain by how far it is from the other beside. As it was where the model cannot
+/// be followed on the run; times of events stay.
 pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let model = fit.model.clone();
@@ -329,16 +330,21 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
     let Some(estimated) = estimated else {
         return fit;
     };
-    let nrms = match Score::of(&estimated.model, run, &fit.noise) {
-        Ok(score) if score.nrms < LED_ONLY * fit.nrms => score.nrms,
-        _ => return fit,
+    let led = Score::of(&estimated.model, run, &fit.noise);
+    let led = led.ok().filter(|score| score.nrms < LED_ONLY * fit.nrms);
+    let kept = if led.is_some() {
+        estimated.model.clone()
+    } else {
+        model
     };
     let times = &run.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     for (slot, deviation) in &estimated.deviations {
         let key = slot.key();
-        let value = estimated.model.get(slot).unwrap_or(f64::NAN);
-        let mut judged = judge(slot, value, *deviation, period_s);
+        let value = kept.get(slot).unwrap_or(f64::NAN);
+        let apart = estimated.model.get(slot).unwrap_or(f64::NAN) - value;
+        let deviation = deviation.map(|deviation| deviation.hypot(apart));
+        let mut judged = judge(slot, value, deviation, period_s);
         if !estimated.converged && judged.verdict == Verdict::Settled {
             judged.verdict = Verdict::Searching;
             judged.reason = Some("the fit had not converged".to_owned());
@@ -352,9 +358,9 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
         }
     }
     Fitted {
-        model: estimated.model,
+        model: kept,
         interval_factor: estimated.factor,
-        nrms,
+        nrms: led.map_or(fit.nrms, |score| score.nrms),
         ..fit
     }
 }
@@ -598,6 +604,9 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::tests::{nameplate, truth};
+    use crate::identification::output_error;
+    use crate::plant::{effect, testing};
 
     #[test]
     fn what_takes_nothing_from_the_error_is_no_part_of_it() {
@@ -613,5 +622,49 @@ mod tests {
         let parts = unknown_parts(&candidates, &[1.0, 1.0], &[0.0, 0.4]);
         let equations: Vec<&str> = parts.iter().map(|part| part.equation).collect();
         assert_eq!(equations, ["torque"]);
+    }
+
+    #[test]
+    fn beside_gaps_of_the_current_of_another_form_the_interval_holds_the_resistance() {
+        // The load line bends over where the catalogue's has a corner.
+        let bent = "equation = \"voltage\"\nparameters = [\"r\"]\nexpression = \"2*r*tanh(i/2)\"";
+        let (bent, _) = effect::define("custom", &bent.parse().unwrap()).unwrap();
+        let mut machine = nameplate();
+        machine.effects.push(ActiveEffect {
+            effect: bent,
+            values: vec![Some(1.4)],
+        });
+        // Ramps of 150 V/s between levels that hold: currents of some amperes.
+        let volts = |at_s: f64| {
+            let phase_s = at_s % 2.0;
+            let rising = 150.0 * phase_s.min(0.5) - 150.0 * (phase_s - 1.0).clamp(0.0, 0.5);
+            if at_s % 4.0 < 2.0 { rising } else { -rising }
+        };
+        let times = (0..700_u16).map(|step| 0.01 * f64::from(step));
+        let events = times.map(|at_s| (at_s, volts((at_s - 0.5).max(0.0))));
+        let run = testing::record(&machine, events.collect(), 0.01, 7.0, 7);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let start = truth("discontinuous_conduction", &[1.4, 2.0]);
+        let free = Fitted::from(&output_error::fit(&[start], &run, &noise).unwrap());
+        let led = refined(free.clone(), &run, beginning(&noise, &free.model, &run));
+        let key = MotorKey::Resistance;
+        let off = |fit: &Fitted| {
+            let own = fit.parameters.iter().find(|p| p.key == key.key()).unwrap();
+            let known = machine.motor.get(key).unwrap();
+            ((own.value.unwrap() - known).abs(), own.std.unwrap())
+        };
+        let ((off_ohm, std_ohm), (free_ohm, free_std_ohm)) = (off(&led), off(&free));
+        assert!(off_ohm < 2.0 * std_ohm, "{off_ohm} +- {std_ohm}");
+        assert!(
+            free_ohm > 4.0 * free_std_ohm,
+            "{free_ohm} +- {free_std_ohm}"
+        );
+        // What foretells a free run is not given away for it.
+        assert!(
+            led.nrms < LED_ONLY * free.nrms,
+            "{} {}",
+            led.nrms,
+            free.nrms
+        );
     }
 }

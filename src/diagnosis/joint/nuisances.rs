@@ -147,9 +147,8 @@ pub(super) fn of_equations(run: &Around<'_>) -> Vec<(Option<usize>, Vec<f32>)> {
     numbers.into_iter().zip(columns).collect()
 }
 
-/// Whether terms have reached a level by a small part of the run's currents, as a drop of brushes: in what range they build
-/// up is no part of their equation.
-fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
+/// Voltages of terms at a small part of the run's largest current and at that current, and that part of it, A.
+fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
     let currents = scenario.current_a.iter().filter(|value| value.is_finite());
     let most_a = currents.fold(0.0_f64, |most, value| most.max(value.abs()));
     let at = |current_a: f64| {
@@ -159,7 +158,33 @@ fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
         };
         terms.voltage_v(&at, &[]).abs()
     };
-    at(most_a) > 0.0 && at(SMALL * most_a) > REACHED * at(most_a)
+    ([SMALL * most_a, most_a].map(at), SMALL * most_a)
+}
+
+/// Whether terms have reached a level by a small part of the run's currents, as a drop of brushes: in what range they build
+/// up is no part of their equation.
+fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
+    let ([small_v, most_v], _) = small_and_most_v(terms, scenario);
+    most_v > 0.0 && small_v > REACHED * most_v
+}
+
+/// What the model's effects that begin as a resistance and end, as gaps of the current do, may leave of it where they should
+/// have ended, ohm: the motor's resistance is known no better than that.
+pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
+    let left = model.effects.iter().map(|active| {
+        let terms = active.effect.terms(&active.values_or_guess());
+        // What has a state is no matter of the current alone.
+        if terms.states() > 0 {
+            return 0.0;
+        }
+        let ([small_v, _], small_a) = small_and_most_v(&*terms, scenario);
+        if small_v > 0.0 && !has_a_level(&*terms, scenario) {
+            FORM * small_v / small_a
+        } else {
+            0.0
+        }
+    });
+    left.map(|ohm| ohm * ohm).sum::<f64>().sqrt()
 }
 
 /// Other forms of an effect of the model, each at one standard deviation.
@@ -223,4 +248,23 @@ pub(super) fn bends(
         }
     }
     bends
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::tests::{nameplate, record, truth};
+    use crate::plant::effect::CATALOGUE;
+
+    #[test]
+    fn only_gaps_of_the_current_leave_something_of_a_resistance_beyond() {
+        let run = record(&nameplate(), 0, 7);
+        let left = |model: &Model| left_beyond_ohm(model, &run);
+        for effect in CATALOGUE {
+            let model = nameplate().with_effect(effect.card().id).unwrap();
+            assert!(left(&model) <= 0.0, "{}", effect.card().id);
+        }
+        let gaps = truth("discontinuous_conduction", &[1.4, 20.0]);
+        assert!((left(&gaps) / (0.1 * 1.4) - 1.0).abs() < 1e-9);
+    }
 }

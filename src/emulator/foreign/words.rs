@@ -58,7 +58,7 @@ pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
     reason = "casts of a float saturate, as the registers of a drive do"
 )]
 pub(super) fn bits(kind: Kind, raw: f64) -> u32 {
-    let raw_whole = raw.round();
+    let raw_whole = raw.round_ties_even();
     match kind {
         Kind::U16 => (raw_whole.abs() as u16).into(),
         Kind::I16 => u16::from_be_bytes((raw_whole as i16).to_be_bytes()).into(),
