@@ -42,6 +42,15 @@ pub(super) struct Variant {
     pub log_prior: f64,
 }
 
+/// What runs say of one column beside others: per slab the information, and what they ask for times that.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    pub information: f64,
+    pub asked: f64,
+    /// The slab, in the unit of its parameter.
+    pub unit: f64,
+}
+
 #[derive(Clone)]
 pub(super) struct Candidate {
     pub id: &'static str,
@@ -50,6 +59,8 @@ pub(super) struct Candidate {
     pub in_model: bool,
     pub log_odds: f64,
     pub variants: Vec<Variant>,
+    /// Of an event of which few forms have columns what all its moments say beside the model.
+    pub moments: Vec<Seen>,
     /// Candidates that say the same and are out where this one is in.
     pub excludes: Vec<usize>,
 }
@@ -58,6 +69,12 @@ impl Candidate {
     /// Whether it is there wholly or not at all, as a shaft's elasticity: its shape is all that there is.
     pub(super) fn is_whole(&self) -> bool {
         self.variants[0].mean > 0.0
+    }
+
+    /// Whether `size` of a form that is there wholly or not at all would be another share of it: the linear solution does
+    /// not hold there. What the model has already was fitted: there its shapes ask for another fit, not for none of it.
+    pub(super) fn is_by_halves(&self, size: f64, form: &Variant) -> bool {
+        !self.in_model && form.mean > 0.0 && (size / form.mean - 1.0).abs() > 0.5
     }
 
     /// Whether it happens once, in each run at a moment of its own.
@@ -307,6 +324,7 @@ impl Part {
             in_model: false,
             log_odds,
             variants: vec![],
+            moments: vec![],
             excludes: vec![],
         };
         Self {

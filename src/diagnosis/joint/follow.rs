@@ -4,12 +4,15 @@
 //! the shaft, it makes the error of a free run wander too, so that tests on that error would be wrong. The innovations,
 //! over their standard deviations, are independent under the model whatever the disturbance did.
 
+use std::f64::consts::TAU;
+
 use super::columns::Around;
 use crate::identification::stamps::spread;
 use crate::numerics::statistics::median;
 use crate::plant::propagator::{LinearPart, Propagator};
 use crate::plant::{
-    Correction, Input, Instant, Model, MotorKey, Plant, Scenario, State, Terms, Trajectory,
+    Correction, Coupling, Input, Instant, Model, MotorKey, Plant, Scenario, State, Terms,
+    Trajectory,
 };
 
 /// What is random in a run.
@@ -64,12 +67,16 @@ pub(super) fn constants(model: &Model, scenario: &Scenario) -> Instant {
 
 /// Time over which the error of a coupling's form is alike, s: about a period of its ringing.
 const RINGING_S: f64 = 0.01;
+/// Damping ratio of the least damped coupling: what is not known of a twist dies away with it at last.
+const LEAST_DAMPING: f64 = 0.01;
 
 /// What the effects of a model do at an instant: volts, newton metres, and newton metres of what rings.
 struct Forms {
     terms: Vec<Box<dyn Terms>>,
     motor: Instant,
     coupling: f64,
+    /// Time in which what rings dies away, s.
+    ringing_s: f64,
     inertia: f64,
     /// Friction and torque per unit of the input whose forms count: none under a voltage.
     coulomb: f64,
@@ -83,15 +90,15 @@ impl Forms {
             .iter()
             .map(|active| active.effect.terms(&active.values_or_guess()))
             .collect();
-        let coupling = terms
-            .iter()
-            .filter_map(|terms| terms.coupling())
-            .fold(0.0, |most: f64, c| most.max(c.inertia_ratio));
+        let coupling = terms.iter().find_map(|terms| terms.coupling());
+        let dies_s =
+            |c: Coupling| 1.0 / (TAU * c.frequency_hz * c.damping_ratio.max(LEAST_DAMPING));
         let counts = f64::from(u8::from(scenario.input != Input::Voltage));
         Self {
             terms,
             motor: constants(model, scenario),
-            coupling,
+            coupling: coupling.map_or(0.0, |c| c.inertia_ratio),
+            ringing_s: coupling.map_or(0.0, dies_s),
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
             coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
             drive: counts * DRIVE / FORM * constants(model, scenario).torque_n_m_per_a,
@@ -331,6 +338,9 @@ struct Filter<'a> {
     /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
     hole_ends_s: Vec<f64>,
     holes_passed: usize,
+    /// Square of what rings, as it dies away, and when a coupling's twist became unknown last.
+    ringing: f64,
+    twisted_s: f64,
     /// Propagators over the last interval, moving and at rest.
     cached: (f64, [Propagator; 2]),
 }
@@ -396,6 +406,8 @@ impl<'a> Filter<'a> {
                 .map(|hole| hole.to_s)
                 .collect(),
             holes_passed: 0,
+            ringing: 0.0,
+            twisted_s: f64::NEG_INFINITY,
             cached: (-1.0, [dynamics.over(0.0, false), dynamics.over(0.0, true)]),
         })
     }
@@ -434,6 +446,18 @@ impl<'a> Filter<'a> {
                 let shared_s = hole.to_s.min(to_s) - hole.from_s.max(from_s);
                 sum + hole.variance * (shared_s / (to_s - from_s)).powi(2)
             })
+    }
+
+    /// Variance of what rings, of which there is so much now: where it passes zero another phase of it is all error. How a
+    /// coupling was twisted at the end of a hole nobody has seen: until that has died away all is.
+    fn ringing(&mut self, square: f64, interval_s: f64) -> f64 {
+        let dies_s = self.forms.ringing_s;
+        if dies_s <= 0.0 {
+            return 0.0;
+        }
+        self.ringing = square.max(self.ringing * (-2.0 * interval_s / dies_s).exp());
+        let unseen = (-(self.last_s - self.twisted_s) / dies_s).exp();
+        self.ringing * (FORM * FORM + unseen)
     }
 
     /// Goes to the time of `sample`, where the model is in `state`.
@@ -488,6 +512,11 @@ impl<'a> Filter<'a> {
             };
             [current, speed + anew * anew]
         };
+        if begins_again {
+            self.twisted_s = time_s;
+        }
+        let mut form = squares.map(|square| FORM * FORM * square);
+        form[2] = self.ringing(squares[2], interval_s);
         let passage = Passage {
             propagator: if begins_again {
                 Propagator::default()
@@ -499,7 +528,7 @@ impl<'a> Filter<'a> {
             interval_s,
             direction: now,
             kept: if rests || released { 0.0 } else { 1.0 },
-            form: squares.map(|square| FORM * FORM * square),
+            form,
             input_keeps: self.dynamics.input_keeps(interval_s),
             input_share: 1.0,
         };
@@ -851,5 +880,36 @@ mod tests {
                 assert!((found - unknown_v2).abs() < 1e-6, "{from_s}: {found}");
             }
         }
+    }
+
+    #[test]
+    fn what_rings_is_as_uncertain_where_it_passes_zero_and_wholly_unknown_behind_a_hole() {
+        let mut model = Model::baseline(Motor::zk_22fc())
+            .with_effect("elastic_coupling")
+            .unwrap();
+        model.effects[0].values = [20.0, 0.5, 0.05, 0.5].map(Some).to_vec();
+        let scenario = record(&model, vec![(0.0, 20.0)], 1e-3, 0.1, 3);
+        let noise = Noise {
+            current_a: CURRENT_NOISE_A,
+            speed_rad_s: SPEED_NOISE_RAD_S,
+            disturbance_n_m: 1e-6,
+            correlation_s: 0.5,
+            input: 1e-6,
+            sensors: 0.1,
+        };
+        let mut filter = Filter::new(&model, &scenario, State::default(), &noise).unwrap();
+        // A torque of 2 N.m, and a quarter of a period later none.
+        assert!((filter.ringing(4.0, 1e-3) / (4.0 * FORM * FORM) - 1.0).abs() < 1e-9);
+        let later = filter.ringing(0.0, 0.25 / 20.0);
+        assert!(
+            (0.8..0.9).contains(&(later / (4.0 * FORM * FORM))),
+            "{later}"
+        );
+        filter.twisted_s = filter.last_s;
+        assert!(filter.ringing(4.0, 1e-3) > 4.0);
+        // Half a second is three times the time in which it dies away.
+        filter.last_s += 0.5;
+        let later = filter.ringing(4.0, 1e-3);
+        assert!(later < 0.05 * 4.0, "{later}");
     }
 }

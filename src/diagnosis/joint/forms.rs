@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
-use super::columns::{Around, Part, Source};
+use super::columns::{Around, Part, Seen, Source};
 use super::tangent::{LANES, Lane, Tangent, carry};
 use super::whitened::Whitened;
 use crate::plant::Scenario;
@@ -84,6 +84,11 @@ pub(super) fn keep_likeliest(
         for group in groups.iter().filter(|group| group.part == number) {
             let width = part.sources[0].len();
             for (place, form) in group.forms.iter().enumerate() {
+                if part.candidate.is_event() {
+                    let unit = part.candidate.variants[*form].units[0];
+                    let seen = seen(&factor, &right, &group.products, place, unit);
+                    part.candidate.moments.push(seen);
+                }
                 gains.push((
                     *form,
                     gain(&factor, &right, &group.products, place * width, width),
@@ -300,6 +305,24 @@ pub(super) fn gain(
     };
     let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
     0.5 * rest.dot(&schur.solve(&rest)) - log_det
+}
+
+/// What the runs say of the form of one column in this lane, beside the base.
+fn seen(
+    factor: &Cholesky<f64, Dyn>,
+    right: &DVector<f64>,
+    products: &[Lane],
+    lane: usize,
+    unit: f64,
+) -> Seen {
+    let m = right.len();
+    let cross = DVector::from_fn(m, |r, _| products[r][lane]);
+    let solved = factor.solve(&cross);
+    Seen {
+        information: products[m + 1][lane] - cross.dot(&solved),
+        asked: products[m][lane] - right.dot(&solved),
+        unit,
+    }
 }
 
 #[cfg(test)]
