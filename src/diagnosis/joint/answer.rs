@@ -3,7 +3,7 @@
 use statrs::function::erf::erfc;
 
 use super::asked::{prepared, why_not};
-use super::columns::{Around, Candidate, Seen};
+use super::columns::{Around, Candidate, NO_PARAMETER, Seen, Variant};
 use super::events::Event;
 use super::follow::{Noise, constants};
 use super::prediction_error::estimate;
@@ -640,12 +640,18 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
     let candidates = &found.linear.candidates;
     let best = &found.posterior.best;
     let likelihood = |set: &Set| reduced.log_likelihood(&reduced.columns(set));
-    let most = likelihood(best);
     let mut pairs: Vec<[&'static str; 2]> = Vec::new();
     for (j, present) in candidates.iter().enumerate() {
-        if best[j].is_none() || present.is_unknown() {
+        let Some(own) = best[j].filter(|_| !present.is_unknown()) else {
             continue;
+        };
+        // What another form of its onset explains it would of the rival's: it is left out of both.
+        let mut columns = reduced.columns(best);
+        if present.is_event() {
+            let forms = onset_forms(&present.variants[own]);
+            columns.retain(|column| !forms.contains(&(column + found.linear.nuisances.len())));
         }
+        let most = reduced.log_likelihood(&columns);
         for (k, rival) in candidates.iter().enumerate() {
             let pair = [present.id, rival.id];
             let is_open = best[k].is_none() && !rival.is_unknown() && !rival.is_whole();
@@ -663,6 +669,13 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
         }
     }
     pairs
+}
+
+/// Columns of a form that only bend it.
+fn onset_forms(form: &Variant) -> Vec<usize> {
+    let columns = form.columns.iter().zip(&form.parameters);
+    let bends = columns.filter(|(_, parameter)| **parameter == NO_PARAMETER);
+    bends.map(|(column, _)| *column).collect()
 }
 
 #[cfg(test)]

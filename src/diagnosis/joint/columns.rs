@@ -36,6 +36,8 @@ pub(super) struct Variant {
     pub present: Vec<f64>,
     /// Of an event, for each column the run and when it happens there, s after the run's first command.
     pub moments: Vec<(usize, f64)>,
+    /// Whether it is at the moment of another event of the model: only there can the two be told apart, or not.
+    pub is_rival: bool,
     /// Of what is there wholly or not at all the prior mean of its first column, in its unit; else zero.
     pub mean: f64,
     pub positive: bool,
@@ -358,6 +360,7 @@ impl Form {
             parameters: vec![],
             present: vec![],
             moments: vec![],
+            is_rival: false,
             mean: 0.0,
             positive: false,
             log_prior,

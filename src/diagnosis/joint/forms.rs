@@ -99,12 +99,18 @@ pub(super) fn keep_likeliest(
             continue;
         }
         gains.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let kept: Vec<usize> = part
+        let mut kept: Vec<usize> = part
             .by_run()
             .iter()
             .flat_map(|own| gains.iter().filter(|gain| own.contains(&gain.0)).take(KEPT))
             .map(|gain| gain.0)
             .collect();
+        let variants = part.candidate.variants.iter().enumerate();
+        kept.extend(
+            variants
+                .filter(|variant| variant.1.is_rival)
+                .map(|variant| variant.0),
+        );
         part.keep(|form| kept.contains(&form));
     }
 }
@@ -335,14 +341,22 @@ mod tests {
     use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
     use crate::plant::{ActiveEffect, Model, Motor, State, effect};
 
-    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
-        let model = Model::baseline(Motor::zk_22fc());
-        let mut truth = model.clone();
+    fn with(hidden: &str, values: &[f64]) -> Model {
+        let mut truth = Model::baseline(Motor::zk_22fc());
         let effect = effect::find(hidden).unwrap();
         truth.effects.push(ActiveEffect {
             effect,
             values: values.iter().copied().map(Some).collect(),
         });
+        truth
+    }
+
+    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
+        let model = Model::baseline(Motor::zk_22fc());
+        beside(&model, &with(hidden, values))
+    }
+
+    fn beside(model: &Model, truth: &Model) -> Vec<Candidate> {
         let levels = [
             30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0,
         ];
@@ -351,7 +365,7 @@ mod tests {
             .enumerate()
             .map(|(k, level)| (0.25 * k as f64, *level))
             .collect();
-        let scenario = record(&truth, events, 1e-3, 2.5, 5);
+        let scenario = record(truth, events, 1e-3, 2.5, 5);
         let noise = Noise {
             current_a: CURRENT_NOISE_A,
             speed_rad_s: SPEED_NOISE_RAD_S,
@@ -360,8 +374,8 @@ mod tests {
             input: 0.05,
             sensors: 0.1,
         };
-        let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
-        linearise(&Hypothesis::of(&model), CATALOGUE, &runs, false)
+        let runs = [Around::new(model, &scenario, State::default(), noise).unwrap()];
+        linearise(&Hypothesis::of(model), CATALOGUE, &runs, false)
             .unwrap()
             .candidates
     }
@@ -387,6 +401,20 @@ mod tests {
         assert!((cogging.variants[0].log_prior + 23.0_f64.ln()).abs() < 1e-9);
         assert_eq!(find("elastic_coupling").variants.len(), 1);
         assert_eq!(find("backlash").variants.len(), 1);
+    }
+
+    #[test]
+    fn an_event_is_held_against_another_at_its_own_moment() {
+        let stepped = with("load_step", &[0.1, 1.13]);
+        let candidates = beside(&stepped, &stepped);
+        let pull = candidates
+            .iter()
+            .find(|c| c.id == "one_sided_load")
+            .unwrap();
+        let mut moments = pull.variants.iter().map(|variant| variant.moments[0].1);
+        assert!(moments.any(|time_s| (time_s - 1.13).abs() < 1e-9));
+        // What the moments say that have no columns is kept too.
+        assert!(pull.moments.len() > pull.variants.len());
     }
 
     #[test]

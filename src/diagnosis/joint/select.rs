@@ -484,6 +484,7 @@ mod tests {
                 parameters: vec![0],
                 present: vec![0.0],
                 moments: vec![],
+                is_rival: false,
                 mean: 0.0,
                 positive: false,
                 log_prior: 0.0,
