@@ -790,6 +790,15 @@ mod tests {
     use crate::plant::Motor;
     use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
 
+    const QUIET: Noise = Noise {
+        current_a: CURRENT_NOISE_A,
+        speed_rad_s: SPEED_NOISE_RAD_S,
+        disturbance_n_m: 1e-6,
+        correlation_s: 0.5,
+        input: 1e-6,
+        sensors: 0.1,
+    };
+
     #[test]
     fn innovations_under_the_right_noise_are_white() {
         let model = Model::baseline(Motor::zk_22fc());
@@ -800,15 +809,7 @@ mod tests {
             4.0,
             3,
         );
-        let noise = Noise {
-            current_a: CURRENT_NOISE_A,
-            speed_rad_s: SPEED_NOISE_RAD_S,
-            disturbance_n_m: 1e-6,
-            correlation_s: 0.5,
-            input: 1e-6,
-            sensors: 0.1,
-        };
-        let (follower, followed) = lead(&model, &scenario, State::default(), &noise).unwrap();
+        let (follower, followed) = lead(&model, &scenario, State::default(), &QUIET).unwrap();
         assert_eq!(follower.rows, 2 * scenario.samples());
         let n = scenario.samples() as f64;
         for signal in 0..2 {
@@ -842,7 +843,7 @@ mod tests {
             &model,
             &scenario,
             State::default(),
-            &noise,
+            &QUIET,
             &mut again
         ));
         for (a, b) in again.iter().flatten().zip(followed.white.iter().flatten()) {
@@ -862,18 +863,10 @@ mod tests {
             variance: 9.0,
             restart: None,
         }];
-        let noise = Noise {
-            current_a: CURRENT_NOISE_A,
-            speed_rad_s: SPEED_NOISE_RAD_S,
-            disturbance_n_m: 1e-6,
-            correlation_s: 0.5,
-            input: 1e-6,
-            sensors: 0.1,
-        };
         let mut late = bare.with_effect("command_delay").unwrap();
         late.effects[0].values = vec![Some(2e-3)];
         for (model, begin_s) in [(bare, 0.5), (late, 0.502)] {
-            let filter = Filter::new(&model, &scenario, State::default(), &noise).unwrap();
+            let filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
             for (from_s, unknown_v2) in [(0.0, 9.0), (-1e-3, 0.0), (1e-3, 0.0)] {
                 let from_s = begin_s + from_s;
                 let found = filter.holes_v2(from_s, from_s + 1e-3);
@@ -889,15 +882,7 @@ mod tests {
             .unwrap();
         model.effects[0].values = [20.0, 0.5, 0.05, 0.5].map(Some).to_vec();
         let scenario = record(&model, vec![(0.0, 20.0)], 1e-3, 0.1, 3);
-        let noise = Noise {
-            current_a: CURRENT_NOISE_A,
-            speed_rad_s: SPEED_NOISE_RAD_S,
-            disturbance_n_m: 1e-6,
-            correlation_s: 0.5,
-            input: 1e-6,
-            sensors: 0.1,
-        };
-        let mut filter = Filter::new(&model, &scenario, State::default(), &noise).unwrap();
+        let mut filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
         // A torque of 2 N.m, and a quarter of a period later none.
         assert!((filter.ringing(4.0, 1e-3) / (4.0 * FORM * FORM) - 1.0).abs() < 1e-9);
         let later = filter.ringing(0.0, 0.25 / 20.0);
