@@ -1,9 +1,12 @@
 //! What the posterior says of each effect of the catalogue, and of what none of them explains.
 
+use statrs::function::erf::erfc;
+
+use super::acting::constants;
 use super::asked::{prepared, why_not};
-use super::columns::{Around, Candidate};
+use super::columns::{Around, Candidate, NO_PARAMETER, Seen, Variant};
 use super::events::Event;
-use super::follow::{Noise, constants};
+use super::follow::Noise;
 use super::prediction_error::estimate;
 use super::search::{self, Found, Happened};
 use super::select::{Posterior, Reduced, Set};
@@ -25,6 +28,8 @@ use crate::sample::Verdict;
 const BOUND: f64 = 1.75;
 /// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
 const NAMED_IN_95: f64 = 1.645;
+/// Standard deviations beyond which nothing of note lies.
+const BEYOND: f64 = 4.0;
 /// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
 const SAYS_NOTHING: f64 = 0.5;
 /// Plausible sets that bounds are asked of.
@@ -449,7 +454,8 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
                 .iter()
                 .map(|c| c - found.linear.nuisances.len())
                 .collect();
-            out.excited |= reduced.seen(&columns, own[0]) * variant.mean.powi(2) > 25.0;
+            let seen = reduced.seen(&columns, own[0], 1.0).information;
+            out.excited |= seen * variant.mean.powi(2) > 25.0;
             continue;
         }
         let mut bound: f64 = 0.0;
@@ -459,6 +465,9 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
             if let Some((size, sd)) = size_in(found, reduced, &with, k) {
                 bound = bound.max(size + BOUND * sd);
             }
+        }
+        if candidate.is_event() && !candidate.in_model {
+            bound = bound.max(whenever(&moments(found, reduced, k)));
         }
         let mut with = reduced.cleared(&found.posterior.best, k);
         with[k] = Some(form);
@@ -483,6 +492,68 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
     }
     out.probability = (1.0 - absent).clamp(0.0, 1.0);
     out
+}
+
+/// What the runs say of an event at each moment of one of them, beside the best set.
+fn moments(found: &Found, reduced: &Reduced<'_>, k: usize) -> Vec<Seen> {
+    let candidate = &found.linear.candidates[k];
+    if !candidate.moments.is_empty() {
+        let wider = |seen: &Seen| Seen {
+            information: seen.information / found.excess,
+            asked: seen.asked / found.excess,
+            ..*seen
+        };
+        return candidate.moments.iter().map(wider).collect();
+    }
+    let others = reduced.columns(&reduced.cleared(&found.posterior.best, k));
+    let alone = candidate.variants.iter();
+    let alone = alone.filter(|variant| variant.columns.len() == 1);
+    let m = found.linear.nuisances.len();
+    alone
+        .map(|variant| reduced.seen(&others, variant.columns[0] - m, variant.units[0]))
+        .collect()
+}
+
+/// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
+/// say nothing it may have any size that is plausible.
+fn whenever(moments: &[Seen]) -> f64 {
+    let sizes: Vec<(f64, f64, f64)> = moments
+        .iter()
+        .map(|seen| {
+            let precision = seen.information.max(0.0) + 1.0;
+            let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
+            let mean = (seen.asked / precision).abs() * seen.unit;
+            (
+                log,
+                mean,
+                BOUND / NAMED_IN_95 / precision.sqrt() * seen.unit,
+            )
+        })
+        .collect();
+    let most = sizes
+        .iter()
+        .fold(f64::NEG_INFINITY, |most, size| most.max(size.0));
+    let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
+    let beyond = |bound: f64| -> f64 {
+        let beyond = |(log, mean, sd): &(f64, f64, f64)| {
+            let tail = 0.5 * erfc((bound - mean) / sd / std::f64::consts::SQRT_2);
+            (log - most).exp() * tail
+        };
+        sizes.iter().map(beyond).sum::<f64>() / total
+    };
+    let (mut low, mut high) = (0.0, 0.0);
+    for (_, mean, sd) in &sizes {
+        high = f64::max(high, mean + BEYOND * sd);
+    }
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if beyond(middle) > 1.0 - 0.95 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
 }
 
 fn without(set: &Set, k: usize) -> Set {
@@ -576,12 +647,18 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
     let candidates = &found.linear.candidates;
     let best = &found.posterior.best;
     let likelihood = |set: &Set| reduced.log_likelihood(&reduced.columns(set));
-    let most = likelihood(best);
     let mut pairs: Vec<[&'static str; 2]> = Vec::new();
     for (j, present) in candidates.iter().enumerate() {
-        if best[j].is_none() || present.is_unknown() {
+        let Some(own) = best[j].filter(|_| !present.is_unknown()) else {
             continue;
+        };
+        // What another form of its onset explains it would of the rival's: it is left out of both.
+        let mut columns = reduced.columns(best);
+        if present.is_event() {
+            let forms = onset_forms(&present.variants[own]);
+            columns.retain(|column| !forms.contains(&(column + found.linear.nuisances.len())));
         }
+        let most = reduced.log_likelihood(&columns);
         for (k, rival) in candidates.iter().enumerate() {
             let pair = [present.id, rival.id];
             let is_open = best[k].is_none() && !rival.is_unknown() && !rival.is_whole();
@@ -601,6 +678,13 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
     pairs
 }
 
+/// Columns of a form that only bend it.
+fn onset_forms(form: &Variant) -> Vec<usize> {
+    let columns = form.columns.iter().zip(&form.parameters);
+    let bends = columns.filter(|(_, parameter)| **parameter == NO_PARAMETER);
+    bends.map(|(column, _)| *column).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -616,6 +700,7 @@ mod tests {
             in_model: false,
             log_odds: 0.0,
             variants: vec![],
+            moments: vec![],
             excludes: vec![],
         };
         let candidates = ["voltage over current", "torque over speed"].map(candidate);
@@ -666,5 +751,30 @@ mod tests {
             led.nrms,
             free.nrms
         );
+    }
+
+    #[test]
+    fn an_event_is_below_its_bound_whenever_it_happened() {
+        let seen = |precision: f64| Seen {
+            information: precision - 1.0,
+            asked: 0.0,
+            unit: 2.0,
+        };
+        // Moments that say the same of it, as one of them alone.
+        let sharp = whenever(&[seen(400.0); 40]);
+        assert!((sharp / (BOUND * 2.0 / 20.0) - 1.0).abs() < 1e-3, "{sharp}");
+        // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
+        let mut open = vec![seen(400.0); 30];
+        open.extend([seen(1.0); 10]);
+        let bound = whenever(&open);
+        assert!(bound > 2.0, "{bound}");
+        // One in which it is there counts, and the others hardly do.
+        let mut there = vec![seen(400.0); 39];
+        there.push(Seen {
+            asked: 0.5 * 400.0,
+            ..seen(400.0)
+        });
+        let bound = whenever(&there);
+        assert!((1.0 + 0.1..1.0 + 0.25).contains(&bound), "{bound}");
     }
 }

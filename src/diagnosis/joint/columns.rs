@@ -5,9 +5,10 @@ use std::borrow::Cow;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use super::acting::constants;
 use super::asked::{shows_wave, why_not};
 use super::events::{self, Hypothesis};
-use super::follow::{Dynamics, Followed, Follower, Noise, Passage, constants, follow, lead};
+use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
 use super::nuisances::{bends, nuisances};
 use super::slopes;
@@ -37,10 +38,21 @@ pub(super) struct Variant {
     pub present: Vec<f64>,
     /// Of an event, for each column the run and when it happens there, s after the run's first command.
     pub moments: Vec<(usize, f64)>,
+    /// Whether it is at the moment of another event of the model: only there can the two be told apart, or not.
+    pub is_rival: bool,
     /// Of what is there wholly or not at all the prior mean of its first column, in its unit; else zero.
     pub mean: f64,
     pub positive: bool,
     pub log_prior: f64,
+}
+
+/// What runs say of one column beside others: per slab the information, and what they ask for times that.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    pub information: f64,
+    pub asked: f64,
+    /// The slab, in the unit of its parameter.
+    pub unit: f64,
 }
 
 #[derive(Clone)]
@@ -51,6 +63,8 @@ pub(super) struct Candidate {
     pub in_model: bool,
     pub log_odds: f64,
     pub variants: Vec<Variant>,
+    /// Of an event of which few forms have columns what all its moments say beside the model.
+    pub moments: Vec<Seen>,
     /// Candidates that say the same and are out where this one is in.
     pub excludes: Vec<usize>,
 }
@@ -59,6 +73,12 @@ impl Candidate {
     /// Whether it is there wholly or not at all, as a shaft's elasticity: its shape is all that there is.
     pub(super) fn is_whole(&self) -> bool {
         self.variants[0].mean > 0.0
+    }
+
+    /// Whether `size` of a form that is there wholly or not at all would be another share of it: the linear solution does
+    /// not hold there. What the model has already was fitted: there its shapes ask for another fit, not for none of it.
+    pub(super) fn is_by_halves(&self, size: f64, form: &Variant) -> bool {
+        !self.in_model && form.mean > 0.0 && (size / form.mean - 1.0).abs() > 0.5
     }
 
     /// Whether it happens once, in each run at a moment of its own.
@@ -308,6 +328,7 @@ impl Part {
             in_model: false,
             log_odds,
             variants: vec![],
+            moments: vec![],
             excludes: vec![],
         };
         Self {
@@ -341,6 +362,7 @@ impl Form {
             parameters: vec![],
             present: vec![],
             moments: vec![],
+            is_rival: false,
             mean: 0.0,
             positive: false,
             log_prior,

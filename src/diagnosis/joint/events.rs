@@ -328,10 +328,10 @@ pub(super) fn parts(
         let unit = slab(run);
         let part_s = spacing_s(run, id);
         let grid = (1..parts_of_run(id)).map(|place| part_s * place as f64);
-        // Of what the model takes for another event, too: only there can the two be told apart, or not.
         let others = hypothesis.events.iter();
         let others = others.filter(|event| event.run == number && event.id() != id);
-        for time_s in grid.chain(others.map(Event::time_s)) {
+        let others = others.map(|event| (event.time_s(), true));
+        for (time_s, is_rival) in grid.map(|time_s| (time_s, false)).chain(others) {
             let mut event = Event {
                 run: number,
                 effect,
@@ -343,6 +343,7 @@ pub(super) fn parts(
             let mut form = Form::new(event.values, log_share);
             form.column(source, size, unit, 0.0);
             form.variant.moments.push((number, time_s));
+            form.variant.is_rival = is_rival;
             part.push(form);
         }
     }
@@ -423,7 +424,9 @@ fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant>
             .map(|variant| (gain(variant.columns[0]), variant))
             .collect();
         own.sort_by(|a, b| b.0.total_cmp(&a.0));
-        own.into_iter().take(PAIRED).map(|own| own.1).collect()
+        let is_paired = |(place, own): &(usize, (f64, &Variant))| *place < PAIRED || own.1.is_rival;
+        let own = own.into_iter().enumerate().filter(is_paired);
+        own.map(|(_, own)| own.1).collect()
     };
     let (first, second) = (of_run(0), of_run(1));
     let pairs = first

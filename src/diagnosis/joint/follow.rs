@@ -4,13 +4,12 @@
 //! the shaft, it makes the error of a free run wander too, so that tests on that error would be wrong. The innovations,
 //! over their standard deviations, are independent under the model whatever the disturbance did.
 
+use super::acting::{FORM, Forms};
 use super::columns::Around;
 use crate::identification::stamps::spread;
 use crate::numerics::statistics::median;
 use crate::plant::propagator::{LinearPart, Propagator};
-use crate::plant::{
-    Correction, Input, Instant, Model, MotorKey, Plant, Scenario, State, Sums, Terms, Trajectory,
-};
+use crate::plant::{Correction, Input, Model, MotorKey, Plant, Scenario, State, Trajectory};
 
 /// What is random in a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,131 +42,8 @@ const START_IN_NOISE: f64 = 10.0;
 /// Standard deviations by which a shaft that is taken to rest must be seen to move to be released.
 const RELEASED: f64 = 5.0;
 
-/// What the form of an effect may be wrong by, as a share of what it does; where a torque drives, of friction too, and of
-/// the torque itself, which no machine measures better.
-const FORM: f64 = 0.05;
-const DRIVE: f64 = 0.02;
-
-/// The motor's constants in a run: a given torque is the current of a motor with a torque constant of one, and what has no
-/// voltage has no armature.
-pub(super) fn constants(model: &Model, scenario: &Scenario) -> Instant {
-    let mut motor = Instant::of(&model.motor);
-    motor.supply_v = scenario.supply_v();
-    if scenario.input != Input::Voltage {
-        (motor.resistance_ohm, motor.back_emf_v_s_per_rad) = (0.0, 0.0);
-    }
-    if scenario.input == Input::Torque {
-        motor.torque_n_m_per_a = 1.0;
-    }
-    motor
-}
-
 /// Time over which the error of a coupling's form is alike, s: about a period of its ringing.
 const RINGING_S: f64 = 0.01;
-
-/// What the effects of a model do at an instant: volts, newton metres, and newton metres of what rings.
-struct Forms {
-    terms: Vec<Box<dyn Terms>>,
-    motor: Instant,
-    coupling: f64,
-    inertia: f64,
-    friction: f64,
-    /// Friction and torque per unit of the input whose forms count: none under a voltage.
-    coulomb: f64,
-    drive: f64,
-}
-
-impl Forms {
-    fn of(model: &Model, scenario: &Scenario) -> Self {
-        let terms: Vec<Box<dyn Terms>> = model
-            .effects
-            .iter()
-            .map(|active| active.effect.terms(&active.values_or_guess()))
-            .collect();
-        let coupling = terms
-            .iter()
-            .filter_map(|terms| terms.coupling())
-            .fold(0.0, |most: f64, c| most.max(c.inertia_ratio));
-        let counts = f64::from(u8::from(scenario.input != Input::Voltage));
-        Self {
-            terms,
-            motor: constants(model, scenario),
-            coupling,
-            inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
-            friction: model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
-            coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
-            drive: counts * DRIVE / FORM * constants(model, scenario).torque_n_m_per_a,
-        }
-    }
-
-    fn instant(&self, time_s: f64, voltage_v: f64, state: &State) -> Instant {
-        Instant {
-            time_s,
-            voltage_v,
-            current_a: state.current_a,
-            speed_rad_s: state.speed_rad_s,
-            angle_rad: state.angle_rad,
-            ..self.motor
-        }
-    }
-
-    /// Rates of current, A/s, and speed, rad/s2, but for what a second inertia does.
-    fn rates(
-        &self,
-        at: &Instant,
-        state: &State,
-        load_n_m: f64,
-        inverse_inductance: f64,
-    ) -> [f64; 2] {
-        let mut sums = Sums::default();
-        let mut own = state.own();
-        for terms in self.terms.iter().filter(|terms| terms.coupling().is_none()) {
-            let added = terms.sums(at, own);
-            own = &own[terms.states().min(own.len())..];
-            sums.voltage_v += added.voltage_v;
-            sums.torque_n_m += added.torque_n_m;
-            sums.friction_n_m += added.friction_n_m;
-            sums.current_rate_gain += added.current_rate_gain;
-            sums.inertia_gain += added.inertia_gain;
-        }
-        let inductive_v = at.voltage_v
-            - sums.voltage_v
-            - at.resistance_ohm * at.current_a
-            - at.back_emf_v_s_per_rad * at.speed_rad_s;
-        let direction = state.direction();
-        let friction = direction * (self.friction + sums.friction_n_m).max(0.0);
-        let torque = at.torque_n_m_per_a * at.current_a - sums.torque_n_m - load_n_m - friction;
-        let inertia = self.inertia * (1.0 + sums.inertia_gain);
-        [
-            (1.0 + sums.current_rate_gain) * inductive_v * inverse_inductance,
-            direction.abs() * torque / inertia,
-        ]
-    }
-
-    fn at(&self, at: &Instant, state: &State, acceleration: f64) -> [f64; 3] {
-        let (mut volts, mut torque) = (0.0, 0.0);
-        let ringing = (self.coupling * self.inertia * acceleration).powi(2);
-        if self.drive > 0.0 {
-            torque += (self.drive * state.current_a).powi(2);
-            torque += (self.coulomb * state.direction()).powi(2);
-        }
-        let mut own = state.own();
-        for terms in &self.terms {
-            if terms.coupling().is_some() {
-                continue;
-            }
-            let sums = terms.sums(at, own);
-            own = &own[terms.states().min(own.len())..];
-            let inductive = at.voltage_v
-                - at.resistance_ohm * at.current_a
-                - at.back_emf_v_s_per_rad * at.speed_rad_s;
-            volts += sums.voltage_v.powi(2) + (sums.current_rate_gain * inductive).powi(2);
-            torque += sums.torque_n_m.powi(2) + sums.friction_n_m.powi(2);
-            torque += (sums.inertia_gain * self.inertia * acceleration).powi(2);
-        }
-        [volts, torque, ringing]
-    }
-}
 
 /// The linear part that deviations follow.
 #[derive(Clone, Copy, Debug)]
@@ -373,6 +249,9 @@ struct Filter<'a> {
     /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
     hole_ends_s: Vec<f64>,
     holes_passed: usize,
+    /// Square of what rings, as it dies away, and when a coupling's twist became unknown last.
+    ringing: f64,
+    twisted_s: f64,
     /// Propagators over the last interval, moving and at rest.
     cached: (f64, [Propagator; 2]),
 }
@@ -438,6 +317,8 @@ impl<'a> Filter<'a> {
                 .map(|hole| hole.to_s)
                 .collect(),
             holes_passed: 0,
+            ringing: 0.0,
+            twisted_s: f64::NEG_INFINITY,
             cached: (-1.0, [dynamics.over(0.0, false), dynamics.over(0.0, true)]),
         })
     }
@@ -478,6 +359,18 @@ impl<'a> Filter<'a> {
             })
     }
 
+    /// Variance of what rings, of which there is so much now: where it passes zero another phase of it is all error. How a
+    /// coupling was twisted at the end of a hole nobody has seen: until that has died away all is.
+    fn ringing(&mut self, square: f64, interval_s: f64) -> f64 {
+        let dies_s = self.forms.ringing_s;
+        if dies_s <= 0.0 {
+            return 0.0;
+        }
+        self.ringing = square.max(self.ringing * (-2.0 * interval_s / dies_s).exp());
+        let unseen = (-(self.last_s - self.twisted_s) / dies_s).exp();
+        self.ringing * (FORM * FORM + unseen)
+    }
+
     /// Goes to the time of `sample`, where the model is in `state`: the passage, what the disturbance keeps, and the rates of
     /// current and speed there.
     fn approach(&mut self, sample: usize, state: &State) -> (Passage, f64, [f64; 2]) {
@@ -500,14 +393,12 @@ impl<'a> Filter<'a> {
         let at = self
             .forms
             .instant(time_s - self.scenario.begin_s(), input, state);
-        let squares = self.forms.at(&at, state, acceleration);
         let inverse_inductance = self.dynamics.inverse_inductance;
         let forms = &self.forms;
-        let rates = if interval_s > 0.0 {
-            forms.rates(&at, state, self.load_n_m, inverse_inductance)
-        } else {
-            [0.0; 2]
-        };
+        let (squares, rates) =
+            forms.at(&at, state, acceleration, self.load_n_m, inverse_inductance);
+        // Before the first command nothing has moved.
+        let rates = if interval_s > 0.0 { rates } else { [0.0; 2] };
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
@@ -537,6 +428,11 @@ impl<'a> Filter<'a> {
             };
             [current, speed + anew * anew]
         };
+        if begins_again {
+            self.twisted_s = time_s;
+        }
+        let mut form = squares.map(|square| FORM * FORM * square);
+        form[2] = self.ringing(squares[2], interval_s);
         let passage = Passage {
             propagator: if begins_again {
                 Propagator::default()
@@ -548,7 +444,7 @@ impl<'a> Filter<'a> {
             interval_s,
             direction: now,
             kept: if rests || released { 0.0 } else { 1.0 },
-            form: squares.map(|square| FORM * FORM * square),
+            form,
             input_keeps: self.dynamics.input_keeps(interval_s),
             input_share: 1.0,
         };
@@ -813,6 +709,15 @@ mod tests {
     use crate::plant::Motor;
     use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
 
+    const QUIET: Noise = Noise {
+        current_a: CURRENT_NOISE_A,
+        speed_rad_s: SPEED_NOISE_RAD_S,
+        disturbance_n_m: 1e-6,
+        correlation_s: 0.5,
+        input: 1e-6,
+        sensors: 0.1,
+    };
+
     #[test]
     fn innovations_under_the_right_noise_are_white() {
         let model = Model::baseline(Motor::zk_22fc());
@@ -823,15 +728,7 @@ mod tests {
             4.0,
             3,
         );
-        let noise = Noise {
-            current_a: CURRENT_NOISE_A,
-            speed_rad_s: SPEED_NOISE_RAD_S,
-            disturbance_n_m: 1e-6,
-            correlation_s: 0.5,
-            input: 1e-6,
-            sensors: 0.1,
-        };
-        let (follower, followed) = lead(&model, &scenario, State::default(), &noise).unwrap();
+        let (follower, followed) = lead(&model, &scenario, State::default(), &QUIET).unwrap();
         assert_eq!(follower.rows, 2 * scenario.samples());
         let n = scenario.samples() as f64;
         for signal in 0..2 {
@@ -865,7 +762,7 @@ mod tests {
             &model,
             &scenario,
             State::default(),
-            &noise,
+            &QUIET,
             &mut again
         ));
         for (a, b) in again.iter().flatten().zip(followed.white.iter().flatten()) {
@@ -885,23 +782,38 @@ mod tests {
             variance: 9.0,
             restart: None,
         }];
-        let noise = Noise {
-            current_a: CURRENT_NOISE_A,
-            speed_rad_s: SPEED_NOISE_RAD_S,
-            disturbance_n_m: 1e-6,
-            correlation_s: 0.5,
-            input: 1e-6,
-            sensors: 0.1,
-        };
         let mut late = bare.with_effect("command_delay").unwrap();
         late.effects[0].values = vec![Some(2e-3)];
         for (model, begin_s) in [(bare, 0.5), (late, 0.502)] {
-            let filter = Filter::new(&model, &scenario, State::default(), &noise).unwrap();
+            let filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
             for (from_s, unknown_v2) in [(0.0, 9.0), (-1e-3, 0.0), (1e-3, 0.0)] {
                 let from_s = begin_s + from_s;
                 let found = filter.holes_v2(from_s, from_s + 1e-3);
                 assert!((found - unknown_v2).abs() < 1e-6, "{from_s}: {found}");
             }
         }
+    }
+
+    #[test]
+    fn what_rings_is_as_uncertain_where_it_passes_zero_and_wholly_unknown_behind_a_hole() {
+        let mut model = Model::baseline(Motor::zk_22fc())
+            .with_effect("elastic_coupling")
+            .unwrap();
+        model.effects[0].values = [20.0, 0.5, 0.05, 0.5].map(Some).to_vec();
+        let scenario = record(&model, vec![(0.0, 20.0)], 1e-3, 0.1, 3);
+        let mut filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
+        // A torque of 2 N.m, and a quarter of a period later none.
+        assert!((filter.ringing(4.0, 1e-3) / (4.0 * FORM * FORM) - 1.0).abs() < 1e-9);
+        let later = filter.ringing(0.0, 0.25 / 20.0);
+        assert!(
+            (0.8..0.9).contains(&(later / (4.0 * FORM * FORM))),
+            "{later}"
+        );
+        filter.twisted_s = filter.last_s;
+        assert!(filter.ringing(4.0, 1e-3) > 4.0);
+        // Half a second is three times the time in which it dies away.
+        filter.last_s += 0.5;
+        let later = filter.ringing(4.0, 1e-3);
+        assert!(later < 0.05 * 4.0, "{later}");
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
-use super::columns::{Around, Part, Source};
+use super::columns::{Around, Part, Seen, Source};
 use super::tangent::{LANES, Lane, Tangent, carry};
 use super::whitened::Whitened;
 use crate::plant::Scenario;
@@ -84,6 +84,11 @@ pub(super) fn keep_likeliest(
         for group in groups.iter().filter(|group| group.part == number) {
             let width = part.sources[0].len();
             for (place, form) in group.forms.iter().enumerate() {
+                if part.candidate.is_event() {
+                    let unit = part.candidate.variants[*form].units[0];
+                    let seen = seen(&factor, &right, &group.products, place, unit);
+                    part.candidate.moments.push(seen);
+                }
                 gains.push((
                     *form,
                     gain(&factor, &right, &group.products, place * width, width),
@@ -94,12 +99,18 @@ pub(super) fn keep_likeliest(
             continue;
         }
         gains.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let kept: Vec<usize> = part
+        let mut kept: Vec<usize> = part
             .by_run()
             .iter()
             .flat_map(|own| gains.iter().filter(|gain| own.contains(&gain.0)).take(KEPT))
             .map(|gain| gain.0)
             .collect();
+        let variants = part.candidate.variants.iter().enumerate();
+        kept.extend(
+            variants
+                .filter(|variant| variant.1.is_rival)
+                .map(|variant| variant.0),
+        );
         part.keep(|form| kept.contains(&form));
     }
 }
@@ -302,6 +313,24 @@ pub(super) fn gain(
     0.5 * rest.dot(&schur.solve(&rest)) - log_det
 }
 
+/// What the runs say of the form of one column in this lane, beside the base.
+fn seen(
+    factor: &Cholesky<f64, Dyn>,
+    right: &DVector<f64>,
+    products: &[Lane],
+    lane: usize,
+    unit: f64,
+) -> Seen {
+    let m = right.len();
+    let cross = DVector::from_fn(m, |r, _| products[r][lane]);
+    let solved = factor.solve(&cross);
+    Seen {
+        information: products[m + 1][lane] - cross.dot(&solved),
+        asked: products[m][lane] - right.dot(&solved),
+        unit,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::KEPT;
@@ -312,14 +341,22 @@ mod tests {
     use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
     use crate::plant::{ActiveEffect, Model, Motor, State, effect};
 
-    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
-        let model = Model::baseline(Motor::zk_22fc());
-        let mut truth = model.clone();
+    fn with(hidden: &str, values: &[f64]) -> Model {
+        let mut truth = Model::baseline(Motor::zk_22fc());
         let effect = effect::find(hidden).unwrap();
         truth.effects.push(ActiveEffect {
             effect,
             values: values.iter().copied().map(Some).collect(),
         });
+        truth
+    }
+
+    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
+        let model = Model::baseline(Motor::zk_22fc());
+        beside(&model, &with(hidden, values))
+    }
+
+    fn beside(model: &Model, truth: &Model) -> Vec<Candidate> {
         let levels = [
             30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0,
         ];
@@ -328,7 +365,7 @@ mod tests {
             .enumerate()
             .map(|(k, level)| (0.25 * k as f64, *level))
             .collect();
-        let scenario = record(&truth, events, 1e-3, 2.5, 5);
+        let scenario = record(truth, events, 1e-3, 2.5, 5);
         let noise = Noise {
             current_a: CURRENT_NOISE_A,
             speed_rad_s: SPEED_NOISE_RAD_S,
@@ -337,8 +374,8 @@ mod tests {
             input: 0.05,
             sensors: 0.1,
         };
-        let runs = [Around::new(&model, &scenario, State::default(), noise).unwrap()];
-        linearise(&Hypothesis::of(&model), CATALOGUE, &runs, false)
+        let runs = [Around::new(model, &scenario, State::default(), noise).unwrap()];
+        linearise(&Hypothesis::of(model), CATALOGUE, &runs, false)
             .unwrap()
             .candidates
     }
@@ -364,6 +401,20 @@ mod tests {
         assert!((cogging.variants[0].log_prior + 23.0_f64.ln()).abs() < 1e-9);
         assert_eq!(find("elastic_coupling").variants.len(), 1);
         assert_eq!(find("backlash").variants.len(), 1);
+    }
+
+    #[test]
+    fn an_event_is_held_against_another_at_its_own_moment() {
+        let stepped = with("load_step", &[0.1, 1.13]);
+        let candidates = beside(&stepped, &stepped);
+        let pull = candidates
+            .iter()
+            .find(|c| c.id == "one_sided_load")
+            .unwrap();
+        let mut moments = pull.variants.iter().map(|variant| variant.moments[0].1);
+        assert!(moments.any(|time_s| (time_s - 1.13).abs() < 1e-9));
+        // What the moments say that have no columns is kept too.
+        assert!(pull.moments.len() > pull.variants.len());
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //!                 |             (nuisances: what is always in beside them; tangent: eight side by side; forms: the few worth a column; whitened: their storage)
 //!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
 //!                 '-> select    posterior over the sets of effects and forms
+//! acting: what effects do at an instant; slopes: what is free in a model, along a run
 //! events: what happens in one run, at a moment of its own
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
 //!         (excess: by how much what is left is more than white noise)
@@ -14,6 +15,7 @@
 //! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
 
+mod acting;
 pub(super) mod answer;
 pub(super) mod asked;
 mod columns;

@@ -9,7 +9,7 @@ use std::collections::{BTreeSet, HashMap};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use statrs::function::erf::erfc;
 
-use super::columns::Linear;
+use super::columns::{Linear, Seen};
 
 /// Size, in slabs, below which an effect counts as not there.
 const HAIR: f64 = 0.004;
@@ -155,8 +155,7 @@ impl<'a> Reduced<'a> {
                     return f64::NEG_INFINITY;
                 };
                 let size = schur.solve(&right);
-                // What is there wholly or not at all is not there by halves: the linear solution does not hold there.
-                if variant.mean > 0.0 && (size[0] / variant.mean - 1.0).abs() > 0.5 {
+                if c.is_by_halves(size[0], variant) {
                     return f64::NEG_INFINITY;
                 }
                 let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
@@ -184,7 +183,7 @@ impl<'a> Reduced<'a> {
         for (variant, candidate) in set.iter().zip(&self.linear.candidates) {
             let Some(v) = variant else { continue };
             let variant = &candidate.variants[*v];
-            if variant.mean > 0.0 && (mean[at] / variant.mean - 1.0).abs() > 0.5 {
+            if candidate.is_by_halves(mean[at], variant) {
                 return f64::NEG_INFINITY;
             }
             log += candidate.log_odds + variant.log_prior - 0.5 * variant.mean * variant.mean;
@@ -243,13 +242,22 @@ impl<'a> Reduced<'a> {
         most / self.squares.max(f64::MIN_POSITIVE)
     }
 
-    /// Information on one column beside others, per squared slab.
-    pub(super) fn seen(&self, others: &[usize], column: usize) -> f64 {
-        let Some((factor, _)) = self.factor(others) else {
-            return 0.0;
+    /// What the runs say of one column, a slab of which is `unit`, beside others.
+    pub(super) fn seen(&self, others: &[usize], column: usize, unit: f64) -> Seen {
+        let Some((factor, b)) = self.factor(others) else {
+            return Seen {
+                information: 0.0,
+                asked: 0.0,
+                unit,
+            };
         };
         let cross = DVector::from_fn(others.len(), |r, _| self.gram[(others[r], column)]);
-        self.gram[(column, column)] - cross.dot(&factor.solve(&cross))
+        let solved = factor.solve(&cross);
+        Seen {
+            information: self.gram[(column, column)] - cross.dot(&solved),
+            asked: self.right[column] - b.dot(&solved),
+            unit,
+        }
     }
 
     /// What the odds of a form beside others would be if more of it were in the records.
@@ -476,10 +484,12 @@ mod tests {
                 parameters: vec![0],
                 present: vec![0.0],
                 moments: vec![],
+                is_rival: false,
                 mean: 0.0,
                 positive: false,
                 log_prior: 0.0,
             }],
+            moments: vec![],
             excludes: vec![],
         };
         Linear {
@@ -556,6 +566,17 @@ mod tests {
         assert!(select(&bare, &[vec![None]]).probability[0] > 0.999);
         let real = Reduced::new(&data, 1.0, true).unwrap();
         assert!(select(&real, &[vec![None]]).probability[0] < 0.1);
+    }
+
+    #[test]
+    fn what_the_model_has_wholly_is_not_thrown_out_because_its_shape_is_off() {
+        let (mean, g) = (1.0 / 0.15, 400.0);
+        let mut data = linear(&[&[g]], &[1.8 * mean * g]);
+        data.candidates[0].variants[0].mean = mean;
+        assert!(weighed(&data).probability[0] < 1e-6);
+        // Its shapes bend what they do: what asks for more than all of it asks for another fit.
+        data.candidates[0].in_model = true;
+        assert!(weighed(&data).probability[0] > 0.999);
     }
 
     #[test]

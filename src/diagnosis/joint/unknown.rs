@@ -2,8 +2,8 @@
 
 use nalgebra::DVector;
 
+use super::acting::constants;
 use super::columns::{Around, Form, NO_PARAMETER, Part, Source};
-use super::follow::constants;
 use super::tangent::{Axis, Tangent, Wave};
 use crate::plant::Input;
 
