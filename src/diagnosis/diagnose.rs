@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use rayon::prelude::*;
+
 use super::axis_map::{AxisMap, axis_map};
 use super::bench::{Bench, beside};
 use super::candidates::{Candidate, Status};
@@ -203,22 +205,28 @@ fn climb(
             Standing::handed_on(fit, bench, inference)
         }
     };
+    let bare = baseline.model.clone();
+    let climbed: Vec<Standing> = (0..last)
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|place| {
+            let start = beside(&bare, inference, &inference.named[..=place])?;
+            let fit = if place + 1 < last {
+                bench.fit_in_passing(&start)?
+            } else {
+                bench.fit(&start)?
+            };
+            on_rung(place + 1, fit)
+        })
+        .collect::<Result<_, FitError>>()?;
     let mut rungs = vec![on_rung(0, baseline)?];
-    for (place, id) in inference.named.iter().enumerate() {
-        let kept = &inference.named[..=place];
-        let start = beside(&rungs[0].fit.model, inference, kept)?;
-        let fit = if place + 1 < last {
-            bench.fit_in_passing(&start)?
-        } else {
-            bench.fit(&start)?
-        };
-        let rung = on_rung(place + 1, fit)?;
+    for (effect, rung) in inference.named.iter().zip(climbed) {
         progress(Event::Refitted {
-            effect: id,
+            effect,
             error: rung.fit.nrms,
         });
         progress(Event::Accepted {
-            effect: id,
+            effect,
             holdout: rung.score.nrms,
         });
         rungs.push(rung);

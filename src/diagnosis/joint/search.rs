@@ -6,6 +6,7 @@
 //! ```
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use super::columns::{Around, Candidate, Linear, Variant, linearise};
 use super::events::{self, Event, Hypothesis, Moment};
@@ -22,8 +23,9 @@ use crate::plant::{
     ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect, typical_size,
 };
 
-/// Mean square of the innovations above which a linear solution is not believed.
+/// Mean square of the innovations above which a linear solution is not believed, and below which little is missing.
 const FAR: f64 = 3.0;
+const NEAR: f64 = 1.5;
 /// Effects that join one by one before the sets are weighed.
 const MOST_STEPS: usize = 4;
 /// Share of the squares that one of them must leave at most.
@@ -36,7 +38,7 @@ const STARTS: usize = 3;
 /// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.
 const LEAST_START: f64 = 0.02;
 /// Rounds of weighing and refitting; in the first ones the noise is found too.
-const MOST_ROUNDS: usize = 10;
+const MOST_ROUNDS: usize = 12;
 /// The same where a torque drives: all is linear there, and what does not settle is not in the catalogue.
 const MOST_ROUNDS_BY_TORQUE: usize = 5;
 const NOISE_ROUNDS: usize = 3;
@@ -420,7 +422,7 @@ pub(super) fn search(
     if by_voltage {
         hypothesis = approach(hypothesis, asked, scenarios[0], starts[0], floor)?;
     }
-    let mut noise = floor;
+    let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, floor)?;
     let mut seen: Vec<Vec<(&'static str, Vec<usize>)>> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
     let mut replaced = false;
@@ -429,38 +431,37 @@ pub(super) fn search(
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
         let linearised = |hypothesis: &Hypothesis, runs: &[Around<'_>]| {
-            let mut linear = linearise(hypothesis, asked, runs, round > 0)?;
+            let mut linear = linearise(hypothesis, asked, runs, round > 0 || is_near)?;
             bar(&mut linear, &barred);
             Some(linear)
         };
         let mut runs = around(&hypothesis, scenarios, starts, noise)?;
-        let mut linear = linearised(&hypothesis, &runs)?;
-        let mut reduced = Reduced::new(&linear, 1.0, true)?;
+        let linear = linearised(&hypothesis, &runs)?;
+        let reduced = Reduced::new(&linear, 1.0, true)?;
         if round == 0 {
             screened(&linear, &reduced, progress);
         }
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
-        let mut posterior = select(&reduced, &sets);
+        let posterior = select(&reduced, &sets);
+        let followed_with = noise;
         if round < NOISE_ROUNDS {
             let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, noise);
             let change = |a: f64, b: f64| (a / b).ln().abs();
-            let moved = change(better.disturbance_n_m, noise.disturbance_n_m) > SAME_DISTURBANCE
-                || change(better.input, noise.input) > SAME_INPUT;
-            if moved {
+            if change(better.disturbance_n_m, noise.disturbance_n_m) > SAME_DISTURBANCE
+                || change(better.input, noise.input) > SAME_INPUT
+            {
                 noise = better;
-                drop(reduced);
-                runs = around(&hypothesis, scenarios, starts, noise)?;
-                linear = linearised(&hypothesis, &runs)?;
-                reduced = Reduced::new(&linear, 1.0, true)?;
-                posterior = select(&reduced, &sets);
             }
         }
+        let is_settled = noise == followed_with;
         let set = names(&linear, &posterior.best);
         let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
         let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
         moves += usize::from(!stays);
-        let stands = stays
-            && (seen.iter().skip(1).any(|before| *before == set) || round == 1 && seen[0] == set);
+        // Near the data a model that lacks nothing need not be linearised twice.
+        let is_whole = round == 0 && is_near && posterior.best == present(&linear);
+        let was_seen = round == 1 && seen[0] == set || seen.iter().skip(1).any(|had| *had == set);
+        let stands = stays && is_settled && (is_whole || was_seen);
         // Where a torque drives, the balance of torques has the last word instead.
         if by_voltage && stands && round + 1 < rounds {
             let weighed = Weighed {
@@ -492,6 +493,9 @@ pub(super) fn search(
             return ended(hypothesis, linear, posterior, &runs, noise, &barred);
         }
         seen.push(set);
+        if !is_settled {
+            runs = around(&hypothesis, scenarios, starts, noise)?;
+        }
         let now = squares(&runs);
         let changes = start.ids() != hypothesis.ids();
         // What cannot be refitted stays as it was.
@@ -504,6 +508,29 @@ pub(super) fn search(
         }
     }
     None
+}
+
+/// The noise to begin with, and whether little is missing: then what the model itself leaves tells the noise, for next to
+/// nothing.
+fn first_noise(
+    hypothesis: &Hypothesis,
+    asked: &[&'static dyn Effect],
+    scenarios: &[&Scenario],
+    starts: &[State],
+    floor: Noise,
+) -> Option<(Noise, bool)> {
+    let runs = around(hypothesis, scenarios, starts, floor)?;
+    let rows: usize = runs.iter().map(|run| run.follower.rows).sum();
+    if squares(&runs) > NEAR * rows as f64 {
+        return Some((floor, false));
+    }
+    let own = |effect: &&&'static dyn Effect| hypothesis.model.has(effect.card().id);
+    let own: Vec<&'static dyn Effect> = asked.iter().filter(own).copied().collect();
+    let linear = linearise(hypothesis, &own, &runs, false)?;
+    let reduced = Reduced::new(&linear, 1.0, true)?;
+    let forms = vec![0; linear.candidates.len()];
+    let noise = likeliest(&runs, &linear, &reduced, &forms, &floor, floor);
+    Some((noise, true))
 }
 
 /// The answer where set and noise stand: the posterior again where what is left is more than white noise.
@@ -607,22 +634,26 @@ impl Weighed<'_> {
         let best = &self.posterior.best;
         let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
         let whole = likelihood(best);
+        let asked = |(k, candidate): &(usize, &Candidate)| {
+            let named = best[*k].is_some() && !candidate.is_unknown();
+            named && !given.contains(&candidate.id)
+        };
+        let candidates = self.linear.candidates.iter().enumerate();
+        let asked: Vec<(usize, &Candidate)> = candidates.filter(asked).collect();
+        if asked.is_empty() {
+            return None;
+        }
         let base = fit(self.hypothesis, self.runs)?;
-        let mut worst: Option<(f64, &'static str, Hypothesis)> = None;
-        for (k, candidate) in self.linear.candidates.iter().enumerate() {
-            let asked = best[k].is_some() && !candidate.is_unknown();
-            if !asked || given.contains(&candidate.id) {
-                continue;
-            }
+        let judged = |(k, candidate): &(usize, &Candidate)| {
             let mut without = best.clone();
-            without[k] = None;
+            without[*k] = None;
             let promised = whole - likelihood(&without);
             let (left, gained) = if candidate.in_model {
                 let left = fit(&self.hypothesis.without(candidate.id), self.runs)?;
                 (left.hypothesis, 0.5 * (left.deviance - base.deviance))
             } else {
                 let mut with = present(self.linear);
-                with[k] = best[k];
+                with[*k] = best[*k];
                 let (linear, reduced) = (self.linear, self.reduced);
                 let start = placed(self.hypothesis, linear, reduced, &with, self.runs)?;
                 (
@@ -631,11 +662,16 @@ impl Weighed<'_> {
                         .map_or(0.0, |with| 0.5 * (base.deviance - with.deviance)),
                 )
             };
-            let odds = self.posterior.log_factor[k] - (promised - gained).max(0.0);
-            if odds < 0.0 && worst.as_ref().is_none_or(|worst| odds < worst.0) {
-                worst = Some((odds, candidate.id, left));
-            }
-        }
+            let odds = self.posterior.log_factor[*k] - (promised - gained).max(0.0);
+            Some((odds, candidate.id, left))
+        };
+        let judged: Vec<(f64, &'static str, Hypothesis)> = asked
+            .par_iter()
+            .with_max_len(1)
+            .map(judged)
+            .collect::<Option<_>>()?;
+        let refuted = judged.into_iter().filter(|own| own.0 < 0.0);
+        let worst = refuted.min_by(|a, b| a.0.total_cmp(&b.0));
         let (odds, id, left) = worst?;
         let probability = 1.0 / (1.0 + (-odds).exp());
         Some((Barred { id, probability }, left))
