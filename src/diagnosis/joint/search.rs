@@ -422,7 +422,7 @@ pub(super) fn search(
     if by_voltage {
         hypothesis = approach(hypothesis, asked, scenarios[0], starts[0], floor)?;
     }
-    let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, floor)?;
+    let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
     let mut seen: Vec<Vec<(&'static str, Vec<usize>)>> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
     let mut replaced = false;
@@ -505,31 +505,36 @@ pub(super) fn search(
             drop(reduced);
             drop(runs);
             hypothesis = next.hypothesis;
+            // What is fitted no longer counts as random.
+            if !is_settled {
+                let noises = [floor, noise];
+                noise = first_noise(&hypothesis, asked, scenarios, starts, noises)?.0;
+            }
         }
     }
     None
 }
 
-/// The noise to begin with, and whether little is missing: then what the model itself leaves tells the noise, for next to
-/// nothing.
+/// The noise to begin with, from `known` on, and whether little is missing: then what the model itself leaves tells the
+/// noise, for next to nothing.
 fn first_noise(
     hypothesis: &Hypothesis,
     asked: &[&'static dyn Effect],
     scenarios: &[&Scenario],
     starts: &[State],
-    floor: Noise,
+    [floor, known]: [Noise; 2],
 ) -> Option<(Noise, bool)> {
-    let runs = around(hypothesis, scenarios, starts, floor)?;
+    let runs = around(hypothesis, scenarios, starts, known)?;
     let rows: usize = runs.iter().map(|run| run.follower.rows).sum();
     if squares(&runs) > NEAR * rows as f64 {
-        return Some((floor, false));
+        return Some((known, false));
     }
     let own = |effect: &&&'static dyn Effect| hypothesis.model.has(effect.card().id);
     let own: Vec<&'static dyn Effect> = asked.iter().filter(own).copied().collect();
     let linear = linearise(hypothesis, &own, &runs, false)?;
     let reduced = Reduced::new(&linear, 1.0, true)?;
     let forms = vec![0; linear.candidates.len()];
-    let noise = likeliest(&runs, &linear, &reduced, &forms, &floor, floor);
+    let noise = likeliest(&runs, &linear, &reduced, &forms, &floor, known);
     Some((noise, true))
 }
 

@@ -450,8 +450,10 @@ pub(super) fn carry(
 
 /// `sin(x) / x`: the mean of a wave over an interval of `2 x`, over its value in the middle.
 fn sinc(x: f64) -> f64 {
-    if x.abs() < 1e-4 {
-        1.0 - x * x / 6.0
+    let square = x * x;
+    if square < 0.25 {
+        // The next term is below 2e-8.
+        1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
     } else {
         x.sin() / x
     }
