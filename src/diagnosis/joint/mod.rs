@@ -8,7 +8,7 @@
 //!                 '-> select    posterior over the sets of effects and forms
 //! acting: what effects do at an instant; slopes: what is free in a model, along a run
 //! events: what happens in one run, at a moment of its own
-//! search: refit of the best set (prediction_error), linearised anew, until set and noise stand
+//! search: refit of the best set (prediction_error), linearised anew, until set and noise stand (refits: what they refute)
 //!         (excess: by how much what is left is more than white noise)
 //! asked:  which effects a run can be asked about, and what of it is fit to be asked
 //! likelihood_ratio: two models on a run that had no part in any of this
@@ -27,6 +27,7 @@ pub(super) mod likelihood_ratio;
 mod noise;
 mod nuisances;
 mod prediction_error;
+mod refits;
 mod search;
 mod select;
 mod slopes;

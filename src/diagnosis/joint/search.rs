@@ -6,7 +6,6 @@
 //! ```
 
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 
 use super::columns::{Around, Candidate, Linear, Variant, linearise};
 use super::events::{self, Event, Hypothesis, Moment};
@@ -14,14 +13,13 @@ use super::excess::excess;
 use super::follow::{Noise, wandering};
 use super::noise::likeliest;
 use super::prediction_error::{fit, fit_as_followed};
+use super::refits::{Barred, Weighed, bar, keep_doubts};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event as Notice, Progress};
 use crate::numerics::count::whole;
-use crate::plant::{
-    ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State, effect, typical_size,
-};
+use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State};
 
 /// Mean square of the innovations above which a linear solution is not believed, and below which little is missing.
 const FAR: f64 = 3.0;
@@ -99,7 +97,7 @@ fn squares(runs: &[Around<'_>]) -> f64 {
 }
 
 /// The candidates that a model has.
-fn present(linear: &Linear) -> Set {
+pub(super) fn present(linear: &Linear) -> Set {
     let candidates = linear.candidates.iter();
     candidates
         .map(|candidate| candidate.in_model.then_some(0))
@@ -107,7 +105,7 @@ fn present(linear: &Linear) -> Set {
 }
 
 /// The model with a candidate's effect as the linear solution has it.
-fn with_effect(model: &Model, effect: &'static dyn Effect, values: &[f64]) -> Model {
+pub(super) fn with_effect(model: &Model, effect: &'static dyn Effect, values: &[f64]) -> Model {
     let mut model = model.clone();
     model
         .effects
@@ -213,7 +211,7 @@ pub(super) fn at_solution(
 }
 
 /// The same with its events at their likeliest moments.
-fn placed(
+pub(super) fn placed(
     hypothesis: &Hypothesis,
     linear: &Linear,
     reduced: &Reduced<'_>,
@@ -580,141 +578,6 @@ fn screened(linear: &Linear, reduced: &Reduced<'_>, progress: Progress<'_>) {
             effect: candidate.id,
             share: reduced.share_alone(k),
         });
-    }
-}
-
-/// Log of the odds beforehand of an effect that a refit has refuted.
-const BARRED: f64 = -30.0;
-/// Growth of the log likelihood that a richer effect, or a second one, must bring to stand for one that serves as well.
-const WORTH_A_SECOND: f64 = 5.7;
-
-/// An effect that the linear solution asked for and a refit refuted.
-struct Barred {
-    id: &'static str,
-    /// What the refit leaves of its probability.
-    probability: f64,
-}
-
-/// Keeps effects that were barred out of the sets.
-fn bar(linear: &mut Linear, barred: &[Barred]) {
-    for candidate in &mut linear.candidates {
-        if barred.iter().any(|barred| barred.id == candidate.id) {
-            candidate.log_odds = BARRED;
-        }
-    }
-}
-
-/// Gives effects that were barred what the refit left of their probability.
-fn keep_doubts(barred: &[Barred], linear: &Linear, posterior: &mut Posterior) {
-    for (candidate, p) in linear.candidates.iter().zip(&mut posterior.probability) {
-        let found = barred.iter().find(|barred| barred.id == candidate.id);
-        *p = found.map_or(*p, |barred| barred.probability.max(*p));
-    }
-}
-
-/// Effects that are two others together to first order: a command that comes late and both signals that are read late, a
-/// current that is read wrongly and what that does to both equations.
-const ONE_FOR_TWO: &[(&str, [&str; 2])] = &[
-    ("command_delay", ["speed_delay", "current_filter"]),
-    ("command_delay", ["speed_filter", "current_filter"]),
-    ("current_offset", ["constant_load", "voltage_offset"]),
-];
-
-/// A drop of brushes, and that of gaps in the current: each fits what the other does to some degree.
-const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
-
-/// Sets as the linear solution weighs them.
-struct Weighed<'a> {
-    hypothesis: &'a Hypothesis,
-    linear: &'a Linear,
-    reduced: &'a Reduced<'a>,
-    posterior: &'a Posterior,
-    runs: &'a [Around<'a>],
-}
-
-impl Weighed<'_> {
-    /// The effect of the best set, none of `given`, that a refit refutes most clearly, and the model without it. A linear
-    /// solution is wrong where an effect's own size bends what it does, as that of a large delay.
-    fn doubtful(&self, given: &[&'static str]) -> Option<(Barred, Hypothesis)> {
-        let best = &self.posterior.best;
-        let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
-        let whole = likelihood(best);
-        let asked = |(k, candidate): &(usize, &Candidate)| {
-            let named = best[*k].is_some() && !candidate.is_unknown();
-            named && !given.contains(&candidate.id)
-        };
-        let candidates = self.linear.candidates.iter().enumerate();
-        let asked: Vec<(usize, &Candidate)> = candidates.filter(asked).collect();
-        if asked.is_empty() {
-            return None;
-        }
-        let base = fit(self.hypothesis, self.runs)?;
-        let judged = |(k, candidate): &(usize, &Candidate)| {
-            let mut without = best.clone();
-            without[*k] = None;
-            let promised = whole - likelihood(&without);
-            let (left, gained) = if candidate.in_model {
-                let left = fit(&self.hypothesis.without(candidate.id), self.runs)?;
-                (left.hypothesis, 0.5 * (left.deviance - base.deviance))
-            } else {
-                let mut with = present(self.linear);
-                with[*k] = best[*k];
-                let (linear, reduced) = (self.linear, self.reduced);
-                let start = placed(self.hypothesis, linear, reduced, &with, self.runs)?;
-                (
-                    self.hypothesis.clone(),
-                    fit(&start, self.runs)
-                        .map_or(0.0, |with| 0.5 * (base.deviance - with.deviance)),
-                )
-            };
-            let odds = self.posterior.log_factor[*k] - (promised - gained).max(0.0);
-            Some((odds, candidate.id, left))
-        };
-        let judged: Vec<(f64, &'static str, Hypothesis)> = asked
-            .par_iter()
-            .with_max_len(1)
-            .map(judged)
-            .collect::<Option<_>>()?;
-        let refuted = judged.into_iter().filter(|own| own.0 < 0.0);
-        let worst = refuted.min_by(|a, b| a.0.total_cmp(&b.0));
-        let (odds, id, left) = worst?;
-        let probability = 1.0 / (1.0 + (-odds).exp());
-        Some((Barred { id, probability }, left))
-    }
-
-    /// The model with a simple effect in the place of a richer one, or of two that it is alike to, where those are not
-    /// clearly better.
-    fn simpler(&self, given: &[&'static str]) -> Option<Hypothesis> {
-        let there = &self.hypothesis.model;
-        let pairs = ONE_FOR_TWO.iter().map(|(one, two)| (*one, two.to_vec()));
-        let mut pairs = pairs.chain([(SIMPLE_FOR_RICH.0, vec![SIMPLE_FOR_RICH.1])]);
-        pairs.find_map(|(simple, others)| {
-            let open = |id: &&str| there.has(id) && !given.contains(id);
-            if there.has(simple) || !others.iter().all(open) {
-                return None;
-            }
-            let effect = effect::find(simple)?;
-            let unit = effect.parameters()[0].unit;
-            let size = |active: &ActiveEffect| {
-                let is_one = others.contains(&active.id());
-                let alike = is_one && active.effect.parameters()[0].unit == unit;
-                alike.then(|| active.values_or_guess()[0])
-            };
-            let sizes: Vec<f64> = there.effects.iter().filter_map(size).collect();
-            let begin = if sizes.is_empty() {
-                typical_size(effect, 0, there, self.runs[0].scenario)
-            } else {
-                sizes.iter().sum::<f64>() / sizes.len() as f64
-            };
-            let mut start = self.hypothesis.clone();
-            let kept = |active: &ActiveEffect| !others.contains(&active.id());
-            start.model.effects.retain(kept);
-            start.model = with_effect(&start.model, effect, &[begin]);
-            let rich = fit(self.hypothesis, self.runs)?;
-            // What is not known goes with the size that it was followed with: the second time that is its own.
-            let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
-            (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.hypothesis)
-        })
     }
 }
 
