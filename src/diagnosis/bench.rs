@@ -177,9 +177,8 @@ pub(super) fn beside(
     Ok(start)
 }
 
-/// Standard deviations below which a size may as well be zero, and the most that is believed of an effect with such a one.
+/// Standard deviations below which a size in the balance of torques may as well be zero.
 const TOLD_FROM_ZERO: f64 = 2.0;
-const AT_MOST: f64 = 0.5;
 
 /// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes first,
 /// and what the fit with all of it does not tell from zero is not named.
@@ -203,12 +202,7 @@ fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<
         let Some(place) = order.iter().rposition(is_zero) else {
             break;
         };
-        let id = order.remove(place);
-        for effect in &mut inference.effects {
-            if effect.effect.card().id == id {
-                effect.probability = effect.probability.min(AT_MOST);
-            }
-        }
+        inference.doubt(order.remove(place));
     }
     inference.confusable.retain(|pair| order.contains(&pair[0]));
     inference.named = order;

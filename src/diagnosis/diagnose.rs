@@ -144,12 +144,16 @@ pub fn diagnose_with(
         of: CATALOGUE.len(),
     });
     let asked = asked(&baseline.model, None);
-    let inference = bench.ask(&baseline, &asked, progress)?;
+    let mut inference = bench.ask(&baseline, &asked, progress)?;
     progress(Event::Begun {
         stage: Stage::Refit,
         of: inference.named.len(),
     });
-    let rungs = climb(&bench, baseline, &inference, progress)?;
+    let mut rungs = climb(&bench, baseline.clone(), &inference, progress)?;
+    while let Some(id) = without_size(&inference, &rungs) {
+        inference.doubt(id);
+        rungs = climb(&bench, baseline.clone(), &inference, progress)?;
+    }
     Ok(answer(&bench, &inference, &rungs))
 }
 
@@ -232,6 +236,21 @@ fn climb(
         rungs.push(rung);
     }
     Ok(rungs)
+}
+
+/// A named effect whose fitted parameters all are within their standard deviation of zero.
+fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
+    let fit = &rungs.last()?.fit;
+    let is_zero = |id: &&&'static str| {
+        let prefix = format!("{id}.");
+        let own = fit.parameters.iter();
+        let own = own.filter(|own| own.key.starts_with(&prefix));
+        let mut sizes = own
+            .filter_map(|own| Some((own.value?, own.std?)))
+            .peekable();
+        sizes.peek().is_some() && sizes.all(|(value, std)| value.abs() < std)
+    };
+    inference.named.iter().rev().find(is_zero).copied()
 }
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {

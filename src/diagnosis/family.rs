@@ -14,7 +14,7 @@ const ALIKE: &[(&str, &str)] = &[
 ];
 
 /// Effects that take power, of which a size below zero is no machine: a fit that asks for one leans on something else
-/// (DISCOVERY.md: a Stribeck curve of the wrong sign is not supported). A voltage drop may be over-compensated by the drive,
+/// (a Stribeck curve of the wrong sign, a converter that gives off heat the wrong way round). A voltage drop may be over-compensated by the drive,
 /// so that it is not among them.
 const TAKE_POWER: &[&str] = &[
     "viscous_friction",
@@ -23,6 +23,7 @@ const TAKE_POWER: &[&str] = &[
     "load_dependent_friction",
     "supply_sag",
     "winding_heating",
+    "discontinuous_conduction",
 ];
 
 /// Whether physics allows this effect no size below zero.

@@ -121,6 +121,17 @@ impl Inference {
         likely || self.named.contains(&id) || self.confusable.iter().any(|pair| pair[1] == id)
     }
 
+    /// Names an effect no more: a fit with it leaves it no size.
+    pub(in crate::diagnosis) fn doubt(&mut self, id: &'static str) {
+        for effect in &mut self.effects {
+            if effect.effect.card().id == id {
+                effect.probability = effect.probability.min(NAMED);
+            }
+        }
+        self.named.retain(|named| *named != id);
+        self.confusable.retain(|pair| pair[0] != id);
+    }
+
     /// The model with these effects alone, where a fit begins: those of the best set as they are there, the others in their
     /// likeliest form.
     pub(in crate::diagnosis) fn with_effects(&self, ids: &[&'static str]) -> Option<Model> {

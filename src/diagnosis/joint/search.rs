@@ -443,7 +443,9 @@ pub(super) fn search(
         let posterior = select(&reduced, &sets);
         let followed_with = noise;
         if round < NOISE_ROUNDS {
-            let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, noise);
+            // A load that wanders explains what an effect would: from little of it on the effects come first.
+            let from = if round == 0 { floor } else { noise };
+            let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
             let change = |a: f64, b: f64| (a / b).ln().abs();
             if change(better.disturbance_n_m, noise.disturbance_n_m) > SAME_DISTURBANCE
                 || change(better.input, noise.input) > SAME_INPUT
