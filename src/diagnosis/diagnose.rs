@@ -354,6 +354,8 @@ fn rivals(inference: &Inference, given: &[&'static str]) -> Vec<Model> {
 
 /// Share of the explainable error that unknown parts and what wanders may make beside what is named.
 const HALF: f64 = 0.5;
+/// How many times as large as white noise what a set leaves of the innovations may be where a free run is left aside.
+const NEARLY_WHITE: f64 = 1.3;
 
 fn verdict(
     bench: &Bench,
@@ -377,8 +379,9 @@ fn verdict(
     let explainable = above(base.nrms).max(0.0);
     let unexplained = inference.wandering.powi(2) + unknown * explainable;
     // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
-    // names that take nothing from its error are no answer.
+    // names that take nothing from its error, or leave innovations that are not white, are no answer.
     let is_led_astray = !bench.fits_at_once()
+        && inference.excess() < NEARLY_WHITE
         && unexplained <= HALF * explainable
         && explained::explains_something(evidence, base.nrms, best.nrms);
     if !is_led_astray && above(best.nrms) > HALF * explainable {

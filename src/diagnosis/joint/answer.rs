@@ -121,6 +121,11 @@ impl Inference {
         likely || self.named.contains(&id) || self.confusable.iter().any(|pair| pair[1] == id)
     }
 
+    /// How many times as large as white noise what the best set leaves of the innovations is.
+    pub(in crate::diagnosis) const fn excess(&self) -> f64 {
+        self.found.excess
+    }
+
     /// Names an effect no more: a fit with it leaves it no size.
     pub(in crate::diagnosis) fn doubt(&mut self, id: &'static str) {
         for effect in &mut self.effects {
