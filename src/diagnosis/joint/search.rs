@@ -434,13 +434,13 @@ pub(super) fn search(
             Some(linear)
         };
         let mut runs = around(&hypothesis, scenarios, starts, noise)?;
-        let linear = linearised(&hypothesis, &runs)?;
-        let reduced = Reduced::new(&linear, 1.0, true)?;
+        let mut linear = linearised(&hypothesis, &runs)?;
+        let mut reduced = Reduced::new(&linear, 1.0, true)?;
         if round == 0 {
             screened(&linear, &reduced, progress);
         }
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
-        let posterior = select(&reduced, &sets);
+        let mut posterior = select(&reduced, &sets);
         let followed_with = noise;
         if round < NOISE_ROUNDS {
             // A load that wanders explains what an effect would: from little of it on the effects come first.
@@ -453,14 +453,27 @@ pub(super) fn search(
                 noise = better;
             }
         }
-        let is_settled = noise == followed_with;
+        let mut is_settled = noise == followed_with;
+        // With more that is random fewer effects are asked for; far from the data with less of it others are.
+        let is_more = noise.disturbance_n_m > followed_with.disturbance_n_m;
+        if is_more || (!is_near && !is_settled) {
+            drop(reduced);
+            runs = around(&hypothesis, scenarios, starts, noise)?;
+            linear = linearised(&hypothesis, &runs)?;
+            reduced = Reduced::new(&linear, 1.0, true)?;
+            posterior = select(&reduced, &sets);
+            is_settled = true;
+        }
         let set = names(&linear, &posterior.best);
         let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
         let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
         moves += usize::from(!stays);
         // Near the data a model that lacks nothing need not be linearised twice.
-        let is_whole = round == 0 && is_near && posterior.best == present(&linear);
-        let was_seen = round == 1 && seen[0] == set || seen.iter().skip(1).any(|had| *had == set);
+        let is_whole = seen.is_empty() && is_near && posterior.best == present(&linear);
+        let was_seen = match &seen[..] {
+            [first] => *first == set,
+            _ => seen.iter().skip(1).any(|had| *had == set),
+        };
         let stands = stays && is_settled && (is_whole || was_seen);
         // Where a torque drives, the balance of torques has the last word instead.
         if by_voltage && stands && round + 1 < rounds {
@@ -506,7 +519,7 @@ pub(super) fn search(
             drop(runs);
             hypothesis = next.hypothesis;
             // What is fitted no longer counts as random.
-            if !is_settled {
+            if is_near && !is_settled {
                 let noises = [floor, noise];
                 noise = first_noise(&hypothesis, asked, scenarios, starts, noises)?.0;
             }
@@ -535,7 +548,9 @@ fn first_noise(
     let reduced = Reduced::new(&linear, 1.0, true)?;
     let forms = vec![0; linear.candidates.len()];
     let noise = likeliest(&runs, &linear, &reduced, &forms, &floor, known);
-    Some((noise, true))
+    // A load that wanders would explain what is missing: it is not taken for more than was thought.
+    let is_less = noise.disturbance_n_m <= known.disturbance_n_m;
+    Some((if is_less { noise } else { known }, true))
 }
 
 /// The answer where set and noise stand: the posterior again where what is left is more than white noise.
