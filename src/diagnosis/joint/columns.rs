@@ -170,6 +170,14 @@ impl<'a> Around<'a> {
     ) -> Option<Self> {
         let model = with_events(model, &events);
         let (follower, followed) = lead(&model, scenario, start, &noise)?;
+        if !followed
+            .white
+            .iter()
+            .flatten()
+            .all(|white| white.is_finite())
+        {
+            return None;
+        }
         let dynamics = Dynamics::of(&model, scenario.input)?;
         let instants = instants(&model, scenario, &followed);
         let turn = |at: &Instant| {

@@ -164,3 +164,17 @@ impl Weighed<'_> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::tests::truth;
+
+    #[test]
+    fn gaps_that_end_where_no_converters_do_are_a_drop_of_brushes() {
+        let gaps = |boundary_a: f64| truth("discontinuous_conduction", &[1.4, boundary_a]);
+        assert!(has_drop_of_brushes(&gaps(LEAST_BOUNDARY_A)));
+        assert!(!has_drop_of_brushes(&gaps(1.5 * LEAST_BOUNDARY_A)));
+        assert!(!has_drop_of_brushes(&truth("voltage_drop", &[0.9])));
+    }
+}

@@ -260,8 +260,26 @@ fn happened(
     Some(all)
 }
 
+/// Names of a set, each with the runs in which it is one that happens.
+type Names = Vec<(&'static str, Vec<usize>)>;
+
+/// Whether a set stands: the one before it was the same, or one before that, but for the first, which is of no refit.
+fn was_seen(seen: &[Names], set: &Names) -> bool {
+    match seen {
+        [first] => first == set,
+        _ => seen.iter().skip(1).any(|had| had == set),
+    }
+}
+
+/// Whether so much else is random that runs have to be linearised anew.
+fn is_another(noise: &Noise, before: &Noise) -> bool {
+    let change = |a: f64, b: f64| (a / b).ln().abs();
+    change(noise.disturbance_n_m, before.disturbance_n_m) > SAME_DISTURBANCE
+        || change(noise.input, before.input) > SAME_INPUT
+}
+
 /// The candidates of a set by their names, each with the runs in which it is one that happens.
-fn names(linear: &Linear, set: &Set) -> Vec<(&'static str, Vec<usize>)> {
+fn names(linear: &Linear, set: &Set) -> Names {
     let candidates = linear.candidates.iter().zip(set);
     candidates
         .filter_map(|(candidate, chosen)| {
@@ -282,23 +300,29 @@ struct Step {
 }
 
 /// Adds the single effects that explain most when refitted, one after the other, until the linear solution holds or none
-/// explains a good part of what is left. Only the first run is looked at.
+/// explains a good part of what is left. Only the first run is looked at; a step that another one cannot be followed with is
+/// none.
 fn approach(
     mut hypothesis: Hypothesis,
     asked: &[&'static dyn Effect],
-    scenario: &Scenario,
-    start: State,
+    scenarios: &[&Scenario],
+    starts: &[State],
     noise: Noise,
 ) -> Option<Hypothesis> {
     for _ in 0..MOST_STEPS {
-        let runs = around(&hypothesis, &[scenario], &[start], noise)?;
+        let runs = around(&hypothesis, &scenarios[..1], &starts[..1], noise)?;
         let rows = runs[0].follower.rows as f64;
         let now = squares(&runs);
         if now < FAR * rows {
             break;
         }
         match best_step(&hypothesis, asked, &runs, FAR * rows) {
-            Some(step) if step.squares < WORTH_A_STEP * now => hypothesis = step.hypothesis,
+            Some(step)
+                if step.squares < WORTH_A_STEP * now
+                    && around(&step.hypothesis, scenarios, starts, noise).is_some() =>
+            {
+                hypothesis = step.hypothesis;
+            }
             _ => break,
         }
     }
@@ -418,13 +442,14 @@ pub(super) fn search(
     // The balance of torques is linear in all that it holds, however much is missing.
     let by_voltage = scenarios[0].input == Input::Voltage;
     if by_voltage {
-        hypothesis = approach(hypothesis, asked, scenarios[0], starts[0], floor)?;
+        hypothesis = approach(hypothesis, asked, scenarios, starts, floor)?;
     }
     let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
-    let mut seen: Vec<Vec<(&'static str, Vec<usize>)>> = Vec::new();
+    let mut seen: Vec<Names> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
     let mut replaced = false;
     let mut moves = 0;
+    let mut last = hypothesis.clone();
     let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
@@ -433,7 +458,12 @@ pub(super) fn search(
             bar(&mut linear, &barred);
             Some(linear)
         };
-        let mut runs = around(&hypothesis, scenarios, starts, noise)?;
+        let mut runs = around(&hypothesis, scenarios, starts, noise).or_else(|| {
+            // A refit may end where the model is no machine.
+            hypothesis = last.clone();
+            around(&hypothesis, scenarios, starts, noise)
+        })?;
+        last = hypothesis.clone();
         let mut linear = linearised(&hypothesis, &runs)?;
         let mut reduced = Reduced::new(&linear, 1.0, true)?;
         if round == 0 {
@@ -446,10 +476,7 @@ pub(super) fn search(
             // A load that wanders explains what an effect would: from little of it on the effects come first.
             let from = if round == 0 { floor } else { noise };
             let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
-            let change = |a: f64, b: f64| (a / b).ln().abs();
-            if change(better.disturbance_n_m, noise.disturbance_n_m) > SAME_DISTURBANCE
-                || change(better.input, noise.input) > SAME_INPUT
-            {
+            if is_another(&better, &noise) {
                 noise = better;
             }
         }
@@ -470,11 +497,7 @@ pub(super) fn search(
         moves += usize::from(!stays);
         // Near the data a model that lacks nothing need not be linearised twice.
         let is_whole = seen.is_empty() && is_near && posterior.best == present(&linear);
-        let was_seen = match &seen[..] {
-            [first] => *first == set,
-            _ => seen.iter().skip(1).any(|had| *had == set),
-        };
-        let stands = stays && is_settled && (is_whole || was_seen);
+        let stands = stays && is_settled && (is_whole || was_seen(&seen, &set));
         // Where a torque drives, the balance of torques has the last word instead.
         if by_voltage && stands && round + 1 < rounds {
             let weighed = Weighed {
@@ -509,19 +532,16 @@ pub(super) fn search(
         if !is_settled {
             runs = around(&hypothesis, scenarios, starts, noise)?;
         }
-        let now = squares(&runs);
-        let changes = start.ids() != hypothesis.ids();
+        let is_same = start.ids() == hypothesis.ids();
         // What cannot be refitted stays as it was.
-        if let Some(next) = fit(&start, &runs)
-            && (next.squares < LOST * now || !changes)
-        {
+        let next = fit(&start, &runs);
+        if let Some(next) = next.filter(|next| is_same || next.squares < LOST * squares(&runs)) {
             drop(reduced);
             drop(runs);
             hypothesis = next.hypothesis;
             // What is fitted no longer counts as random.
             if is_near && !is_settled {
-                let noises = [floor, noise];
-                noise = first_noise(&hypothesis, asked, scenarios, starts, noises)?.0;
+                noise = first_noise(&hypothesis, asked, scenarios, starts, [floor, noise])?.0;
             }
         }
     }

@@ -300,6 +300,23 @@ impl<'a> Traveller<'a> {
         sums
     }
 
+    /// What terms of another form do at an instant.
+    fn other_form(&self, at: &Instant) -> Sums {
+        match self.tangent {
+            Tangent::Bent {
+                terms,
+                power,
+                share,
+            } => self.bent(&terms.sums(at, &[]), *power, *share),
+            Tangent::Slow {
+                terms,
+                factor,
+                share,
+            } => slower(&**terms, at, *factor, *share),
+            _ => Sums::default(),
+        }
+    }
+
     fn bent(&self, sums: &Sums, power: f64, share: f64) -> Sums {
         let bend = |value: f64, most: f64| {
             if value != 0.0 && most > 0.0 {
@@ -474,14 +491,10 @@ fn force(
     turns: &mut Turns,
     mut put: impl FnMut(usize, [f64; 2]),
 ) {
-    let (instants, passages) = (
-        &run.instants[range.clone()],
-        &run.follower.passages[range.clone()],
-    );
-    let (inductance, inertia) = (
-        run.dynamics.inverse_inductance,
-        run.dynamics.inverse_inertia,
-    );
+    let instants = &run.instants[range.clone()];
+    let passages = &run.follower.passages[range.clone()];
+    let inductance = run.dynamics.inverse_inductance;
+    let inertia = run.dynamics.inverse_inertia;
     let of = |sums: &Sums, direction: f64, inductive_v: f64, acceleration: f64| {
         [
             (sums.current_rate_gain * inductive_v - sums.voltage_v) * inductance,
@@ -507,36 +520,25 @@ fn force(
             }
         }
         Tangent::Motor(key, by) => {
-            let is_tied = run.model.motor.get(MotorKey::TorqueConstant).is_none();
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let (i, w) = (at.current_a, at.speed_rad_s);
-                let forcing = match key {
-                    MotorKey::Resistance => [-i * inductance, 0.0],
-                    MotorKey::Inductance => {
-                        [-mean_rate(0, k, passage.interval_s) * inductance, 0.0]
-                    }
-                    MotorKey::BackEmf if is_tied => [-w * inductance, i * inertia],
-                    MotorKey::BackEmf => [-w * inductance, 0.0],
-                    MotorKey::TorqueConstant => [0.0, i * inertia],
-                    MotorKey::Inertia => [0.0, -acceleration(k, passage.interval_s) * inertia],
-                    MotorKey::LoadTorque => [0.0, -passage.direction * inertia],
-                };
+                let rates = [0, 1].map(|signal| mean_rate(signal, k, passage.interval_s));
+                let forcing = of_motor(run, *key, at, passage.direction, rates);
                 put(k, forcing.map(|forcing| by * forcing));
             }
         }
         Tangent::Change { from, to, over } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let (from, to) = (from.sums(at, &[]), to.sums(at, &[]));
-                let change = Sums {
-                    voltage_v: (to.voltage_v - from.voltage_v) / over,
-                    torque_n_m: (to.torque_n_m - from.torque_n_m) / over,
-                    friction_n_m: (to.friction_n_m - from.friction_n_m) / over,
-                    current_rate_gain: (to.current_rate_gain - from.current_rate_gain) / over,
-                    inertia_gain: (to.inertia_gain - from.inertia_gain) / over,
-                };
-                let inductive_v = inductive_v(run, at);
+                let change = change(&from.sums(at, &[]), &to.sums(at, &[]), *over);
                 let acceleration = acceleration(k, passage.interval_s);
-                put(k, of(&change, passage.direction, inductive_v, acceleration));
+                put(
+                    k,
+                    of(
+                        &change,
+                        passage.direction,
+                        inductive_v(run, at),
+                        acceleration,
+                    ),
+                );
             }
         }
         Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
@@ -547,23 +549,9 @@ fn force(
                 put(k, of(&sums, passage.direction, inductive_v, acceleration));
             }
         }
-        Tangent::Bent {
-            terms,
-            power,
-            share,
-        } => {
+        Tangent::Bent { .. } | Tangent::Slow { .. } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let sums = traveller.bent(&terms.sums(at, &[]), *power, *share);
-                put(k, of(&sums, passage.direction, 0.0, 0.0));
-            }
-        }
-        Tangent::Slow {
-            terms,
-            factor,
-            share,
-        } => {
-            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let sums = slower(&**terms, at, *factor, *share);
+                let sums = traveller.other_form(at);
                 put(k, of(&sums, passage.direction, 0.0, 0.0));
             }
         }
@@ -571,23 +559,13 @@ fn force(
             turns.to(wave.order, &run.turns[range], instants);
             let turned = instants.iter().zip(&turns.each).zip(passages);
             for (k, ((at, turn), passage)) in turned.enumerate() {
-                // What a wave does over an interval in which the shaft turns by much of it is little.
-                let mean = sinc(0.5 * wave.order * at.speed_rad_s * passage.interval_s);
-                let size = if wave.of_current {
-                    mean * wave.size * at.torque_n_m_per_a * at.current_a
-                } else {
-                    mean * wave.size
-                };
-                put(k, [0.0, -size * turn[usize::from(wave.sine)] * inertia]);
+                let torque = wave_torque(wave, at, passage.interval_s, turn);
+                put(k, [0.0, -torque * inertia]);
             }
         }
         Tangent::Curve { most, values } => {
-            let steps = (values.len() - 1) as f64;
             for (k, at) in instants.iter().enumerate() {
-                let place = (0.5 * (at.speed_rad_s / most + 1.0) * steps).clamp(0.0, steps);
-                let left = whole(place.floor()).min(values.len() - 2);
-                let share = place - left as f64;
-                let torque = values[left] + share * (values[left + 1] - values[left]);
+                let torque = curve(*most, values, at.speed_rad_s);
                 put(k, [0.0, -torque * inertia]);
             }
         }
@@ -599,15 +577,70 @@ fn force(
         } => {
             let hat = |x: f64| size * (1.0 - ((x - centre) / width).abs()).max(0.0);
             for (k, at) in instants.iter().enumerate() {
-                put(
-                    k,
-                    match axis {
-                        Axis::Speed => [0.0, -hat(at.speed_rad_s) * inertia],
-                        Axis::Current => [-hat(at.current_a) * inductance, 0.0],
-                    },
-                );
+                let forcing = match axis {
+                    Axis::Speed => [0.0, -hat(at.speed_rad_s) * inertia],
+                    Axis::Current => [-hat(at.current_a) * inductance, 0.0],
+                };
+                put(k, forcing);
             }
         }
+    }
+}
+
+/// Torque of a wave over an interval about an instant at which the shaft has turned this far.
+fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, turn: &[f64; 2]) -> f64 {
+    // What a wave does over an interval in which the shaft turns by much of it is little.
+    let mean = sinc(0.5 * wave.order * at.speed_rad_s * interval_s);
+    let per = if wave.of_current {
+        at.torque_n_m_per_a * at.current_a
+    } else {
+        1.0
+    };
+    mean * wave.size * per * turn[usize::from(wave.sine)]
+}
+
+/// A curve at a speed by its values at equidistant speeds between plus and minus the largest.
+fn curve(most: f64, values: &[f64], speed_rad_s: f64) -> f64 {
+    let steps = (values.len() - 1) as f64;
+    let place = (0.5 * (speed_rad_s / most + 1.0) * steps).clamp(0.0, steps);
+    let left = whole(place.floor()).min(values.len() - 2);
+    let share = place - left as f64;
+    values[left] + share * (values[left + 1] - values[left])
+}
+
+/// What a unit more of a motor's parameter does at rates of current and speed.
+fn of_motor(
+    run: &Around<'_>,
+    key: MotorKey,
+    at: &Instant,
+    direction: f64,
+    rates: [f64; 2],
+) -> [f64; 2] {
+    let (inductance, inertia) = (
+        run.dynamics.inverse_inductance,
+        run.dynamics.inverse_inertia,
+    );
+    let is_tied = run.model.motor.get(MotorKey::TorqueConstant).is_none();
+    let (i, w) = (at.current_a, at.speed_rad_s);
+    match key {
+        MotorKey::Resistance => [-i * inductance, 0.0],
+        MotorKey::Inductance => [-rates[0] * inductance, 0.0],
+        MotorKey::BackEmf if is_tied => [-w * inductance, i * inertia],
+        MotorKey::BackEmf => [-w * inductance, 0.0],
+        MotorKey::TorqueConstant => [0.0, i * inertia],
+        MotorKey::Inertia => [0.0, -rates[1] * inertia],
+        MotorKey::LoadTorque => [0.0, -direction * inertia],
+    }
+}
+
+/// The change from one to another, for each unit of a step.
+fn change(from: &Sums, to: &Sums, over: f64) -> Sums {
+    Sums {
+        voltage_v: (to.voltage_v - from.voltage_v) / over,
+        torque_n_m: (to.torque_n_m - from.torque_n_m) / over,
+        friction_n_m: (to.friction_n_m - from.friction_n_m) / over,
+        current_rate_gain: (to.current_rate_gain - from.current_rate_gain) / over,
+        inertia_gain: (to.inertia_gain - from.inertia_gain) / over,
     }
 }
 
