@@ -14,8 +14,8 @@ const ALIKE: &[(&str, &str)] = &[
 ];
 
 /// Effects that take power, of which a size below zero is no machine: a fit that asks for one leans on something else
-/// (a Stribeck curve of the wrong sign, a converter that gives off heat the wrong way round). A voltage drop may be over-compensated by the drive,
-/// so that it is not among them.
+/// (a Stribeck curve of the wrong sign, gaps of a converter that would give power). A voltage drop may be over-compensated
+/// by the drive, so that it is not among them.
 const TAKE_POWER: &[&str] = &[
     "viscous_friction",
     "quadratic_load",

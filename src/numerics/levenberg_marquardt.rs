@@ -1,5 +1,6 @@
-//! Levenberg-Marquardt for a least-squares problem whose residual is a simulation: forward differences where slopes are not known, Marquardt
-//! scaling, and a step that is clipped so that one bad direction cannot throw the simulation out of its range.
+//! Levenberg-Marquardt for a least-squares problem whose residual is a simulation: forward differences where slopes are not
+//! known, Marquardt scaling, and a step that is clipped so that one bad direction cannot throw the simulation out of its
+//! range.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -245,7 +246,8 @@ impl Search {
     }
 }
 
-/// The Jacobian, by forward differences where the problem does not know it; a direction that cannot be evaluated forwards is tried backwards, else it is zero.
+/// The Jacobian, by forward differences where the problem does not know it; a direction that cannot be evaluated forwards is
+/// tried backwards, else it is zero.
 ///
 /// Its columns are found in parallel and do not depend on each other: the result is the same for any number of threads.
 pub fn jacobian_at(problem: &impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {

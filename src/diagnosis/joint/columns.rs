@@ -265,7 +265,7 @@ fn with_events<'a>(model: &'a Model, events: &[ActiveEffect]) -> Cow<'a, Model> 
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "stored like this")]
-pub(super) const fn single(value: f64) -> f32 {
+const fn single(value: f64) -> f32 {
     value as f32
 }
 

@@ -482,8 +482,7 @@ pub(super) fn search(
         }
         let mut is_settled = noise == followed_with;
         // With more that is random fewer effects are asked for; far from the data with less of it others are.
-        let is_more = noise.disturbance_n_m > followed_with.disturbance_n_m;
-        if is_more || (!is_near && !is_settled) {
+        if noise.disturbance_n_m > followed_with.disturbance_n_m || (!is_near && !is_settled) {
             drop(reduced);
             runs = around(&hypothesis, scenarios, starts, noise)?;
             linear = linearised(&hypothesis, &runs)?;
@@ -541,7 +540,8 @@ pub(super) fn search(
             hypothesis = next.hypothesis;
             // What is fitted no longer counts as random.
             if is_near && !is_settled {
-                noise = first_noise(&hypothesis, asked, scenarios, starts, [floor, noise])?.0;
+                noise = first_noise(&hypothesis, asked, scenarios, starts, [floor, noise])
+                    .map_or(noise, |known| known.0);
             }
         }
     }
