@@ -277,6 +277,10 @@ impl Plant {
             .as_ref()
             .map_or((state.current_a, state.speed_rad_s), Sensors::read);
         self.anchor(state, current_a - shown.0, speed_rad_s - shown.1);
+        // A load that had stopped or turned back in the simulation would now be torn along.
+        if let Some(two_mass) = &mut self.two_mass {
+            two_mass.start(state);
+        }
     }
 
     /// Simulates `scenario` from `start`.

@@ -349,6 +349,18 @@ fn behind_a_long_hole_the_simulation_goes_on_from_the_measurement() {
 }
 
 #[test]
+fn behind_a_long_hole_the_load_goes_along_with_the_motor() {
+    for coupled in [
+        ("elastic_coupling", &[20.0, 0.5, 0.05, 0.5][..]),
+        ("backlash", &[0.05, 50.0, 0.5, 0.05, 0.5][..]),
+    ] {
+        for miss in misses_behind_a_hole(&model(&[coupled])) {
+            assert!(miss.abs() < 1.5, "{} {miss}", coupled.0);
+        }
+    }
+}
+
+#[test]
 fn a_late_command_of_a_hole_is_not_taken_for_known_behind_it() {
     let late = model(&[("command_delay", &[5e-3][..])]);
     for miss in misses_behind_a_hole(&late) {
