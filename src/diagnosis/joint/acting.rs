@@ -33,6 +33,8 @@ pub(super) struct Forms {
     coupling: f64,
     /// Time in which what rings dies away, s.
     pub(super) ringing_s: f64,
+    /// What of it may be wrong, as a share.
+    pub(super) ringing_share: f64,
     inertia: f64,
     friction: f64,
     /// Friction and torque per unit of the input whose forms count: none under a voltage.
@@ -50,12 +52,15 @@ impl Forms {
         let coupling = terms.iter().find_map(|terms| terms.coupling());
         let dies_s =
             |c: Coupling| 1.0 / (TAU * c.frequency_hz * c.damping_ratio.max(LEAST_DAMPING));
+        // When the sides of a play meet nobody can foretell: a moment later the whole blow is an error.
+        let in_phase = |c: Coupling| if c.gap_rad > 0.0 { 1.0 } else { FORM };
         let counts = f64::from(u8::from(scenario.input != Input::Voltage));
         Self {
             terms,
             motor: constants(model, scenario),
             coupling: coupling.map_or(0.0, |c| c.inertia_ratio),
             ringing_s: coupling.map_or(0.0, dies_s),
+            ringing_share: coupling.map_or(0.0, in_phase),
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
             friction: model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
             coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),

@@ -251,6 +251,8 @@ struct Filter<'a> {
     holes_passed: usize,
     /// Square of what rings, as it dies away, and when a coupling's twist became unknown last.
     ringing: f64,
+    /// The largest so far: so much there may be behind a hole.
+    most_ringing: f64,
     twisted_s: f64,
     /// Propagators over the last interval, moving and at rest.
     cached: (f64, [Propagator; 2]),
@@ -318,6 +320,7 @@ impl<'a> Filter<'a> {
                 .collect(),
             holes_passed: 0,
             ringing: 0.0,
+            most_ringing: 0.0,
             twisted_s: f64::NEG_INFINITY,
             cached: (-1.0, [dynamics.over(0.0, false), dynamics.over(0.0, true)]),
         })
@@ -366,9 +369,10 @@ impl<'a> Filter<'a> {
         if dies_s <= 0.0 {
             return 0.0;
         }
+        self.most_ringing = square.max(self.most_ringing);
         self.ringing = square.max(self.ringing * (-2.0 * interval_s / dies_s).exp());
         let unseen = (-(self.last_s - self.twisted_s) / dies_s).exp();
-        self.ringing * (FORM * FORM + unseen)
+        self.ringing * (self.forms.ringing_share.powi(2) + unseen)
     }
 
     /// Goes to the time of `sample`, where the model is in `state`: the passage, what the disturbance keeps, and the rates of
@@ -429,6 +433,7 @@ impl<'a> Filter<'a> {
             [current, speed + anew * anew]
         };
         if begins_again {
+            self.ringing = self.most_ringing;
             self.twisted_s = time_s;
         }
         let mut form = squares.map(|square| FORM * FORM * square);
@@ -815,5 +820,42 @@ mod tests {
         filter.last_s += 0.5;
         let later = filter.ringing(4.0, 1e-3);
         assert!(later < 0.05 * 4.0, "{later}");
+    }
+
+    #[test]
+    fn a_blow_that_ends_a_play_is_all_error() {
+        let mut model = Model::baseline(Motor::zk_22fc())
+            .with_effect("backlash")
+            .unwrap();
+        model.effects[0].values = [0.05, 50.0, 0.5, 0.05, 0.5].map(Some).to_vec();
+        let scenario = record(&model, vec![(0.0, 20.0)], 1e-3, 0.1, 3);
+        let mut filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
+        assert!((filter.ringing(4.0, 1e-3) / 4.0 - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn behind_a_hole_a_shaft_may_ring_as_much_as_it_ever_did() {
+        let mut model = Model::baseline(Motor::zk_22fc())
+            .with_effect("elastic_coupling")
+            .unwrap();
+        model.effects[0].values = [20.0, 0.5, 0.05, 0.5].map(Some).to_vec();
+        let levels = vec![(0.0, 0.0), (0.1, 40.0)];
+        let mut scenario = record(&model, levels, 1e-3, 2.5, 3);
+        let last = scenario.samples() - 1;
+        let to_s = scenario.sample_time_s[last];
+        scenario.unknown_input = vec![crate::plant::UnknownInput {
+            from_s: to_s - 0.4,
+            to_s,
+            lost_rows: 400,
+            mean: 40.0,
+            variance: 100.0,
+            restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
+        }];
+        let (follower, _) = lead(&model, &scenario, State::default(), &QUIET).unwrap();
+        let unknown = |sample: usize| follower.passages[sample].form[2];
+        let most = (0..last).map(unknown).fold(0.0, f64::max) / (FORM * FORM);
+        // It had long come to rest.
+        assert!(unknown(last - 1) < 0.01 * most);
+        assert!(unknown(last) > 0.9 * most, "{} {most}", unknown(last));
     }
 }

@@ -23,8 +23,18 @@ pub(super) struct Barred {
     probability: f64,
 }
 
-/// Keeps effects that were barred out of the sets.
-pub(super) fn bar(linear: &mut Linear, barred: &[Barred]) {
+/// Keeps effects that were barred out of the sets, and pairs for which `one` was found to stand as well.
+pub(super) fn bar(linear: &mut Linear, barred: &[Barred], one: Option<&'static str>) {
+    let stands_for = ONE_FOR_TWO
+        .iter()
+        .filter(|(simple, _)| Some(*simple) == one);
+    for pair in stands_for.map(|(_, pair)| *pair) {
+        let places = pair.map(|id| linear.candidates.iter().position(|own| own.id == id));
+        if let [Some(a), Some(b)] = places {
+            linear.candidates[a].excludes.push(b);
+            linear.candidates[b].excludes.push(a);
+        }
+    }
     for candidate in &mut linear.candidates {
         if barred.iter().any(|barred| barred.id == candidate.id) {
             candidate.log_odds = BARRED;
@@ -126,9 +136,9 @@ impl Weighed<'_> {
         Some((Barred { id, probability }, left))
     }
 
-    /// The model with a simple effect in the place of a richer one, or of two that it is alike to, where those are not
+    /// A simple effect, and the model with it in the place of a richer one, or of two that it is alike to, where those are not
     /// clearly better.
-    pub(super) fn simpler(&self, given: &[&'static str]) -> Option<Hypothesis> {
+    pub(super) fn simpler(&self, given: &[&'static str]) -> Option<(&'static str, Hypothesis)> {
         let there = &self.hypothesis.model;
         let pairs = ONE_FOR_TWO.iter().map(|(one, two)| (*one, two.to_vec()));
         let mut pairs = pairs.chain([(SIMPLE_FOR_RICH.0, vec![SIMPLE_FOR_RICH.1])]);
@@ -157,10 +167,11 @@ impl Weighed<'_> {
             // What is not known goes with the size that it was followed with: the second time that is its own.
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             if simple == SIMPLE_FOR_RICH.0 && has_drop_of_brushes(there) {
-                return Some(left.hypothesis);
+                return Some((simple, left.hypothesis));
             }
             let rich = fit(self.hypothesis, self.runs)?;
-            (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND).then_some(left.hypothesis)
+            (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND)
+                .then_some((simple, left.hypothesis))
         })
     }
 }

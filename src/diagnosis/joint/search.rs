@@ -322,11 +322,26 @@ fn approach(
                     && around(&step.hypothesis, scenarios, starts, noise).is_some() =>
             {
                 hypothesis = step.hypothesis;
+                // Led by what was measured a play is found at once; led without its ringing it ends in a hollow of impacts.
+                if has_coupling(&hypothesis.model)
+                    && let Some(own) = fit(&hypothesis, &runs)
+                    && around(&own.hypothesis, scenarios, starts, noise).is_some()
+                {
+                    hypothesis = own.hypothesis;
+                }
             }
             _ => break,
         }
     }
     Some(hypothesis)
+}
+
+fn has_coupling(model: &Model) -> bool {
+    let mut effects = model.effects.iter();
+    effects.any(|active| {
+        let terms = active.effect.terms(&active.values_or_guess());
+        terms.coupling().is_some()
+    })
 }
 
 /// The best single effect beside what there is; `near` is where the squares are small enough.
@@ -447,7 +462,7 @@ pub(super) fn search(
     let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
     let mut seen: Vec<Names> = Vec::new();
     let mut barred: Vec<Barred> = Vec::new();
-    let mut replaced = false;
+    let mut replaced = None;
     let mut moves = 0;
     let mut last = hypothesis.clone();
     let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
@@ -455,7 +470,7 @@ pub(super) fn search(
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
         let linearised = |hypothesis: &Hypothesis, runs: &[Around<'_>]| {
             let mut linear = linearise(hypothesis, asked, runs, round > 0 || is_near)?;
-            bar(&mut linear, &barred);
+            bar(&mut linear, &barred, replaced);
             Some(linear)
         };
         let mut runs = around(&hypothesis, scenarios, starts, noise).or_else(|| {
@@ -506,8 +521,10 @@ pub(super) fn search(
                 posterior: &posterior,
                 runs: &runs,
             };
-            if !replaced && let Some(simpler) = weighed.simpler(&given) {
-                replaced = true;
+            if replaced.is_none()
+                && let Some((simple, simpler)) = weighed.simpler(&given)
+            {
+                replaced = Some(simple);
                 seen.clear();
                 drop(reduced);
                 drop(runs);
