@@ -5,26 +5,30 @@ use rayon::prelude::*;
 
 use super::columns::{Around, Candidate, Linear};
 use super::events::Hypothesis;
-use super::prediction_error::fit;
+use super::prediction_error::{Refit, fit};
 use super::search::{placed, present, with_effect};
 use super::select::{Posterior, Reduced, Set};
 use crate::diagnosis::family::LEAST_BOUNDARY_A;
 use crate::plant::{ActiveEffect, Model, effect, typical_size};
 
-/// Log of the odds beforehand of an effect that a refit has refuted.
+/// Log of the odds beforehand of an effect that a refit has refuted, and what is added to that of one without which a refit
+/// is worse.
 const BARRED: f64 = -30.0;
+const KEPT: f64 = 30.0;
 /// Growth of the log likelihood that a richer effect, or a second one, must bring to stand for one that serves as well.
 const WORTH_A_SECOND: f64 = 5.7;
 
-/// An effect that the linear solution asked for and a refit refuted.
-pub(super) struct Barred {
-    pub(super) id: &'static str,
-    /// What the refit leaves of its probability.
-    probability: f64,
+/// What a refit found against the linear solution.
+#[derive(PartialEq)]
+pub(super) enum Judged {
+    /// An effect that is not there, and what is left of its probability.
+    Barred { id: &'static str, probability: f64 },
+    /// One that is there.
+    Kept { id: &'static str },
 }
 
-/// Keeps effects that were barred out of the sets, and pairs for which `one` was found to stand as well.
-pub(super) fn bar(linear: &mut Linear, barred: &[Barred], one: Option<&'static str>) {
+/// Keeps effects out of the sets, or in them, as refits found, and out pairs for which `one` was found to stand as well.
+pub(super) fn bar(linear: &mut Linear, judged: &[Judged], one: Option<&'static str>) {
     let stands_for = ONE_FOR_TWO
         .iter()
         .filter(|(simple, _)| Some(*simple) == one);
@@ -36,17 +40,42 @@ pub(super) fn bar(linear: &mut Linear, barred: &[Barred], one: Option<&'static s
         }
     }
     for candidate in &mut linear.candidates {
-        if barred.iter().any(|barred| barred.id == candidate.id) {
-            candidate.log_odds = BARRED;
+        let log_odds = candidate.log_odds;
+        for judged in judged {
+            match judged {
+                Judged::Barred { id, .. } if *id == candidate.id => candidate.log_odds = BARRED,
+                Judged::Kept { id } if *id == candidate.id => {
+                    candidate.log_odds = log_odds + KEPT;
+                }
+                _ => {}
+            }
         }
     }
 }
 
+/// The effects of `hypothesis` that the linear solution took out where `next`, refitted, is clearly worse without them: it is
+/// wrong where what an effect does is not in proportion to its size, as impacts' times to a delay.
+pub(super) fn needed(hypothesis: &Hypothesis, next: &Refit, runs: &[Around<'_>]) -> Vec<Judged> {
+    let ids = hypothesis.model.effect_ids().into_iter();
+    let removed: Vec<&'static str> = ids.filter(|id| !next.hypothesis.model.has(id)).collect();
+    let is_worse =
+        |now: Refit| 0.5 * (next.deviance - now.deviance) > WORTH_A_SECOND * removed.len() as f64;
+    if removed.is_empty() || !fit(hypothesis, runs).is_some_and(is_worse) {
+        return Vec::new();
+    }
+    removed.into_iter().map(|id| Judged::Kept { id }).collect()
+}
+
 /// Gives effects that were barred what the refit left of their probability.
-pub(super) fn keep_doubts(barred: &[Barred], linear: &Linear, posterior: &mut Posterior) {
+pub(super) fn keep_doubts(judged: &[Judged], linear: &Linear, posterior: &mut Posterior) {
     for (candidate, p) in linear.candidates.iter().zip(&mut posterior.probability) {
-        let found = barred.iter().find(|barred| barred.id == candidate.id);
-        *p = found.map_or(*p, |barred| barred.probability.max(*p));
+        for judged in judged {
+            if let Judged::Barred { id, probability } = judged
+                && *id == candidate.id
+            {
+                *p = probability.max(*p);
+            }
+        }
     }
 }
 
@@ -89,7 +118,7 @@ pub(super) struct Weighed<'a> {
 impl Weighed<'_> {
     /// The effect of the best set, none of `given`, that a refit refutes most clearly, and the model without it. A linear
     /// solution is wrong where an effect's own size bends what it does, as that of a large delay.
-    pub(super) fn doubtful(&self, given: &[&'static str]) -> Option<(Barred, Hypothesis)> {
+    pub(super) fn doubtful(&self, given: &[&'static str]) -> Option<(Judged, Hypothesis)> {
         let best = &self.posterior.best;
         let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
         let whole = likelihood(best);
@@ -121,7 +150,8 @@ impl Weighed<'_> {
                         .map_or(0.0, |with| 0.5 * (base.deviance - with.deviance)),
                 )
             };
-            let odds = self.posterior.log_factor[*k] - (promised - gained).max(0.0);
+            let raised = if candidate.log_odds > 0.0 { KEPT } else { 0.0 };
+            let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
             Some((odds, candidate.id, left))
         };
         let judged: Vec<(f64, &'static str, Hypothesis)> = asked
@@ -133,7 +163,7 @@ impl Weighed<'_> {
         let worst = refuted.min_by(|a, b| a.0.total_cmp(&b.0));
         let (odds, id, left) = worst?;
         let probability = 1.0 / (1.0 + (-odds).exp());
-        Some((Barred { id, probability }, left))
+        Some((Judged::Barred { id, probability }, left))
     }
 
     /// A simple effect, and the model with it in the place of a richer one, or of two that it is alike to, where those are not
@@ -179,7 +209,49 @@ impl Weighed<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tests::truth;
+    use crate::diagnosis::joint::columns::linearise;
+    use crate::diagnosis::joint::follow::Noise;
+    use crate::diagnosis::joint::select::select;
+    use crate::diagnosis::tests::{nameplate, record, truth};
+    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S};
+    use crate::plant::{Effect, Scenario, State};
+
+    const QUIET: Noise = Noise {
+        current_a: CURRENT_NOISE_A,
+        speed_rad_s: SPEED_NOISE_RAD_S,
+        disturbance_n_m: 1e-4,
+        correlation_s: 0.5,
+        input: 1e-3,
+        sensors: 0.1,
+    };
+
+    fn led<'a>(model: &Model, run: &'a Scenario) -> [Around<'a>; 1] {
+        [Around::new(model, run, State::default(), QUIET).unwrap()]
+    }
+
+    /// What `about` makes of the sets as they are weighed from `model` on.
+    fn weighed<T>(
+        model: &Model,
+        run: &Scenario,
+        asked: &[&'static str],
+        pretend: impl FnOnce(&mut Linear),
+        about: impl FnOnce(&Weighed<'_>) -> T,
+    ) -> T {
+        let asked: Vec<&'static dyn Effect> =
+            asked.iter().map(|id| effect::find(id).unwrap()).collect();
+        let (hypothesis, runs) = (Hypothesis::of(model), led(model, run));
+        let mut linear = linearise(&hypothesis, &asked, &runs, false).unwrap();
+        pretend(&mut linear);
+        let reduced = Reduced::new(&linear, 1.0, true).unwrap();
+        let posterior = select(&reduced, &[present(&linear)]);
+        about(&Weighed {
+            hypothesis: &hypothesis,
+            linear: &linear,
+            reduced: &reduced,
+            posterior: &posterior,
+            runs: &runs,
+        })
+    }
 
     #[test]
     fn gaps_that_end_where_no_converters_do_are_a_drop_of_brushes() {
@@ -187,5 +259,109 @@ mod tests {
         assert!(has_drop_of_brushes(&gaps(LEAST_BOUNDARY_A)));
         assert!(!has_drop_of_brushes(&gaps(1.5 * LEAST_BOUNDARY_A)));
         assert!(!has_drop_of_brushes(&truth("voltage_drop", &[0.9])));
+    }
+
+    #[test]
+    fn a_late_command_stands_for_two_late_sensors_unless_these_are_there() {
+        let late = truth("command_delay", &[6e-4]);
+        let two = |seconds: [f64; 2]| {
+            let mut two = truth("speed_delay", &seconds[..1])
+                .with_effect("current_filter")
+                .unwrap();
+            two.effects[1].values = vec![Some(seconds[1])];
+            two
+        };
+        let apart = two([4e-3, 5e-4]);
+        let asked = ["command_delay", "speed_delay", "current_filter"];
+        for (machine, model, stands) in [
+            (&late, two([6e-4; 2]), Some("command_delay")),
+            (&apart, apart.clone(), None),
+        ] {
+            let run = record(machine, 0, 7);
+            let simpler = |given: &[&'static str]| {
+                weighed(&model, &run, &asked, |_| {}, |own| own.simpler(given))
+            };
+            let found = simpler(&[]);
+            assert_eq!(found.as_ref().map(|own| own.0), stands);
+            if let Some((_, hypothesis)) = found {
+                let delay_s = hypothesis.model.effects[0].values[0].unwrap();
+                assert!((delay_s / 6e-4 - 1.0).abs() < 0.2, "{delay_s}");
+            }
+            // What was given stays.
+            assert!(simpler(&["speed_delay"]).is_none());
+        }
+    }
+
+    #[test]
+    fn two_that_one_stands_for_are_not_both_asked_for_again() {
+        let run = record(&nameplate(), 0, 7);
+        let asked = ["command_delay", "speed_delay", "current_filter"];
+        let excluded = |one| {
+            let pretend = |linear: &mut Linear| bar(linear, &[], one);
+            weighed(&nameplate(), &run, &asked, pretend, |own| {
+                let candidates = own.linear.candidates.iter();
+                let filter = candidates.clone().find(|own| own.id == "current_filter");
+                let delay = own
+                    .linear
+                    .candidates
+                    .iter()
+                    .position(|c| c.id == "speed_delay");
+                filter.unwrap().excludes.contains(&delay.unwrap())
+            })
+        };
+        assert!(!excluded(None));
+        assert!(!excluded(Some("current_offset")));
+        assert!(excluded(Some("command_delay")));
+    }
+
+    #[test]
+    fn what_only_the_linear_solution_asks_for_is_refuted_by_a_refit() {
+        let run = record(&nameplate(), 0, 7);
+        let asks = |linear: &mut Linear| {
+            let drag = linear
+                .candidates
+                .iter()
+                .find(|c| c.id == "viscous_friction");
+            let column = drag.unwrap().variants[0].columns[0];
+            linear.right[column] += 0.3 * linear.gram[(column, column)];
+        };
+        for (pretend, is_refuted) in [(true, true), (false, false)] {
+            let pretend = |linear: &mut Linear| {
+                if pretend {
+                    asks(linear)
+                }
+            };
+            let found = weighed(&nameplate(), &run, &["viscous_friction"], pretend, |own| {
+                own.doubtful(&[])
+            });
+            assert_eq!(found.is_some(), is_refuted);
+            if let Some((Judged::Barred { id, probability }, _)) = found {
+                assert!(
+                    id == "viscous_friction" && probability < 0.1,
+                    "{id} {probability}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_refit_needs_is_kept_and_what_it_does_not_is_not() {
+        for (machine, is_needed) in [
+            (truth("viscous_friction", &[4e-4]), true),
+            (nameplate(), false),
+        ] {
+            let run = record(&machine, 0, 7);
+            let model = truth("viscous_friction", &[4e-4]);
+            let runs = led(&model, &run);
+            let next = fit(&Hypothesis::of(&nameplate()), &runs).unwrap();
+            let kept = needed(&Hypothesis::of(&model), &next, &runs);
+            let id = "viscous_friction";
+            assert!(
+                kept == [Judged::Kept { id }]
+                    .into_iter()
+                    .filter(|_| is_needed)
+                    .collect::<Vec<_>>()
+            );
+        }
     }
 }

@@ -13,7 +13,7 @@ use super::excess::excess;
 use super::follow::{Noise, wandering};
 use super::noise::likeliest;
 use super::prediction_error::{fit, fit_as_followed};
-use super::refits::{Barred, Weighed, bar, keep_doubts};
+use super::refits::{Judged, Weighed, bar, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
@@ -461,7 +461,7 @@ pub(super) fn search(
     }
     let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
     let mut seen: Vec<Names> = Vec::new();
-    let mut barred: Vec<Barred> = Vec::new();
+    let mut judged: Vec<Judged> = Vec::new();
     let mut replaced = None;
     let mut moves = 0;
     let mut last = hypothesis.clone();
@@ -470,7 +470,7 @@ pub(super) fn search(
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
         let linearised = |hypothesis: &Hypothesis, runs: &[Around<'_>]| {
             let mut linear = linearise(hypothesis, asked, runs, round > 0 || is_near)?;
-            bar(&mut linear, &barred, replaced);
+            bar(&mut linear, &judged, replaced);
             Some(linear)
         };
         let mut runs = around(&hypothesis, scenarios, starts, noise).or_else(|| {
@@ -532,7 +532,7 @@ pub(super) fn search(
                 continue;
             }
             if let Some((doubt, without)) = weighed.doubtful(&given) {
-                barred.push(doubt);
+                judged.push(doubt);
                 seen.clear();
                 drop(reduced);
                 drop(runs);
@@ -542,7 +542,7 @@ pub(super) fn search(
         }
         if stands || round + 1 == rounds {
             drop(reduced);
-            return ended(hypothesis, linear, posterior, &runs, noise, &barred);
+            return ended(hypothesis, linear, posterior, &runs, noise, &judged);
         }
         seen.push(set);
         if !is_settled {
@@ -551,7 +551,16 @@ pub(super) fn search(
         let is_same = start.ids() == hypothesis.ids();
         // What cannot be refitted stays as it was.
         let next = fit(&start, &runs);
-        if let Some(next) = next.filter(|next| is_same || next.squares < LOST * squares(&runs)) {
+        let kept = next
+            .iter()
+            .flat_map(|next| needed(&hypothesis, next, &runs));
+        let kept: Vec<Judged> = kept.filter(|own| !judged.contains(own)).collect();
+        if !kept.is_empty() {
+            judged.extend(kept);
+            seen.clear();
+        } else if let Some(next) =
+            next.filter(|next| is_same || next.squares < LOST * squares(&runs))
+        {
             drop(reduced);
             drop(runs);
             hypothesis = next.hypothesis;
@@ -597,7 +606,7 @@ fn ended(
     mut posterior: Posterior,
     runs: &[Around<'_>],
     noise: Noise,
-    barred: &[Barred],
+    judged: &[Judged],
 ) -> Option<Found> {
     let reduced = Reduced::new(&linear, 1.0, true)?;
     let excess = excess_of(&linear, &reduced, &posterior.best, runs);
@@ -607,7 +616,7 @@ fn ended(
     if excess > 1.0 {
         posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
     }
-    keep_doubts(barred, &linear, &mut posterior);
+    keep_doubts(judged, &linear, &mut posterior);
     let happened = happened(&linear, &wider, &posterior.best, runs, excess)?;
     drop((reduced, wider));
     Some(Found {
