@@ -11,7 +11,7 @@ use super::live_study::{live_study, mysteries};
 use super::{output, progress, signals};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
-use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery};
+use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery, files, records};
 
 /// Compute a paper's figures and tables again, or how often the diagnosis is right: text on stdout, page, pictures and tables in a folder
 #[derive(clap::Args)]
@@ -28,6 +28,9 @@ pub(super) struct Arguments {
     /// With `discovery`: also so many mystery drives in real time over each link, through the whole program; their runs are kept in DIR/live
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
     live: Option<u64>,
+    /// With `discovery`: a folder with public records of real machines, of which the page then tells too (which files: docs/validation.md)
+    #[arg(long, value_name = "DIR")]
+    records: Option<PathBuf>,
     /// With `discovery` and `lines`: another seed makes other machines (default 1)
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
@@ -78,11 +81,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     }
     match arguments.paper {
         Paper::PaperA | Paper::PaperB
-            if arguments.sets.is_some() || arguments.seed.is_some() || arguments.live.is_some() =>
+            if arguments.sets.is_some()
+                || arguments.seed.is_some()
+                || arguments.live.is_some()
+                || arguments.records.is_some() =>
         {
             Err(Failure::with_help(
                 USAGE,
-                "--sets, --seed and --live belong to `reproduce discovery`: a paper's figures have fixed seeds",
+                "--sets, --seed, --live and --records belong to `reproduce discovery`: a paper's figures have fixed seeds",
                 "leave them out",
             ))
         }
@@ -117,11 +123,34 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
         Paper::Discovery => {
             let shown = progress::begin("reproduce");
+            let real = real_records(arguments)?;
             let found = study(arguments, out.as_deref());
             drop(shown);
-            file_study(&found?, arguments, out.as_deref())
+            let mut found = found?;
+            found.records = real;
+            file_study(&found, arguments, out.as_deref())
         }
     }
+}
+
+/// What the diagnosis says of the records in the folder that was given; before the study, which takes long.
+fn real_records(arguments: &Arguments) -> Result<Vec<reproduce::discovery::RecordAnswer>, Failure> {
+    let Some(folder) = &arguments.records else {
+        return Ok(Vec::new());
+    };
+    let found = records(folder);
+    if found.is_empty() {
+        let files: Vec<&str> = files().collect();
+        return Err(Failure::with_help(
+            USAGE,
+            format!(
+                "--records {}: none of the records is there",
+                folder.display()
+            ),
+            format!("put one of these files into it: {}", files.join(", ")),
+        ));
+    }
+    Ok(found)
 }
 
 /// Page and tables of the study, also where only a part of its mystery drives is finished.

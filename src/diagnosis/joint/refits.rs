@@ -328,7 +328,7 @@ mod tests {
         for (pretend, is_refuted) in [(true, true), (false, false)] {
             let pretend = |linear: &mut Linear| {
                 if pretend {
-                    asks(linear)
+                    asks(linear);
                 }
             };
             let found = weighed(&nameplate(), &run, &["viscous_friction"], pretend, |own| {

@@ -272,6 +272,7 @@ pub(in crate::workflow::reproduce) mod by_hand {
             holdout_after: None,
             sentence: String::new(),
             findings,
+            parameters: vec![],
         }
     }
 }

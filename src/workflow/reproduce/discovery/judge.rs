@@ -3,10 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::finding::{Finding, findings, twin_of};
+use super::parameters::{self, ParameterFinding};
 use super::sizes::{self, BACKGROUND};
 use super::truth::Truth;
 use super::{Case, Group};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
+use crate::emulator::truth::MotorTruth;
 use crate::plant::{Model, Slot};
 
 /// Two names for what is the same to first order, and in most runs to the noise: either is told apart only by a quick
@@ -51,11 +53,18 @@ pub struct Answer {
     pub sentence: String,
     /// Of every effect of the catalogue; none where there is no answer.
     pub findings: Vec<Finding>,
+    /// Of the motor's parameters, as far as the runs determine them.
+    pub parameters: Vec<ParameterFinding>,
 }
 
 impl Answer {
     /// `truths` begin with what is hidden, as [`Case::right`] lists it.
-    pub(super) fn of(case: &Case, truths: &[Truth], diagnosis: &Diagnosis) -> Self {
+    pub(super) fn of(
+        case: &Case,
+        truths: &[Truth],
+        motor: &MotorTruth,
+        diagnosis: &Diagnosis,
+    ) -> Self {
         let said = Said::of(diagnosis);
         let orders: Vec<Option<f64>> = truths.iter().map(|truth| truth.order).collect();
         Self {
@@ -71,6 +80,7 @@ impl Answer {
             holdout_after: Some(diagnosis.holdout_after),
             sentence: diagnosis.sentence.clone(),
             findings: findings(truths, &said.orders, diagnosis),
+            parameters: parameters::findings(motor, diagnosis),
         }
     }
 
@@ -88,6 +98,7 @@ impl Answer {
             holdout_after: None,
             sentence: reason,
             findings: vec![],
+            parameters: vec![],
         }
     }
 

@@ -4,6 +4,7 @@
 //! catalogue of sizes (sizes) -> Case (cases) -> emulated machine, excited and recorded (record) -> diagnose -> Outcome (judge)
 //!                       what is in it, and how large (truth) <---'    of each effect, what was said (finding) <---'
 //!     all outcomes -> counts with bounds, matrix (tally)     all findings -> what probabilities and bounds are worth (calibration)
+//!     motor's parameters -> what their intervals hold (parameters)
 //! ```
 //!
 //! Virtual time and stated seeds: the same program gives the same page. The emulator's effects have other mathematical
@@ -14,7 +15,9 @@ mod cases;
 mod finding;
 mod judge;
 mod live;
+mod parameters;
 mod record;
+mod records;
 mod sizes;
 mod tally;
 #[cfg(test)]
@@ -31,7 +34,9 @@ pub use cases::{Case, Group};
 pub use finding::Finding;
 pub use judge::{Answer, Outcome};
 pub use live::{Heard, LiveAnswer, LiveLink};
+pub use parameters::{Coverage, ParameterFinding, coverage};
 pub use record::Excitation;
+pub use records::{RecordAnswer, files, records};
 pub use tally::{Bounded, Matrix, Tally, matrix, median_errors};
 
 use crate::bench::BenchFile;
@@ -65,7 +70,11 @@ pub struct Discovery {
     pub matrix: Matrix,
     /// Of all sets together.
     pub calibration: Calibration,
+    pub coverage: Vec<Coverage>,
     pub answers: Vec<Answer>,
+    /// Real machines; empty where no folder of records was given.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub records: Vec<RecordAnswer>,
     /// Mysteries that the whole program was given in real time; empty where that was not asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub live: Vec<LiveAnswer>,
@@ -119,7 +128,9 @@ pub fn discovery(
         counts: tally::counts(&answers),
         matrix: tally::matrix(&answers),
         calibration: Calibration::of(&answers),
+        coverage: coverage(&answers.iter().collect::<Vec<_>>()),
         answers,
+        records: Vec::new(),
         live: Vec::new(),
         live_asked: 0,
     })
@@ -135,7 +146,7 @@ fn answer(case: &Case) -> Answer {
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs.fit, Some(runs.holdout), None);
     match diagnose(&nameplate, evidence) {
-        Ok(diagnosis) => Answer::of(case, &runs.truths, &diagnosis),
+        Ok(diagnosis) => Answer::of(case, &runs.truths, &runs.motor, &diagnosis),
         Err(error) => Answer::failed(case, error.to_string()),
     }
 }

@@ -9,6 +9,7 @@ use super::sizes::{self};
 use super::truth::{Truth, truths};
 use super::{Case, Group};
 use crate::drive::{DriveLink, LinkError};
+use crate::emulator::truth::MotorTruth;
 use crate::emulator::{
     EmulatorConfig, EmulatorConfigError, Latency, MemoryLink, SoftDrive, VirtualClock,
 };
@@ -182,6 +183,7 @@ pub(super) struct Runs {
     pub(super) fit: Scenario,
     pub(super) holdout: Scenario,
     pub(super) truths: Vec<Truth>,
+    pub(super) motor: MotorTruth,
 }
 
 pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
@@ -201,6 +203,7 @@ pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
         fit: run("fit")?,
         holdout: run("hold-out")?,
         truths: truths(&config.hidden, &config.motor),
+        motor: config.motor.clone(),
     })
 }
 

@@ -3,9 +3,12 @@
 use super::cells;
 use super::discovery::table;
 use crate::report::number::{fixed, significant};
+use crate::report::page::Cell;
 use crate::report::plot::{Claims, ReliabilityChart};
 use crate::report::reproduce::{Picture, Section};
-use crate::workflow::reproduce::discovery::{Answer, Bin, Bounded, Calibration, Discovery, sizes};
+use crate::workflow::reproduce::discovery::{
+    Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, sizes,
+};
 
 /// Probabilities from which on an effect is called supported, and below which ruled out.
 const SUPPORTED: f64 = 0.9;
@@ -141,6 +144,61 @@ pub(super) fn bounds(study: &Discovery) -> Section {
     }
 }
 
+/// What the intervals of the motor's parameters hold.
+pub(super) fn parameters(study: &Discovery) -> Section {
+    let by_group = named_groups(&study.answers);
+    let all = ("all".to_owned(), study.coverage.clone());
+    let by_group = by_group.into_iter().map(|name| {
+        let own = study.answers.iter();
+        let own: Vec<&Answer> = own.filter(|answer| answer.group.name() == name).collect();
+        (name, coverage(&own))
+    });
+    let by_group = by_group.chain([all]).map(|(name, coverage)| {
+        let held = coverage.iter().map(|own| counted(own.hold));
+        let row = std::iter::once(name).chain(held);
+        row.map(Cell::text).collect()
+    });
+    let of_one = |own: &Coverage| {
+        cells([
+            own.parameter.key().to_owned(),
+            counted(own.hold),
+            number(own.spread, 2),
+            number(own.error_percent, 2),
+            number(own.std_percent, 2),
+            none_as_dot(own.not_settled),
+        ])
+    };
+    let mut head = vec!["group"];
+    head.extend(study.coverage.iter().map(|own| own.parameter.key()));
+    Section {
+        heading: "Intervals of the motor's parameters".to_owned(),
+        paragraphs: vec![PARAMETERS.to_owned()],
+        tables: vec![
+            table(
+                "95 % intervals that hold the truth.",
+                "coverage",
+                head,
+                by_group.collect(),
+            ),
+            table(
+                "All groups together: root mean square of the errors in their standard deviations (1 where intervals are right), medians of the error and of its standard deviation in %, and machines on which the parameter was not settled.",
+                "parameters",
+                vec![
+                    "parameter",
+                    "intervals hold",
+                    "spread",
+                    "error",
+                    "std",
+                    "not settled",
+                ],
+                study.coverage.iter().map(of_one).collect(),
+            ),
+        ],
+        ..Section::default()
+    }
+}
+
+const PARAMETERS: &str = "R, L, Ke, J and Mc of the model with all named effects beside what each machine was made of, as far as they were called settled. Where an effect changes a parameter (a winding that warms, a field that drifts, iron that saturates) the truth is that at the beginning, cold, at rest and without current. Machines with something in no catalogue and answers with a wrong name are counted too.";
 const WEIGHED: &str = "In every set every effect of the catalogue is given a probability that it is there, beside all others that may be. Here each is held against what is so: what was hidden, and what a background is made of. Of a shape that lies between two names both count as there; a wave under the right name with another number of cogs counts as not there. The effects of one set depend on each other, so that the intervals, which count them as independent, are somewhat too narrow. How common an effect is here was chosen with the study, while the diagnosis takes each for there in one machine of ten beforehand: bins in the middle say as much of that choice as of the diagnosis.";
 const SIZES: &str = "A size needs a condition at which the emulator's form and the catalogue's are held against each other. Drag, fan and direction-dependent drag: their torque at half the rated speed, divided by that of the catalogue's form. Friction near standstill: the same at half the speed at which it falls. A drifting field: its change six seconds after the start. All others: what the key says (a saturation at rated current, a resistance at the beginning, a delay, an offset, the first harmonic of a wave). Effects of the same name in one machine add up, but for waves of different order, of which the largest counts. The natural frequency of an elastic coupling is no size.";
 const BOUNDS: &str = "Falsely ruled out: of all effects that are there, those called ruled out with a bound below 0.8 of their size. Bounds hold: \"at most\" of effects that are there and were not named. Should have shown: of all effects that are there, those that were not named although they are larger than what was said to show. Absent, ruled out: of all effects that are not there, not named, and that the runs excite. Bound / detectable: their median; a bound that claims little is easily right. Intervals hold: of the sizes of right names, those whose 95 % interval holds the truth. Size error: its median. False \"none\": that nothing is missing, where something is that the runs excite. False \"unexplained\": where all that is hidden is the catalogue's and there is no background.";
@@ -245,7 +303,7 @@ fn chart(all: &Calibration) -> String {
 }
 
 /// The groups in the order in which they come, and all together.
-fn groups(answers: &[Answer]) -> Vec<(String, Calibration)> {
+fn named_groups(answers: &[Answer]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for answer in answers {
         let name = answer.group.name();
@@ -253,6 +311,11 @@ fn groups(answers: &[Answer]) -> Vec<(String, Calibration)> {
             names.push(name);
         }
     }
+    names
+}
+
+fn groups(answers: &[Answer]) -> Vec<(String, Calibration)> {
+    let names = named_groups(answers);
     let of = |name: &String| {
         Calibration::of(answers.iter().filter(|answer| answer.group.name() == *name))
     };
@@ -342,7 +405,9 @@ mod tests {
             counts: vec![],
             matrix: matrix(&answers),
             calibration: Calibration::of(&answers),
+            coverage: coverage(&answers.iter().collect::<Vec<_>>()),
             answers,
+            records: vec![],
             live: vec![],
             live_asked: 0,
         }

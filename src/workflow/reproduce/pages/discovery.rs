@@ -48,11 +48,15 @@ impl Discovery {
                 self.beside(Group::Pair, "pairs", PAIRS),
                 calibration::probabilities(self),
                 calibration::bounds(self),
+                calibration::parameters(self),
                 self.background(),
             ]);
             sections.extend(self.against_single(Group::Noisy, "noise", NOISE));
             sections.extend(self.against_single(Group::Lossy, "lost-rows", LOST_ROWS));
             sections.push(self.failures());
+        }
+        if !self.records.is_empty() {
+            sections.push(self.real_machines());
         }
         if !self.live.is_empty() {
             sections.push(live::section(&self.live, self.live_asked));
@@ -307,6 +311,33 @@ impl Discovery {
         })
     }
 
+    fn real_machines(&self) -> Section {
+        let error = |value: Option<f64>| {
+            let known = value.map(|value| significant(value, 3));
+            known.unwrap_or_else(|| "-".to_owned())
+        };
+        let rows = self.records.iter().map(|own| {
+            cells([
+                own.machine.to_owned(),
+                own.source.to_owned(),
+                error(own.holdout_before),
+                error(own.holdout_after),
+                own.sentence.clone(),
+            ])
+        });
+        Section {
+            heading: "Real machines".to_owned(),
+            paragraphs: vec![REAL.to_owned()],
+            tables: vec![table(
+                "What each record shows.",
+                "records",
+                vec!["machine", "record", "error before", "after", "answer"],
+                rows.collect(),
+            )],
+            ..Section::default()
+        }
+    }
+
     fn failures(&self) -> Section {
         let not_right = self.of(|a| matches!(a.outcome, Outcome::Wrong | Outcome::Failed));
         let rows = not_right.iter().map(|answer| {
@@ -363,6 +394,8 @@ const LOST_ROWS: (&str, &str) = (
     "Lost rows",
     "The very runs of the first table and of the machines with nothing hidden, of which one row in ten was lost at random, command and sample, and all rows of 0.4 s at a random instant after the standstill.",
 );
+
+const REAL: &str = "Records that others have published, each diagnosed from one run, whose last part is held out, and from the model of its publishers. Nobody knows the whole truth of these machines: what is said of them stands here as it was printed. Errors are in units of the floor of each record.";
 
 fn what_is_claimed() -> Section {
     Section {
