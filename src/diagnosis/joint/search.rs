@@ -491,7 +491,7 @@ pub(super) fn search(
         let followed_with = noise;
         if round < NOISE_ROUNDS {
             // A load that wanders explains what an effect would: from little of it on the effects come first.
-            let from = if round == 0 && !is_near { floor } else { noise };
+            let from = [noise, floor][usize::from(round == 0 && !is_near)];
             let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
             if is_another(&better, &noise) {
                 noise = better;

@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn products_are_those_of_columns_that_end_early_too() {
+    fn products_are_those_of_columns_that_end_early_or_begin_late_too() {
         let rows = 2 * ROWS + 38;
         let column = |k: usize, rows: usize| -> Vec<f32> {
             (0..rows)
@@ -179,11 +179,13 @@ mod tests {
                 .collect()
         };
         let lengths = [rows, 0, ROWS + 5, rows, 7];
-        let each: Vec<Vec<f32>> = lengths
+        let mut each: Vec<Vec<f32>> = lengths
             .into_iter()
             .enumerate()
             .map(|(k, rows)| column(k, rows))
             .collect();
+        // Of what begins late all is zero before.
+        each[3][..ROWS + 10].fill(0.0);
         let whitened = Whitened::new(each.clone(), rows);
         let last: Vec<[f64; 2]> = (0..rows / 2).map(|k| [k as f64 % 5.0, -1.0]).collect();
         let mut w = DMatrix::zeros(rows, 6);
@@ -204,6 +206,8 @@ mod tests {
         }
         assert!((products[5] - expected[(3, 3)]).abs() < 1e-6);
         assert!((products[6] - expected[(3, 5)]).abs() < 1e-6);
+        let none = Whitened::new(vec![vec![]], rows).gram(&last);
+        assert!((none[(1, 1)] - expected[(5, 5)]).abs() < 1e-6 && none[(0, 0)] == 0.0);
         let weights = DVector::from_vec(vec![1.0, 2.0, -0.5, 0.0, 3.0]);
         assert!((&whitened * &weights - w.columns(0, 5) * &weights).amax() < 1e-6);
     }
