@@ -7,7 +7,7 @@ use super::columns::{Around, Linear};
 use super::follow::{Noise, P, Passage, corrected, jump_of, predicted, stop};
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
-use super::whitened::Whitened;
+use super::whitened::{Whitened, add_upper};
 use crate::numerics::count::whole;
 use crate::plant::propagator::Propagator;
 
@@ -226,11 +226,12 @@ impl Averaged {
             }
             if buffer.len() >= 2 * AT_ONCE * width || block + 1 == self.passages.len() {
                 let rows = buffer.len() / width;
-                let innovations = DMatrixView::from_slice(&buffer, width, rows);
-                sums.gemm(1.0, &innovations, &innovations.transpose(), 1.0);
+                let innovations = DMatrixView::from_slice(&buffer, width, rows).transpose();
+                add_upper(&mut sums, &innovations.as_view());
                 buffer.clear();
             }
         }
+        sums.fill_lower_triangle_with_upper_triangle();
         (sums, log)
     }
 }

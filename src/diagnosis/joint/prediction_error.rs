@@ -1,6 +1,7 @@
 //! Prediction-error fit: every free parameter of a model, and of its effects, from the whitened innovations of the runs.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use super::asked::why_not;
 use super::columns::{Around, SLAB, Source, columns_of};
@@ -181,11 +182,12 @@ impl Vague {
     fn of(model: &Model, runs: &[Around<'_>]) -> Self {
         let mut columns: Vec<Vec<f32>> = Vec::new();
         let mut effects = Vec::new();
-        for run in runs {
+        let equations = runs.par_iter().with_max_len(1).map(of_equations);
+        for own in equations.collect::<Vec<_>>() {
             let is_shared = |(number, _): &(Option<usize>, Vec<f32>)| {
                 number.is_none_or(|number| number < model.effects.len())
             };
-            let shared = of_equations(run).into_iter().filter(is_shared);
+            let shared = own.into_iter().filter(is_shared);
             let (numbers, own): (Vec<_>, Vec<_>) = shared.unzip();
             effects = numbers;
             columns.resize(own.len(), Vec::new());
@@ -354,9 +356,7 @@ impl Problem for Innovations<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let there = self.hypothesis_at(x);
         let (out, priors) = out.split_at_mut(self.len - x.len() - 1);
-        let mut cells = out.iter_mut();
-        let mut white = Vec::new();
-        for (number, run) in self.runs.iter().enumerate() {
+        let of_run = |(number, run): (usize, &Around<'_>)| {
             let model = there.in_run(number);
             let Around {
                 follower,
@@ -365,12 +365,15 @@ impl Problem for Innovations<'_> {
                 noise,
                 ..
             } = run;
-            if !follow(follower, &model, scenario, *start, noise, &mut white) {
-                return false;
-            }
-            for (value, cell) in white.iter().flatten().zip(&mut cells) {
-                *cell = *value;
-            }
+            let mut white = Vec::with_capacity(scenario.samples());
+            follow(follower, &model, scenario, *start, noise, &mut white).then_some(white)
+        };
+        let each = self.runs.par_iter().enumerate().with_max_len(1);
+        let Some(white) = each.map(of_run).collect::<Option<Vec<_>>>() else {
+            return false;
+        };
+        for (cell, value) in out.iter_mut().zip(white.iter().flatten().flatten()) {
+            *cell = *value;
         }
         for ((unit, x), cell) in self.units().zip(x).zip(&mut *priors) {
             *cell = unit.surprise(*x);
@@ -487,7 +490,8 @@ pub(super) fn fit_as_followed(
 /// stamps may be wrong by is no reproach to it, but counts for it neither. `None` where it cannot be simulated.
 pub(super) fn fit(start: &Hypothesis, runs: &[Around<'_>]) -> Option<Refit> {
     let own: Vec<Around<'_>> = runs
-        .iter()
+        .par_iter()
+        .with_max_len(1)
         .enumerate()
         .map(|(number, run)| {
             let events = start.events_of(number);

@@ -131,35 +131,39 @@ impl Weighed<'_> {
         if asked.is_empty() {
             return None;
         }
-        let base = fit(self.hypothesis, self.runs)?;
-        let judged = |(k, candidate): &(usize, &Candidate)| {
+        // What is left where it goes, or its deviance where it joins.
+        let refitted = |(k, candidate): &(usize, &Candidate)| {
+            if candidate.in_model {
+                return fit(&self.hypothesis.without(candidate.id), self.runs).map(Some);
+            }
+            let mut with = present(self.linear);
+            with[*k] = best[*k];
+            let (linear, reduced) = (self.linear, self.reduced);
+            let start = placed(self.hypothesis, linear, reduced, &with, self.runs)?;
+            Some(fit(&start, self.runs))
+        };
+        let (base, refitted) = rayon::join(
+            || fit(self.hypothesis, self.runs),
+            || {
+                let each = asked.par_iter().with_max_len(1).map(refitted);
+                each.collect::<Option<Vec<Option<Refit>>>>()
+            },
+        );
+        let base = base?;
+        let judged = asked.iter().zip(refitted?).map(|((k, candidate), refit)| {
             let mut without = best.clone();
             without[*k] = None;
             let promised = whole - likelihood(&without);
-            let (left, gained) = if candidate.in_model {
-                let left = fit(&self.hypothesis.without(candidate.id), self.runs)?;
-                (left.hypothesis, 0.5 * (left.deviance - base.deviance))
-            } else {
-                let mut with = present(self.linear);
-                with[*k] = best[*k];
-                let (linear, reduced) = (self.linear, self.reduced);
-                let start = placed(self.hypothesis, linear, reduced, &with, self.runs)?;
-                (
-                    self.hypothesis.clone(),
-                    fit(&start, self.runs)
-                        .map_or(0.0, |with| 0.5 * (base.deviance - with.deviance)),
-                )
-            };
+            let change = refit.as_ref();
+            let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
+            let gained = if candidate.in_model { change } else { -change };
+            let left = refit.filter(|_| candidate.in_model);
+            let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
             let raised = if candidate.log_odds > 0.0 { KEPT } else { 0.0 };
             let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
-            Some((odds, candidate.id, left))
-        };
-        let judged: Vec<(f64, &'static str, Hypothesis)> = asked
-            .par_iter()
-            .with_max_len(1)
-            .map(judged)
-            .collect::<Option<_>>()?;
-        let refuted = judged.into_iter().filter(|own| own.0 < 0.0);
+            (odds, candidate.id, left)
+        });
+        let refuted = judged.filter(|own| own.0 < 0.0);
         let worst = refuted.min_by(|a, b| a.0.total_cmp(&b.0));
         let (odds, id, left) = worst?;
         let probability = 1.0 / (1.0 + (-odds).exp());

@@ -6,6 +6,7 @@
 //! ```
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use super::columns::{Around, Candidate, Linear, Variant, linearise};
 use super::events::{self, Event, Hypothesis, Moment};
@@ -80,12 +81,13 @@ fn around<'a>(
     starts: &[State],
     noise: Noise,
 ) -> Option<Vec<Around<'a>>> {
-    let runs = scenarios.iter().zip(starts).enumerate();
-    runs.map(|(number, (scenario, start))| {
-        let own = hypothesis.events_of(number);
-        Around::beside(&hypothesis.model, own, scenario, *start, noise)
-    })
-    .collect()
+    let runs = scenarios.par_iter().zip(starts).enumerate();
+    runs.with_max_len(1)
+        .map(|(number, (scenario, start))| {
+            let own = hypothesis.events_of(number);
+            Around::beside(&hypothesis.model, own, scenario, *start, noise)
+        })
+        .collect()
 }
 
 /// Sum of the squares of the innovations.
@@ -489,7 +491,7 @@ pub(super) fn search(
         let followed_with = noise;
         if round < NOISE_ROUNDS {
             // A load that wanders explains what an effect would: from little of it on the effects come first.
-            let from = if round == 0 { floor } else { noise };
+            let from = [noise, floor][usize::from(round == 0 && !is_near)];
             let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
             if is_another(&better, &noise) {
                 noise = better;
@@ -612,13 +614,16 @@ fn ended(
     let excess = excess_of(&linear, &reduced, &posterior.best, runs);
     let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, runs)?;
     let wandering = wandering(runs.last()?);
-    let wider = Reduced::new(&linear, excess, true)?;
-    if excess > 1.0 {
+    let wider = if excess > 1.0 {
+        let wider = Reduced::new(&linear, excess, true)?;
         posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
-    }
+        wider
+    } else {
+        reduced
+    };
     keep_doubts(judged, &linear, &mut posterior);
     let happened = happened(&linear, &wider, &posterior.best, runs, excess)?;
-    drop((reduced, wider));
+    drop(wider);
     Some(Found {
         hypothesis,
         happened,

@@ -71,10 +71,12 @@ impl<'a> Reduced<'a> {
             base[(d, d)] += hair.1;
         }
         let cross = DMatrix::from_fn(k, p - m, |r, c| gram[(hairs[r].0, m + c)]);
-        let factor = base.cholesky()?;
+        // With `L L'` the base, what it explains of others is `(L^-1 c)' L^-1 c`: half of a solution.
+        let factor = base.cholesky()?.unpack();
         let b = DVector::from_fn(k, |r, _| right[hairs[r].0]);
-        let solved = factor.solve(&cross);
-        let squares = linear.squares / excess - b.dot(&factor.solve(&b));
+        let half = factor.solve_lower_triangular(&cross)?;
+        let half_b = factor.solve_lower_triangular(&b)?;
+        let squares = linear.squares / excess - half_b.norm_squared();
         let mut prior = DVector::zeros(p - m);
         for candidate in &linear.candidates {
             for variant in &candidate.variants {
@@ -84,8 +86,8 @@ impl<'a> Reduced<'a> {
         Some(Self {
             linear,
             prior,
-            gram: gram.view((m, m), (p - m, p - m)) - cross.transpose() * &solved,
-            right: right.rows(m, p - m) - solved.tr_mul(&b),
+            gram: gram.view((m, m), (p - m, p - m)) - half.transpose() * &half,
+            right: right.rows(m, p - m) - half.tr_mul(&half_b),
             squares,
         })
     }

@@ -14,11 +14,11 @@ pub(super) struct Whitened {
 }
 
 /// Rows that are multiplied at once.
-const ROWS: usize = 512;
+const ROWS: usize = 256;
 /// Parts of a run that are summed side by side.
 const PARTS: usize = 8;
 /// Columns of one block of a product: blocks below the diagonal are not needed.
-const BLOCK: usize = 64;
+const BLOCK: usize = 32;
 
 impl Whitened {
     pub(super) const fn new(columns: Vec<Vec<f32>>, rows: usize) -> Self {
@@ -65,44 +65,53 @@ impl Whitened {
 
     /// `w' w` with `w` these columns and `last` behind them.
     pub(super) fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
-        let filled: Vec<usize> = (0..self.columns.len())
-            .filter(|k| !self.columns[*k].is_empty())
-            .collect();
-        let k = filled.len() + 1;
+        let p = self.columns.len() + 1;
         // In parts that do not depend on who is free: sums come out the same every time.
         let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
         let sums: Vec<DMatrix<f64>> = (0..self.rows.div_ceil(part))
             .into_par_iter()
             .with_max_len(1)
             .map(|number| {
-                let mut sum = DMatrix::zeros(k, k);
-                let mut buffer = Vec::with_capacity(k * ROWS);
+                let mut sum = DMatrix::zeros(p, p);
+                // Columns that are not zero throughout, as those of events yet to come are; the same ones for a while.
+                let mut there: Vec<usize> = Vec::new();
+                let mut own = DMatrix::zeros(1, 1);
+                let mut buffer = Vec::with_capacity(p * ROWS);
                 let end = ((number + 1) * part).min(self.rows);
                 for first in (number * part..end).step_by(ROWS) {
                     let range = first..(first + ROWS).min(end);
+                    let now: Vec<usize> = (0..p - 1)
+                        .filter(|column| self.is_there(*column, range.clone()))
+                        .collect();
+                    if now != there {
+                        add_at(&mut sum, &own, &there);
+                        own = DMatrix::zeros(now.len() + 1, now.len() + 1);
+                        there = now;
+                    }
                     buffer.clear();
-                    for column in &filled {
+                    for column in &there {
                         self.extend(*column, range.clone(), &mut buffer);
                     }
                     buffer.extend(range.clone().map(|row| last[row / 2][row % 2]));
-                    add_upper(&mut sum, &buffer, range.len());
+                    let w = DMatrixView::from_slice(&buffer, range.len(), own.ncols());
+                    add_upper(&mut own, &w);
                 }
+                add_at(&mut sum, &own, &there);
                 sum
             })
             .collect();
-        let sum = sums
+        let mut gram = sums
             .into_iter()
-            .fold(DMatrix::zeros(k, k), |sum, part| sum + part);
-        let p = self.columns.len() + 1;
-        let place = |k: usize| filled.get(k).copied().unwrap_or(p - 1);
-        let mut gram = DMatrix::zeros(p, p);
-        for column in 0..k {
-            for row in 0..=column {
-                gram[(place(row), place(column))] = sum[(row, column)];
-                gram[(place(column), place(row))] = sum[(row, column)];
-            }
-        }
+            .fold(DMatrix::zeros(p, p), |sum, part| sum + part);
+        gram.fill_lower_triangle_with_upper_triangle();
         gram
+    }
+
+    /// Whether a column is anything but zero in these rows.
+    fn is_there(&self, column: usize, rows: Range<usize>) -> bool {
+        let column = &self.columns[column];
+        let rows = rows.start.min(column.len())..rows.end.min(column.len());
+        column[rows].iter().any(|value| *value != 0.0)
     }
 
     fn extend(&self, column: usize, rows: Range<usize>, buffer: &mut Vec<f64>) {
@@ -113,16 +122,30 @@ impl Whitened {
     }
 }
 
-/// Adds the blocks on and above the diagonal of `w' w`; `w` is column by column in `buffer`.
-fn add_upper(sum: &mut DMatrix<f64>, buffer: &[f64], rows: usize) {
+/// Adds the upper triangle of products of these columns, and of one behind all others.
+fn add_at(sum: &mut DMatrix<f64>, own: &DMatrix<f64>, columns: &[usize]) {
+    let last = sum.ncols() - 1;
+    let place = |k: usize| columns.get(k).copied().unwrap_or(last);
+    for column in 0..own.ncols() {
+        for row in 0..=column {
+            sum[(place(row), place(column))] += own[(row, column)];
+        }
+    }
+}
+
+/// Adds the blocks on and above the diagonal of `w' w`.
+pub(super) fn add_upper(sum: &mut DMatrix<f64>, w: &DMatrixView<'_, f64>) {
     let p = sum.ncols();
+    let turned = w.transpose();
     for from in (0..p).step_by(BLOCK) {
         let width = BLOCK.min(p - from);
-        let left = &buffer[from * rows..(from + width) * rows];
-        let turned = DMatrixView::from_slice(left, rows, width).transpose();
-        let right = DMatrixView::from_slice(&buffer[from * rows..], rows, p - from);
-        sum.view_mut((from, from), (width, p - from))
-            .gemm(1.0, &turned, &right, 1.0);
+        let right = w.columns(from, p - from);
+        sum.view_mut((from, from), (width, p - from)).gemm(
+            1.0,
+            &turned.rows(from, width),
+            &right,
+            1.0,
+        );
     }
 }
 
@@ -148,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn products_are_those_of_columns_that_end_early_too() {
+    fn products_are_those_of_columns_that_end_early_or_begin_late_too() {
         let rows = 2 * ROWS + 38;
         let column = |k: usize, rows: usize| -> Vec<f32> {
             (0..rows)
@@ -156,11 +179,13 @@ mod tests {
                 .collect()
         };
         let lengths = [rows, 0, ROWS + 5, rows, 7];
-        let each: Vec<Vec<f32>> = lengths
+        let mut each: Vec<Vec<f32>> = lengths
             .into_iter()
             .enumerate()
             .map(|(k, rows)| column(k, rows))
             .collect();
+        // Of what begins late all is zero before.
+        each[3][..ROWS + 10].fill(0.0);
         let whitened = Whitened::new(each.clone(), rows);
         let last: Vec<[f64; 2]> = (0..rows / 2).map(|k| [k as f64 % 5.0, -1.0]).collect();
         let mut w = DMatrix::zeros(rows, 6);
@@ -181,6 +206,8 @@ mod tests {
         }
         assert!((products[5] - expected[(3, 3)]).abs() < 1e-6);
         assert!((products[6] - expected[(3, 5)]).abs() < 1e-6);
+        let none = Whitened::new(vec![vec![]], rows).gram(&last);
+        assert!((none[(1, 1)] - expected[(5, 5)]).abs() < 1e-6 && none[(0, 0)] == 0.0);
         let weights = DVector::from_vec(vec![1.0, 2.0, -0.5, 0.0, 3.0]);
         assert!((&whitened * &weights - w.columns(0, 5) * &weights).amax() < 1e-6);
     }
