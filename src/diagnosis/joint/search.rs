@@ -550,22 +550,14 @@ pub(super) fn search(
         if !is_settled {
             runs = around(&hypothesis, scenarios, starts, noise)?;
         }
-        let is_same = start.ids() == hypothesis.ids();
-        // What cannot be refitted stays as it was.
-        let next = fit(&start, &runs);
-        let kept = next
-            .iter()
-            .flat_map(|next| needed(&hypothesis, next, &runs));
-        let kept: Vec<Judged> = kept.filter(|own| !judged.contains(own)).collect();
+        let (kept, next) = refitted(&hypothesis, &start, &runs, &judged);
         if !kept.is_empty() {
             judged.extend(kept);
             seen.clear();
-        } else if let Some(next) =
-            next.filter(|next| is_same || next.squares < LOST * squares(&runs))
-        {
+        } else if let Some(next) = next {
             drop(reduced);
             drop(runs);
-            hypothesis = next.hypothesis;
+            hypothesis = next;
             // What is fitted no longer counts as random.
             if is_near && !is_settled {
                 noise = first_noise(&hypothesis, asked, scenarios, starts, [floor, noise])
@@ -574,6 +566,25 @@ pub(super) fn search(
         }
     }
     None
+}
+
+/// What a refit of `start` finds: effects of `hypothesis` that have to stay, or the hypothesis to go on from. What cannot
+/// be refitted stays as it was.
+fn refitted(
+    hypothesis: &Hypothesis,
+    start: &Hypothesis,
+    runs: &[Around<'_>],
+    judged: &[Judged],
+) -> (Vec<Judged>, Option<Hypothesis>) {
+    let Some(next) = fit(start, runs) else {
+        return (Vec::new(), None);
+    };
+    let kept = needed(hypothesis, &next, runs).into_iter();
+    let kept: Vec<Judged> = kept.filter(|own| !judged.contains(own)).collect();
+    let is_same = start.ids() == hypothesis.ids();
+    let stands = is_same || next.squares < LOST * squares(runs);
+    let goes_on = kept.is_empty() && stands;
+    (kept, goes_on.then_some(next.hypothesis))
 }
 
 /// The noise to begin with, from `known` on, and whether little is missing: then what the model itself leaves tells the
