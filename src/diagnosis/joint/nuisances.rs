@@ -1,5 +1,6 @@
 //! What is always in beside the effects: the motor's parameters, errors of the stamps, other forms of the model's effects.
 
+use super::acting::constants;
 use super::columns::{Around, SLAB, Source, active, columns_of};
 use super::slopes::are_tangents;
 use super::tangent::{Tangent, Wave};
@@ -25,6 +26,8 @@ const POWERS: [f64; 2] = [1.0, 2.0];
 /// How many times more slowly than in its equation what has reached its level may build up, and how much of it may.
 const SLOWER: [f64; 3] = [2.0, 4.0, 8.0];
 const SLOW: f64 = 0.5;
+/// Time constants of the intermediate circuit's capacitor with the resistance of what feeds it, s.
+const CAPACITOR_S: [f64; 2] = [1e-3, 4e-3];
 /// Share of its level from which on it has been reached, and the share of the largest current where it has.
 const REACHED: f64 = 0.99;
 const SMALL: f64 = 0.1;
@@ -168,6 +171,19 @@ fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
     most_v > 0.0 && small_v > REACHED * most_v
 }
 
+/// Whether terms lie before the chopper, where a capacitor holds the voltage: the motor's current gets there by the duty.
+fn is_before_the_chopper(terms: &dyn Terms, motor: &Instant) -> bool {
+    let at = |voltage_v: f64| {
+        let at = Instant {
+            current_a: 1.0,
+            voltage_v,
+            ..*motor
+        };
+        terms.voltage_v(&at, &[])
+    };
+    (at(motor.supply_v) - at(0.0)).abs() > 0.0
+}
+
 /// What the model's effects that begin as a resistance and end, as gaps of the current do, may leave of it where they should
 /// have ended, ohm: the motor's resistance is known no better than that.
 pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
@@ -245,6 +261,13 @@ pub(super) fn bends(
                 share: SLOW,
             };
             bends.extend(SLOWER.map(slow).map(Source::Tangent));
+        }
+        if is_before_the_chopper(&*terms, &constants(model, scenario)) {
+            let lagging = |time_constant_s| Tangent::Lagging {
+                terms: effect.terms(values),
+                time_constant_s,
+            };
+            bends.extend(CAPACITOR_S.map(lagging).map(Source::Tangent));
         }
     }
     bends
