@@ -23,6 +23,10 @@ const OWN_STAMP: f64 = 0.01;
 const FORM: f64 = 0.1;
 /// Powers of its own size that its form may have beside itself.
 const POWERS: [f64; 2] = [1.0, 2.0];
+/// By what factor the shapes of what an effect is made of may differ from the one that its equation has, either way, and how
+/// much of it may have another shape.
+const SPREAD: f64 = 2.0;
+const SHARE_OF_SPREAD: f64 = 0.25;
 /// How many times more slowly than in its equation what has reached its level may build up, and how much of it may.
 const SLOWER: [f64; 3] = [2.0, 4.0, 8.0];
 const SLOW: f64 = 0.5;
@@ -241,11 +245,10 @@ pub(super) fn bends(
                 bends.push(Source::Tangent(Tangent::Wave(wave)));
             }
         }
-    } else if terms.states() == 0
-        && terms.coupling().is_none()
-        && path.measures_directly()
-        && !path.delays_command()
-    {
+    } else if terms.states() > 0 && terms.coupling().is_none() {
+        let hot = HotCopper(effect.terms(values));
+        bends.push(Source::Tangent(Tangent::Terms(Box::new(hot))));
+    } else if terms.coupling().is_none() && path.measures_directly() && !path.delays_command() {
         let bent = |power| Tangent::Bent {
             terms: effect.terms(values),
             power,
@@ -269,8 +272,48 @@ pub(super) fn bends(
             };
             bends.extend(CAPACITOR_S.map(lagging).map(Source::Tangent));
         }
+        bends.extend(spread(effect, values).map(Source::Tangent));
     }
     bends
+}
+
+/// What a resistance that rises does beside itself because copper that is hotter warms up faster: half of its rise squared.
+struct HotCopper(Box<dyn Terms>);
+
+impl Terms for HotCopper {
+    fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
+        let cold = Instant {
+            current_a: 1.0,
+            resistance_ohm: 1.0,
+            ..Instant::default()
+        };
+        0.5 * self.0.voltage_v(&cold, own) * self.0.voltage_v(at, own)
+    }
+
+    fn states(&self) -> usize {
+        self.0.states()
+    }
+
+    fn derivative(&self, at: &Instant, own: &[f64], out: &mut [f64]) {
+        self.0.derivative(at, own, out);
+    }
+}
+
+/// Parts of an effect whose shapes are others than that of its equation: a corner that is a bend, a peak with long tails.
+fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = Tangent> {
+    let specs = effect.parameters();
+    let shapes = (0..specs.len()).filter(|k| specs[*k].logarithmic && !specs[*k].is_coefficient());
+    shapes.flat_map(move |shape| {
+        [1.0 / SPREAD, SPREAD].map(|factor| {
+            let mut other = values.to_vec();
+            other[shape] *= factor;
+            Tangent::Change {
+                from: effect.terms(values),
+                to: effect.terms(&other),
+                over: 1.0 / SHARE_OF_SPREAD,
+            }
+        })
+    })
 }
 
 #[cfg(test)]
