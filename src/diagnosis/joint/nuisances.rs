@@ -333,4 +333,41 @@ mod tests {
         let gaps = truth("discontinuous_conduction", &[1.4, 20.0]);
         assert!((left(&gaps) / (0.1 * 1.4) - 1.0).abs() < 1e-9);
     }
+
+    #[test]
+    fn forms_are_spread_lag_behind_a_capacitor_and_warm_up_faster_where_they_can() {
+        let run = record(&nameplate(), 0, 7);
+        let counted = |id: &str, values: &[f64]| {
+            let model = truth(id, values);
+            let forms = bends(&model, model.effects[0].effect, values, &run);
+            let is = |of: fn(&Tangent) -> bool| {
+                let tangents = forms.iter().filter_map(|form| form.tangent(0));
+                tangents.filter(|tangent| of(tangent)).count()
+            };
+            [
+                is(|tangent| matches!(tangent, Tangent::Lagging { .. })),
+                is(|tangent| matches!(tangent, Tangent::Change { .. })),
+                is(|tangent| matches!(tangent, Tangent::Terms(_))),
+            ]
+        };
+        assert_eq!(counted("supply_sag", &[0.4]), [2, 0, 0]);
+        assert_eq!(counted("voltage_drop", &[1.0]), [0, 0, 0]);
+        assert_eq!(counted("stribeck_friction", &[0.1, 10.0]), [0, 2, 0]);
+        assert_eq!(counted("discontinuous_conduction", &[1.0, 2.0]), [0, 2, 0]);
+        assert_eq!(counted("winding_heating", &[1e-3, 20.0]), [0, 0, 1]);
+    }
+
+    #[test]
+    fn hot_copper_adds_half_the_square_of_its_rise() {
+        let model = truth("winding_heating", &[1e-3, 20.0]);
+        let terms = model.effects[0].effect.terms(&[1e-3, 20.0]);
+        let at = Instant {
+            current_a: 5.0,
+            resistance_ohm: 2.0,
+            ..Instant::default()
+        };
+        // A rise of a tenth, of ten volts.
+        let hot = HotCopper(terms);
+        assert!((hot.voltage_v(&at, &[100.0]) - 0.05).abs() < 1e-12);
+    }
 }
