@@ -21,8 +21,8 @@ use super::repeatability::Repeatability;
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
-use crate::plant::Model;
-use crate::plant::effect::CATALOGUE;
+use crate::plant::effect::{self, CATALOGUE};
+use crate::plant::{Model, ParameterSpec};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -238,15 +238,21 @@ fn climb(
     Ok(rungs)
 }
 
-/// A named effect whose fitted parameters all are within their standard deviation of zero.
+/// A named effect whose fitted sizes all are within their standard deviation of zero: its coefficients, or where its shape is
+/// all that there is, that.
 fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
     let fit = &rungs.last()?.fit;
     let is_zero = |id: &&&'static str| {
-        let prefix = format!("{id}.");
-        let own = fit.parameters.iter();
-        let own = own.filter(|own| own.key.starts_with(&prefix));
-        let mut sizes = own
-            .filter_map(|own| Some((own.value?, own.std?)))
+        let specs = effect::find(id).map_or(&[][..], |effect| effect.parameters());
+        let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
+        let sizes = specs.iter();
+        let sizes = sizes.filter(|spec| !has_coefficients || spec.is_coefficient());
+        let mut sizes = sizes
+            .filter_map(|spec| {
+                let key = format!("{id}.{}", spec.key);
+                let own = fit.parameters.iter().find(|own| own.key == key)?;
+                Some((own.value?, own.std?))
+            })
             .peekable();
         sizes.peek().is_some() && sizes.all(|(value, std)| value.abs() < std)
     };

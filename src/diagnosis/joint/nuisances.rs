@@ -1,5 +1,6 @@
 //! What is always in beside the effects: the motor's parameters, errors of the stamps, other forms of the model's effects.
 
+use super::acting::constants;
 use super::columns::{Around, SLAB, Source, active, columns_of};
 use super::slopes::are_tangents;
 use super::tangent::{Tangent, Wave};
@@ -22,9 +23,15 @@ const OWN_STAMP: f64 = 0.01;
 const FORM: f64 = 0.1;
 /// Powers of its own size that its form may have beside itself.
 const POWERS: [f64; 2] = [1.0, 2.0];
+/// By what factor the shapes of what an effect is made of may differ from the one that its equation has, either way, and how
+/// much of it may have another shape.
+const SPREAD: f64 = 2.0;
+const SHARE_OF_SPREAD: f64 = 0.25;
 /// How many times more slowly than in its equation what has reached its level may build up, and how much of it may.
 const SLOWER: [f64; 3] = [2.0, 4.0, 8.0];
 const SLOW: f64 = 0.5;
+/// Time constants of the intermediate circuit's capacitor with the resistance of what feeds it, s.
+const CAPACITOR_S: [f64; 2] = [1e-3, 4e-3];
 /// Share of its level from which on it has been reached, and the share of the largest current where it has.
 const REACHED: f64 = 0.99;
 const SMALL: f64 = 0.1;
@@ -168,6 +175,19 @@ fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
     most_v > 0.0 && small_v > REACHED * most_v
 }
 
+/// Whether terms lie before the chopper, where a capacitor holds the voltage: the motor's current gets there by the duty.
+fn is_before_the_chopper(terms: &dyn Terms, motor: &Instant) -> bool {
+    let at = |voltage_v: f64| {
+        let at = Instant {
+            current_a: 1.0,
+            voltage_v,
+            ..*motor
+        };
+        terms.voltage_v(&at, &[])
+    };
+    (at(motor.supply_v) - at(0.0)).abs() > 0.0
+}
+
 /// What the model's effects that begin as a resistance and end, as gaps of the current do, may leave of it where they should
 /// have ended, ohm: the motor's resistance is known no better than that.
 pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
@@ -225,11 +245,10 @@ pub(super) fn bends(
                 bends.push(Source::Tangent(Tangent::Wave(wave)));
             }
         }
-    } else if terms.states() == 0
-        && terms.coupling().is_none()
-        && path.measures_directly()
-        && !path.delays_command()
-    {
+    } else if terms.states() > 0 && terms.coupling().is_none() {
+        let hot = HotCopper(effect.terms(values));
+        bends.push(Source::Tangent(Tangent::Terms(Box::new(hot))));
+    } else if terms.coupling().is_none() && path.measures_directly() && !path.delays_command() {
         let bent = |power| Tangent::Bent {
             terms: effect.terms(values),
             power,
@@ -246,8 +265,55 @@ pub(super) fn bends(
             };
             bends.extend(SLOWER.map(slow).map(Source::Tangent));
         }
+        if is_before_the_chopper(&*terms, &constants(model, scenario)) {
+            let lagging = |time_constant_s| Tangent::Lagging {
+                terms: effect.terms(values),
+                time_constant_s,
+            };
+            bends.extend(CAPACITOR_S.map(lagging).map(Source::Tangent));
+        }
+        bends.extend(spread(effect, values).map(Source::Tangent));
     }
     bends
+}
+
+/// What a resistance that rises does beside itself because copper that is hotter warms up faster: half of its rise squared.
+struct HotCopper(Box<dyn Terms>);
+
+impl Terms for HotCopper {
+    fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
+        let cold = Instant {
+            current_a: 1.0,
+            resistance_ohm: 1.0,
+            ..Instant::default()
+        };
+        0.5 * self.0.voltage_v(&cold, own) * self.0.voltage_v(at, own)
+    }
+
+    fn states(&self) -> usize {
+        self.0.states()
+    }
+
+    fn derivative(&self, at: &Instant, own: &[f64], out: &mut [f64]) {
+        self.0.derivative(at, own, out);
+    }
+}
+
+/// Parts of an effect whose shapes are others than that of its equation: a corner that is a bend, a peak with long tails.
+fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = Tangent> {
+    let specs = effect.parameters();
+    let shapes = (0..specs.len()).filter(|k| specs[*k].logarithmic && !specs[*k].is_coefficient());
+    shapes.flat_map(move |shape| {
+        [1.0 / SPREAD, SPREAD].map(|factor| {
+            let mut other = values.to_vec();
+            other[shape] *= factor;
+            Tangent::Change {
+                from: effect.terms(values),
+                to: effect.terms(&other),
+                over: 1.0 / SHARE_OF_SPREAD,
+            }
+        })
+    })
 }
 
 #[cfg(test)]
@@ -266,5 +332,42 @@ mod tests {
         }
         let gaps = truth("discontinuous_conduction", &[1.4, 20.0]);
         assert!((left(&gaps) / (0.1 * 1.4) - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn forms_are_spread_lag_behind_a_capacitor_and_warm_up_faster_where_they_can() {
+        let run = record(&nameplate(), 0, 7);
+        let counted = |id: &str, values: &[f64]| {
+            let model = truth(id, values);
+            let forms = bends(&model, model.effects[0].effect, values, &run);
+            let is = |of: fn(&Tangent) -> bool| {
+                let tangents = forms.iter().filter_map(|form| form.tangent(0));
+                tangents.filter(|tangent| of(tangent)).count()
+            };
+            [
+                is(|tangent| matches!(tangent, Tangent::Lagging { .. })),
+                is(|tangent| matches!(tangent, Tangent::Change { .. })),
+                is(|tangent| matches!(tangent, Tangent::Terms(_))),
+            ]
+        };
+        assert_eq!(counted("supply_sag", &[0.4]), [2, 0, 0]);
+        assert_eq!(counted("voltage_drop", &[1.0]), [0, 0, 0]);
+        assert_eq!(counted("stribeck_friction", &[0.1, 10.0]), [0, 2, 0]);
+        assert_eq!(counted("discontinuous_conduction", &[1.0, 2.0]), [0, 2, 0]);
+        assert_eq!(counted("winding_heating", &[1e-3, 20.0]), [0, 0, 1]);
+    }
+
+    #[test]
+    fn hot_copper_adds_half_the_square_of_its_rise() {
+        let model = truth("winding_heating", &[1e-3, 20.0]);
+        let terms = model.effects[0].effect.terms(&[1e-3, 20.0]);
+        let at = Instant {
+            current_a: 5.0,
+            resistance_ohm: 2.0,
+            ..Instant::default()
+        };
+        // A rise of a tenth, of ten volts.
+        let hot = HotCopper(terms);
+        assert!((hot.voltage_v(&at, &[100.0]) - 0.05).abs() < 1e-12);
     }
 }

@@ -466,7 +466,9 @@ pub(super) fn search(
     let mut judged: Vec<Judged> = Vec::new();
     let mut replaced = None;
     let mut moves = 0;
-    let mut last = hypothesis.clone();
+    // The last model that could be followed and weighed: at first what the search began with.
+    let mut last = Hypothesis::of(model);
+    let mut fell_back = false;
     let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
@@ -480,9 +482,13 @@ pub(super) fn search(
             hypothesis = last.clone();
             around(&hypothesis, scenarios, starts, noise)
         })?;
-        last = hypothesis.clone();
         let mut linear = linearised(&hypothesis, &runs)?;
-        let mut reduced = Reduced::new(&linear, 1.0, true)?;
+        let Some(mut reduced) = Reduced::new(&linear, 1.0, true) else {
+            // Led by sensors that are much too late a run swings up: no column means anything there.
+            hypothesis = last.clone();
+            fell_back = true;
+            continue;
+        };
         if round == 0 {
             screened(&linear, &reduced, progress);
         }
@@ -503,10 +509,16 @@ pub(super) fn search(
             drop(reduced);
             runs = around(&hypothesis, scenarios, starts, noise)?;
             linear = linearised(&hypothesis, &runs)?;
-            reduced = Reduced::new(&linear, 1.0, true)?;
+            let Some(again) = Reduced::new(&linear, 1.0, true) else {
+                hypothesis = last.clone();
+                fell_back = true;
+                continue;
+            };
+            reduced = again;
             posterior = select(&reduced, &sets);
             is_settled = true;
         }
+        last = hypothesis.clone();
         let set = names(&linear, &posterior.best);
         let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
         let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
@@ -542,7 +554,7 @@ pub(super) fn search(
                 continue;
             }
         }
-        if stands || round + 1 == rounds {
+        if stands || fell_back || round + 1 == rounds {
             drop(reduced);
             return ended(hypothesis, linear, posterior, &runs, noise, &judged);
         }

@@ -168,6 +168,11 @@ pub(super) enum Tangent {
         factor: f64,
         share: f64,
     },
+    /// What terms would do beside themselves if a capacitor held them back by this time constant.
+    Lagging {
+        terms: Box<dyn Terms>,
+        time_constant_s: f64,
+    },
     Wave(Wave),
     /// Falls to zero on both sides of the centre.
     Hat {
@@ -259,10 +264,11 @@ fn pulses(run: &Around<'_>, late_s: f64) -> Vec<f64> {
 
 impl<'a> Traveller<'a> {
     fn new(tangent: &'a Tangent, run: &Around<'_>) -> Self {
-        let states = if let Tangent::Terms(terms) = tangent {
-            terms.states()
-        } else {
-            0
+        let states = match tangent {
+            Tangent::Terms(terms) => terms.states(),
+            // The voltage that has come through.
+            Tangent::Lagging { .. } => 1,
+            _ => 0,
         };
         let mut most = [0.0_f64; 3];
         if let Tangent::Bent { terms, .. } = tangent {
@@ -298,6 +304,20 @@ impl<'a> Traveller<'a> {
             }
         }
         sums
+    }
+
+    /// By how much a voltage that lags behind differs from that of terms over an interval.
+    fn lagging_v(&mut self, terms: &dyn Terms, at: &Instant, lag: f64) -> f64 {
+        let settled_v = terms.voltage_v(at, &[]);
+        let behind_v = self.own[0] - settled_v;
+        let kept = (-lag).exp();
+        self.own[0] = settled_v + behind_v * kept;
+        // Mean over the interval.
+        if lag > 0.0 {
+            behind_v * (1.0 - kept) / lag
+        } else {
+            behind_v
+        }
     }
 
     /// What terms of another form do at an instant.
@@ -553,6 +573,16 @@ fn force(
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let sums = traveller.other_form(at);
                 put(k, of(&sums, passage.direction, 0.0, 0.0));
+            }
+        }
+        Tangent::Lagging {
+            terms,
+            time_constant_s,
+        } => {
+            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
+                let lag = passage.interval_s / time_constant_s;
+                let volts = traveller.lagging_v(&**terms, at, lag);
+                put(k, [-volts * inductance, 0.0]);
             }
         }
         Tangent::Wave(wave) => {
