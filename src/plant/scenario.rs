@@ -193,8 +193,8 @@ impl Scenario {
         if holes.is_empty() {
             return;
         }
-        let estimates = holes.iter().map(|hole| (hole.from_s, hole.mean));
-        self.events.extend(estimates);
+        self.events
+            .extend(holes.iter().flat_map(UnknownInput::steps));
         self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
         for hole in holes.iter().filter(|hole| hole.restart.is_some()) {
             let begin = self

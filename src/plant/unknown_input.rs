@@ -3,7 +3,7 @@
 //! ```text
 //! rows     u0    u1    (lost) (lost) u4        a held input: u1 holds for one period, u4 from its own stamp on
 //! known    |-----|-----|             |-----
-//! lost                 |-------------|         mean of u1 and u4, with the variance that the record itself has between such
+//! lost                 |------|------|         on the line from u1 to u4, with the variance that the record itself has between such
 //!                                              rows; of a few lost rows also what the current did meanwhile
 //! ```
 //!
@@ -23,6 +23,8 @@ pub struct UnknownInput {
     pub lost_rows: usize,
     /// Mean of the input over the interval, as far as it is known: what a simulation takes.
     pub mean: f64,
+    /// What the estimate changes by from one of a few lost rows to the next: that of the rows beside them.
+    pub per_row: f64,
     /// Mean square of its error; zero where the record never does anything else between two such rows: the same value on
     /// both sides where it does not change and come back so soon, a ramp that goes on.
     pub variance: f64,
@@ -64,6 +66,28 @@ const NEARLY_KNOWN: f64 = 0.002;
 /// Rows below which no current is predicted.
 const FEWEST_ROWS: usize = 100;
 
+/// How many rows one of several lost ones lies behind the middle of them.
+fn from_the_middle(row: usize, rows: usize) -> f64 {
+    row as f64 - 0.5 * (rows - 1) as f64
+}
+
+impl UnknownInput {
+    /// The estimate as a held input: `(time, value)`.
+    pub(super) fn steps(&self) -> impl Iterator<Item = (f64, f64)> {
+        let rows = if self.per_row.abs() > 0.0 {
+            self.lost_rows
+        } else {
+            1
+        };
+        let row_s = (self.to_s - self.from_s) / rows as f64;
+        let (from_s, mean, per_row) = (self.from_s, self.mean, self.per_row);
+        (0..rows).map(move |row| {
+            let value = mean + per_row * from_the_middle(row, rows);
+            (from_s + row as f64 * row_s, value)
+        })
+    }
+}
+
 /// The holes of a record, in order.
 pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
     let Some((period_s, lost)) = lost_rows(told) else {
@@ -88,10 +112,16 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
             0.5 * (before + after),
             variance_at((after - before).abs(), rows, &by_length[place].1),
         );
+        let per_row = if rows > 1 && rows <= FEW {
+            (after - before) / (rows + 1) as f64
+        } else {
+            0.0
+        };
         if variance > 0.0
             && rows <= FEW
             && let Some((seen, error)) = winding.as_ref().and_then(|winding| {
-                winding.voltage(told.measured[row], told.measured[row + 1], before, rows)
+                let measured = [told.measured[row], told.measured[row + 1]];
+                winding.voltage(measured, before, rows, per_row)
             })
         {
             let share = variance / (variance + error);
@@ -109,6 +139,7 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
             to_s,
             lost_rows: rows,
             mean,
+            per_row,
             variance,
             restart: needs_restart.then_some(told.measured[row + 1]),
         });
@@ -247,6 +278,21 @@ impl<'a> Excursions<'a> {
         }
     }
 
+    /// Mean square by which the rows between two miss the line between them, but for what all of them miss it by.
+    fn bent(&self, row: usize, end: usize) -> f64 {
+        let ((begin_s, before), (to_s, after)) = (self.input[row], self.input[end]);
+        let slope = (after - before) / (to_s - begin_s);
+        let misses = self.input[row + 1..end].iter();
+        let misses: Vec<f64> = misses
+            .map(|(time_s, value)| value - before - slope * (time_s - begin_s))
+            .collect();
+        let count = misses.len().max(1) as f64;
+        let mean = misses.iter().sum::<f64>() / count;
+        let square = misses.iter().map(|miss| (miss - mean).powi(2)).sum::<f64>() / count;
+        let rounding = 1e-6 * (before.abs() + after.abs());
+        if square.sqrt() <= rounding { 0.0 } else { square }
+    }
+
     /// `(change, squared miss)` of places as long as a hole of `rows`, sorted by the change, without such as hold a hole
     /// of that size themselves.
     fn over(&self, rows: usize) -> Vec<(f64, f64)> {
@@ -272,7 +318,12 @@ impl<'a> Excursions<'a> {
             // What sums of decimals leave is nothing.
             let rounding = 1e-6 * (before.abs() + after.abs());
             let miss = if miss.abs() <= rounding { 0.0 } else { miss };
-            found.push(((after - before).abs(), miss * miss));
+            let bent = if rows > 1 && rows <= FEW {
+                self.bent(row, end)
+            } else {
+                0.0
+            };
+            found.push(((after - before).abs(), miss * miss + bent));
         }
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
         found
@@ -347,15 +398,16 @@ impl Winding {
     /// the mean square of its error.
     fn voltage(
         &self,
-        [i, w]: [f64; 2],
-        [next_i, next_w]: [f64; 2],
+        [[i, w], [next_i, next_w]]: [[f64; 2]; 2],
         before_v: f64,
         rows: usize,
+        per_row_v: f64,
     ) -> Option<(f64, f64)> {
         let mut known = self.f * i + self.g * before_v + self.h * 0.5 * (w + next_w);
         let mut gain = 0.0;
-        for _ in 0..rows {
-            known = self.f * known + self.h * 0.5 * (w + next_w);
+        for row in 0..rows {
+            let beside_v = per_row_v * from_the_middle(row, rows);
+            known = self.f * known + self.g * beside_v + self.h * 0.5 * (w + next_w);
             gain = self.f * gain + self.g;
         }
         let volts = (next_i - known) / gain;

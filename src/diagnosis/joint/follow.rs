@@ -784,6 +784,7 @@ mod tests {
             to_s: 0.501,
             lost_rows: 1,
             mean: 20.0,
+            per_row: 0.0,
             variance: 9.0,
             restart: None,
         }];
@@ -848,6 +849,7 @@ mod tests {
             to_s,
             lost_rows: 400,
             mean: 40.0,
+            per_row: 0.0,
             variance: 100.0,
             restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
         }];
