@@ -290,7 +290,11 @@ impl<'a> Excursions<'a> {
         let mean = misses.iter().sum::<f64>() / count;
         let square = misses.iter().map(|miss| (miss - mean).powi(2)).sum::<f64>() / count;
         let rounding = 1e-6 * (before.abs() + after.abs());
-        if square.sqrt() <= rounding { 0.0 } else { square }
+        if square.sqrt() <= rounding {
+            0.0
+        } else {
+            square
+        }
     }
 
     /// `(change, squared miss)` of places as long as a hole of `rows`, sorted by the change, without such as hold a hole
@@ -477,6 +481,25 @@ mod tests {
                 .filter(|hole| hole.mean == 0.0)
                 .all(|hole| (hole.variance - 25.0).abs() < 1.0)
         );
+    }
+
+    #[test]
+    fn a_ramp_goes_on_through_several_lost_rows_and_each_of_them_is_known() {
+        let ramp: Vec<f64> = (0..900)
+            .map(|row| (f64::from(row) - 50.0).max(0.0) * 3.5)
+            .collect();
+        let found = holes(&ramp, false, |row| matches!(row % 40, 20..23));
+        let late: Vec<&UnknownInput> = found.iter().filter(|hole| hole.from_s > 0.055).collect();
+        assert!(late.len() > 15);
+        for hole in late {
+            let steps: Vec<(f64, f64)> = hole.steps().collect();
+            assert_eq!(steps.len(), 3);
+            for (from_s, value) in steps {
+                let there = ramp[whole(from_s * 1e3 + 0.5)];
+                assert!((value - there).abs() < 1e-6, "{value}, not {there} V");
+            }
+            assert!(hole.variance < 1e-9, "{hole:?}");
+        }
     }
 
     #[test]

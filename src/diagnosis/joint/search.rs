@@ -464,11 +464,9 @@ pub(super) fn search(
     let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
     let mut seen: Vec<Names> = Vec::new();
     let mut judged: Vec<Judged> = Vec::new();
-    let mut replaced = None;
-    let mut moves = 0;
+    let (mut replaced, mut moves, mut fell_back) = (None, 0, false);
     // The last model that could be followed and weighed: at first what the search began with.
     let mut last = Hypothesis::of(model);
-    let mut fell_back = false;
     let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
@@ -485,8 +483,7 @@ pub(super) fn search(
         let mut linear = linearised(&hypothesis, &runs)?;
         let Some(mut reduced) = Reduced::new(&linear, 1.0, true) else {
             // Led by sensors that are much too late a run swings up: no column means anything there.
-            hypothesis = last.clone();
-            fell_back = true;
+            (hypothesis, fell_back) = (last.clone(), true);
             continue;
         };
         if round == 0 {
@@ -510,8 +507,7 @@ pub(super) fn search(
             runs = around(&hypothesis, scenarios, starts, noise)?;
             linear = linearised(&hypothesis, &runs)?;
             let Some(again) = Reduced::new(&linear, 1.0, true) else {
-                hypothesis = last.clone();
-                fell_back = true;
+                (hypothesis, fell_back) = (last.clone(), true);
                 continue;
             };
             reduced = again;
@@ -535,22 +531,11 @@ pub(super) fn search(
                 posterior: &posterior,
                 runs: &runs,
             };
-            if replaced.is_none()
-                && let Some((simple, simpler)) = weighed.simpler(&given)
-            {
-                replaced = Some(simple);
+            if let Some(other) = contested(&weighed, &given, &mut replaced, &mut judged) {
                 seen.clear();
                 drop(reduced);
                 drop(runs);
-                hypothesis = simpler;
-                continue;
-            }
-            if let Some((doubt, without)) = weighed.doubtful(&given) {
-                judged.push(doubt);
-                seen.clear();
-                drop(reduced);
-                drop(runs);
-                hypothesis = without;
+                hypothesis = other;
                 continue;
             }
         }
@@ -578,6 +563,25 @@ pub(super) fn search(
         }
     }
     None
+}
+
+/// What a set that stands gives way to where refits speak against it: to the model with one effect for two, or to that
+/// without an effect that they refute.
+fn contested(
+    weighed: &Weighed<'_>,
+    given: &[&'static str],
+    replaced: &mut Option<&'static str>,
+    judged: &mut Vec<Judged>,
+) -> Option<Hypothesis> {
+    if replaced.is_none()
+        && let Some((simple, simpler)) = weighed.simpler(given)
+    {
+        *replaced = Some(simple);
+        return Some(simpler);
+    }
+    let (doubt, without) = weighed.doubtful(given)?;
+    judged.push(doubt);
+    Some(without)
 }
 
 /// What a refit of `start` finds: effects of `hypothesis` that have to stay, or the hypothesis to go on from. What cannot

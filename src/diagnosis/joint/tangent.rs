@@ -321,7 +321,7 @@ impl<'a> Traveller<'a> {
     }
 
     /// What terms of another form do at an instant.
-    fn other_form(&self, at: &Instant) -> Sums {
+    fn other_form(&mut self, at: &Instant, interval_s: f64) -> Sums {
         match self.tangent {
             Tangent::Bent {
                 terms,
@@ -333,6 +333,13 @@ impl<'a> Traveller<'a> {
                 factor,
                 share,
             } => slower(&**terms, at, *factor, *share),
+            Tangent::Lagging {
+                terms,
+                time_constant_s,
+            } => Sums {
+                voltage_v: self.lagging_v(&**terms, at, interval_s / time_constant_s),
+                ..Sums::default()
+            },
             _ => Sums::default(),
         }
     }
@@ -569,20 +576,10 @@ fn force(
                 put(k, of(&sums, passage.direction, inductive_v, acceleration));
             }
         }
-        Tangent::Bent { .. } | Tangent::Slow { .. } => {
+        Tangent::Bent { .. } | Tangent::Slow { .. } | Tangent::Lagging { .. } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let sums = traveller.other_form(at);
+                let sums = traveller.other_form(at, passage.interval_s);
                 put(k, of(&sums, passage.direction, 0.0, 0.0));
-            }
-        }
-        Tangent::Lagging {
-            terms,
-            time_constant_s,
-        } => {
-            for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
-                let lag = passage.interval_s / time_constant_s;
-                let volts = traveller.lagging_v(&**terms, at, lag);
-                put(k, [-volts * inductance, 0.0]);
             }
         }
         Tangent::Wave(wave) => {
