@@ -178,7 +178,7 @@ pub(super) fn beside(
 }
 
 /// Standard deviations below which a size in the balance of torques may as well be zero.
-const TOLD_FROM_ZERO: f64 = 2.0;
+const A_SIZE_SIGMAS: f64 = 2.0;
 
 /// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes first,
 /// and what the fit with all of it does not tell from zero is not named.
@@ -198,7 +198,8 @@ fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<
     }
     while !order.is_empty() {
         let fit = bench.fit(&beside(&baseline.model, inference, &order)?)?;
-        let is_zero = |id: &&'static str| !told_from_zero(&fit, id);
+        let told = |id: &str| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(true);
+        let is_zero = |id: &&'static str| !told(id);
         let Some(place) = order.iter().rposition(is_zero) else {
             break;
         };
@@ -207,14 +208,4 @@ fn agree(bench: &Bench, baseline: &Fitted, inference: &mut Inference) -> Result<
     inference.confusable.retain(|pair| order.contains(&pair[0]));
     inference.named = order;
     Ok(())
-}
-
-fn told_from_zero(fit: &Fitted, id: &str) -> bool {
-    let prefix = format!("{id}.");
-    let own = fit
-        .parameters
-        .iter()
-        .filter(|own| own.key.starts_with(&prefix));
-    let mut sizes = own.filter_map(|own| Some((own.value?, own.std?)));
-    sizes.any(|(value, std)| std > 0.0 && value.abs() >= TOLD_FROM_ZERO * std)
 }

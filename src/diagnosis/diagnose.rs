@@ -21,8 +21,8 @@ use super::repeatability::Repeatability;
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
-use crate::plant::effect::{self, CATALOGUE};
-use crate::plant::{Model, ParameterSpec};
+use crate::plant::Model;
+use crate::plant::effect::CATALOGUE;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -238,26 +238,15 @@ fn climb(
     Ok(rungs)
 }
 
-/// A named effect whose fitted sizes all are within their standard deviation of zero: its coefficients, or where its shape is
-/// all that there is, that.
+/// The last named effect of which the fit with all of them does not tell whether it is there at all.
 fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
     let fit = &rungs.last()?.fit;
-    let is_zero = |id: &&&'static str| {
-        let specs = effect::find(id).map_or(&[][..], |effect| effect.parameters());
-        let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
-        let sizes = specs.iter();
-        let sizes = sizes.filter(|spec| !has_coefficients || spec.is_coefficient());
-        let mut sizes = sizes
-            .filter_map(|spec| {
-                let key = format!("{id}.{}", spec.key);
-                let own = fit.parameters.iter().find(|own| own.key == key)?;
-                Some((own.value?, own.std?))
-            })
-            .peekable();
-        sizes.peek().is_some() && sizes.all(|(value, std)| value.abs() < std)
-    };
-    inference.named.iter().rev().find(is_zero).copied()
+    let mut named = inference.named.iter().rev().copied();
+    named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))
 }
+
+/// Standard deviations below which a size in a free run may as well be zero: the names have been weighed already.
+const A_SIZE_SIGMAS: f64 = 1.0;
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let evidence = &bench.evidence;
