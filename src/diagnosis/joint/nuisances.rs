@@ -272,7 +272,10 @@ pub(super) fn bends(
             };
             bends.extend(CAPACITOR_S.map(lagging).map(Source::Tangent));
         }
-        bends.extend(spread(effect, values).map(Source::Tangent));
+        // Where a torque drives, what forms may be wrong by is random already: friction and the torque itself.
+        if scenario.input == Input::Voltage {
+            bends.extend(spread(effect, values).map(Source::Tangent));
+        }
     }
     bends
 }
