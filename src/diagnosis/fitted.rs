@@ -33,7 +33,7 @@ impl Fitted {
             let own = self.parameters.iter().find(|own| own.key == key)?;
             own.value.zip(own.std)
         });
-        let told = sizes.map(|(value, std)| value.abs() >= sigmas * std);
+        let told = sizes.map(|(value, std)| value.abs() > 0.0 && value.abs() >= sigmas * std);
         told.reduce(|told, another| told || another)
     }
 }
@@ -90,6 +90,9 @@ mod tests {
         ]);
         assert_eq!(wave("cogging", 2.0), Some(true));
         assert_eq!(wave("cogging", 3.0), Some(false));
+        // Nothing is nothing, however well it is known.
+        let none = told(&[("voltage_drop.drop_v", 0.0, Some(0.0))]);
+        assert_eq!(none("voltage_drop", 1.0), Some(false));
         // A coupling has nothing but its shape.
         let coupling = told(&[("elastic_coupling.frequency_hz", 20.0, Some(0.1))]);
         assert_eq!(coupling("elastic_coupling", 1.0), Some(true));
