@@ -28,7 +28,7 @@ pub(super) struct Arguments {
     /// With `discovery`: also so many mystery drives in real time over each link, through the whole program; their runs are kept in DIR/live
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
     live: Option<u64>,
-    /// With `discovery`: a folder with public records of real machines, of which the page then tells too: emps/DATA_EMPS.csv, sar_bldc/time_constant_2023-12-16.csv
+    /// With `discovery`: a folder with public records of real machines, of which the page then tells too: `emps/DATA_EMPS.csv`, `sar_bldc/time_constant_2023-12-16.csv`
     #[arg(long, value_name = "DIR")]
     records: Option<PathBuf>,
     /// With `discovery` and `lines`: another seed makes other machines (default 1)
