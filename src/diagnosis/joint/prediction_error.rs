@@ -15,7 +15,9 @@ use super::whitened::Whitened;
 use crate::diagnosis::family::{LEAST_BOUNDARY_A, takes_power};
 use crate::numerics::least_squares::inverse_of_normal;
 use crate::numerics::levenberg_marquardt::{self, Options, Problem};
-use crate::plant::{ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, typical_size};
+use crate::plant::{
+    ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, motor_range, typical_size,
+};
 
 /// Prior standard deviations: of the logarithm of a shape, and of a shape that may be zero in
 /// units of its scale.
@@ -48,7 +50,7 @@ impl Unit {
             let Slot::Motor(key) = slot else { return None };
             return Some(match motor_prior(*key, model, scenario)? {
                 MotorPrior::Logarithm(sd) => Self::Logarithm {
-                    range: (1e-12, 1e9),
+                    range: motor_range(*key, model, scenario),
                     sd,
                     at: value.ln(),
                 },

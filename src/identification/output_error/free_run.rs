@@ -7,7 +7,9 @@ use crate::identification::noise::NoiseFloor;
 use crate::identification::stamps;
 use crate::numerics::levenberg_marquardt::Problem;
 use crate::numerics::statistics;
-use crate::plant::{Model, MotorKey, Plant, Scenario, Slot, State, Trajectory, typical_size};
+use crate::plant::{
+    Model, MotorKey, Plant, Scenario, Slot, State, Trajectory, motor_range, typical_size,
+};
 
 /// Where a fit of a Coulomb level starts that was given as zero, whose logarithm does not exist, N.m.
 const SMALLEST_LOAD_N_M: f64 = 1e-6;
@@ -34,10 +36,10 @@ enum Scaling {
 impl Scaling {
     fn of(slot: &Slot, model: &Model, scenario: &Scenario) -> Self {
         match slot {
-            Slot::Motor(_) => Self::Logarithm {
-                min: 1e-12,
-                max: 1e9,
-            },
+            Slot::Motor(key) => {
+                let (min, max) = motor_range(*key, model, scenario);
+                Self::Logarithm { min, max }
+            }
             Slot::Effect { spec, .. } if !spec.is_coefficient() && !spec.logarithmic => {
                 Self::Linear {
                     scale: spec.scale,

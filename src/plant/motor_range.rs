@@ -1,0 +1,51 @@
+//! Between which bounds a fit looks for a parameter of the motor.
+
+use super::model::Model;
+use super::motor::MotorKey;
+use super::scenario::Scenario;
+
+/// Bounds of what a motor of any size has.
+const LEAST: f64 = 1e-12;
+const MOST: f64 = 1e9;
+/// The shortest electrical time constant, as a share of the sampling period: of a shorter one samples show nothing, and its
+/// equations are stiff.
+const LEAST_TIME_CONSTANT: f64 = 1e-3;
+
+/// The least and the largest value of a parameter, in its unit, that a fit on `scenario` may give it.
+pub fn motor_range(key: MotorKey, model: &Model, scenario: &Scenario) -> (f64, f64) {
+    let times = &scenario.sample_time_s;
+    let resistance_ohm = model.motor.get(MotorKey::Resistance);
+    let least = match (key, resistance_ohm, &times[..]) {
+        (MotorKey::Inductance, Some(resistance_ohm), [first, .., last]) => {
+            let period_s = (last - first) / (times.len() - 1) as f64;
+            LEAST_TIME_CONSTANT * period_s * resistance_ohm
+        }
+        _ => LEAST,
+    };
+    (least.max(LEAST), MOST)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Motor;
+    use crate::plant::testing::record;
+
+    #[test]
+    fn an_inductance_is_not_fitted_below_what_samples_show() {
+        let mut model = Model::baseline(Motor::zk_22fc());
+        model.motor.set(MotorKey::Resistance, 2.0);
+        for period_s in [1e-3, 1e-2] {
+            let run = record(&model, vec![(0.0, 10.0)], period_s, 1.0, 1);
+            let (least_h, _) = motor_range(MotorKey::Inductance, &model, &run);
+            assert!(
+                (least_h / (2e-3 * period_s) - 1.0).abs() < 1e-6,
+                "{least_h}"
+            );
+            let others = MotorKey::ALL.into_iter();
+            for key in others.filter(|key| *key != MotorKey::Inductance) {
+                assert_eq!(motor_range(key, &model, &run), (LEAST, MOST));
+            }
+        }
+    }
+}
