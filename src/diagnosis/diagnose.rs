@@ -150,7 +150,9 @@ pub fn diagnose_with(
         of: inference.named.len(),
     });
     let mut rungs = climb(&bench, baseline.clone(), &inference, progress)?;
-    while let Some(id) = without_size(&inference, &rungs) {
+    while let Some(id) =
+        without_size(&inference, &rungs).or_else(|| by_chance(&bench, &inference, &rungs))
+    {
         inference.doubt(id);
         rungs = climb(&bench, baseline.clone(), &inference, progress)?;
     }
@@ -247,6 +249,32 @@ fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<&'static st
 
 /// Standard deviations below which a size in a free run may as well be zero: the names have been weighed already.
 const A_SIZE_SIGMAS: f64 = 1.0;
+
+/// The last named effect that takes no more from the errors on both runs than chance does, where the baseline itself is at
+/// the floor.
+fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
+    let evidence = &bench.evidence;
+    let base = rungs.first()?.score.nrms;
+    if bench.fits_at_once() || !explained::at_the_floor(evidence, base) {
+        return None;
+    }
+    let on_both = |rung: &Standing| {
+        let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
+        Some(fitted.deviance() + rung.score.deviance())
+    };
+    let deviances: Option<Vec<f64>> = rungs.iter().map(on_both).collect();
+    let place = takes_nothing(&deviances?)?;
+    inference.named.get(place).copied()
+}
+
+/// The last step down a ladder that is no longer than chance makes it.
+fn takes_nothing(deviances: &[f64]) -> Option<usize> {
+    let mut steps = deviances.windows(2);
+    steps.rposition(|pair| pair[0] - pair[1] < BY_CHANCE)
+}
+
+/// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
+const BY_CHANCE: f64 = 10.0;
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let evidence = &bench.evidence;
@@ -379,11 +407,31 @@ fn verdict(
         && inference.excess() < NEARLY_WHITE
         && unexplained <= HALF * explainable
         && explained::explains_something(evidence, base.nrms, best.nrms);
-    if !is_led_astray && above(best.nrms) > HALF * explainable {
+    let is_left = !explained::at_the_floor(evidence, best.nrms / in_motion);
+    if !is_led_astray && is_left && above(best.nrms) > HALF * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous
     } else {
         DiagnosisVerdict::Effect
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_that_chance_makes_is_none() {
+        // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
+        let of = |nrms: f64| 2400.0 * nrms * nrms;
+        assert_eq!(takes_nothing(&[of(1.0007), of(1.0005)]), Some(0));
+        assert_eq!(takes_nothing(&[of(1.02), of(1.0)]), None);
+        assert_eq!(
+            takes_nothing(&[of(1.05), of(1.0499), of(1.02), of(1.0199)]),
+            Some(2)
+        );
+        assert_eq!(takes_nothing(&[of(1.05), of(1.06), of(1.02)]), Some(0));
+        assert_eq!(takes_nothing(&[of(1.0)]), None);
     }
 }

@@ -98,6 +98,13 @@ impl Score {
         }
     }
 
+    /// Sum of the squares of all errors in units of the noise.
+    pub(super) fn deviance(&self) -> f64 {
+        let signals = [self.current, self.speed, self.torque];
+        let samples: usize = signals.iter().flatten().map(|own| own.samples).sum();
+        samples as f64 * self.nrms * self.nrms
+    }
+
     /// `(time, residual)` of the current, A.
     pub fn current_residual(&self) -> Vec<(f64, f64)> {
         finite_points(&self.residuals.time_s, &self.residuals.current_a)
