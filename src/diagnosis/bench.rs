@@ -24,21 +24,32 @@ pub(super) struct Confirming {
 pub(super) struct Bench {
     pub(super) evidence: Evidence,
     balance: Option<Balance>,
+    /// Which part of long runs is searched.
+    searched: Option<String>,
 }
 
 impl Bench {
     /// With the refitted baseline.
-    pub(super) fn new(model: &Model, mut evidence: Evidence) -> Result<(Self, Fitted), FitError> {
+    pub(super) fn new(model: &Model, evidence: Evidence) -> Result<(Self, Fitted), FitError> {
+        let (mut evidence, searched) = evidence.shortened();
         if evidence.training.input == Input::Voltage {
             let (evidence, fit) = evidence.with_baseline(model)?;
-            let balance = None;
-            return Ok((Self { evidence, balance }, Fitted::from(&fit)));
+            let bench = Self {
+                evidence,
+                balance: None,
+                searched,
+            };
+            return Ok((bench, Fitted::from(&fit)));
         }
         let (balance, fit) = Balance::with_baseline(model, &evidence)?;
         evidence.noise.source = balance.scale.source;
         let fit = balance.fitted(&fit, &evidence);
-        let balance = Some(balance);
-        Ok((Self { evidence, balance }, fit))
+        let bench = Self {
+            evidence,
+            balance: Some(balance),
+            searched,
+        };
+        Ok((bench, fit))
     }
 
     /// What the runs say together of these effects beside the baseline.
@@ -140,6 +151,7 @@ impl Bench {
     /// What these runs cannot answer, and what errors are of.
     pub(super) fn limits(&self) -> Vec<String> {
         let mut limits = self.evidence.unjudged();
+        limits.extend(self.searched.clone());
         limits.extend(self.balance.as_ref().map(|balance| {
             format!(
                 "errors are those of the balance of torques ({})",

@@ -56,6 +56,41 @@ impl Evidence {
         }
     }
 
+    /// The same with the beginning of runs that are longer than a search can hold, and in words what of them it is. What
+    /// comes behind has no part in the answer: it confirms it, where no other run does.
+    pub(super) fn shortened(mut self) -> (Self, Option<String>) {
+        if self.training.input != Input::Voltage {
+            return (self, None);
+        }
+        let last = match self.holdout_from {
+            HoldoutFrom::Run => {
+                let fit_run = shorten(&mut self.training, MOST_SAMPLES);
+                shorten(&mut self.holdout, MOST_SAMPLES).or(fit_run)
+            }
+            HoldoutFrom::Split => {
+                let mut whole = self.holdout.clone();
+                whole.scored = 0..whole.samples();
+                let cut = shorten(&mut whole, MOST_SAMPLES_OF_ONE);
+                if cut.is_some() {
+                    (self.training, self.holdout) = whole.split(TRAINING_SHARE);
+                }
+                cut
+            }
+        };
+        let Some(Cut { behind, searched }) = last else {
+            return (self, None);
+        };
+        if let Some(repeat) = &mut self.repeat {
+            shorten(repeat, MOST_SAMPLES);
+        }
+        if let (None, Some(behind)) = (&self.confirm, behind) {
+            self.confirm = Some(behind);
+            let words = format!("{searched}; what comes behind them is the confirming run");
+            return (self, Some(words));
+        }
+        (self, Some(searched))
+    }
+
     /// The floor in units of the noise: one where it is known, else nothing is below the floor.
     pub fn floor(&self) -> f64 {
         if self.noise.source == FloorSource::None {
@@ -181,6 +216,46 @@ impl Evidence {
     }
 }
 
+/// Samples of a run that are searched for what is missing, at most: time and memory grow with them, and what a minute at
+/// 1 kHz does not show is hardly worth a name. Of one run that is split as many train.
+const MOST_SAMPLES: usize = 60_000;
+const MOST_SAMPLES_OF_ONE: usize = 100_000;
+/// Share of them that a leading standstill may take: it tells the noise.
+const AT_REST_SHARE: usize = 10;
+
+/// What was cut from a long run.
+struct Cut {
+    /// The run from the same beginning, of which only what comes behind the searched part counts.
+    behind: Option<Scenario>,
+    /// Which part of it is searched, in words.
+    searched: String,
+}
+
+/// Cuts a run to so many samples from shortly before it moves on; none where it is no longer than that.
+fn shorten(run: &mut Scenario, most: usize) -> Option<Cut> {
+    let samples = run.samples();
+    if samples <= most {
+        return None;
+    }
+    let at_rest = run.leading_standstill().end;
+    let first = at_rest.saturating_sub(most / AT_REST_SHARE);
+    let end = (first + most).min(samples);
+    let behind = (end < samples).then(|| {
+        let mut behind = run.stretch(first..samples);
+        behind.scored = end - first..behind.samples();
+        behind
+    });
+    let searched = format!(
+        "only {:.0} to {:.0} s of the {:.0} s of {} were searched: {most} of {samples} rows",
+        run.sample_time_s[first] - run.sample_time_s[0],
+        run.sample_time_s[end - 1] - run.sample_time_s[0],
+        run.sample_time_s[samples - 1] - run.sample_time_s[0],
+        run.name,
+    );
+    *run = run.stretch(first..end);
+    Some(Cut { behind, searched })
+}
+
 /// A signal that errors are judged by.
 struct Signal {
     name: &'static str,
@@ -243,4 +318,64 @@ fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
         .map(|index| points[index])
         .min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
     ((nearest.0 - time_s).abs() < SAME_INSTANT_S).then_some(nearest.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Motor;
+    use crate::plant::testing::record;
+
+    /// At rest for so long, then steps every two seconds, at 1 kHz.
+    fn run(at_rest_s: f64, seconds: f64) -> (Model, Scenario) {
+        let model = Model::baseline(Motor::zk_22fc());
+        let steps = (0..1000).map(|k| 2.0 * f64::from(k)).map_while(|time_s| {
+            let time_s = at_rest_s + time_s;
+            (time_s < seconds).then_some((time_s, 20.0 + (7.0 * time_s) % 31.0))
+        });
+        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+        (model.clone(), record(&model, events, 1e-3, seconds, 5))
+    }
+
+    #[test]
+    fn of_a_long_run_the_beginning_is_searched_and_the_rest_confirms() {
+        let (model, long) = run(30.0, 150.0);
+        let (evidence, words) = Evidence::new(long.clone(), None, None).shortened();
+        let words = words.unwrap();
+        assert!(words.contains("only 20 to 120 s of the 150 s"), "{words}");
+        assert_eq!(evidence.training.samples(), 60_000);
+        assert_eq!(evidence.holdout.scored, 60_000..100_000);
+        let confirm = evidence.confirm.as_ref().unwrap();
+        assert_eq!(confirm.scored.start, 100_000);
+        assert_eq!(confirm.sample_time_s.last(), long.sample_time_s.last());
+        for part in [&evidence.training, &evidence.holdout, confirm] {
+            let score = Score::of(&model, part, &evidence.noise).unwrap();
+            assert!(
+                (score.nrms - 1.0).abs() < 0.05,
+                "{}: {}",
+                part.name,
+                score.nrms
+            );
+        }
+    }
+
+    #[test]
+    fn what_a_search_can_hold_stays_as_it_is() {
+        let (_, short) = run(0.5, 20.0);
+        let (evidence, words) = Evidence::new(short.clone(), Some(short), None).shortened();
+        assert!(words.is_none() && evidence.confirm.is_none());
+        assert_eq!(evidence.training.scored, evidence.holdout.scored);
+    }
+
+    #[test]
+    fn a_run_of_its_own_that_confirms_is_not_replaced() {
+        let (_, long) = run(0.5, 70.0);
+        let (_, short) = run(0.5, 20.0);
+        let evidence = Evidence::new(long, Some(short.clone()), Some(short.clone()));
+        let (evidence, words) = evidence.shortened();
+        assert!(words.unwrap().contains("60000 of"));
+        assert_eq!(evidence.training.samples(), 60_000);
+        assert_eq!(evidence.holdout.samples(), short.samples());
+        assert_eq!(evidence.confirm.unwrap().name, short.name);
+    }
 }

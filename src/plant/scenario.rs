@@ -352,6 +352,44 @@ impl Scenario {
         (training, holdout)
     }
 
+    /// Samples of a run that has not begun to move at the first of them, which are all of it; its name tells which part it is.
+    #[must_use]
+    pub fn stretch(&self, samples: Range<usize>) -> Self {
+        let times = &self.sample_time_s[samples.clone()];
+        let (begin_s, end_s) = (times[0], times[times.len() - 1]);
+        let mut begin = self.events.partition_point(|event| event.0 <= begin_s);
+        begin = begin.saturating_sub(1);
+        let end = self.events.partition_point(|event| event.0 <= end_s);
+        let mut events = self.events[begin..end.max(begin + 1)].to_vec();
+        if samples.start > 0 {
+            events[0].0 = events[0].0.max(begin_s);
+        }
+        let from = self.angle.partition_point(|point| point.0 < events[0].0);
+        let to = self.angle.partition_point(|point| point.0 <= end_s);
+        let holes = self.unknown_input.iter();
+        let holes = holes.filter(|hole| hole.from_s >= events[0].0 && hole.to_s <= end_s);
+        let part = |values: &Vec<f64>| values.get(samples.clone()).unwrap_or_default().to_vec();
+        let run_begin_s = self.sample_time_s[0];
+        Self {
+            name: format!(
+                "{} ({:.0} to {:.0} s)",
+                self.name,
+                begin_s - run_begin_s,
+                end_s - run_begin_s
+            ),
+            input: self.input,
+            input_channel: self.input_channel,
+            angle: self.angle[from..to.max(from)].to_vec(),
+            sample_time_s: part(&self.sample_time_s),
+            current_a: part(&self.current_a),
+            speed_rad_s: part(&self.speed_rad_s),
+            time_half_width_s: part(&self.time_half_width_s),
+            unknown_input: holes.copied().collect(),
+            scored: 0..samples.len(),
+            events,
+        }
+    }
+
     /// When the shaft turns first, s: a little torque may keep it turning.
     fn turns_from_s(&self) -> f64 {
         let sizes = self.speed_rad_s.iter().map(|speed| speed.abs());
