@@ -92,10 +92,10 @@ impl Plant {
         let still = [[equations.a[0][0], 0.0], [0.0, 0.0]];
         let linear = equations.is_linear();
         Ok(Self {
-            longest_step_s: match (linear, &equations.coupling) {
-                (true, None) => LONGEST_STEP_S,
-                (true, Some(_)) if equations.path.measures_directly() => LONGEST_RINGING_STEP_S,
-                // The sensors take the motion between two steps for a straight line: they need them short.
+            // The sensors take the motion between two steps for a straight line: they need them short.
+            longest_step_s: match (&equations.coupling, equations.path.measures_directly()) {
+                (None, true) if linear => LONGEST_STEP_S,
+                (Some(_), true) if linear => LONGEST_RINGING_STEP_S,
                 _ => LONGEST_STEP_WITH_EFFECTS_S,
             },
             moving: Steps::new(&equations.a, !linear),

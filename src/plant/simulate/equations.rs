@@ -1,7 +1,9 @@
 //! The right-hand sides: what drives the linear part, and what holds the shaft.
 
+use std::hint::black_box;
+
 use super::state::{MOST_STATES, Mode, State};
-use crate::plant::effect::{Coupling, Instant, Path, Sums, Terms};
+use crate::plant::effect::{Coupling, Enters, Instant, Path, Sums, Terms};
 use crate::plant::model::{Model, ModelError};
 use crate::plant::motor::MotorKey;
 use crate::plant::propagator::M2;
@@ -20,7 +22,7 @@ pub(super) struct Equations {
     pub(super) a: M2,
     /// Forcing per volt.
     per_volt: f64,
-    /// Each effect with its number of states.
+    /// Each effect that enters a balance, with its number of states.
     terms: Vec<(Box<dyn Terms>, usize)>,
     states: usize,
     pub(super) path: Path,
@@ -39,15 +41,18 @@ impl Equations {
                 key: key.key().to_owned(),
             })
         };
-        let effects: Vec<Box<dyn Terms>> = model
+        let effects: Vec<(Enters, Box<dyn Terms>)> = model
             .effects
             .iter()
-            .map(|active| active.effect.terms(&active.values_or_guess()))
+            .map(|active| {
+                let terms = active.effect.terms(&active.values_or_guess());
+                (active.effect.card().enters, terms)
+            })
             .collect();
         let path = effects
             .iter()
-            .fold(Path::default(), |path, terms| path.plus(terms.path()));
-        let coupling = effects.iter().find_map(|terms| terms.coupling());
+            .fold(Path::default(), |path, (_, terms)| path.plus(terms.path()));
+        let coupling = effects.iter().find_map(|(_, terms)| terms.coupling());
         // With a second inertia these are the motor's equations: the load has its share of inertia and friction.
         let (behind, friction_behind) = coupling.map_or((0.0, 0.0), |coupling| {
             (coupling.inertia_ratio, coupling.friction_split)
@@ -79,8 +84,8 @@ impl Equations {
         motor.torque_n_m_per_a = torque_constant;
         let terms: Vec<(Box<dyn Terms>, usize)> = effects
             .into_iter()
-            .filter(|terms| terms.coupling().is_none())
-            .map(|terms| {
+            .filter(|(enters, terms)| *enters != Enters::Path && terms.coupling().is_none())
+            .map(|(_, terms)| {
                 let states = terms.states();
                 (terms, states)
             })
@@ -128,18 +133,19 @@ impl Equations {
             return sums;
         }
         let here = self.instant(state, at);
-        // One effect, the usual case, is not added up: a sum of pairs would wait for the stores of its parts.
+        // One effect, the usual case, is not added up.
         if let [(only, _)] = &self.terms[..] {
             return only.sums(&here, &state.own);
         }
         let mut own = &state.own[..];
         for (terms, states) in &self.terms {
             let added = terms.sums(&here, own);
-            sums.voltage_v += added.voltage_v;
-            sums.torque_n_m += added.torque_n_m;
-            sums.friction_n_m += added.friction_n_m;
-            sums.current_rate_gain += added.current_rate_gain;
-            sums.inertia_gain += added.inertia_gain;
+            // One by one: a sum of pairs would wait until the single stores of the parts have left the processor.
+            sums.voltage_v += black_box(added.voltage_v);
+            sums.torque_n_m += black_box(added.torque_n_m);
+            sums.friction_n_m += black_box(added.friction_n_m);
+            sums.current_rate_gain += black_box(added.current_rate_gain);
+            sums.inertia_gain += black_box(added.inertia_gain);
             own = &own[*states..];
         }
         sums

@@ -368,3 +368,39 @@ fn a_late_command_of_a_hole_is_not_taken_for_known_behind_it() {
         assert!(miss.abs() < 1.0, "{miss}");
     }
 }
+
+#[test]
+fn what_only_delays_and_offsets_leaves_the_equations_as_exact_as_they_are() {
+    let events = vec![(0.0, 0.0), (0.1, 60.0), (0.5, -40.0), (0.9, 0.0)];
+    let run = scenario(events, 1e-3, 1200);
+    let way = [
+        ("command_delay", &[7e-4][..]),
+        ("current_offset", &[0.3]),
+        ("speed_offset", &[-2.0]),
+    ];
+    let simulate = |effects: &[(&str, &[f64])], run: &Scenario| {
+        let mut plant = Plant::new(&model(effects), Input::Voltage).unwrap();
+        plant.simulate(run, State::default())
+    };
+    let late = simulate(&way, &run);
+    let bare = simulate(&[], &run.with_input_delayed(7e-4));
+    for sample in 0..run.samples() {
+        let current_a = late.current_a[sample] - bare.current_a[sample];
+        let speed_rad_s = late.speed_rad_s[sample] - bare.speed_rad_s[sample];
+        assert!((current_a - 0.3).abs() < 1e-9 && (speed_rad_s + 2.0).abs() < 1e-9);
+    }
+    // Beside what does enter a balance nothing else changes either.
+    let drag = ("viscous_friction", &[3e-4][..]);
+    let drop = ("voltage_drop", &[1.0][..]);
+    let [late, bare] = [&way[..1], &[]].map(|way| {
+        let run = if way.is_empty() {
+            run.with_input_delayed(7e-4)
+        } else {
+            run.clone()
+        };
+        simulate(&[way, &[drag, drop]].concat(), &run)
+    });
+    for (a, b) in late.speed_rad_s.iter().zip(&bare.speed_rad_s) {
+        assert!((a - b).abs() < 1e-9, "{a} {b}");
+    }
+}
