@@ -24,6 +24,8 @@ pub(super) struct Confirming {
 pub(super) struct Bench {
     pub(super) evidence: Evidence,
     balance: Option<Balance>,
+    /// The model as it was given, before it was refitted.
+    given: Model,
     /// Which part of long runs is searched.
     searched: Option<String>,
 }
@@ -37,6 +39,7 @@ impl Bench {
             let bench = Self {
                 evidence,
                 balance: None,
+                given: model.clone(),
                 searched,
             };
             return Ok((bench, Fitted::from(&fit)));
@@ -47,6 +50,7 @@ impl Bench {
         let bench = Self {
             evidence,
             balance: Some(balance),
+            given: model.clone(),
             searched,
         };
         Ok((bench, fit))
@@ -59,7 +63,7 @@ impl Bench {
         asked: &[&'static dyn Effect],
         progress: Progress<'_>,
     ) -> Result<Inference, FitError> {
-        let mut inference = infer(baseline, asked, &self.evidence, progress)?;
+        let mut inference = infer(baseline, &self.given, asked, &self.evidence, progress)?;
         if self.fits_at_once() {
             agree(self, baseline, &mut inference)?;
         }
@@ -75,6 +79,15 @@ impl Bench {
     pub(super) fn fit_in_passing(&self, start: &Model) -> Result<Fitted, FitError> {
         let options = Options {
             one_of_many: false,
+            ..Options::thrifty()
+        };
+        self.fit_with(start, options)
+    }
+
+    /// What is free in `start` as it is, with its error on the training run.
+    pub(super) fn as_it_is(&self, start: &Model) -> Result<Fitted, FitError> {
+        let options = Options {
+            most_iterations: 0,
             ..Options::thrifty()
         };
         self.fit_with(start, options)

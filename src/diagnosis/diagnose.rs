@@ -217,12 +217,14 @@ fn climb(
         .with_max_len(1)
         .map(|place| {
             let start = beside(&bare, inference, &inference.named[..=place])?;
-            let fit = if place + 1 < last {
-                bench.fit_in_passing(&start)?
+            let fitted = if place + 1 < last {
+                bench.fit_in_passing(&start)
             } else {
-                bench.fit(&start)?
+                bench.fit(&start)
             };
-            on_rung(place + 1, fit)
+            // Where much else is missing a free run is fitted by what is no machine: what was found along the run is.
+            let stands = fitted.and_then(|fit| on_rung(place + 1, fit));
+            stands.or_else(|_| on_rung(place + 1, bench.as_it_is(&start)?))
         })
         .collect::<Result<_, FitError>>()?;
     let mut rungs = vec![on_rung(0, baseline)?];

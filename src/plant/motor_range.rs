@@ -9,7 +9,7 @@ const LEAST: f64 = 1e-12;
 const MOST: f64 = 1e9;
 /// The shortest electrical time constant, as a share of the sampling period: of a shorter one samples show nothing, and its
 /// equations are stiff.
-const LEAST_TIME_CONSTANT: f64 = 1e-3;
+const LEAST_TIME_CONSTANT: f64 = 1e-2;
 
 /// The least and the largest value of a parameter, in its unit, that a fit on `scenario` may give it.
 pub fn motor_range(key: MotorKey, model: &Model, scenario: &Scenario) -> (f64, f64) {
@@ -39,7 +39,7 @@ mod tests {
             let run = record(&model, vec![(0.0, 10.0)], period_s, 1.0, 1);
             let (least_h, _) = motor_range(MotorKey::Inductance, &model, &run);
             assert!(
-                (least_h / (2e-3 * period_s) - 1.0).abs() < 1e-6,
+                (least_h / (2e-2 * period_s) - 1.0).abs() < 1e-6,
                 "{least_h}"
             );
             let others = MotorKey::ALL.into_iter();

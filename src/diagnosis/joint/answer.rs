@@ -204,9 +204,11 @@ pub(in crate::diagnosis) fn asked(
     asked
 }
 
-/// Weighs all sets of the effects that are asked for on the fit run and the hold-out together, from `baseline` on.
+/// Weighs all sets of the effects that are asked for on the fit run and the hold-out together, from `baseline` on, which was
+/// fitted from `before`.
 pub(in crate::diagnosis) fn infer(
     baseline: &Fitted,
+    before: &Model,
     asked: &[&'static dyn Effect],
     evidence: &Evidence,
     progress: Progress<'_>,
@@ -249,8 +251,9 @@ pub(in crate::diagnosis) fn infer(
             .set(MotorKey::Inertia, inertia.abs().max(f64::MIN_POSITIVE));
     }
     let given = model.effect_ids();
+    let models = [&model, before];
     let found =
-        search::search(&model, asked, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
+        search::search(models, asked, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
     let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
     let mut effects: Vec<Inferred> = asked
         .iter()

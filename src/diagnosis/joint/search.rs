@@ -273,6 +273,13 @@ fn was_seen(seen: &[Names], set: &Names) -> bool {
     }
 }
 
+/// Whether a set has an event that the model lacks.
+fn has_new_event(linear: &Linear, set: &Set) -> bool {
+    let mut candidates = linear.candidates.iter().zip(set);
+    candidates
+        .any(|(candidate, form)| form.is_some() && candidate.is_event() && !candidate.in_model)
+}
+
 /// Whether so much else is random that runs have to be linearised anew.
 fn is_another(noise: &Noise, before: &Noise) -> bool {
     let change = |a: f64, b: f64| (a / b).ln().abs();
@@ -444,29 +451,49 @@ fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
         .collect()
 }
 
-/// Searches from `model` on for `asked`, among them what the model has already; `floor` is the noise to begin with, whose
-/// sensors are those at rest. `None` where the model cannot be followed on the runs.
+/// Where a search begins: at the fitted model; or where that is far from the data at the one that it was fitted from, refitted
+/// along the run, if this leaves less: a free run that lacks much is fitted by what is no machine.
+fn nearer(
+    [fitted, before]: [&Model; 2],
+    scenarios: &[&Scenario],
+    starts: &[State],
+    noise: Noise,
+) -> Hypothesis {
+    let led = |model: &Model| around(&Hypothesis::of(model), &scenarios[..1], &starts[..1], noise);
+    let left = led(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
+    let is_far = left.is_none_or(|(left, rows)| left > FAR * rows as f64);
+    let again = is_far.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));
+    match again.flatten() {
+        Some((again, squares)) if left.is_none_or(|left| squares < left.0) => again,
+        _ => Hypothesis::of(fitted),
+    }
+}
+
+/// Searches from a fitted model on, or from the one that it was fitted from, for `asked`, among them what the model has
+/// already; `floor` is the noise to begin with, whose sensors are those at rest. `None` where neither can be followed on the
+/// runs.
 pub(super) fn search(
-    model: &Model,
+    models: [&Model; 2],
     asked: &[&'static dyn Effect],
     scenarios: &[&Scenario],
     starts: &[State],
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<Found> {
-    let given = model.effect_ids();
-    let mut hypothesis = Hypothesis::of(model);
     // The balance of torques is linear in all that it holds, however much is missing.
     let by_voltage = scenarios[0].input == Input::Voltage;
+    let given = models[0].effect_ids();
+    let mut hypothesis = Hypothesis::of(models[0]);
     if by_voltage {
-        hypothesis = approach(hypothesis, asked, scenarios, starts, floor)?;
+        let begin = nearer(models, scenarios, starts, floor);
+        hypothesis = approach(begin, asked, scenarios, starts, floor)?;
     }
     let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
     let mut seen: Vec<Names> = Vec::new();
     let mut judged: Vec<Judged> = Vec::new();
     let (mut replaced, mut moves, mut fell_back) = (None, 0, false);
     // The last model that could be followed and weighed: at first what the search began with.
-    let mut last = Hypothesis::of(model);
+    let mut last = Hypothesis::of(models[0]);
     let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
     for round in 0..rounds {
         // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
@@ -490,9 +517,10 @@ pub(super) fn search(
             screened(&linear, &reduced, progress);
         }
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
-        let mut posterior = select(&reduced, &sets);
-        let followed_with = noise;
-        if round < NOISE_ROUNDS {
+        let (mut posterior, followed_with) = (select(&reduced, &sets), noise);
+        // Put only to a part of a second, an event leaves what a load that wanders would explain better: it is placed first.
+        let is_to_be_placed = round == 0 && has_new_event(&linear, &posterior.best);
+        if round < NOISE_ROUNDS && !is_to_be_placed {
             // A load that wanders explains what an effect would: from little of it on the effects come first.
             let from = [noise, floor][usize::from(round == 0 && !is_near)];
             let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
@@ -556,7 +584,7 @@ pub(super) fn search(
             drop(runs);
             hypothesis = next;
             // What is fitted no longer counts as random.
-            if is_near && !is_settled {
+            if is_near && (is_to_be_placed || !is_settled) {
                 noise = first_noise(&hypothesis, asked, scenarios, starts, [floor, noise])
                     .map_or(noise, |known| known.0);
             }
