@@ -1,13 +1,18 @@
 //! The right-hand sides: what drives the linear part, and what holds the shaft.
 
-use std::hint::black_box;
-
 use super::state::{MOST_STATES, Mode, State};
-use crate::plant::effect::{Coupling, Enters, Instant, Path, Sums, Terms};
+use crate::plant::effect::{Balance, Coupling, Enters, Instant, Path, Sums, Terms};
 use crate::plant::model::{Model, ModelError};
 use crate::plant::motor::MotorKey;
 use crate::plant::propagator::M2;
 use crate::plant::scenario::Input;
+
+/// An effect's terms, the balances that they enter, and the number of their states.
+struct Entry {
+    terms: Box<dyn Terms>,
+    enters: Enters,
+    states: usize,
+}
 
 /// A model as numbers.
 pub(super) struct Equations {
@@ -22,8 +27,8 @@ pub(super) struct Equations {
     pub(super) a: M2,
     /// Forcing per volt.
     per_volt: f64,
-    /// Each effect that enters a balance, with its number of states.
-    terms: Vec<(Box<dyn Terms>, usize)>,
+    /// Effects that enter a balance.
+    terms: Vec<Entry>,
     states: usize,
     pub(super) path: Path,
     pub(super) coupling: Option<Coupling>,
@@ -82,12 +87,13 @@ impl Equations {
             Input::Torque => (1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
         };
         motor.torque_n_m_per_a = torque_constant;
-        let terms: Vec<(Box<dyn Terms>, usize)> = effects
+        let terms: Vec<Entry> = effects
             .into_iter()
             .filter(|(enters, terms)| *enters != Enters::Path && terms.coupling().is_none())
-            .map(|(_, terms)| {
-                let states = terms.states();
-                (terms, states)
+            .map(|(enters, terms)| Entry {
+                states: terms.states(),
+                terms,
+                enters,
             })
             .collect();
         Ok(Self {
@@ -104,7 +110,7 @@ impl Equations {
             input,
             a,
             per_volt,
-            states: terms.iter().map(|(_, states)| states).sum(),
+            states: terms.iter().map(|entry| entry.states).sum(),
             terms,
             load_n_m: 0.0,
             extra_v: 0.0,
@@ -134,19 +140,23 @@ impl Equations {
         }
         let here = self.instant(state, at);
         // One effect, the usual case, is not added up.
-        if let [(only, _)] = &self.terms[..] {
-            return only.sums(&here, &state.own);
+        if let [only] = &self.terms[..] {
+            return only.terms.sums(&here, &state.own);
         }
+        // Asked for each number by itself, and only for those of its balance: five at once go through memory.
         let mut own = &state.own[..];
-        for (terms, states) in &self.terms {
-            let added = terms.sums(&here, own);
-            // One by one: a sum of pairs would wait until the single stores of the parts have left the processor.
-            sums.voltage_v += black_box(added.voltage_v);
-            sums.torque_n_m += black_box(added.torque_n_m);
-            sums.friction_n_m += black_box(added.friction_n_m);
-            sums.current_rate_gain += black_box(added.current_rate_gain);
-            sums.inertia_gain += black_box(added.inertia_gain);
-            own = &own[*states..];
+        for entry in &self.terms {
+            let terms = &entry.terms;
+            if entry.enters.includes(Balance::Voltage) {
+                sums.voltage_v += terms.voltage_v(&here, own);
+                sums.current_rate_gain += terms.current_rate_gain(&here);
+            }
+            if entry.enters.includes(Balance::Torque) {
+                sums.torque_n_m += terms.torque_n_m(&here, own);
+                sums.friction_n_m += terms.friction_n_m(&here);
+                sums.inertia_gain += terms.inertia_gain(&here);
+            }
+            own = &own[entry.states..];
         }
         sums
     }
@@ -267,7 +277,7 @@ impl Equations {
         }
         let here = self.instant(from, at);
         let mut first = 0;
-        for (terms, states) in &self.terms {
+        for Entry { terms, states, .. } in &self.terms {
             if *states == 0 {
                 continue;
             }
