@@ -390,9 +390,9 @@ fn verdict(
 ) -> DiagnosisVerdict {
     let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
-    let at_floor = !is_known || explained::at_the_floor(evidence, base.nrms / in_motion);
+    let at_floor = explained::at_the_floor(evidence, base.nrms / in_motion);
     let Some(first) = inference.named.first() else {
-        return if inference.unknown.is_empty() && at_floor {
+        return if inference.unknown.is_empty() && (at_floor || !is_known) {
             DiagnosisVerdict::None
         } else {
             DiagnosisVerdict::Unexplained
@@ -409,8 +409,7 @@ fn verdict(
         && inference.excess() < NEARLY_WHITE
         && unexplained <= HALF * explainable
         && explained::explains_something(evidence, base.nrms, best.nrms);
-    let is_left = !explained::at_the_floor(evidence, best.nrms / in_motion);
-    if !is_led_astray && is_left && above(best.nrms) > HALF * explainable {
+    if !is_led_astray && !at_floor && above(best.nrms) > HALF * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous

@@ -25,6 +25,8 @@ use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, 
 /// Mean square of the innovations above which a linear solution is not believed, and below which little is missing.
 const FAR: f64 = 3.0;
 const NEAR: f64 = 1.5;
+/// The same above which a fitted model may be no machine.
+const ASTRAY: f64 = 100.0;
 /// Effects that join one by one before the sets are weighed.
 const MOST_STEPS: usize = 4;
 /// Share of the squares that one of them must leave at most.
@@ -273,11 +275,12 @@ fn was_seen(seen: &[Names], set: &Names) -> bool {
     }
 }
 
-/// Whether a set has an event that the model lacks.
+/// Whether a set has an event that the model lacks, and nothing new that rings, of which no linear solution is true.
 fn has_new_event(linear: &Linear, set: &Set) -> bool {
-    let mut candidates = linear.candidates.iter().zip(set);
-    candidates
-        .any(|(candidate, form)| form.is_some() && candidate.is_event() && !candidate.in_model)
+    let candidates = linear.candidates.iter().zip(set);
+    let new = candidates.filter(|(candidate, form)| form.is_some() && !candidate.in_model);
+    let mut new = new.map(|(candidate, _)| candidate);
+    new.clone().any(Candidate::is_event) && !new.any(Candidate::is_whole)
 }
 
 /// Whether so much else is random that runs have to be linearised anew.
@@ -451,7 +454,7 @@ fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
         .collect()
 }
 
-/// Where a search begins: at the fitted model; or where that is far from the data at the one that it was fitted from, refitted
+/// Where a search begins: at the fitted model; or where that is far astray at the one that it was fitted from, refitted
 /// along the run, if this leaves less: a free run that lacks much is fitted by what is no machine.
 fn nearer(
     [fitted, before]: [&Model; 2],
@@ -461,8 +464,8 @@ fn nearer(
 ) -> Hypothesis {
     let led = |model: &Model| around(&Hypothesis::of(model), &scenarios[..1], &starts[..1], noise);
     let left = led(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
-    let is_far = left.is_none_or(|(left, rows)| left > FAR * rows as f64);
-    let again = is_far.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));
+    let is_astray = left.is_none_or(|(left, rows)| left > ASTRAY * rows as f64);
+    let again = is_astray.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));
     match again.flatten() {
         Some((again, squares)) if left.is_none_or(|left| squares < left.0) => again,
         _ => Hypothesis::of(fitted),
