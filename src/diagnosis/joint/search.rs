@@ -275,7 +275,8 @@ fn was_seen(seen: &[Names], set: &Names) -> bool {
     }
 }
 
-/// Whether a set has an event that the model lacks, and nothing new that rings, of which no linear solution is true.
+/// Whether a set has an event that the model lacks, and nothing new that rings, of which no linear solution is true. Put only
+/// to a part of a second an event leaves what a load that wanders would explain better: it is placed before the noise is found.
 fn has_new_event(linear: &Linear, set: &Set) -> bool {
     let candidates = linear.candidates.iter().zip(set);
     let new = candidates.filter(|(candidate, form)| form.is_some() && !candidate.in_model);
@@ -474,7 +475,7 @@ fn nearer(
 
 /// Searches from a fitted model on, or from the one that it was fitted from, for `asked`, among them what the model has
 /// already; `floor` is the noise to begin with, whose sensors are those at rest. `None` where neither can be followed on the
-/// runs.
+/// runs. Where a torque drives no step by step approach is needed: the balance is linear, however much is missing.
 pub(super) fn search(
     models: [&Model; 2],
     asked: &[&'static dyn Effect],
@@ -483,7 +484,6 @@ pub(super) fn search(
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<Found> {
-    // The balance of torques is linear in all that it holds, however much is missing.
     let by_voltage = scenarios[0].input == Input::Voltage;
     let given = models[0].effect_ids();
     let mut hypothesis = Hypothesis::of(models[0]);
@@ -521,8 +521,8 @@ pub(super) fn search(
         }
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
         let (mut posterior, followed_with) = (select(&reduced, &sets), noise);
-        // Put only to a part of a second, an event leaves what a load that wanders would explain better: it is placed first.
-        let is_to_be_placed = round == 0 && has_new_event(&linear, &posterior.best);
+        let is_first = by_voltage && is_near && round == 0;
+        let is_to_be_placed = is_first && has_new_event(&linear, &posterior.best);
         if round < NOISE_ROUNDS && !is_to_be_placed {
             // A load that wanders explains what an effect would: from little of it on the effects come first.
             let from = [noise, floor][usize::from(round == 0 && !is_near)];
