@@ -488,12 +488,11 @@ pub(super) fn search(
     let given = models[0].effect_ids();
     let mut hypothesis = Hypothesis::of(models[0]);
     if by_voltage {
-        let begin = nearer(models, scenarios, starts, floor);
-        hypothesis = approach(begin, asked, scenarios, starts, floor)?;
+        hypothesis = nearer(models, scenarios, starts, floor);
+        hypothesis = approach(hypothesis, asked, scenarios, starts, floor)?;
     }
     let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
-    let mut seen: Vec<Names> = Vec::new();
-    let mut judged: Vec<Judged> = Vec::new();
+    let (mut seen, mut judged): (Vec<Names>, Vec<Judged>) = (vec![], vec![]);
     let (mut replaced, mut moves, mut fell_back) = (None, 0, false);
     // The last model that could be followed and weighed: at first what the search began with.
     let mut last = Hypothesis::of(models[0]);
