@@ -11,14 +11,19 @@ const MOST: f64 = 1e9;
 /// equations are stiff.
 const LEAST_TIME_CONSTANT: f64 = 1e-2;
 
-/// The least and the largest value of a parameter, in its unit, that a fit on `scenario` may give it.
+/// The least and the largest value of a parameter, in its unit, that a fit on `scenario` may give it; a smaller one that the
+/// model has already may stay.
 pub fn motor_range(key: MotorKey, model: &Model, scenario: &Scenario) -> (f64, f64) {
     let times = &scenario.sample_time_s;
     let resistance_ohm = model.motor.get(MotorKey::Resistance);
     let least = match (key, resistance_ohm, &times[..]) {
         (MotorKey::Inductance, Some(resistance_ohm), [first, .., last]) => {
             let period_s = (last - first) / (times.len() - 1) as f64;
-            LEAST_TIME_CONSTANT * period_s * resistance_ohm
+            let resolved_h = LEAST_TIME_CONSTANT * period_s * resistance_ohm;
+            model
+                .motor
+                .get(key)
+                .map_or(resolved_h, |own_h| own_h.min(resolved_h))
         }
         _ => LEAST,
     };
@@ -42,6 +47,10 @@ mod tests {
                 (least_h / (2e-2 * period_s) - 1.0).abs() < 1e-6,
                 "{least_h}"
             );
+            let mut small = model.clone();
+            small.motor.set(MotorKey::Inductance, 1e-6);
+            let (least_h, _) = motor_range(MotorKey::Inductance, &small, &run);
+            assert!((least_h / 1e-6 - 1.0).abs() < 1e-6, "{least_h}");
             let others = MotorKey::ALL.into_iter();
             for key in others.filter(|key| *key != MotorKey::Inductance) {
                 assert_eq!(motor_range(key, &model, &run), (LEAST, MOST));
