@@ -64,13 +64,23 @@ impl Evidence {
         }
         let last = match self.holdout_from {
             HoldoutFrom::Run => {
-                let fit_run = shorten(&mut self.training, MOST_SAMPLES);
-                shorten(&mut self.holdout, MOST_SAMPLES).or(fit_run)
+                let fit_run = shorten(&mut self.training, MOST_SAMPLES, "the fit run");
+                let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
+                match (holdout, fit_run) {
+                    (Some(holdout), Some(fit_run)) => Some(Cut {
+                        searched: format!("{}; {}", fit_run.searched, holdout.searched),
+                        ..holdout
+                    }),
+                    (holdout, fit_run) => holdout.or(fit_run),
+                }
             }
             HoldoutFrom::Split => {
                 let mut whole = self.holdout.clone();
                 whole.scored = 0..whole.samples();
-                let cut = shorten(&mut whole, MOST_SAMPLES_OF_ONE);
+                if let Some((name, _)) = self.training.name.rsplit_once(" (first") {
+                    name.clone_into(&mut whole.name);
+                }
+                let cut = shorten(&mut whole, MOST_SAMPLES_OF_ONE, "the run");
                 if cut.is_some() {
                     (self.training, self.holdout) = whole.split(TRAINING_SHARE);
                 }
@@ -81,7 +91,7 @@ impl Evidence {
             return (self, None);
         };
         if let Some(repeat) = &mut self.repeat {
-            shorten(repeat, MOST_SAMPLES);
+            shorten(repeat, MOST_SAMPLES, "the repeated run");
         }
         if let (None, Some(behind)) = (&self.confirm, behind) {
             self.confirm = Some(behind);
@@ -232,7 +242,7 @@ struct Cut {
 }
 
 /// Cuts a run to so many samples from shortly before it moves on; none where it is no longer than that.
-fn shorten(run: &mut Scenario, most: usize) -> Option<Cut> {
+fn shorten(run: &mut Scenario, most: usize, role: &str) -> Option<Cut> {
     let samples = run.samples();
     if samples <= most {
         return None;
@@ -246,11 +256,11 @@ fn shorten(run: &mut Scenario, most: usize) -> Option<Cut> {
         behind
     });
     let searched = format!(
-        "only {:.0} to {:.0} s of the {:.0} s of {} were searched: {most} of {samples} rows",
+        "only {:.0} to {:.0} s of the {:.0} s of {role} were searched: {} of {samples} rows",
         run.sample_time_s[first] - run.sample_time_s[0],
         run.sample_time_s[end - 1] - run.sample_time_s[0],
         run.sample_time_s[samples - 1] - run.sample_time_s[0],
-        run.name,
+        end - first,
     );
     *run = run.stretch(first..end);
     Some(Cut { behind, searched })

@@ -357,8 +357,13 @@ impl Scenario {
     pub fn stretch(&self, samples: Range<usize>) -> Self {
         let times = &self.sample_time_s[samples.clone()];
         let (begin_s, end_s) = (times[0], times[times.len() - 1]);
-        let mut begin = self.events.partition_point(|event| event.0 <= begin_s);
-        begin = begin.saturating_sub(1);
+        // A whole beginning keeps what was commanded before its first sample.
+        let begin = if samples.start == 0 {
+            0
+        } else {
+            let before = self.events.partition_point(|event| event.0 <= begin_s);
+            before.saturating_sub(1)
+        };
         let end = self.events.partition_point(|event| event.0 <= end_s);
         let mut events = self.events[begin..end.max(begin + 1)].to_vec();
         if samples.start > 0 {
