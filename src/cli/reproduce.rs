@@ -22,7 +22,7 @@ pub(super) struct Arguments {
     /// Which paper, or `discovery`: the diagnosis on machines whose truth is known
     #[arg(value_enum, value_name = "PAPER")]
     paper: Paper,
-    /// With `discovery`: machines for each effect and excitation (default 1: some 680 machines in all; 0 with --live: none); with `lines`: records of each line (default 60)
+    /// With `discovery`: machines for each effect and excitation (default 1: some 730 machines in all; 0 with --live: none); with `lines`: records of each line (default 60)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=100))]
     sets: Option<u64>,
     /// With `discovery`: also so many mystery drives in real time over each link, through the whole program; their runs are kept in DIR/live
