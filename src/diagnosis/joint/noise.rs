@@ -292,7 +292,7 @@ pub(super) fn likeliest(
 }
 
 /// How far the correlation time may be from half a second, as a logarithm.
-const CORRELATION: f64 = 0.8;
+const CORRELATION: f64 = 1.2;
 const USUAL_CORRELATION_S: f64 = 0.5;
 
 fn log_prior(noise: &Noise, floor: &Noise) -> f64 {
@@ -339,7 +339,8 @@ impl Unknown {
         self.of(&mut noise.clone()).ln()
     }
 
-    /// The noise with this logarithm, as far as it may go.
+    /// The noise with this logarithm, as far as it may go. Another correlation time leaves the disturbance's spectrum as
+    /// it is above the corner, where it is known best: its variance over that time stays, and the climb follows the ridge.
     fn set(self, noise: &Noise, floor: &Noise, log: f64) -> Noise {
         let sensors = floor.sensors.exp();
         let (least, most) = match self {
@@ -349,9 +350,10 @@ impl Unknown {
             Self::Current => (floor.current_a / sensors, floor.current_a * sensors),
             Self::Speed => (floor.speed_rad_s / sensors, floor.speed_rad_s * sensors),
         };
-        let mut noise = *noise;
-        *self.of(&mut noise) = log.exp().clamp(least, most);
-        noise
+        let mut next = *noise;
+        *self.of(&mut next) = log.exp().clamp(least, most);
+        next.disturbance_n_m *= (next.correlation_s / noise.correlation_s).sqrt();
+        next
     }
 
     /// First step: of sensors as well as they are known, the rest hardly is.
@@ -443,6 +445,26 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_climb_follows_the_ridge_of_a_spectrum_that_is_known_above_its_corner_only() {
+        let floor = Noise {
+            current_a: 0.03,
+            speed_rad_s: 0.15,
+            disturbance_n_m: 0.01,
+            correlation_s: 0.5,
+            input: 0.0,
+            sensors: 0.1,
+        };
+        let likelihood = |noise: &Noise| {
+            let corner = (noise.correlation_s / 0.05).ln();
+            let above = (noise.disturbance_n_m.powi(2) / noise.correlation_s / 6e-3).ln();
+            -500.0 * above * above - 8.0 * corner * corner
+        };
+        let unknowns = [Unknown::Disturbance, Unknown::Correlation];
+        let found = climb(floor, &unknowns, &floor, likelihood);
+        assert!(likelihood(&found) > -0.5, "{found:?}");
+    }
+
+    #[test]
     fn the_climb_reaches_the_top_in_few_runs_of_the_filter() {
         let floor = Noise {
             current_a: 0.03,
@@ -461,8 +483,9 @@ mod tests {
                 noise.input / 0.05,
             ]
             .map(f64::ln);
-            -3.0 * d * d
-                - 2.0 * d * t
+            let above = d - 0.5 * t;
+            -6.0 * above * above
+                - 2.0 * above * t
                 - 2.0 * t * t
                 - 5.0 * v * v
                 - ((noise.current_a / 0.031).ln() / 0.01).powi(2)
