@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::bench::Bench;
 use super::diagnose::DiagnosisVerdict;
-use super::explained::{self, explained};
+use super::explained::{Floor, in_noise};
 use super::joint::Noise;
 use super::joint::likelihood_ratio::likelier;
 use crate::identification::noise::FloorSource;
@@ -60,25 +60,29 @@ pub(super) fn of_models(
     let repeated = || -> Result<Repeated, FitError> {
         let before = bench.confirming(baseline, run)?;
         let after = bench.confirming(best, run)?;
-        let z = likelier(
+        let (z, unseen) = likelier(
             [&before.model, &after.model],
             [before.start, after.start],
             run,
             noise,
             source != FloorSource::None,
-        );
-        let z = z.ok_or_else(|| FitError::CannotSimulate {
+        )
+        .ok_or_else(|| FitError::CannotSimulate {
             run: run.name.clone(),
         })?;
+        let floor = Floor::new(
+            evidence,
+            in_noise(unseen.map(Some), &evidence.noise).unwrap_or(0.0),
+        );
         let [before, after] = [before.score.nrms, after.score.nrms];
         Ok(Repeated {
             before,
             after,
             z,
-            share: explained(before, after, evidence.floor()),
-            holds: z >= SIGNIFICANT && explained::explains_something(evidence, before, after),
-            at_the_floor: explained::at_the_floor(evidence, before / in_motion),
-            explains_it: explained::at_the_floor(evidence, after / in_motion),
+            share: floor.explained(before, after),
+            holds: z >= SIGNIFICANT && floor.is_explained_in_part(before, after),
+            at_the_floor: floor.is_reached(before / in_motion),
+            explains_it: floor.is_reached(after / in_motion),
         })
     };
     Some(match repeated() {

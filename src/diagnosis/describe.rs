@@ -3,6 +3,7 @@
 use super::candidates::{Candidate, Onset, RunOf, Status};
 use super::diagnose::{Diagnosis, DiagnosisVerdict, Standing};
 use super::evidence::{Evidence, HoldoutFrom};
+use super::explained::Floor;
 use super::joint::answer::{Inference, Inferred};
 use super::reached;
 use crate::identification::noise::FloorSource;
@@ -13,11 +14,12 @@ use crate::sample::{ParameterEstimate, Verdict};
 /// held-out error on its own rung of the ladder and its size beside the others.
 pub(super) fn describe(
     evidence: &Evidence,
+    floor: Floor<'_>,
     inference: &Inference,
     rungs: &[Standing],
 ) -> Vec<Candidate> {
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
-    let floor = evidence.floor();
+    let floor = floor.expected();
     let place = |effect: &Inferred| {
         let id = effect.effect.card().id;
         inference.named.iter().position(|named| *named == id)

@@ -10,7 +10,7 @@ use super::candidates::{Candidate, Status};
 use super::confirmation::{self, Confirmation};
 use super::describe::{describe, sentence, superfluous};
 use super::evidence::{Evidence, HoldoutFrom};
-use super::explained::{self, explained};
+use super::explained;
 use super::fitted::Fitted;
 use super::joint::answer::{Inference, Part, asked, refined};
 use super::ladder::Rung;
@@ -257,7 +257,7 @@ const A_SIZE_SIGMAS: f64 = 1.0;
 fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option<&'static str> {
     let evidence = &bench.evidence;
     let base = rungs.first()?.score.nrms;
-    if bench.fits_at_once() || !explained::at_the_floor(evidence, base) {
+    if bench.fits_at_once() || !inference.floor(evidence).is_reached(base) {
         return None;
     }
     let on_both = |rung: &Standing| {
@@ -281,8 +281,8 @@ const BY_CHANCE: f64 = 10.0;
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let evidence = &bench.evidence;
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
-    let floor = evidence.floor();
-    let repeatability = Repeatability::of(&best.fit.model, evidence);
+    let floor = inference.floor(evidence);
+    let repeatability = Repeatability::of(&best.fit.model, evidence, floor);
     let in_motion = repeatability.in_motion();
     let verdict = verdict(bench, inference, [&base.score, &best.score], in_motion);
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
@@ -291,9 +291,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     } else {
         Vec::new()
     };
-    let eta = explained(base.score.nrms, best.score.nrms, floor);
-    let settled = explained::at_the_floor(evidence, best.score.nrms);
-    let candidates = describe(evidence, inference, rungs);
+    let eta = floor.explained(base.score.nrms, best.score.nrms);
+    let settled = floor.is_reached(best.score.nrms);
+    let candidates = describe(evidence, floor, inference, rungs);
     let excited = candidates
         .iter()
         .any(|candidate| candidate.status != Status::NotExcited);
@@ -334,6 +334,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         limits: bench
             .limits()
             .into_iter()
+            .chain(inference.lost_rows())
             .chain(repeatability.why_not)
             .collect(),
         equivalences: Vec::new(),
@@ -390,7 +391,8 @@ fn verdict(
 ) -> DiagnosisVerdict {
     let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
-    let at_floor = explained::at_the_floor(evidence, base.nrms / in_motion);
+    let floor = inference.floor(evidence);
+    let at_floor = floor.is_reached(base.nrms / in_motion);
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && (at_floor || !is_known) {
             DiagnosisVerdict::None
@@ -398,8 +400,7 @@ fn verdict(
             DiagnosisVerdict::Unexplained
         };
     };
-    let floor = evidence.floor();
-    let above = |nrms: f64| nrms * nrms - floor * floor;
+    let above = |nrms: f64| nrms * nrms - floor.highest().powi(2);
     let unknown: f64 = inference.unknown.iter().map(|part| part.share).sum();
     let explainable = above(base.nrms).max(0.0);
     let unexplained = inference.wandering.powi(2) + unknown * explainable;
@@ -408,7 +409,7 @@ fn verdict(
     let is_led_astray = !bench.fits_at_once()
         && inference.excess() < NEARLY_WHITE
         && unexplained <= HALF * explainable
-        && explained::explains_something(evidence, base.nrms, best.nrms);
+        && floor.is_explained_in_part(base.nrms, best.nrms);
     if !is_led_astray && !at_floor && above(best.nrms) > HALF * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {

@@ -101,15 +101,6 @@ impl Evidence {
         (self, Some(searched))
     }
 
-    /// The floor in units of the noise: one where it is known, else nothing is below the floor.
-    pub fn floor(&self) -> f64 {
-        if self.noise.source == FloorSource::None {
-            0.0
-        } else {
-            1.0
-        }
-    }
-
     /// Measured signals that the judgement does without, each with the reason. Only of runs that a voltage drives: the
     /// others are judged by their torque balance.
     pub fn unjudged(&self) -> Vec<String> {

@@ -1,6 +1,7 @@
 //! Where the floor is, and what share of the error above it is explained.
 
 use super::evidence::Evidence;
+use crate::identification::noise::{FloorSource, NoiseFloor};
 
 /// Error in units of the floor below which a model explains the run to the noise.
 const AT_THE_FLOOR: f64 = 1.1;
@@ -8,10 +9,60 @@ const AT_THE_FLOOR: f64 = 1.1;
 pub(super) const SUFFICIENT: f64 = 0.9;
 /// The same below which a run that had no part in the answer does not confirm it.
 const EXPLAINS_SOMETHING: f64 = 0.3;
+/// Multiple of what holes of a record make on the average that they may make in one run: a few of them make most of it.
+const MOST_UNSEEN: f64 = 2.0;
+
+/// Error of a free run below which nothing can be told, in units of the sensors' noise.
+#[derive(Clone, Copy)]
+pub(super) struct Floor<'a> {
+    evidence: &'a Evidence,
+    /// Root mean square of what nobody knows to have been commanded makes.
+    unseen: f64,
+}
+
+impl<'a> Floor<'a> {
+    pub(super) const fn new(evidence: &'a Evidence, unseen: f64) -> Self {
+        Self { evidence, unseen }
+    }
+
+    fn with(self, unseen: f64) -> f64 {
+        if self.evidence.noise.source == FloorSource::None {
+            0.0
+        } else {
+            1.0_f64.hypot(unseen)
+        }
+    }
+
+    /// Where it is on the average; zero where the noise is not known: nothing is below the floor then.
+    pub(super) fn expected(self) -> f64 {
+        self.with(self.unseen)
+    }
+
+    /// Where it may be in one run.
+    pub(super) fn highest(self) -> f64 {
+        self.with(MOST_UNSEEN * self.unseen)
+    }
+
+    /// Whether an error is no more than the noise.
+    pub(super) fn is_reached(self, nrms: f64) -> bool {
+        nrms < self.highest() * self.evidence.noise.tolerance(AT_THE_FLOOR)
+    }
+
+    /// Share of the explainable error that is explained.
+    pub(super) fn explained(self, before: f64, after: f64) -> f64 {
+        explained(before, after, self.expected())
+    }
+
+    /// Whether a good part of what lies above the floor, raised by what that is uncertain by, is explained.
+    pub(super) fn is_explained_in_part(self, before: f64, after: f64) -> bool {
+        let highest = self.highest() * self.evidence.noise.tolerance(1.0);
+        before <= highest || explained(before, after, highest) >= EXPLAINS_SOMETHING
+    }
+}
 
 /// Share of the explainable error that is explained: `1 - (v^2 - f^2)/(v0^2 - f^2)`; an error below the floor, which is
 /// itself an estimate, explains everything and no more.
-pub(super) fn explained(before: f64, after: f64, floor: f64) -> f64 {
+fn explained(before: f64, after: f64, floor: f64) -> f64 {
     let explainable = before * before - floor * floor;
     if explainable <= 0.0 {
         0.0
@@ -20,13 +71,31 @@ pub(super) fn explained(before: f64, after: f64, floor: f64) -> f64 {
     }
 }
 
-/// Whether an error is no more than the noise.
-pub(super) fn at_the_floor(evidence: &Evidence, nrms: f64) -> bool {
-    nrms < evidence.floor() * evidence.noise.tolerance(AT_THE_FLOOR)
+/// Root mean squares of current, A, and speed, rad/s, as one in units of the noise; none where neither is known.
+pub(super) fn in_noise(rms: [Option<f64>; 2], noise: &NoiseFloor) -> Option<f64> {
+    let levels = [noise.current_a, noise.speed_rad_s];
+    let squares: Vec<f64> = (rms.into_iter().zip(levels))
+        .filter(|(_, level)| level.is_finite())
+        .filter_map(|(rms, level)| Some((rms? / level).powi(2)))
+        .collect();
+    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
+    (!squares.is_empty()).then(|| mean.sqrt())
 }
 
-/// Whether a good part of what lies above the floor, raised by what that is uncertain by, is explained.
-pub(super) fn explains_something(evidence: &Evidence, before: f64, after: f64) -> bool {
-    let highest_floor = evidence.floor() * evidence.noise.tolerance(1.0);
-    before <= highest_floor || explained(before, after, highest_floor) >= EXPLAINS_SOMETHING
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::testing::with_a_fan;
+
+    #[test]
+    fn what_lost_rows_hide_is_no_error_of_the_model() {
+        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
+        assert_eq!(evidence.noise.source, FloorSource::Standstill);
+        let (whole, lossy) = (Floor::new(&evidence, 0.0), Floor::new(&evidence, 0.75));
+        assert!((lossy.expected() - 1.25).abs() < 1e-12);
+        assert!(whole.is_reached(1.05) && !whole.is_reached(1.6) && lossy.is_reached(1.6));
+        assert!(!lossy.is_reached(2.2));
+        assert!((whole.explained(2.0, 1.25) - 0.8125).abs() < 1e-12);
+        assert!((lossy.explained(2.0, 1.25) - 1.0).abs() < 1e-12);
+    }
 }

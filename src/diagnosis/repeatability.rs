@@ -1,6 +1,7 @@
 //! What a machine does not repeat from one run of an excitation to the next: how much that is, and what it follows.
 
 use super::evidence::{Evidence, not_repeated};
+use super::explained::{Floor, in_noise};
 use super::location::{FailureLocation, locate_difference};
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
@@ -21,15 +22,24 @@ pub(super) struct Repeatability {
 }
 
 impl Repeatability {
-    /// Under `model`; empty without a repeated run, or where the sensors' noise is not known at rest.
-    pub(super) fn of(model: &Model, evidence: &Evidence) -> Self {
+    /// Under `model`; empty without a repeated run, or where the sensors' noise is not known at rest. Where lost rows make
+    /// much of the error, here as on the hold-out with its `floor`, two runs differ whether the machine repeats or not.
+    pub(super) fn of(model: &Model, evidence: &Evidence, floor: Floor<'_>) -> Self {
         let is_known = evidence.noise.source == FloorSource::Standstill;
         let Some(repeat) = evidence.repeat.as_ref().filter(|_| is_known) else {
             return Self::default();
         };
+        if floor.highest() > REPEATS {
+            return Self {
+                why_not: Some(
+                    "whether this machine repeats is not known: too many rows were lost".to_owned(),
+                ),
+                ..Self::default()
+            };
+        }
         let runs = [&evidence.training, repeat];
         let found = || -> Result<Self, FitError> {
-            let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, evidence);
+            let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, &evidence.noise);
             let follows = if floor.is_some_and(|floor| floor > REPEATS) {
                 locate_difference(model, runs, &evidence.noise)?
             } else {
@@ -59,16 +69,4 @@ impl Repeatability {
     pub(super) fn in_motion(&self) -> f64 {
         self.floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS))
     }
-}
-
-/// Deviations of current and speed in units of the sensors' noise.
-fn in_noise(differs: [Option<f64>; 2], evidence: &Evidence) -> Option<f64> {
-    let levels = [evidence.noise.current_a, evidence.noise.speed_rad_s];
-    let squares: Vec<f64> = differs
-        .into_iter()
-        .zip(levels)
-        .filter_map(|(differs, level)| Some((differs? / level).powi(2)))
-        .collect();
-    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
-    (!squares.is_empty()).then(|| mean.sqrt())
 }

@@ -23,8 +23,8 @@ pub struct UnknownInput {
     pub lost_rows: usize,
     /// Mean of the input over the interval, as far as it is known: what a simulation takes.
     pub mean: f64,
-    /// What the estimate changes by from one of a few lost rows to the next: that of the rows beside them.
-    pub per_row: f64,
+    /// What the estimate of each of a few lost rows differs from it by.
+    pub beside: [f64; FEW],
     /// Mean square of its error; zero where the record never does anything else between two such rows: the same value on
     /// both sides where it does not change and come back so soon, a ramp that goes on.
     pub variance: f64,
@@ -66,25 +66,18 @@ const NEARLY_KNOWN: f64 = 0.002;
 /// Rows below which no current is predicted.
 const FEWEST_ROWS: usize = 100;
 
-/// How many rows one of several lost ones lies behind the middle of them.
-fn from_the_middle(row: usize, rows: usize) -> f64 {
-    row as f64 - 0.5 * (rows - 1) as f64
-}
+/// Periods that two rows may lie apart and still follow each other.
+const NEXT: f64 = 1.5;
 
 impl UnknownInput {
     /// The estimate as a held input: `(time, value)`.
     pub(super) fn steps(&self) -> impl Iterator<Item = (f64, f64)> {
-        let rows = if self.per_row.abs() > 0.0 {
-            self.lost_rows
-        } else {
-            1
-        };
+        let is_even = self.beside.iter().all(|beside| beside.abs() <= 0.0);
+        let rows = if is_even { 1 } else { self.lost_rows };
         let row_s = (self.to_s - self.from_s) / rows as f64;
-        let (from_s, mean, per_row) = (self.from_s, self.mean, self.per_row);
-        (0..rows).map(move |row| {
-            let value = mean + per_row * from_the_middle(row, rows);
-            (from_s + row as f64 * row_s, value)
-        })
+        let (from_s, mean) = (self.from_s, self.mean);
+        let beside = self.beside.into_iter().take(rows).enumerate();
+        beside.map(move |(row, beside)| (from_s + row as f64 * row_s, mean + beside))
     }
 }
 
@@ -97,9 +90,8 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
     let largest = input
         .iter()
         .fold(0.0, |most, row| f64::max(most, row.1.abs()));
-    let excursions = Excursions::of(input, &lost, period_s);
-    let winding = Winding::of(told, &lost);
-    let mut by_length: Vec<(usize, Vec<(f64, f64)>)> = Vec::new();
+    let excursions = Excursions::of(told, &lost, period_s);
+    let mut by_length: Vec<(usize, [Examples; 3])> = Vec::new();
     let mut holes = Vec::new();
     for (row, &rows) in lost.iter().enumerate().filter(|(_, rows)| **rows > 0) {
         let ((begin_s, before), (to_s, after)) = (input[row], input[row + 1]);
@@ -108,26 +100,29 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
             by_length.push((rows, excursions.over(rows)));
             by_length.len() - 1
         });
-        let (mut mean, mut variance) = (
-            0.5 * (before + after),
-            variance_at((after - before).abs(), rows, &by_length[place].1),
-        );
-        let per_row = if rows > 1 && rows <= FEW {
-            (after - before) / (rows + 1) as f64
-        } else {
-            0.0
-        };
+        let mut shape = excursions.shape(row, row + 1, rows);
+        // Where there is nothing to learn from, a course says no more than a line.
+        if by_length[place].1[shape.drawn as usize].0.len() < NEIGHBOURS {
+            shape = Shape::line(shape.from, shape.to, Drawn::Blind);
+        }
+        let from_s = begin_s + period_s;
+        let (mut mean, beside) = shape.rows(from_s, to_s, rows);
+        let examples = &by_length[place].1[shape.drawn as usize];
+        let Miss {
+            of_mean,
+            bent,
+            of_seen,
+        } = examples.misses((after - before).abs(), rows);
+        let mut variance = of_mean;
         if variance > 0.0
-            && rows <= FEW
-            && let Some((seen, error)) = winding.as_ref().and_then(|winding| {
-                let measured = [told.measured[row], told.measured[row + 1]];
-                winding.voltage(measured, before, rows, per_row)
-            })
+            && let Some(error) = of_seen
+            && let Some(seen) = excursions.seen([row, row + 1], &beside[..rows])
         {
             let share = variance / (variance + error);
             mean += share * (seen - mean);
             variance *= 1.0 - share;
         }
+        variance += bent;
         if rows > FEW {
             // The machine forgets: what counts at the end of a long hole is not its mean but the input in its last part,
             // which may have been that of either side.
@@ -135,11 +130,11 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
         }
         let needs_restart = rows > FEW && variance.sqrt() > NEARLY_KNOWN * largest;
         holes.push(UnknownInput {
-            from_s: begin_s + period_s,
+            from_s,
             to_s,
             lost_rows: rows,
             mean,
-            per_row,
+            beside,
             variance,
             restart: needs_restart.then_some(told.measured[row + 1]),
         });
@@ -241,9 +236,117 @@ fn mostly_distinct(input: &[(f64, f64)]) -> bool {
     2 * values.len() > input.len()
 }
 
-/// By how much the mean between two rows misses the middle of their values, where the record tells it.
+/// The likeliest course of the input between two rows: a line, or where those beside a few rows lead to one, a corner.
+struct Shape {
+    from: (f64, f64),
+    to: (f64, f64),
+    corner: Option<(f64, f64)>,
+    drawn: Drawn,
+}
+
+/// What a course was drawn from.
+#[derive(Clone, Copy)]
+enum Drawn {
+    /// The two rows alone.
+    Blind,
+    /// Rows beside them that lead to no corner, and such as do.
+    Line,
+    Corner,
+}
+
+impl Shape {
+    const fn line(from: (f64, f64), to: (f64, f64), drawn: Drawn) -> Self {
+        let corner = None;
+        Self {
+            from,
+            to,
+            corner,
+            drawn,
+        }
+    }
+
+    fn at(&self, time_s: f64) -> f64 {
+        let (from, to) = match self.corner {
+            Some(corner) if time_s < corner.0 => (self.from, corner),
+            Some(corner) => (corner, self.to),
+            None => (self.from, self.to),
+        };
+        from.1 + (to.1 - from.1) * (time_s - from.0) / (to.0 - from.0)
+    }
+
+    /// Mean over the lost rows, which are held from `from_s` to `to_s`, and what each of a few differs from it by.
+    fn rows(&self, from_s: f64, to_s: f64, rows: usize) -> (f64, [f64; FEW]) {
+        let mut beside = [0.0; FEW];
+        if rows > FEW {
+            return (0.5 * (self.from.1 + self.to.1), beside);
+        }
+        for (row, value) in beside[..rows].iter_mut().enumerate() {
+            *value = self.at(from_s + row as f64 * (to_s - from_s) / rows as f64);
+        }
+        let mean = beside[..rows].iter().sum::<f64>() / rows as f64;
+        beside[..rows].iter_mut().for_each(|value| *value -= mean);
+        (mean, beside)
+    }
+}
+
+/// What sums of decimals leave between two values is nothing.
+fn rounding(before: f64, after: f64) -> f64 {
+    1e-6 * (before.abs() + after.abs())
+}
+
+/// What an estimate of lost rows misses, mean squares: their mean, each of them beside that.
+#[derive(Clone, Copy, Default)]
+struct Miss {
+    of_mean: f64,
+    bent: f64,
+    /// Of the mean that the current tells; none where it was not measured.
+    of_seen: Option<f64>,
+}
+
+/// Places as long as a hole, of which the record tells what was between: the change from one side to the other, by which
+/// they are sorted, and what was missed.
+#[derive(Default)]
+struct Examples(Vec<(f64, Miss)>);
+
+impl Examples {
+    /// Mean squares of the misses where the input changed by about as much; without examples those of one edge somewhere.
+    fn misses(&self, change: f64, rows: usize) -> Miss {
+        let places = &self.0;
+        if places.len() < NEIGHBOURS {
+            let n = rows as f64;
+            return Miss {
+                of_mean: change.powi(2) * (n + 2.0) / (12.0 * n),
+                ..Miss::default()
+            };
+        }
+        let near = places.partition_point(|place| place.0 < change);
+        let same = places.partition_point(|place| place.0 <= change);
+        let begin = near.saturating_sub(NEIGHBOURS / 2);
+        let end = same.max(begin + NEIGHBOURS).min(places.len());
+        // Changes that are the same to the bit are their own best examples.
+        let about = if same - near >= NEIGHBOURS {
+            &places[near..same]
+        } else {
+            &places[begin..end]
+        };
+        let mean = |of: fn(&Miss) -> f64| {
+            about.iter().map(|place| of(&place.1)).sum::<f64>() / about.len() as f64
+        };
+        let seen: Vec<f64> = about.iter().filter_map(|place| place.1.of_seen).collect();
+        Miss {
+            of_mean: mean(|miss| miss.of_mean),
+            bent: mean(|miss| miss.bent),
+            of_seen: (2 * seen.len() >= about.len())
+                .then(|| seen.iter().sum::<f64>() / seen.len() as f64),
+        }
+    }
+}
+
+/// By how much what is drawn between two rows misses those between them, where the record tells it.
 struct Excursions<'a> {
     input: &'a [(f64, f64)],
+    measured: &'a [[f64; 2]],
+    winding: Option<Winding>,
     period_s: f64,
     /// Integral of the held input up to each row, holes filled by the middle of their neighbours.
     integral: Vec<f64>,
@@ -252,7 +355,8 @@ struct Excursions<'a> {
 }
 
 impl<'a> Excursions<'a> {
-    fn of(input: &'a [(f64, f64)], lost: &[usize], period_s: f64) -> Self {
+    fn of(told: &Told<'a>, lost: &[usize], period_s: f64) -> Self {
+        let input = told.input;
         let mut integral = vec![0.0];
         let mut sum = 0.0;
         for (pair, &rows) in input.windows(2).zip(lost) {
@@ -272,35 +376,54 @@ impl<'a> Excursions<'a> {
             .filter(|(_, rows)| *rows > 0);
         Self {
             input,
+            measured: told.measured,
+            winding: Winding::of(told, lost),
             period_s,
             integral,
             holes: holes.collect(),
         }
     }
 
-    /// Mean square by which the rows between two miss the line between them, but for what all of them miss it by.
-    fn bent(&self, row: usize, end: usize) -> f64 {
-        let ((begin_s, before), (to_s, after)) = (self.input[row], self.input[end]);
-        let slope = (after - before) / (to_s - begin_s);
-        let misses = self.input[row + 1..end].iter();
-        let misses: Vec<f64> = misses
-            .map(|(time_s, value)| value - before - slope * (time_s - begin_s))
-            .collect();
-        let count = misses.len().max(1) as f64;
-        let mean = misses.iter().sum::<f64>() / count;
-        let square = misses.iter().map(|miss| (miss - mean).powi(2)).sum::<f64>() / count;
-        let rounding = 1e-6 * (before.abs() + after.abs());
-        if square.sqrt() <= rounding {
-            0.0
-        } else {
-            square
-        }
+    /// Mean over the lost rows between two, that the current tells where `beside` is what each of them differs from it by.
+    fn seen(&self, [row, end]: [usize; 2], beside: &[f64]) -> Option<f64> {
+        let measured = [self.measured[row], self.measured[end]];
+        let winding = self.winding.as_ref()?;
+        winding.voltage(measured, self.input[row].1, beside)
     }
 
-    /// `(change, squared miss)` of places as long as a hole of `rows`, sorted by the change, without such as hold a hole
-    /// of that size themselves.
-    fn over(&self, rows: usize) -> Vec<(f64, f64)> {
-        let mut found = Vec::new();
+    /// What is drawn between two rows that have `rows` lost ones between them.
+    fn shape(&self, row: usize, end: usize, rows: usize) -> Shape {
+        let (from, to) = (self.input[row], self.input[end]);
+        let rise = |at: usize| {
+            let (&(begin_s, first), &(end_s, last)) =
+                (self.input.get(at)?, self.input.get(at + 1)?);
+            (end_s - begin_s < NEXT * self.period_s).then(|| (last - first) / (end_s - begin_s))
+        };
+        let sides = (row.checked_sub(1).and_then(rise), rise(end));
+        let (true, (Some(before), Some(behind))) = (rows <= FEW, sides) else {
+            return Shape::line(from, to, Drawn::Blind);
+        };
+        let length_s = to.0 - from.0;
+        let after_s = (to.1 - from.1 - behind * length_s) / (before - behind);
+        let value = from.1 + before * after_s;
+        // On a line any place is a corner, and at its ends none is.
+        let beside = value - from.1 - (to.1 - from.1) * after_s / length_s;
+        if after_s > 0.0 && after_s < length_s && beside.abs() > rounding(from.1, to.1) {
+            let corner = Some((from.0 + after_s, value));
+            let drawn = Drawn::Corner;
+            return Shape {
+                from,
+                to,
+                corner,
+                drawn,
+            };
+        }
+        Shape::line(from, to, Drawn::Line)
+    }
+
+    /// Examples as long as a hole of `rows`, as [`Drawn`] numbers them, without such as hold a hole of that size themselves.
+    fn over(&self, rows: usize) -> [Examples; 3] {
+        let mut found: [Examples; 3] = Default::default();
         let length_s = (rows + 1) as f64 * self.period_s;
         let stride = self.input.len().div_ceil(PLACES).max(1);
         for row in (0..self.input.len().saturating_sub(1)).step_by(stride) {
@@ -316,42 +439,49 @@ impl<'a> Excursions<'a> {
             if within.any(|hole| hole.1 >= rows) {
                 continue;
             }
-            let unknown_s = to_s - begin_s - self.period_s;
+            let from_s = begin_s + self.period_s;
             let integral = self.integral[end] - self.integral[row] - before * self.period_s;
-            let miss = integral / unknown_s - 0.5 * (before + after);
-            // What sums of decimals leave is nothing.
-            let rounding = 1e-6 * (before.abs() + after.abs());
-            let miss = if miss.abs() <= rounding { 0.0 } else { miss };
-            let bent = if rows > 1 && rows <= FEW {
-                self.bent(row, end)
-            } else {
-                0.0
+            let mean = integral / (to_s - from_s);
+            let exact = |square: f64| {
+                if square.sqrt() <= rounding(before, after) {
+                    0.0
+                } else {
+                    square
+                }
             };
-            found.push(((after - before).abs(), miss * miss + bent));
+            let missed = |shape: &Shape| {
+                let (drawn, beside) = shape.rows(from_s, to_s, rows);
+                let seen = (rows <= FEW).then(|| self.seen([row, end], &beside[..rows]));
+                let bent = if rows > 1 && rows <= FEW {
+                    let between = &self.input[row + 1..end];
+                    let misses = between
+                        .iter()
+                        .map(|(time_s, value)| value - shape.at(*time_s) - mean + drawn);
+                    misses.map(|miss| miss * miss).sum::<f64>() / between.len().max(1) as f64
+                } else {
+                    0.0
+                };
+                Miss {
+                    of_mean: exact((mean - drawn).powi(2)),
+                    bent: exact(bent),
+                    of_seen: seen.flatten().map(|seen| (mean - seen).powi(2)),
+                }
+            };
+            let change = (after - before).abs();
+            let shape = self.shape(row, end, rows);
+            let blind = Shape::line(shape.from, shape.to, Drawn::Blind);
+            found[Drawn::Blind as usize]
+                .0
+                .push((change, missed(&blind)));
+            if !matches!(shape.drawn, Drawn::Blind) {
+                found[shape.drawn as usize].0.push((change, missed(&shape)));
+            }
         }
-        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for examples in &mut found {
+            examples.0.sort_by(|a, b| a.0.total_cmp(&b.0));
+        }
         found
     }
-}
-
-/// Mean square of the miss where the input changed by about as much; without examples, that of one edge somewhere.
-fn variance_at(change: f64, rows: usize, examples: &[(f64, f64)]) -> f64 {
-    if examples.len() < NEIGHBOURS {
-        let n = rows as f64;
-        return change.powi(2) * (n + 2.0) / (12.0 * n);
-    }
-    let near = examples.partition_point(|example| example.0 < change);
-    let same = examples.partition_point(|example| example.0 <= change);
-    let begin = near.saturating_sub(NEIGHBOURS / 2);
-    let end = same.max(begin + NEIGHBOURS).min(examples.len());
-    // Changes that are the same to the bit are their own best examples.
-    let (begin, end) = if same - near >= NEIGHBOURS {
-        (near, same)
-    } else {
-        (begin, end)
-    };
-    let part = &examples[begin..end];
-    part.iter().map(|example| example.1).sum::<f64>() / part.len() as f64
 }
 
 /// The current one period on, `i' = f i + g u + h (w + w')/2`, as the whole intervals of the record have it: good enough
@@ -360,8 +490,6 @@ struct Winding {
     f: f64,
     g: f64,
     h: f64,
-    /// Mean square of what it misses, A2.
-    variance: f64,
 }
 
 impl Winding {
@@ -384,40 +512,27 @@ impl Winding {
             right += x * *y;
         }
         let solution = normal.cholesky()?.solve(&right);
-        let left: f64 = rows
-            .iter()
-            .map(|(x, y)| (y - x.dot(&solution)).powi(2))
-            .sum();
         let (f, g, h) = (solution[0], solution[1], solution[2]);
         let possible = f > 0.0 && f < 1.0 && g > 0.0 && h.is_finite();
-        possible.then(|| Self {
-            f,
-            g,
-            h,
-            variance: left / rows.len() as f64,
-        })
+        possible.then_some(Self { f, g, h })
     }
 
-    /// Mean voltage over the lost rows between two measured ones, of which the first held `before_v` for a period, and
-    /// the mean square of its error.
+    /// Mean voltage over the lost rows between two measured ones, of which the first held `before_v` for a period;
+    /// `beside_v` is what each row differs from it by.
     fn voltage(
         &self,
         [[i, w], [next_i, next_w]]: [[f64; 2]; 2],
         before_v: f64,
-        rows: usize,
-        per_row_v: f64,
-    ) -> Option<(f64, f64)> {
+        beside_v: &[f64],
+    ) -> Option<f64> {
         let mut known = self.f * i + self.g * before_v + self.h * 0.5 * (w + next_w);
         let mut gain = 0.0;
-        for row in 0..rows {
-            let beside_v = per_row_v * from_the_middle(row, rows);
+        for beside_v in beside_v {
             known = self.f * known + self.g * beside_v + self.h * 0.5 * (w + next_w);
             gain = self.f * gain + self.g;
         }
         let volts = (next_i - known) / gain;
-        volts
-            .is_finite()
-            .then(|| (volts, self.variance / gain.powi(2)))
+        volts.is_finite().then_some(volts)
     }
 }
 
@@ -467,7 +582,7 @@ mod tests {
         let slow = holes(&switched(10, 3000), false, one_row);
         let fast = holes(&switched(1, 3000), false, one_row);
         assert!(slow.len() > 200 && fast.len() > 200);
-        let equal = |hole: &&UnknownInput| hole.mean != 0.0;
+        let equal = |hole: &&UnknownInput| hole.mean.abs() > 1e-9;
         assert!(slow.iter().filter(equal).all(|hole| hole.variance == 0.0));
         // Half of the time the one between two equal values of a random sequence is the other: (2 x 5)^2 / 2.
         assert!(
@@ -478,7 +593,7 @@ mod tests {
         // Between two that differ it was one of them.
         assert!(
             slow.iter()
-                .filter(|hole| hole.mean == 0.0)
+                .filter(|hole| !equal(hole))
                 .all(|hole| (hole.variance - 25.0).abs() < 1.0)
         );
     }
@@ -496,6 +611,24 @@ mod tests {
             assert_eq!(steps.len(), 3);
             for (from_s, value) in steps {
                 let there = ramp[whole(from_s * 1e3 + 0.5)];
+                assert!((value - there).abs() < 1e-6, "{value}, not {there} V");
+            }
+            assert!(hole.variance < 1e-9, "{hole:?}");
+        }
+    }
+
+    #[test]
+    fn a_ramp_that_ends_among_lost_rows_leads_to_the_corner_that_it_ends_in() {
+        let ramps: Vec<f64> = (0..3000)
+            .map(|row| 3.5 * f64::from((row % 100 - 50_i32).abs().clamp(10, 40)))
+            .collect();
+        // Two rows at the end of each third ramp, which is at 10, 40, 60 or 90 of a hundred.
+        let lost = |row: usize| matches!(row % 300, 39 | 40 | 159 | 160);
+        let found = holes(&ramps, false, lost);
+        assert_eq!(found.len(), 20);
+        for hole in found {
+            for (from_s, value) in hole.steps() {
+                let there = ramps[whole(from_s * 1e3 + 0.5)];
                 assert!((value - there).abs() < 1e-6, "{value}, not {there} V");
             }
             assert!(hole.variance < 1e-9, "{hole:?}");

@@ -13,6 +13,7 @@ use super::select::{Posterior, Reduced, Set};
 use crate::diagnosis::Evidence;
 use crate::diagnosis::candidates::{Onset, RunOf};
 use crate::diagnosis::evidence::HoldoutFrom;
+use crate::diagnosis::explained::{Floor, in_noise};
 use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::Score;
@@ -84,6 +85,8 @@ pub(in crate::diagnosis) struct Inference {
     pub(in crate::diagnosis) confusable: Vec<[&'static str; 2]>,
     /// Error, in units of the noise, that a load that wanders makes on the hold-out whatever is named.
     pub(in crate::diagnosis) wandering: f64,
+    /// The same of what was commanded in the holes of its record.
+    pub(in crate::diagnosis) unseen: f64,
     /// What is random in the runs beside it.
     pub(in crate::diagnosis) noise: Noise,
     /// Length of the first run, s, and what each run is.
@@ -92,7 +95,26 @@ pub(in crate::diagnosis) struct Inference {
     found: Found,
 }
 
+/// Error, in units of the noise, from which on it is worth a word that lost rows make it.
+const WORTH_SAYING: f64 = 0.3;
+
 impl Inference {
+    /// The floor of the hold-out.
+    pub(in crate::diagnosis) const fn floor<'a>(&self, evidence: &'a Evidence) -> Floor<'a> {
+        Floor::new(evidence, self.unseen)
+    }
+
+    /// What lost rows make of the error, where that is worth a word.
+    pub(in crate::diagnosis) fn lost_rows(&self) -> Option<String> {
+        (self.unseen >= WORTH_SAYING).then(|| {
+            format!(
+                "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {:.1} times the \
+                 noise of its error and counts as part of the floor",
+                self.unseen
+            )
+        })
+    }
+
     /// What is said of an effect; none where it was not asked for.
     pub(in crate::diagnosis) fn of(&self, id: &str) -> Option<&Inferred> {
         self.effects
@@ -296,7 +318,8 @@ pub(in crate::diagnosis) fn infer(
         effects,
         unknown,
         named,
-        wandering: in_noise(found.wandering, &evidence.noise),
+        wandering: in_noise(found.wandering.map(Some), &evidence.noise).unwrap_or(0.0),
+        unseen: in_noise(found.unseen.map(Some), &evidence.noise).unwrap_or(0.0),
         noise: found.noise,
         superfluous,
         runs: match evidence.holdout_from {
@@ -309,17 +332,6 @@ pub(in crate::diagnosis) fn infer(
 }
 
 /// Errors of current and speed, root mean squares, in units of the noise.
-fn in_noise(rms: [f64; 2], noise: &NoiseFloor) -> f64 {
-    let levels = [noise.current_a, noise.speed_rad_s];
-    let squares: Vec<f64> = rms
-        .into_iter()
-        .zip(levels)
-        .filter(|(_, level)| level.is_finite())
-        .map(|(rms, level)| (rms / level).powi(2))
-        .collect();
-    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
-}
-
 /// The parts of the error that are unknown and no part too small to be one: what only bends the innovations, and takes
 /// nothing from the error of a free run, explains none of it.
 fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Part> {

@@ -139,6 +139,8 @@ pub(super) struct Passage {
     /// measurement behind a hole in the record.
     pub fresh: [f64; 2],
     pub begins_again: bool,
+    /// The part of `fresh` that holes of the record make: a voltage that nobody knows, a state that was measured behind it.
+    pub unseen: [f64; 2],
 }
 
 /// What a sample corrects, one scalar after the other: current, then speed.
@@ -406,19 +408,21 @@ impl<'a> Filter<'a> {
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
-        let unknown_v2 = self.holes_v2(time_s - interval_s, time_s) + edges_v2;
-        let fresh = if begins_again {
+        let (fresh, unseen) = if begins_again {
             // A signal whose noise is not known is not looked at.
-            [self.noise.current_a, self.noise.speed_rad_s].map(|level| {
+            let measured = [self.noise.current_a, self.noise.speed_rad_s].map(|level| {
                 if level.is_finite() {
                     level * level
                 } else {
                     0.0
                 }
-            })
+            });
+            (measured, measured)
         } else {
             let moved = propagator.apply([0.0; 2], [self.dynamics.inverse_inductance, 0.0]);
-            let [current, speed] = moved.map(|moved| moved * moved * unknown_v2);
+            let holes_v2 = self.holes_v2(time_s - interval_s, time_s);
+            let unseen = moved.map(|moved| moved * moved * holes_v2);
+            let [current, speed] = moved.map(|moved| moved * moved * (holes_v2 + edges_v2));
             let slow = state.speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
             let held_s = time_s - self.scenario.events[self.event].0;
             let unknown =
@@ -430,7 +434,7 @@ impl<'a> Filter<'a> {
             } else {
                 0.0
             };
-            [current, speed + anew * anew]
+            ([current, speed + anew * anew], unseen)
         };
         if begins_again {
             self.ringing = self.most_ringing;
@@ -446,6 +450,7 @@ impl<'a> Filter<'a> {
             },
             fresh,
             begins_again,
+            unseen,
             interval_s,
             direction: now,
             kept: if rests || released { 0.0 } else { 1.0 },
@@ -637,6 +642,12 @@ pub(super) fn predicted(
         }
     }
     out[0][0] += passage.fresh[0];
+    if !passage.begins_again {
+        // One voltage moves both.
+        let together = (passage.unseen[0] * passage.unseen[1]).sqrt() * moving;
+        out[0][1] += together;
+        out[1][0] += together;
+    }
     let ringing = passage.form[2] * RINGING_S * passage.interval_s;
     out[1][1] += (passage.fresh[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
@@ -648,14 +659,29 @@ pub(super) fn predicted(
 /// Root mean squares of current, A, and speed, rad/s, that the disturbance of a followed run makes where nothing leads the
 /// model: what no model can foretell.
 pub(super) fn wandering(run: &Around<'_>) -> [f64; 2] {
+    carried(run, &run.noise, |_| [0.0; 2])
+}
+
+/// The same of what the holes of its record make: no model can foretell what nobody knows to have been commanded.
+pub(super) fn unseen(run: &Around<'_>) -> [f64; 2] {
+    let calm = Noise {
+        disturbance_n_m: 0.0,
+        input: 0.0,
+        ..run.noise
+    };
+    carried(run, &calm, |passage| passage.unseen)
+}
+
+/// What a free run carries of a disturbance and of what comes `fresh` with each passage.
+fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]) -> [f64; 2] {
     let mut p: P = [[0.0; 4]; 4];
-    p[2][2] = run.noise.disturbance_n_m.powi(2);
-    p[3][3] = run.noise.input.powi(2);
+    p[2][2] = noise.disturbance_n_m.powi(2);
+    p[3][3] = noise.input.powi(2);
     let mut squares = [0.0; 2];
     for (passage, forget) in run.follower.passages.iter().zip(&run.follower.forgets) {
         let passage = Passage {
             form: [0.0; 3],
-            fresh: [0.0; 2],
+            fresh: fresh(passage),
             ..*passage
         };
         if passage.begins_again {
@@ -665,7 +691,7 @@ pub(super) fn wandering(run: &Around<'_>) -> [f64; 2] {
             }
             stop(&mut p);
         }
-        p = predicted(&p, &passage, &run.dynamics, &run.noise, *forget);
+        p = predicted(&p, &passage, &run.dynamics, noise, *forget);
         if passage.direction == 0.0 {
             stop(&mut p);
         }
@@ -784,7 +810,7 @@ mod tests {
             to_s: 0.501,
             lost_rows: 1,
             mean: 20.0,
-            per_row: 0.0,
+            beside: [0.0; 3],
             variance: 9.0,
             restart: None,
         }];
@@ -798,6 +824,40 @@ mod tests {
                 assert!((found - unknown_v2).abs() < 1e-6, "{from_s}: {found}");
             }
         }
+    }
+
+    #[test]
+    fn a_free_run_carries_what_a_hole_hides_as_the_equations_do() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let [known, other] = [20.0, 23.0].map(|hidden_v| {
+            let events = vec![(0.0, 20.0), (0.5, hidden_v), (0.51, 20.0)];
+            record(&model, events, 1e-2, 1.0, 3)
+        });
+        let mut scenario = known.clone();
+        scenario.unknown_input = vec![crate::plant::UnknownInput {
+            from_s: 0.5,
+            to_s: 0.51,
+            lost_rows: 1,
+            mean: 20.0,
+            beside: [0.0; 3],
+            variance: 9.0,
+            restart: None,
+        }];
+        let run = Around::new(&model, &scenario, State::default(), QUIET).unwrap();
+        let rms = |a: &[f64], b: &[f64]| {
+            let squares: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
+            (squares / a.len() as f64).sqrt()
+        };
+        // Both records have the same noise: they differ by what the voltage made.
+        let truth = [
+            rms(&known.current_a, &other.current_a),
+            rms(&known.speed_rad_s, &other.speed_rad_s),
+        ];
+        for (found, truth) in unseen(&run).into_iter().zip(truth) {
+            assert!((found / truth - 1.0).abs() < 0.1, "{found}, not {truth}");
+        }
+        let whole = Around::new(&model, &known, State::default(), QUIET).unwrap();
+        assert!(unseen(&whole).iter().all(|rms| *rms <= 0.0));
     }
 
     #[test]
@@ -849,7 +909,7 @@ mod tests {
             to_s,
             lost_rows: 400,
             mean: 40.0,
-            per_row: 0.0,
+            beside: [0.0; 3],
             variance: 100.0,
             restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
         }];

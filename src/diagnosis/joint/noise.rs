@@ -157,6 +157,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
     }
     let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
     let passage = Passage {
+        unseen: [0.0; 2],
         propagator: if begins_again {
             Propagator::default()
         } else {

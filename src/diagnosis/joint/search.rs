@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::columns::{Around, Candidate, Linear, Variant, linearise};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::excess::excess;
-use super::follow::{Noise, wandering};
+use super::follow::{Noise, unseen, wandering};
 use super::noise::likeliest;
 use super::prediction_error::{fit, fit_as_followed};
 use super::refits::{Judged, Weighed, bar, keep_doubts, needed};
@@ -64,6 +64,8 @@ pub(super) struct Found {
     pub(super) excess: f64,
     /// Root mean squares of current, A, and speed, rad/s, that the disturbance makes in a free run of the last run.
     pub(super) wandering: [f64; 2],
+    /// The same of what the holes of its record make.
+    pub(super) unseen: [f64; 2],
     /// For each candidate that is an unknown part of the best set, its share of the error.
     pub(super) unknown_share: Vec<f64>,
 }
@@ -670,7 +672,7 @@ fn ended(
     let reduced = Reduced::new(&linear, 1.0, true)?;
     let excess = excess_of(&linear, &reduced, &posterior.best, runs);
     let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, runs)?;
-    let wandering = wandering(runs.last()?);
+    let (wandering, unseen) = (wandering(runs.last()?), unseen(runs.last()?));
     let wider = if excess > 1.0 {
         let wider = Reduced::new(&linear, excess, true)?;
         posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
@@ -689,6 +691,7 @@ fn ended(
         noise,
         excess,
         wandering,
+        unseen,
         unknown_share,
     })
 }

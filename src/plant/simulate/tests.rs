@@ -329,7 +329,7 @@ fn misses_behind_a_hole(model: &Model) -> Vec<f64> {
         to_s: whole.sample_time_s[700],
         lost_rows: 200,
         mean: -40.0,
-        per_row: 0.0,
+        beside: [0.0; 3],
         variance: 1.0,
         restart: Some([there.current_a, there.speed_rad_s]),
     };

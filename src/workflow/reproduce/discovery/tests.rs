@@ -40,6 +40,31 @@ fn ten_sets_name_what_is_hidden_and_nothing_else() {
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "diagnoses take long without optimisation")]
+fn machines_as_they_are_are_told_apart_from_bad_lines() {
+    let size = Size {
+        reduced: false,
+        ..REDUCED
+    };
+    let first = |group: Group, excitation: Excitation, nothing_hidden: bool| {
+        let cases = cases::all(size).into_iter();
+        let mut own = cases.filter(|case| case.group == group && case.excitation == excitation);
+        let found = own.find(|case| case.hidden.is_empty() == nothing_hidden);
+        answer(&found.expect("the study has one"))
+    };
+    // Whatever a line loses, nothing is missing; and four small effects beside a load that wanders are all there.
+    for (group, excitation) in [
+        (Group::Lossy, Excitation::Rich100Hz),
+        (Group::Lossy, Excitation::Steps),
+        (Group::Small, Excitation::Rich),
+        (Group::Small, Excitation::Steps),
+    ] {
+        let answer = first(group, excitation, true);
+        assert_eq!(answer.outcome, Outcome::Right, "{answer:#?}");
+    }
+}
+
+#[test]
 fn an_interrupted_study_is_none() {
     assert!(discovery(REDUCED, &AtomicBool::new(true), |_, _, _| {}).is_none());
 }
