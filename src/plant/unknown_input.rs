@@ -100,19 +100,24 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
             by_length.push((rows, excursions.over(rows)));
             by_length.len() - 1
         });
+        let examples = &by_length[place].1;
+        let missed = |drawn: Drawn| examples[drawn as usize].misses((after - before).abs(), rows);
         let mut shape = excursions.shape(row, row + 1, rows);
-        // Where there is nothing to learn from, a course says no more than a line.
-        if by_length[place].1[shape.drawn as usize].0.len() < NEIGHBOURS {
+        let mut miss = missed(shape.drawn);
+        // A course of which there is nothing to learn from, or a corner that misses by more, says less than a line.
+        let blind = missed(Drawn::Blind);
+        let is_rare = examples[shape.drawn as usize].0.len() < NEIGHBOURS;
+        if is_rare || (shape.corner.is_some() && miss.whole() >= blind.whole()) {
             shape = Shape::line(shape.from, shape.to, Drawn::Blind);
+            miss = blind;
         }
         let from_s = begin_s + period_s;
         let (mut mean, beside) = shape.rows(from_s, to_s, rows);
-        let examples = &by_length[place].1[shape.drawn as usize];
         let Miss {
             of_mean,
             bent,
             of_seen,
-        } = examples.misses((after - before).abs(), rows);
+        } = miss;
         let mut variance = of_mean;
         if variance > 0.0
             && let Some(error) = of_seen
@@ -301,6 +306,12 @@ struct Miss {
     bent: f64,
     /// Of the mean that the current tells; none where it was not measured.
     of_seen: Option<f64>,
+}
+
+impl Miss {
+    fn whole(&self) -> f64 {
+        self.of_mean + self.bent
+    }
 }
 
 /// Places as long as a hole, of which the record tells what was between: the change from one side to the other, by which
