@@ -91,7 +91,7 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
         .iter()
         .fold(0.0, |most, row| f64::max(most, row.1.abs()));
     let excursions = Excursions::of(told, &lost, period_s);
-    let mut by_length: Vec<(usize, [Examples; 3])> = Vec::new();
+    let mut by_length: Vec<(usize, [Examples; 4])> = Vec::new();
     let mut holes = Vec::new();
     for (row, &rows) in lost.iter().enumerate().filter(|(_, rows)| **rows > 0) {
         let ((begin_s, before), (to_s, after)) = (input[row], input[row + 1]);
@@ -104,12 +104,17 @@ pub(super) fn find(told: &Told<'_>) -> Vec<UnknownInput> {
         let missed = |drawn: Drawn| examples[drawn as usize].misses((after - before).abs(), rows);
         let mut shape = excursions.shape(row, row + 1, rows);
         let mut miss = missed(shape.drawn);
-        // A course of which there is nothing to learn from, or a corner that misses by more, says less than a line.
-        let blind = missed(Drawn::Blind);
-        let is_rare = examples[shape.drawn as usize].0.len() < NEIGHBOURS;
-        if is_rare || (shape.corner.is_some() && miss.whole() >= blind.whole()) {
-            shape = Shape::line(shape.from, shape.to, Drawn::Blind);
-            miss = blind;
+        // A course of which there is nothing to learn from says less than a line; so does a corner where a line misses less.
+        let instead = if examples[shape.drawn as usize].0.len() < NEIGHBOURS {
+            Some(Drawn::Blind)
+        } else {
+            let through = missed(Drawn::Through);
+            let is_worse = shape.corner.is_some() && miss.whole() >= through.whole();
+            is_worse.then_some(Drawn::Through)
+        };
+        if let Some(drawn) = instead {
+            shape = Shape::line(shape.from, shape.to, drawn);
+            miss = missed(drawn);
         }
         let from_s = begin_s + period_s;
         let (mut mean, beside) = shape.rows(from_s, to_s, rows);
@@ -254,9 +259,10 @@ struct Shape {
 enum Drawn {
     /// The two rows alone.
     Blind,
-    /// Rows beside them that lead to no corner, and such as do.
+    /// Rows beside them that lead to no corner, such as do, and a line in spite of them.
     Line,
     Corner,
+    Through,
 }
 
 impl Shape {
@@ -433,8 +439,8 @@ impl<'a> Excursions<'a> {
     }
 
     /// Examples as long as a hole of `rows`, as [`Drawn`] numbers them, without such as hold a hole of that size themselves.
-    fn over(&self, rows: usize) -> [Examples; 3] {
-        let mut found: [Examples; 3] = Default::default();
+    fn over(&self, rows: usize) -> [Examples; 4] {
+        let mut found: [Examples; 4] = Default::default();
         let length_s = (rows + 1) as f64 * self.period_s;
         let stride = self.input.len().div_ceil(PLACES).max(1);
         for row in (0..self.input.len().saturating_sub(1)).step_by(stride) {
@@ -484,6 +490,10 @@ impl<'a> Excursions<'a> {
             found[Drawn::Blind as usize]
                 .0
                 .push((change, missed(&blind)));
+            if shape.corner.is_some() {
+                let through = missed(&blind);
+                found[Drawn::Through as usize].0.push((change, through));
+            }
             if !matches!(shape.drawn, Drawn::Blind) {
                 found[shape.drawn as usize].0.push((change, missed(&shape)));
             }

@@ -3,7 +3,8 @@
 use super::asked::prepared;
 use super::columns::Around;
 use super::excess::excess;
-use super::follow::{Noise, unseen};
+use super::follow::Noise;
+use super::free_run::unseen;
 use crate::plant::{Model, Scenario, State};
 
 /// How much likelier the second model makes the run, in standard deviations: the root of twice the log of the ratio of the

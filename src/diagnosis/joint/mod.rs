@@ -23,6 +23,7 @@ pub(super) mod events;
 mod excess;
 mod follow;
 mod forms;
+mod free_run;
 pub(super) mod likelihood_ratio;
 mod noise;
 mod nuisances;

@@ -9,6 +9,7 @@ use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
 use super::whitened::{Whitened, add_upper};
 use crate::numerics::count::whole;
+use crate::plant::Input;
 use crate::plant::propagator::Propagator;
 
 /// Interval over which samples are averaged, s: the disturbance is slower.
@@ -247,6 +248,7 @@ pub(super) fn likeliest(
     start: Noise,
 ) -> Noise {
     let columns = representatives(linear, forms);
+    let course = Course::of(runs[0].scenario.input);
     let m = linear.nuisances.len();
     let data: Vec<Averaged> = runs
         .iter()
@@ -283,24 +285,49 @@ pub(super) fn likeliest(
         };
         let explained = b.dot(&factor.solve(&b));
         let det: f64 = factor.l().diagonal().iter().map(|d| d.ln()).sum();
-        -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + log_prior(noise, floor)
+        -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + log_prior(noise, floor, course)
     };
     let unknowns: Vec<Unknown> = UNKNOWNS
         .into_iter()
         .filter(|unknown| unknown.log(floor).is_finite())
         .collect();
-    climb(start, &unknowns, floor, log_likelihood)
+    climb(start, &unknowns, floor, course, log_likelihood)
 }
 
-/// How far the correlation time may be from half a second, as a logarithm.
-const CORRELATION: f64 = 1.2;
+/// How the correlation time is searched. Under a voltage, current and speed tell the spectrum above its corner, and the
+/// climb follows what they leave open; under a torque the speed alone does, beside drags that look like a slow load: there
+/// the time stays nearer to what is usual, and each unknown is climbed by itself.
+#[derive(Clone, Copy, PartialEq)]
+enum Course {
+    Ridge,
+    Axes,
+}
+
+impl Course {
+    fn of(input: Input) -> Self {
+        if input == Input::Voltage {
+            Self::Ridge
+        } else {
+            Self::Axes
+        }
+    }
+
+    /// How far the correlation time may be from half a second, as a logarithm.
+    const fn correlation(self) -> f64 {
+        match self {
+            Self::Ridge => 1.2,
+            Self::Axes => 0.8,
+        }
+    }
+}
+
 const USUAL_CORRELATION_S: f64 = 0.5;
 
-fn log_prior(noise: &Noise, floor: &Noise) -> f64 {
+fn log_prior(noise: &Noise, floor: &Noise, course: Course) -> f64 {
     let surprises = [
         (noise.current_a / floor.current_a).ln() / floor.sensors,
         (noise.speed_rad_s / floor.speed_rad_s).ln() / floor.sensors,
-        (noise.correlation_s / USUAL_CORRELATION_S).ln() / CORRELATION,
+        (noise.correlation_s / USUAL_CORRELATION_S).ln() / course.correlation(),
     ];
     // A signal whose noise is not known is not looked at.
     let known = surprises.iter().filter(|surprise| surprise.is_finite());
@@ -342,7 +369,7 @@ impl Unknown {
 
     /// The noise with this logarithm, as far as it may go. Another correlation time leaves the disturbance's spectrum as
     /// it is above the corner, where it is known best: its variance over that time stays, and the climb follows the ridge.
-    fn set(self, noise: &Noise, floor: &Noise, log: f64) -> Noise {
+    fn set(self, noise: &Noise, floor: &Noise, course: Course, log: f64) -> Noise {
         let sensors = floor.sensors.exp();
         let (least, most) = match self {
             Self::Disturbance => (1e-6 * floor.disturbance_n_m, f64::MAX),
@@ -353,7 +380,9 @@ impl Unknown {
         };
         let mut next = *noise;
         *self.of(&mut next) = log.exp().clamp(least, most);
-        next.disturbance_n_m *= (next.correlation_s / noise.correlation_s).sqrt();
+        if course == Course::Ridge {
+            next.disturbance_n_m *= (next.correlation_s / noise.correlation_s).sqrt();
+        }
         next
     }
 
@@ -376,6 +405,7 @@ fn climb(
     start: Noise,
     unknowns: &[Unknown],
     floor: &Noise,
+    course: Course,
     log_likelihood: impl Fn(&Noise) -> f64,
 ) -> Noise {
     let mut now = start;
@@ -388,7 +418,7 @@ fn climb(
             for sign in [1.0, -1.0] {
                 let mut stride = sign * unknown.step(floor);
                 loop {
-                    let next = unknown.set(&now, floor, unknown.log(&now) + stride);
+                    let next = unknown.set(&now, floor, course, unknown.log(&now) + stride);
                     if next == now {
                         break;
                     }
@@ -408,7 +438,7 @@ fn climb(
             if let Some((log, gain)) = top(&mut known)
                 && gain > LEAST_GAIN
             {
-                let next = unknown.set(&now, floor, log);
+                let next = unknown.set(&now, floor, course, log);
                 let log = log_likelihood(&next);
                 if log > best {
                     (best, now) = (log, next);
@@ -461,7 +491,7 @@ mod tests {
             -500.0 * above * above - 8.0 * corner * corner
         };
         let unknowns = [Unknown::Disturbance, Unknown::Correlation];
-        let found = climb(floor, &unknowns, &floor, likelihood);
+        let found = climb(floor, &unknowns, &floor, Course::Ridge, likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
     }
 
@@ -491,12 +521,12 @@ mod tests {
                 - 5.0 * v * v
                 - ((noise.current_a / 0.031).ln() / 0.01).powi(2)
         };
-        let found = climb(floor, &UNKNOWNS, &floor, likelihood);
+        let found = climb(floor, &UNKNOWNS, &floor, Course::Ridge, likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
         assert!(count.get() < 60, "{}", count.get());
         // Nothing to gain: one look to either side of each.
         count.set(0);
-        climb(found, &UNKNOWNS, &floor, likelihood);
+        climb(found, &UNKNOWNS, &floor, Course::Ridge, likelihood);
         assert!(count.get() < 16, "{}", count.get());
     }
 }
