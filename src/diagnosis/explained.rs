@@ -16,7 +16,7 @@ const MOST_UNSEEN: f64 = 2.0;
 #[derive(Clone, Copy)]
 pub(super) struct Floor<'a> {
     evidence: &'a Evidence,
-    /// Root mean square of what nobody knows to have been commanded makes.
+    /// What the commands of lost rows, which nobody knows, make of it: root mean square, in the same units.
     unseen: f64,
 }
 

@@ -687,20 +687,22 @@ impl Followed {
     }
 }
 
+/// Sensors of a bench, and next to nothing else that is random.
+#[cfg(test)]
+pub(super) const QUIET: Noise = Noise {
+    current_a: crate::plant::testing::CURRENT_NOISE_A,
+    speed_rad_s: crate::plant::testing::SPEED_NOISE_RAD_S,
+    disturbance_n_m: 1e-6,
+    correlation_s: 0.5,
+    input: 1e-6,
+    sensors: 0.1,
+};
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::plant::Motor;
-    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
-
-    const QUIET: Noise = Noise {
-        current_a: CURRENT_NOISE_A,
-        speed_rad_s: SPEED_NOISE_RAD_S,
-        disturbance_n_m: 1e-6,
-        correlation_s: 0.5,
-        input: 1e-6,
-        sensors: 0.1,
-    };
+    use crate::plant::testing::record;
 
     #[test]
     fn innovations_under_the_right_noise_are_white() {

@@ -26,9 +26,11 @@ fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]
     p[3][3] = noise.input.powi(2);
     let mut squares = [0.0; 2];
     for (passage, forget) in run.follower.passages.iter().zip(&run.follower.forgets) {
+        let fresh = fresh(passage);
         let passage = Passage {
             form: [0.0; 3],
-            fresh: fresh(passage),
+            fresh,
+            unseen: fresh,
             ..*passage
         };
         if passage.begins_again {
@@ -52,17 +54,9 @@ fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
+    use crate::diagnosis::joint::follow::QUIET;
+    use crate::plant::testing::record;
     use crate::plant::{Model, Motor, State};
-
-    const QUIET: Noise = Noise {
-        current_a: CURRENT_NOISE_A,
-        speed_rad_s: SPEED_NOISE_RAD_S,
-        disturbance_n_m: 1e-6,
-        correlation_s: 0.5,
-        input: 1e-6,
-        sensors: 0.1,
-    };
 
     #[test]
     fn a_free_run_carries_what_a_hole_hides_as_the_equations_do() {
@@ -96,5 +90,8 @@ mod tests {
         }
         let whole = Around::new(&model, &known, State::default(), QUIET).unwrap();
         assert!(unseen(&whole).iter().all(|rms| *rms <= 0.0));
+        // A load that wanders knows nothing of holes.
+        let difference = wandering(&run)[0] / wandering(&whole)[0] - 1.0;
+        assert!(difference.abs() < 1e-9, "{difference}");
     }
 }
