@@ -282,7 +282,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let evidence = &bench.evidence;
     let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
     let floor = inference.floor(evidence);
-    let repeatability = Repeatability::of(&best.fit.model, evidence, floor);
+    let repeatability = Repeatability::of(&best.fit.model, evidence, inference.noise);
     let in_motion = repeatability.in_motion();
     let verdict = verdict(bench, inference, [&base.score, &best.score], in_motion);
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
@@ -334,7 +334,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         limits: bench
             .limits()
             .into_iter()
-            .chain(inference.lost_rows())
+            .chain(inference.lost_rows(floor))
             .chain(repeatability.why_not)
             .collect(),
         equivalences: Vec::new(),

@@ -10,7 +10,7 @@ pub(super) const SUFFICIENT: f64 = 0.9;
 /// The same below which a run that had no part in the answer does not confirm it.
 const EXPLAINS_SOMETHING: f64 = 0.3;
 /// Multiple of what holes of a record make on the average that they may make in one run: a few of them make most of it.
-const MOST_UNSEEN: f64 = 2.0;
+pub(super) const MOST_UNSEEN: f64 = 2.0;
 
 /// Error of a free run below which nothing can be told, in units of the sensors' noise.
 #[derive(Clone, Copy)]

@@ -2,6 +2,8 @@
 
 use super::evidence::{Evidence, not_repeated};
 use super::explained::{Floor, in_noise};
+use super::joint::Noise;
+use super::joint::free_run::unseen_in;
 use super::location::{FailureLocation, locate_difference};
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
@@ -22,13 +24,20 @@ pub(super) struct Repeatability {
 }
 
 impl Repeatability {
-    /// Under `model`; empty without a repeated run, or where the sensors' noise is not known at rest. Where lost rows make
-    /// much of the error, here as on the hold-out with its `floor`, two runs differ whether the machine repeats or not.
-    pub(super) fn of(model: &Model, evidence: &Evidence, floor: Floor<'_>) -> Self {
+    /// Under `model`, with what is random in the runs beside it; empty without a repeated run, or where the sensors' noise is
+    /// not known at rest. Where lost rows make much of what two runs differ by, they do whether the machine repeats or not.
+    pub(super) fn of(model: &Model, evidence: &Evidence, noise: Noise) -> Self {
         let is_known = evidence.noise.source == FloorSource::Standstill;
         let Some(repeat) = evidence.repeat.as_ref().filter(|_| is_known) else {
             return Self::default();
         };
+        let runs = [&evidence.training, repeat];
+        let unseen = runs.map(|run| {
+            let unseen = unseen_in(run, model, noise, is_known)?;
+            in_noise(unseen.map(Some), &evidence.noise)
+        });
+        let unseen = unseen.map(|unseen| unseen.unwrap_or(0.0));
+        let floor = Floor::new(evidence, unseen[0].hypot(unseen[1]) / f64::sqrt(2.0));
         if floor.highest() > REPEATS {
             return Self {
                 why_not: Some(
@@ -37,7 +46,6 @@ impl Repeatability {
                 ..Self::default()
             };
         }
-        let runs = [&evidence.training, repeat];
         let found = || -> Result<Self, FitError> {
             let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, &evidence.noise);
             let follows = if floor.is_some_and(|floor| floor > REPEATS) {

@@ -13,7 +13,7 @@ use super::select::{Posterior, Reduced, Set};
 use crate::diagnosis::Evidence;
 use crate::diagnosis::candidates::{Onset, RunOf};
 use crate::diagnosis::evidence::HoldoutFrom;
-use crate::diagnosis::explained::{Floor, in_noise};
+use crate::diagnosis::explained::{Floor, MOST_UNSEEN, in_noise};
 use crate::diagnosis::fitted::Fitted;
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::Score;
@@ -104,13 +104,15 @@ impl Inference {
         Floor::new(evidence, self.unseen)
     }
 
-    /// What lost rows make of the error, where that is worth a word.
-    pub(in crate::diagnosis) fn lost_rows(&self) -> Option<String> {
+    /// What lost rows make of the hold-out's error and what is allowed for it, where that is worth a word.
+    pub(in crate::diagnosis) fn lost_rows(&self, floor: Floor<'_>) -> Option<String> {
         (self.unseen >= WORTH_SAYING).then(|| {
             format!(
                 "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {:.1} times the \
-                 noise of its error and counts as part of the floor",
-                self.unseen
+                 noise of its error, {:.1} at the most; an error below {:.1} times the noise may be all theirs",
+                self.unseen,
+                MOST_UNSEEN * self.unseen,
+                floor.highest()
             )
         })
     }

@@ -1,7 +1,9 @@
 //! Error of a free run that no model can foretell: of a load that wanders, and of a voltage that nobody knows.
 
+use super::asked::prepared;
 use super::columns::Around;
 use super::follow::{Noise, P, Passage, predicted, stop};
+use crate::plant::{Model, Scenario, State};
 
 /// Root mean squares of current, A, and speed, rad/s, that the disturbance of a followed run makes where nothing leads the
 /// model: what no model can foretell.
@@ -17,6 +19,17 @@ pub(super) fn unseen(run: &Around<'_>) -> [f64; 2] {
         ..run.noise
     };
     carried(run, &calm, |passage| passage.unseen)
+}
+
+/// What the holes of a run make that the answer does not rest on; none where the model cannot be followed on it.
+pub(in crate::diagnosis) fn unseen_in(
+    run: &Scenario,
+    model: &Model,
+    noise: Noise,
+    noise_is_known: bool,
+) -> Option<[f64; 2]> {
+    let run = prepared(run, noise_is_known);
+    Around::new(model, &run, State::default(), noise).map(|run| unseen(&run))
 }
 
 /// What a free run carries of a disturbance and of what comes `fresh` with each passage.
@@ -55,8 +68,8 @@ fn carried(run: &Around<'_>, noise: &Noise, fresh: impl Fn(&Passage) -> [f64; 2]
 mod tests {
     use super::*;
     use crate::diagnosis::joint::follow::QUIET;
+    use crate::plant::Motor;
     use crate::plant::testing::record;
-    use crate::plant::{Model, Motor, State};
 
     #[test]
     fn a_free_run_carries_what_a_hole_hides_as_the_equations_do() {

@@ -11,6 +11,7 @@
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand (refits: what they refute)
 //!         (excess: by how much what is left is more than white noise)
 //! asked:  which effects a run can be asked about, and what of it is fit to be asked
+//! free_run: error that no model can foretell, of a load that wanders and of rows that were lost
 //! likelihood_ratio: two models on a run that had no part in any of this
 //! answer: probability, bound and detectable size of each effect; what follows an axis and is none of them
 //! ```
@@ -23,7 +24,7 @@ pub(super) mod events;
 mod excess;
 mod follow;
 mod forms;
-mod free_run;
+pub(super) mod free_run;
 pub(super) mod likelihood_ratio;
 mod noise;
 mod nuisances;

@@ -132,6 +132,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
     let mut jumps = false;
     let mut direction = 0.0;
     let mut fresh = [0.0; 2];
+    let mut unseen = [0.0; 2];
     let mut begins_again = false;
     for sample in samples {
         let passage = &run.follower.passages[sample];
@@ -143,8 +144,12 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
         if passage.begins_again {
             begins_again = true;
             fresh = [0.0; 2];
+            unseen = [0.0; 2];
         }
         for (sum, part) in fresh.iter_mut().zip(passage.fresh) {
+            *sum += part;
+        }
+        for (sum, part) in unseen.iter_mut().zip(passage.unseen) {
             *sum += part;
         }
         interval_s += passage.interval_s;
@@ -158,7 +163,7 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
     }
     let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
     let passage = Passage {
-        unseen: [0.0; 2],
+        unseen,
         propagator: if begins_again {
             Propagator::default()
         } else {
@@ -474,6 +479,9 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
+    use crate::diagnosis::joint::follow::QUIET;
+    use crate::plant::testing::record;
+    use crate::plant::{Model, Motor, State, UnknownInput};
 
     #[test]
     fn the_climb_follows_the_ridge_of_a_spectrum_that_is_known_above_its_corner_only() {
@@ -528,5 +536,29 @@ mod tests {
         count.set(0);
         climb(found, &UNKNOWNS, &floor, Course::Ridge, likelihood);
         assert!(count.get() < 16, "{}", count.get());
+    }
+
+    #[test]
+    fn a_block_knows_that_one_voltage_moves_current_and_speed() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut scenario = record(&model, vec![(0.0, 20.0), (0.5, 25.0)], 1e-3, 1.0, 3);
+        scenario.unknown_input = vec![UnknownInput {
+            from_s: 0.7,
+            to_s: 0.71,
+            lost_rows: 9,
+            mean: 25.0,
+            beside: [0.0; 3],
+            variance: 9.0,
+            restart: None,
+        }];
+        let run = Around::new(&model, &scenario, State::default(), QUIET).unwrap();
+        let n = scenario.samples();
+        let block = passage_of(&run, 0..n, n).0;
+        let each = run.follower.passages.iter();
+        for signal in 0..2 {
+            let sum: f64 = each.clone().map(|passage| passage.unseen[signal]).sum();
+            assert!(sum > 0.0 && (block.unseen[signal] / sum - 1.0).abs() < 1e-12);
+            assert!(block.fresh[signal] >= block.unseen[signal]);
+        }
     }
 }
