@@ -197,7 +197,7 @@ fn tell_apart(
         base: Rival::new(base, evidence)?,
         names,
     };
-    let tried = tried(&question, models, evidence, limits);
+    let tried = tried(&question, models, evidence, limits, &[]);
     let Some((chosen, separations)) = best(&question, &tried, evidence) else {
         return Ok(None);
     };
@@ -218,7 +218,9 @@ fn tell_apart(
             slew_v_per_s: f64::INFINITY,
             ..*limits
         };
-        let freely = self::tried(&question, models, evidence, &free);
+        // What does not change any faster then has been tried.
+        let known: Vec<&Recipe> = tried.iter().map(|tried| &tried.plan.recipe).collect();
+        let freely = self::tried(&question, models, evidence, &free, &known);
         if let Some((quicker, separations)) = best(&question, &freely, evidence) {
             let quicker = &freely[quicker];
             let largest = separations.iter().copied().fold(0.0, f64::max);
@@ -247,19 +249,19 @@ fn tell_apart(
     }))
 }
 
-/// The menu, best first.
+/// The menu but for the recipes that are `known`, best first.
 fn tried(
     question: &Question<'_>,
     models: &[&Model],
     evidence: &Evidence,
     limits: &ExperimentLimits,
+    known: &[&Recipe],
 ) -> Vec<Tried> {
     let mut tried: Vec<Tried> = (0..COUNT)
         .into_par_iter()
-        .filter_map(|index| {
-            let plan = planned(index, models, limits)?;
-            Some(question.ask(plan, evidence))
-        })
+        .filter_map(|index| planned(index, models, limits))
+        .filter(|plan| !known.contains(&&plan.recipe))
+        .map(|plan| question.ask(plan, evidence))
         .collect();
     let merit = |tried: &Tried| merit(&tried.separations, tried.needed);
     tried.sort_by(|a, b| merit(b).total_cmp(&merit(a)));
