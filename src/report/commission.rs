@@ -77,6 +77,8 @@ impl CommissionReport<'_> {
             DiagnosisVerdict::Unexplained => (Tone::Bad, "Unexplained"),
         };
         page.lead(tone, word, self.headline());
+        let limits = self.diagnosis.limits.iter();
+        page.list(limits.map(|limit| capitalised(limit)).collect());
         tables::data_notes(&mut page, self.context);
         self.ladder_section(&mut page);
         // Where nothing was added there is one model, not a model before and after.
@@ -181,7 +183,7 @@ impl CommissionReport<'_> {
         page.figure(
             chart.svg("held-out error of each model of the ladder"),
             if floor_known {
-                "A perfect model ends at the noise floor."
+                "A perfect model of a record without holes ends at the noise floor."
             } else {
                 "Where a perfect model would end is not known."
             },

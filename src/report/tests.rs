@@ -211,7 +211,9 @@ fn diagnosis(verdict: DiagnosisVerdict, sentence: &str) -> Diagnosis {
         ladder: vec![],
         sentence: sentence.to_owned(),
         confirm: None,
-        limits: vec![],
+        limits: vec![
+            "whether this machine repeats is not known: too many rows were lost".to_owned(),
+        ],
         equivalences: vec![],
         next_experiment: None,
         unknown: vec![],

@@ -145,6 +145,9 @@ fn verdict_line(state: &State) -> Line<'static> {
     {
         spans.push(Span::raw("; this is not all: much is still unexplained"));
     }
+    if !diagnosis.limits.is_empty() {
+        spans.push(Span::raw("; n shows what limits this answer"));
+    }
     if !state.curves().is_empty() {
         spans.push(Span::raw("; c shows the curve that it follows, t adds it"));
     }

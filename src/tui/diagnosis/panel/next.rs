@@ -23,6 +23,9 @@ pub(in crate::tui::diagnosis) fn next(
     for [one, other] in &diagnosis.confusable {
         lines.push(block("not told apart", format!("{one} and {other}")));
     }
+    for sentence in &diagnosis.limits {
+        lines.push(block("limit", sentence.clone()));
+    }
     for sentence in &diagnosis.equivalences {
         lines.push(block("by no run", *sentence));
     }

@@ -110,7 +110,9 @@ pub(super) fn diagnosis() -> Diagnosis {
         ladder: Vec::new(),
         axis_map: Vec::new(),
         confirm: None,
-        limits: Vec::new(),
+        limits: vec![
+            "whether this machine repeats is not known: too many rows were lost".to_owned(),
+        ],
         equivalences: Vec::new(),
         next_experiment: None,
         unknown: vec![],
