@@ -36,8 +36,16 @@ impl Repeatability {
             let unseen = unseen_in(run, model, noise, is_known)?;
             in_noise(unseen.map(Some), &evidence.noise)
         });
-        let unseen = unseen.map(|unseen| unseen.unwrap_or(0.0));
-        let floor = Floor::new(evidence, unseen[0].hypot(unseen[1]) / f64::sqrt(2.0));
+        let [Some(first), Some(second)] = unseen else {
+            return Self {
+                why_not: Some(
+                    "whether this machine repeats is not known: the model cannot be followed on both runs"
+                        .to_owned(),
+                ),
+                ..Self::default()
+            };
+        };
+        let floor = Floor::new(evidence, first.hypot(second) / f64::sqrt(2.0));
         if floor.highest() > REPEATS {
             return Self {
                 why_not: Some(

@@ -109,7 +109,7 @@ impl Inference {
         (self.unseen >= WORTH_SAYING).then(|| {
             format!(
                 "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {:.1} times the \
-                 noise of its error, {:.1} at the most; an error below {:.1} times the noise may be all theirs",
+                 noise of its error, and up to {:.1} is allowed for; an error below {:.1} times the noise may be all theirs",
                 self.unseen,
                 MOST_UNSEEN * self.unseen,
                 floor.highest()
