@@ -8,6 +8,7 @@
 //!                 '-> select    posterior over the sets of effects and forms
 //! acting: what effects do at an instant; slopes: what is free in a model, along a run
 //! events: what happens in one run, at a moment of its own
+//! approach: far from the data, effects that join one by one
 //! search: refit of the best set (prediction_error), linearised anew, until set and noise stand (refits: what they refute)
 //!         (excess: by how much what is left is more than white noise)
 //! asked:  which effects a run can be asked about, and what of it is fit to be asked
@@ -18,6 +19,7 @@
 
 mod acting;
 pub(super) mod answer;
+mod approach;
 pub(super) mod asked;
 mod columns;
 pub(super) mod events;

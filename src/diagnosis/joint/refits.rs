@@ -53,6 +53,14 @@ pub(super) fn bar(linear: &mut Linear, judged: &[Judged], one: Option<&'static s
     }
 }
 
+/// Keeps what rings, and is not in the model, out of the sets.
+pub(super) fn bar_what_rings(linear: &mut Linear) {
+    let candidates = linear.candidates.iter_mut();
+    for candidate in candidates.filter(|own| own.is_whole() && !own.in_model) {
+        candidate.log_odds = BARRED;
+    }
+}
+
 /// The effects of `hypothesis` that the linear solution took out where `next`, refitted, is clearly worse without them: it is
 /// wrong where what an effect does is not in proportion to its size, as impacts' times to a delay.
 pub(super) fn needed(hypothesis: &Hypothesis, next: &Refit, runs: &[Around<'_>]) -> Vec<Judged> {

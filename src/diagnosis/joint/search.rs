@@ -8,14 +8,15 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::columns::{Around, Candidate, Linear, Variant, linearise};
+use super::approach::{approach, nearer};
+use super::columns::{Around, Candidate, Linear, linearise};
 use super::events::{self, Event, Hypothesis, Moment};
 use super::excess::excess;
 use super::follow::Noise;
 use super::free_run::{unseen, wandering};
 use super::noise::likeliest;
-use super::prediction_error::{fit, fit_as_followed};
-use super::refits::{Judged, Weighed, bar, keep_doubts, needed};
+use super::prediction_error::fit;
+use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
@@ -23,20 +24,8 @@ use crate::diagnosis::progress::{Event as Notice, Progress};
 use crate::numerics::count::whole;
 use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State};
 
-/// Mean square of the innovations above which a linear solution is not believed, and below which little is missing.
-const FAR: f64 = 3.0;
+/// Mean square of the innovations below which little is missing.
 const NEAR: f64 = 1.5;
-/// The same above which a fitted model may be no machine.
-const ASTRAY: f64 = 100.0;
-/// Effects that join one by one before the sets are weighed.
-const MOST_STEPS: usize = 4;
-/// Share of the squares that one of them must leave at most.
-const WORTH_A_STEP: f64 = 0.9;
-/// Single effects that are refitted for one step, and the share of the best one's gain from which they are.
-const MOST_SINGLES: usize = 6;
-const WORTH_A_REFIT: f64 = 0.2;
-/// Forms of what is there wholly or not at all from which a refit starts.
-const STARTS: usize = 3;
 /// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.
 const LEAST_START: f64 = 0.02;
 /// Rounds of weighing and refitting; in the first ones the noise is found too.
@@ -80,7 +69,7 @@ pub(super) struct Happened {
     pub(super) deviation: f64,
 }
 
-fn around<'a>(
+pub(super) fn around<'a>(
     hypothesis: &Hypothesis,
     scenarios: &[&'a Scenario],
     starts: &[State],
@@ -96,7 +85,7 @@ fn around<'a>(
 }
 
 /// Sum of the squares of the innovations.
-fn squares(runs: &[Around<'_>]) -> f64 {
+pub(super) fn squares(runs: &[Around<'_>]) -> f64 {
     let white = runs
         .iter()
         .flat_map(|run| run.followed.white.iter().flatten());
@@ -308,177 +297,10 @@ fn names(linear: &Linear, set: &Set) -> Names {
         .collect()
 }
 
-/// A step towards the data: the model with one effect more, and what it leaves.
-struct Step {
-    hypothesis: Hypothesis,
-    squares: f64,
-    candidate: usize,
-}
-
-/// Adds the single effects that explain most when refitted, one after the other, until the linear solution holds or none
-/// explains a good part of what is left. Only the first run is looked at; a step that another one cannot be followed with is
-/// none.
-fn approach(
-    mut hypothesis: Hypothesis,
-    asked: &[&'static dyn Effect],
-    scenarios: &[&Scenario],
-    starts: &[State],
-    noise: Noise,
-) -> Option<Hypothesis> {
-    for _ in 0..MOST_STEPS {
-        let runs = around(&hypothesis, &scenarios[..1], &starts[..1], noise)?;
-        let rows = runs[0].follower.rows as f64;
-        let now = squares(&runs);
-        if now < FAR * rows {
-            break;
-        }
-        match best_step(&hypothesis, asked, &runs, FAR * rows) {
-            Some(step)
-                if step.squares < WORTH_A_STEP * now
-                    && around(&step.hypothesis, scenarios, starts, noise).is_some() =>
-            {
-                hypothesis = step.hypothesis;
-                // Led by what was measured a play is found at once; led without its ringing it ends in a hollow of impacts.
-                if has_coupling(&hypothesis.model)
-                    && let Some(own) = fit(&hypothesis, &runs)
-                    && around(&own.hypothesis, scenarios, starts, noise).is_some()
-                {
-                    hypothesis = own.hypothesis;
-                }
-            }
-            _ => break,
-        }
-    }
-    Some(hypothesis)
-}
-
-fn has_coupling(model: &Model) -> bool {
-    let mut effects = model.effects.iter();
-    effects.any(|active| {
-        let terms = active.effect.terms(&active.values_or_guess());
-        terms.coupling().is_some()
-    })
-}
-
-/// The best single effect beside what there is; `near` is where the squares are small enough.
-fn best_step(
-    hypothesis: &Hypothesis,
-    asked: &[&'static dyn Effect],
-    runs: &[Around<'_>],
-    near: f64,
-) -> Option<Step> {
-    let linear = linearise(hypothesis, asked, runs, false)?;
-    let reduced = Reduced::new(&linear, 1.0, false)?;
-    let set = present(&linear);
-    let columns = reduced.columns(&set);
-    let with = |candidate: usize, variant: usize| {
-        let mut with = set.clone();
-        with[candidate] = Some(variant);
-        with
-    };
-    let mut singles: Vec<(f64, usize, usize)> = Vec::new();
-    for (k, candidate) in linear.candidates.iter().enumerate() {
-        if candidate.in_model || candidate.excludes.iter().any(|other| set[*other].is_some()) {
-            continue;
-        }
-        let logs = reduced.conditional(&columns, k);
-        let mut order: Vec<usize> = (0..logs.len()).collect();
-        order.sort_by(|a, b| logs[*b].total_cmp(&logs[*a]));
-        // Where the shape is all that there is, a start has to be near it.
-        let starts = if candidate.is_whole() { STARTS } else { 1 };
-        singles.extend(order.into_iter().take(starts).map(|v| (logs[v], k, v)));
-    }
-    singles.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let most = singles.first()?.0;
-    singles.truncate(MOST_SINGLES);
-    // A linear solution knows little of what is there wholly or not at all, and just how much that leaves is known.
-    for whole in as_it_is(&linear, &set) {
-        if !singles
-            .iter()
-            .any(|single| (single.1, single.2) == (whole.1, whole.2))
-        {
-            singles.push(whole);
-        }
-    }
-    singles.retain(|single| single.0 >= WORTH_A_REFIT * most);
-    let mut best: Option<Step> = None;
-    let mut take = |candidate: usize, variant: usize| {
-        let set = with(candidate, variant);
-        let start = placed(hypothesis, &linear, &reduced, &set, runs)?;
-        // Far from the data a wider error of form would be the likelier: all are held against the same noise.
-        let (hypothesis, squares) = fit_as_followed(&start, runs)?;
-        if best.as_ref().is_none_or(|best| squares < best.squares) {
-            best = Some(Step {
-                hypothesis,
-                squares,
-                candidate,
-            });
-        }
-        best.as_ref().map(|best| (best.candidate, best.squares))
-    };
-    let mut leads = None;
-    for (_, candidate, variant) in &singles {
-        leads = take(*candidate, *variant).or(leads);
-    }
-    // A fit that began too far off ends in a hollow: the other forms of what leads are tried too.
-    if let Some((candidate, mut squares)) = leads
-        && linear.candidates[candidate].is_whole()
-    {
-        for variant in 0..linear.candidates[candidate].variants.len() {
-            if squares < near {
-                break;
-            }
-            let tried = (candidate, variant);
-            if !singles.iter().any(|single| (single.1, single.2) == tried) {
-                squares = take(candidate, variant).map_or(squares, |leads| leads.1);
-            }
-        }
-    }
-    best
-}
-
-/// For each candidate that is there wholly or not at all its form that leaves least when it is put in and nothing else
-/// moves: the fall of the cost, the candidate and the form.
-fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
-    let candidates = linear.candidates.iter().enumerate();
-    candidates
-        .filter(|(k, candidate)| set[*k].is_none() && candidate.is_whole())
-        .filter_map(|(k, candidate)| {
-            let fall = |variant: &Variant| {
-                let (column, size) = (variant.columns[0], variant.mean);
-                let present = linear.gram.row(column).transpose().dot(&linear.present);
-                let right = linear.right[column] - present;
-                size * right - 0.5 * size * size * linear.gram[(column, column)]
-            };
-            let forms = candidate.variants.iter().enumerate();
-            forms
-                .map(|(form, variant)| (fall(variant), k, form))
-                .max_by(|a, b| a.0.total_cmp(&b.0))
-        })
-        .collect()
-}
-
-/// Where a search begins: at the fitted model; or where that is far astray at the one that it was fitted from, refitted
-/// along the run, if this leaves less: a free run that lacks much is fitted by what is no machine.
-fn nearer(
-    [fitted, before]: [&Model; 2],
-    scenarios: &[&Scenario],
-    starts: &[State],
-    noise: Noise,
-) -> Hypothesis {
-    let led = |model: &Model| around(&Hypothesis::of(model), &scenarios[..1], &starts[..1], noise);
-    let left = led(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
-    let is_astray = left.is_none_or(|(left, rows)| left > ASTRAY * rows as f64);
-    let again = is_astray.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));
-    match again.flatten() {
-        Some((again, squares)) if left.is_none_or(|left| squares < left.0) => again,
-        _ => Hypothesis::of(fitted),
-    }
-}
-
 /// Searches from a fitted model on, or from the one that it was fitted from, for `asked`, among them what the model has
-/// already; `floor` is the noise to begin with, whose sensors are those at rest. `None` where neither can be followed on the
-/// runs. Where a torque drives no step by step approach is needed: the balance is linear, however much is missing.
+/// already; `floor` is the noise to begin with, whose sensors are those at rest. A refit may end where the model is no machine,
+/// or is led by sensors that are much too late, so that no column means anything: then the last model that could be followed
+/// and weighed is the answer. `None` where not even the first one can.
 pub(super) fn search(
     models: [&Model; 2],
     asked: &[&'static dyn Effect],
@@ -487,134 +309,195 @@ pub(super) fn search(
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<Found> {
-    let by_voltage = scenarios[0].input == Input::Voltage;
-    let given = models[0].effect_ids();
-    let mut hypothesis = Hypothesis::of(models[0]);
-    if by_voltage {
-        hypothesis = nearer(models, scenarios, starts, floor);
-        hypothesis = approach(hypothesis, asked, scenarios, starts, floor)?;
-    }
-    let (mut noise, is_near) = first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
-    let (mut seen, mut judged): (Vec<Names>, Vec<Judged>) = (vec![], vec![]);
-    let (mut replaced, mut moves, mut fell_back) = (None, 0, false);
-    // The last model that could be followed and weighed: at first what the search began with.
-    let mut last = Hypothesis::of(models[0]);
-    let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
-    for round in 0..rounds {
-        // What follows an axis is asked for only beside effects that are fitted, whose form may differ a little.
-        let linearised = |hypothesis: &Hypothesis, runs: &[Around<'_>]| {
-            let mut linear = linearise(hypothesis, asked, runs, round > 0 || is_near)?;
-            bar(&mut linear, &judged, replaced);
-            Some(linear)
-        };
-        let mut runs = around(&hypothesis, scenarios, starts, noise).or_else(|| {
-            // A refit may end where the model is no machine.
-            hypothesis = last.clone();
-            around(&hypothesis, scenarios, starts, noise)
-        })?;
-        let mut linear = linearised(&hypothesis, &runs)?;
-        let Some(mut reduced) = Reduced::new(&linear, 1.0, true) else {
-            // Led by sensors that are much too late a run swings up: no column means anything there.
-            (hypothesis, fell_back) = (last.clone(), true);
-            continue;
-        };
-        if round == 0 {
-            screened(&linear, &reduced, progress);
-        }
-        let sets = [vec![None; linear.candidates.len()], present(&linear)];
-        let (mut posterior, followed_with) = (select(&reduced, &sets), noise);
-        let is_first = by_voltage && is_near && round == 0;
-        let is_to_be_placed = is_first && has_new_event(&linear, &posterior.best);
-        if round < NOISE_ROUNDS && !is_to_be_placed {
-            // A load that wanders explains what an effect would: from little of it on the effects come first.
-            let from = [noise, floor][usize::from(round == 0 && !is_near)];
-            let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
-            if is_another(&better, &noise) {
-                noise = better;
-            }
-        }
-        let mut is_settled = noise == followed_with;
-        // With more that is random fewer effects are asked for; far from the data with less of it others are.
-        if noise.disturbance_n_m > followed_with.disturbance_n_m || (!is_near && !is_settled) {
-            drop(reduced);
-            runs = around(&hypothesis, scenarios, starts, noise)?;
-            linear = linearised(&hypothesis, &runs)?;
-            let Some(again) = Reduced::new(&linear, 1.0, true) else {
-                (hypothesis, fell_back) = (last.clone(), true);
-                continue;
-            };
-            reduced = again;
-            posterior = select(&reduced, &sets);
-            is_settled = true;
-        }
-        last = hypothesis.clone();
-        let set = names(&linear, &posterior.best);
-        let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
-        let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
-        moves += usize::from(!stays);
-        // Near the data a model that lacks nothing need not be linearised twice.
-        let is_whole = seen.is_empty() && is_near && posterior.best == present(&linear);
-        let stands = stays && is_settled && (is_whole || was_seen(&seen, &set));
-        // Where a torque drives, the balance of torques has the last word instead.
-        if by_voltage && stands && round + 1 < rounds {
-            let weighed = Weighed {
-                hypothesis: &hypothesis,
-                linear: &linear,
-                reduced: &reduced,
-                posterior: &posterior,
-                runs: &runs,
-            };
-            if let Some(other) = contested(&weighed, &given, &mut replaced, &mut judged) {
-                seen.clear();
-                drop(reduced);
-                drop(runs);
-                hypothesis = other;
-                continue;
-            }
-        }
-        if stands || fell_back || round + 1 == rounds {
-            drop(reduced);
-            return ended(hypothesis, linear, posterior, &runs, noise, &judged);
-        }
-        seen.push(set);
-        if !is_settled {
-            runs = around(&hypothesis, scenarios, starts, noise)?;
-        }
-        let (kept, next) = refitted(&hypothesis, &start, &runs, &judged);
-        if !kept.is_empty() {
-            judged.extend(kept);
-            seen.clear();
-        } else if let Some(next) = next {
-            drop(reduced);
-            drop(runs);
-            hypothesis = next;
-            // What is fitted no longer counts as random.
-            if is_near && (is_to_be_placed || !is_settled) {
-                noise = first_noise(&hypothesis, asked, scenarios, starts, [floor, noise])
-                    .map_or(noise, |known| known.0);
-            }
-        }
-    }
-    None
+    let mut search = Search {
+        asked,
+        scenarios,
+        starts,
+        floor,
+        noise: floor,
+        is_near: false,
+        judged: Vec::new(),
+        replaced: None,
+        last: Hypothesis::of(models[0]),
+    };
+    search
+        .rounds(models, progress)
+        .or_else(|| search.ended_at_last())
 }
 
-/// What a set that stands gives way to where refits speak against it: to the model with one effect for two, or to that
-/// without an effect that they refute.
-fn contested(
-    weighed: &Weighed<'_>,
-    given: &[&'static str],
-    replaced: &mut Option<&'static str>,
-    judged: &mut Vec<Judged>,
-) -> Option<Hypothesis> {
-    if replaced.is_none()
-        && let Some((simple, simpler)) = weighed.simpler(given)
-    {
-        *replaced = Some(simple);
-        return Some(simpler);
+/// A search on its way.
+struct Search<'a> {
+    asked: &'a [&'static dyn Effect],
+    scenarios: &'a [&'a Scenario],
+    starts: &'a [State],
+    floor: Noise,
+    /// What is random as far as it is known, and whether little was missing to begin with.
+    noise: Noise,
+    is_near: bool,
+    /// What refits found, and the simple effect that stands for a richer one or for two.
+    judged: Vec<Judged>,
+    replaced: Option<&'static str>,
+    /// The last model that could be followed and weighed: at first what the search began with.
+    last: Hypothesis,
+}
+
+impl<'a> Search<'a> {
+    fn around(&self, hypothesis: &Hypothesis) -> Option<Vec<Around<'a>>> {
+        around(hypothesis, self.scenarios, self.starts, self.noise)
     }
-    let (doubt, without) = weighed.doubtful(given)?;
-    judged.push(doubt);
-    Some(without)
+
+    /// Far from the data neither what follows an axis is asked for, nor anything new that rings: no linear solution is true of
+    /// that, and a refit that a coupling joined by mistake is as slow as it is lost.
+    fn linearised(
+        &self,
+        hypothesis: &Hypothesis,
+        runs: &[Around<'_>],
+        is_far: bool,
+    ) -> Option<Linear> {
+        let mut linear = linearise(hypothesis, self.asked, runs, !is_far)?;
+        bar(&mut linear, &self.judged, self.replaced);
+        if is_far {
+            bar_what_rings(&mut linear);
+        }
+        Some(linear)
+    }
+
+    /// The answer at the last model that could be followed and weighed.
+    fn ended_at_last(&self) -> Option<Found> {
+        let hypothesis = self.last.clone();
+        let runs = self.around(&hypothesis)?;
+        let linear = self.linearised(&hypothesis, &runs, false)?;
+        let reduced = Reduced::new(&linear, 1.0, true)?;
+        let sets = [vec![None; linear.candidates.len()], present(&linear)];
+        let posterior = select(&reduced, &sets);
+        drop(reduced);
+        ended(
+            hypothesis,
+            linear,
+            posterior,
+            &runs,
+            self.noise,
+            &self.judged,
+        )
+    }
+
+    /// Weighs, refits and linearises anew until set and noise stand. Where a torque drives no step by step approach is needed:
+    /// the balance is linear, however much is missing.
+    fn rounds(&mut self, models: [&Model; 2], progress: Progress<'_>) -> Option<Found> {
+        let (asked, scenarios, starts, floor) =
+            (self.asked, self.scenarios, self.starts, self.floor);
+        let by_voltage = scenarios[0].input == Input::Voltage;
+        let given = models[0].effect_ids();
+        let mut hypothesis = Hypothesis::of(models[0]);
+        if by_voltage {
+            hypothesis = nearer(models, scenarios, starts, floor);
+            hypothesis = approach(hypothesis, asked, scenarios, starts, floor)?;
+        }
+        (self.noise, self.is_near) =
+            first_noise(&hypothesis, asked, scenarios, starts, [floor; 2])?;
+        let is_near = self.is_near;
+        let (mut seen, mut moves): (Vec<Names>, usize) = (vec![], 0);
+        let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
+        for round in 0..rounds {
+            let is_far = round == 0 && !is_near;
+            let mut runs = self.around(&hypothesis)?;
+            let mut linear = self.linearised(&hypothesis, &runs, is_far)?;
+            let mut reduced = Reduced::new(&linear, 1.0, true)?;
+            if round == 0 {
+                screened(&linear, &reduced, progress);
+            }
+            let sets = [vec![None; linear.candidates.len()], present(&linear)];
+            let (mut posterior, followed_with) = (select(&reduced, &sets), self.noise);
+            let is_first = by_voltage && is_near && round == 0;
+            let is_to_be_placed = is_first && has_new_event(&linear, &posterior.best);
+            if round < NOISE_ROUNDS && !is_to_be_placed {
+                // A load that wanders explains what an effect would: from little of it on the effects come first.
+                let from = [self.noise, floor][usize::from(round == 0 && !is_near)];
+                let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
+                if is_another(&better, &self.noise) {
+                    self.noise = better;
+                }
+            }
+            let mut is_settled = self.noise == followed_with;
+            // With more that is random fewer effects are asked for; far from the data with less of it others are.
+            if self.noise.disturbance_n_m > followed_with.disturbance_n_m
+                || (!is_near && !is_settled)
+            {
+                drop(reduced);
+                runs = self.around(&hypothesis)?;
+                linear = self.linearised(&hypothesis, &runs, is_far)?;
+                reduced = Reduced::new(&linear, 1.0, true)?;
+                posterior = select(&reduced, &sets);
+                is_settled = true;
+            }
+            self.last = hypothesis.clone();
+            let set = names(&linear, &posterior.best);
+            let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
+            let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
+            moves += usize::from(!stays);
+            // Near the data a model that lacks nothing need not be linearised twice.
+            let is_whole = seen.is_empty() && is_near && posterior.best == present(&linear);
+            let stands = stays && is_settled && (is_whole || was_seen(&seen, &set));
+            // Where a torque drives, the balance of torques has the last word instead.
+            if by_voltage && stands && round + 1 < rounds {
+                let weighed = Weighed {
+                    hypothesis: &hypothesis,
+                    linear: &linear,
+                    reduced: &reduced,
+                    posterior: &posterior,
+                    runs: &runs,
+                };
+                if let Some(other) = self.contested(&weighed, &given) {
+                    seen.clear();
+                    hypothesis = other;
+                    continue;
+                }
+            }
+            if stands || round + 1 == rounds {
+                drop(reduced);
+                return ended(
+                    hypothesis,
+                    linear,
+                    posterior,
+                    &runs,
+                    self.noise,
+                    &self.judged,
+                );
+            }
+            seen.push(set);
+            if !is_settled {
+                runs = self.around(&hypothesis)?;
+            }
+            let (kept, next) = refitted(&hypothesis, &start, &runs, &self.judged);
+            if !kept.is_empty() {
+                self.judged.extend(kept);
+                seen.clear();
+            } else if let Some(next) = next {
+                hypothesis = next;
+                // What is fitted no longer counts as random.
+                if is_near && (is_to_be_placed || !is_settled) {
+                    let known = [floor, self.noise];
+                    self.noise = first_noise(&hypothesis, asked, scenarios, starts, known)
+                        .map_or(self.noise, |known| known.0);
+                }
+            }
+        }
+        None
+    }
+
+    /// What a set that stands gives way to where refits speak against it: to the model with one effect for two, or to that
+    /// without an effect that they refute.
+    fn contested(&mut self, weighed: &Weighed<'_>, given: &[&'static str]) -> Option<Hypothesis> {
+        if self.replaced.is_none()
+            && let Some((simple, simpler)) = weighed.simpler(given)
+        {
+            self.replaced = Some(simple);
+            return Some(simpler);
+        }
+        let (doubt, without) = weighed.doubtful(given)?;
+        self.judged.push(doubt);
+        Some(without)
+    }
 }
 
 /// What a refit of `start` finds: effects of `hypothesis` that have to stay, or the hypothesis to go on from. What cannot

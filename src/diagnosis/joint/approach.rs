@@ -1,0 +1,192 @@
+//! The way to a model near enough to its runs for a linear solution: the single effect that, refitted, explains most joins,
+//! one after the other.
+
+use super::columns::{Around, Linear, Variant, linearise};
+use super::events::Hypothesis;
+use super::follow::Noise;
+use super::prediction_error::{fit, fit_as_followed};
+use super::search::{around, placed, present, squares};
+use super::select::{Reduced, Set};
+use crate::plant::{Effect, Model, Scenario, State};
+
+/// Mean square of the innovations above which a linear solution is not believed.
+const FAR: f64 = 3.0;
+/// The same above which a fitted model may be no machine.
+const ASTRAY: f64 = 100.0;
+/// Effects that join one by one before the sets are weighed.
+const MOST_STEPS: usize = 4;
+/// Share of the squares that one of them must leave at most.
+const WORTH_A_STEP: f64 = 0.9;
+/// Single effects that are refitted for one step, and the share of the best one's gain from which they are.
+const MOST_SINGLES: usize = 6;
+const WORTH_A_REFIT: f64 = 0.2;
+/// Forms of what is there wholly or not at all from which a refit starts.
+const STARTS: usize = 3;
+
+/// A step towards the data: the model with one effect more, and what it leaves.
+struct Step {
+    hypothesis: Hypothesis,
+    squares: f64,
+    candidate: usize,
+}
+
+/// Adds the single effects that explain most when refitted, one after the other, until the linear solution holds or none
+/// explains a good part of what is left. Only the first run is looked at; a step that another one cannot be followed with is
+/// none.
+pub(super) fn approach(
+    mut hypothesis: Hypothesis,
+    asked: &[&'static dyn Effect],
+    scenarios: &[&Scenario],
+    starts: &[State],
+    noise: Noise,
+) -> Option<Hypothesis> {
+    for _ in 0..MOST_STEPS {
+        let runs = around(&hypothesis, &scenarios[..1], &starts[..1], noise)?;
+        let rows = runs[0].follower.rows as f64;
+        let now = squares(&runs);
+        if now < FAR * rows {
+            break;
+        }
+        match best_step(&hypothesis, asked, &runs, FAR * rows) {
+            Some(step)
+                if step.squares < WORTH_A_STEP * now
+                    && around(&step.hypothesis, scenarios, starts, noise).is_some() =>
+            {
+                hypothesis = step.hypothesis;
+                // Led by what was measured a play is found at once; led without its ringing it ends in a hollow of impacts.
+                if has_coupling(&hypothesis.model)
+                    && let Some(own) = fit(&hypothesis, &runs)
+                    && around(&own.hypothesis, scenarios, starts, noise).is_some()
+                {
+                    hypothesis = own.hypothesis;
+                }
+            }
+            _ => break,
+        }
+    }
+    Some(hypothesis)
+}
+
+fn has_coupling(model: &Model) -> bool {
+    let mut effects = model.effects.iter();
+    effects.any(|active| {
+        let terms = active.effect.terms(&active.values_or_guess());
+        terms.coupling().is_some()
+    })
+}
+
+/// The best single effect beside what there is; `near` is where the squares are small enough.
+fn best_step(
+    hypothesis: &Hypothesis,
+    asked: &[&'static dyn Effect],
+    runs: &[Around<'_>],
+    near: f64,
+) -> Option<Step> {
+    let linear = linearise(hypothesis, asked, runs, false)?;
+    let reduced = Reduced::new(&linear, 1.0, false)?;
+    let set = present(&linear);
+    let columns = reduced.columns(&set);
+    let with = |candidate: usize, variant: usize| {
+        let mut with = set.clone();
+        with[candidate] = Some(variant);
+        with
+    };
+    let mut singles: Vec<(f64, usize, usize)> = Vec::new();
+    for (k, candidate) in linear.candidates.iter().enumerate() {
+        if candidate.in_model || candidate.excludes.iter().any(|other| set[*other].is_some()) {
+            continue;
+        }
+        let logs = reduced.conditional(&columns, k);
+        let mut order: Vec<usize> = (0..logs.len()).collect();
+        order.sort_by(|a, b| logs[*b].total_cmp(&logs[*a]));
+        // Where the shape is all that there is, a start has to be near it.
+        let starts = if candidate.is_whole() { STARTS } else { 1 };
+        singles.extend(order.into_iter().take(starts).map(|v| (logs[v], k, v)));
+    }
+    singles.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let most = singles.first()?.0;
+    singles.truncate(MOST_SINGLES);
+    // A linear solution knows little of what is there wholly or not at all, and just how much that leaves is known.
+    for whole in as_it_is(&linear, &set) {
+        if !singles
+            .iter()
+            .any(|single| (single.1, single.2) == (whole.1, whole.2))
+        {
+            singles.push(whole);
+        }
+    }
+    singles.retain(|single| single.0 >= WORTH_A_REFIT * most);
+    let mut best: Option<Step> = None;
+    let mut take = |candidate: usize, variant: usize| {
+        let set = with(candidate, variant);
+        let start = placed(hypothesis, &linear, &reduced, &set, runs)?;
+        // Far from the data a wider error of form would be the likelier: all are held against the same noise.
+        let (hypothesis, squares) = fit_as_followed(&start, runs)?;
+        if best.as_ref().is_none_or(|best| squares < best.squares) {
+            best = Some(Step {
+                hypothesis,
+                squares,
+                candidate,
+            });
+        }
+        best.as_ref().map(|best| (best.candidate, best.squares))
+    };
+    let mut leads = None;
+    for (_, candidate, variant) in &singles {
+        leads = take(*candidate, *variant).or(leads);
+    }
+    // A fit that began too far off ends in a hollow: the other forms of what leads are tried too.
+    if let Some((candidate, mut squares)) = leads
+        && linear.candidates[candidate].is_whole()
+    {
+        for variant in 0..linear.candidates[candidate].variants.len() {
+            if squares < near {
+                break;
+            }
+            let tried = (candidate, variant);
+            if !singles.iter().any(|single| (single.1, single.2) == tried) {
+                squares = take(candidate, variant).map_or(squares, |leads| leads.1);
+            }
+        }
+    }
+    best
+}
+
+/// For each candidate that is there wholly or not at all its form that leaves least when it is put in and nothing else
+/// moves: the fall of the cost, the candidate and the form.
+fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
+    let candidates = linear.candidates.iter().enumerate();
+    candidates
+        .filter(|(k, candidate)| set[*k].is_none() && candidate.is_whole())
+        .filter_map(|(k, candidate)| {
+            let fall = |variant: &Variant| {
+                let (column, size) = (variant.columns[0], variant.mean);
+                let present = linear.gram.row(column).transpose().dot(&linear.present);
+                let right = linear.right[column] - present;
+                size * right - 0.5 * size * size * linear.gram[(column, column)]
+            };
+            let forms = candidate.variants.iter().enumerate();
+            forms
+                .map(|(form, variant)| (fall(variant), k, form))
+                .max_by(|a, b| a.0.total_cmp(&b.0))
+        })
+        .collect()
+}
+
+/// Where a search begins: at the fitted model; or where that is far astray at the one that it was fitted from, refitted
+/// along the run, if this leaves less: a free run that lacks much is fitted by what is no machine.
+pub(super) fn nearer(
+    [fitted, before]: [&Model; 2],
+    scenarios: &[&Scenario],
+    starts: &[State],
+    noise: Noise,
+) -> Hypothesis {
+    let led = |model: &Model| around(&Hypothesis::of(model), &scenarios[..1], &starts[..1], noise);
+    let left = led(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
+    let is_astray = left.is_none_or(|(left, rows)| left > ASTRAY * rows as f64);
+    let again = is_astray.then(|| fit_as_followed(&Hypothesis::of(before), &led(before)?));
+    match again.flatten() {
+        Some((again, squares)) if left.is_none_or(|left| squares < left.0) => again,
+        _ => Hypothesis::of(fitted),
+    }
+}
