@@ -8,6 +8,7 @@ use super::columns::{Around, Candidate, NO_PARAMETER, Seen, Variant};
 use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
+use super::refits::{SIMPLE_FOR_RICH, drop_of_brushes_v};
 use super::search::{self, Found, Happened};
 use super::select::{Posterior, Reduced, Set};
 use crate::diagnosis::Evidence;
@@ -333,7 +334,6 @@ pub(in crate::diagnosis) fn infer(
     })
 }
 
-/// Errors of current and speed, root mean squares, in units of the noise.
 /// The parts of the error that are unknown and no part too small to be one: what only bends the innovations, and takes
 /// nothing from the error of a free run, explains none of it.
 fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Part> {
@@ -458,6 +458,9 @@ fn roughness(values: &[f64]) -> f64 {
     statistics::robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
+/// Room above the drop of gaps that end early for one that builds up more slowly still.
+const ROOM: f64 = 1.25;
+
 fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -> Inferred {
     let id = effect.card().id;
     let mut out = Inferred {
@@ -522,6 +525,12 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
                 };
             }
         }
+    }
+    // A drop that is too soft for its own form may be as large as the gaps whose form it has.
+    if let Some(drop_v) = drop_of_brushes_v(&found.hypothesis.model)
+        && id == SIMPLE_FOR_RICH.0
+    {
+        out.upper_bound = out.upper_bound.map(|bound| bound.max(ROOM * drop_v));
     }
     out.probability = (1.0 - absent).clamp(0.0, 1.0);
     out
@@ -707,6 +716,10 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
                 pairs.push(pair);
             }
         }
+    }
+    let (drop, gaps) = SIMPLE_FOR_RICH;
+    if drop_of_brushes_v(&found.hypothesis.model).is_some() && !pairs.contains(&[gaps, drop]) {
+        pairs.push([gaps, drop]);
     }
     pairs
 }

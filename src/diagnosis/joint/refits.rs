@@ -96,23 +96,42 @@ const ONE_FOR_TWO: &[(&str, [&str; 2])] = &[
 ];
 
 /// A drop of brushes, and that of gaps in the current: each fits what the other does to some degree.
-const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
+pub(super) const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
 
-/// Whether a model's gaps of the current were fitted down to the least boundary that a converter's have: what would end below
-/// is a drop of brushes, however softly it builds up.
-fn has_drop_of_brushes(model: &Model) -> bool {
-    let mut gaps = model.effects.iter();
-    let gaps = gaps.find(|active| active.id() == SIMPLE_FOR_RICH.1);
-    gaps.is_some_and(|gaps| {
-        let boundary = gaps.effect.parameters().iter();
-        let boundary = boundary.zip(gaps.values_or_guess());
-        let mut boundary = boundary.filter(|(spec, _)| spec.key == "boundary_a");
-        boundary.any(|(_, value_a)| value_a < AT_THE_LIMIT * LEAST_BOUNDARY_A)
-    })
+/// The drop, V, that a model's gaps of the current are where they were fitted down to the least boundary that a converter's
+/// have: what would end below is a drop of brushes, however softly it builds up.
+pub(super) fn drop_of_brushes_v(model: &Model) -> Option<f64> {
+    let gaps = model
+        .effects
+        .iter()
+        .find(|active| active.id() == SIMPLE_FOR_RICH.1)?;
+    let specs = gaps.effect.parameters().iter();
+    let boundary = specs.zip(gaps.values_or_guess());
+    let mut boundary = boundary.filter(|(spec, _)| spec.key == "boundary_a");
+    let boundary_a = boundary.next()?.1;
+    let ends_there = boundary_a < AT_THE_LIMIT * LEAST_BOUNDARY_A;
+    ends_there.then(|| gaps.values_or_guess()[0] * boundary_a)
+}
+
+/// Gives a drop of brushes that is too soft for its own form half the probability of the gaps whose form it has.
+pub(super) fn share_with_drop(model: &Model, linear: &Linear, posterior: &mut Posterior) {
+    let place = |id| linear.candidates.iter().position(|own| own.id == id);
+    if let (Some(_), Some(drop), Some(gaps)) = (
+        drop_of_brushes_v(model),
+        place(SIMPLE_FOR_RICH.0),
+        place(SIMPLE_FOR_RICH.1),
+    ) {
+        let half = 0.5 * posterior.probability[gaps];
+        posterior.probability[gaps] = half;
+        posterior.probability[drop] = half.max(posterior.probability[drop]);
+    }
 }
 
 /// How many times the least value of a shape one that was fitted down to it may be.
 const AT_THE_LIMIT: f64 = 1.02;
+
+/// Growth of the squares up to which a drop stands for gaps that end where it would: with more its form is another.
+const SOFTLY: f64 = 1.05;
 
 /// Sets as the linear solution weighs them.
 pub(super) struct Weighed<'a> {
@@ -208,12 +227,12 @@ impl Weighed<'_> {
             start.model = with_effect(&start.model, effect, &[begin]);
             // What is not known goes with the size that it was followed with: the second time that is its own.
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
-            if simple == SIMPLE_FOR_RICH.0 && has_drop_of_brushes(there) {
-                return Some((simple, left.hypothesis));
-            }
             let rich = fit(self.hypothesis, self.runs)?;
-            (0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND)
-                .then_some((simple, left.hypothesis))
+            let is_one = simple == SIMPLE_FOR_RICH.0
+                && drop_of_brushes_v(there).is_some()
+                && left.squares < SOFTLY * rich.squares;
+            let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND;
+            (is_one || serves).then_some((simple, left.hypothesis))
         })
     }
 }
@@ -268,9 +287,10 @@ mod tests {
     #[test]
     fn gaps_that_end_where_no_converters_do_are_a_drop_of_brushes() {
         let gaps = |boundary_a: f64| truth("discontinuous_conduction", &[1.4, boundary_a]);
-        assert!(has_drop_of_brushes(&gaps(LEAST_BOUNDARY_A)));
-        assert!(!has_drop_of_brushes(&gaps(1.5 * LEAST_BOUNDARY_A)));
-        assert!(!has_drop_of_brushes(&truth("voltage_drop", &[0.9])));
+        let drop_v = drop_of_brushes_v(&gaps(LEAST_BOUNDARY_A)).unwrap();
+        assert!((drop_v - 1.4 * LEAST_BOUNDARY_A).abs() < 1e-12);
+        assert!(drop_of_brushes_v(&gaps(1.5 * LEAST_BOUNDARY_A)).is_none());
+        assert!(drop_of_brushes_v(&truth("voltage_drop", &[0.9])).is_none());
     }
 
     #[test]

@@ -16,7 +16,7 @@ use super::follow::Noise;
 use super::free_run::{unseen, wandering};
 use super::noise::likeliest;
 use super::prediction_error::fit;
-use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
+use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed, share_with_drop};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
@@ -565,6 +565,7 @@ fn ended(
         reduced
     };
     keep_doubts(judged, &linear, &mut posterior);
+    share_with_drop(&hypothesis.model, &linear, &mut posterior);
     let happened = happened(&linear, &wider, &posterior.best, runs, excess)?;
     drop(wider);
     Some(Found {
