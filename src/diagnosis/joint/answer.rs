@@ -8,7 +8,7 @@ use super::columns::{Around, Candidate, NO_PARAMETER, Seen, Variant};
 use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
-use super::refits::{SIMPLE_FOR_RICH, drop_of_brushes_v};
+use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
 use super::search::{self, Found, Happened};
 use super::select::{Posterior, Reduced, Set};
 use crate::diagnosis::Evidence;
@@ -290,7 +290,10 @@ pub(in crate::diagnosis) fn infer(
         .collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
     // Of two that these runs cannot tell apart the likelier stands for both.
-    let confusable = confusable(&found, &reduced);
+    let mut confusable = confusable(&found, &reduced);
+    if has_drop_of_brushes(&found.hypothesis.model) {
+        share_with_drop(&mut effects, &mut confusable);
+    }
     let together = |id: &str| -> f64 {
         let rivals = confusable
             .iter()
@@ -312,7 +315,6 @@ pub(in crate::diagnosis) fn infer(
         .collect();
     let is_gone = |id: &&'static str| !found.hypothesis.has(id);
     let superfluous = given.into_iter().filter(is_gone).collect();
-    let mut confusable = confusable.clone();
     confusable.retain(|pair| named.contains(&pair[0]));
     let Posterior { probability, .. } = &found.posterior;
     let unknown = unknown_parts(&found.linear.candidates, probability, &found.unknown_share);
@@ -458,9 +460,6 @@ fn roughness(values: &[f64]) -> f64 {
     statistics::robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
-/// Room above the drop of gaps that end early for one that builds up more slowly still.
-const ROOM: f64 = 1.25;
-
 fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -> Inferred {
     let id = effect.card().id;
     let mut out = Inferred {
@@ -525,12 +524,6 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
                 };
             }
         }
-    }
-    // A drop that is too soft for its own form may be as large as the gaps whose form it has.
-    if let Some(drop_v) = drop_of_brushes_v(&found.hypothesis.model)
-        && id == SIMPLE_FOR_RICH.0
-    {
-        out.upper_bound = out.upper_bound.map(|bound| bound.max(ROOM * drop_v));
     }
     out.probability = (1.0 - absent).clamp(0.0, 1.0);
     out
@@ -717,11 +710,29 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
             }
         }
     }
-    let (drop, gaps) = SIMPLE_FOR_RICH;
-    if drop_of_brushes_v(&found.hypothesis.model).is_some() && !pairs.contains(&[gaps, drop]) {
-        pairs.push([gaps, drop]);
-    }
     pairs
+}
+
+/// Halves the probability of gaps that end where no converter's do between them and a drop of brushes too soft for its own
+/// form, unless the gaps were given: nothing in these runs tells the two apart. What the drop's own form says of its size,
+/// beside gaps or in their place, is no bound then.
+fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str; 2]>) {
+    let (drop, gaps) = SIMPLE_FOR_RICH;
+    let place = |id| effects.iter().position(|e| e.effect.card().id == id);
+    let (Some(drop_at), Some(gaps_at)) = (place(drop), place(gaps)) else {
+        return;
+    };
+    if effects[gaps_at].given {
+        return;
+    }
+    let half = 0.5 * effects[gaps_at].probability;
+    effects[gaps_at].probability = half;
+    let soft = &mut effects[drop_at];
+    soft.probability = half.max(soft.probability.min(NAMED));
+    (soft.upper_bound, soft.detectable) = (None, None);
+    if !confusable.contains(&[gaps, drop]) {
+        confusable.push([gaps, drop]);
+    }
 }
 
 /// Columns of a form that only bend it.
@@ -737,6 +748,38 @@ mod tests {
     use crate::diagnosis::tests::{nameplate, truth};
     use crate::identification::output_error;
     use crate::plant::{effect, testing};
+
+    #[test]
+    fn gaps_that_end_early_and_a_soft_drop_are_one_of_two_unless_the_gaps_were_given() {
+        let inferred = |id, probability, given| Inferred {
+            effect: effect::find(id).unwrap(),
+            given,
+            probability,
+            excited: true,
+            why_not: None,
+            upper_bound: Some(0.18),
+            detectable: Some(0.05),
+            log_odds: 0.0,
+        };
+        for given in [false, true] {
+            let mut effects = [
+                inferred("discontinuous_conduction", 1.0, given),
+                inferred("voltage_drop", 0.0, false),
+            ];
+            let mut pairs = vec![];
+            share_with_drop(&mut effects, &mut pairs);
+            let [gaps, drop] = &effects;
+            if given {
+                assert!(pairs.is_empty() && gaps.probability > NAMED && drop.upper_bound.is_some());
+                continue;
+            }
+            assert_eq!(pairs, [["discontinuous_conduction", "voltage_drop"]]);
+            // A model holds one of them: neither is named for itself, together they are certain.
+            assert!(gaps.probability <= NAMED && drop.probability <= NAMED);
+            assert!(gaps.probability + drop.probability > CERTAIN);
+            assert!(drop.upper_bound.is_none() && drop.detectable.is_none());
+        }
+    }
 
     #[test]
     fn what_takes_nothing_from_the_error_is_no_part_of_it() {

@@ -98,33 +98,17 @@ const ONE_FOR_TWO: &[(&str, [&str; 2])] = &[
 /// A drop of brushes, and that of gaps in the current: each fits what the other does to some degree.
 pub(super) const SIMPLE_FOR_RICH: (&str, &str) = ("voltage_drop", "discontinuous_conduction");
 
-/// The drop, V, that a model's gaps of the current are where they were fitted down to the least boundary that a converter's
-/// have: what would end below is a drop of brushes, however softly it builds up.
-pub(super) fn drop_of_brushes_v(model: &Model) -> Option<f64> {
-    let gaps = model
-        .effects
-        .iter()
-        .find(|active| active.id() == SIMPLE_FOR_RICH.1)?;
-    let specs = gaps.effect.parameters().iter();
-    let boundary = specs.zip(gaps.values_or_guess());
-    let mut boundary = boundary.filter(|(spec, _)| spec.key == "boundary_a");
-    let boundary_a = boundary.next()?.1;
-    let ends_there = boundary_a < AT_THE_LIMIT * LEAST_BOUNDARY_A;
-    ends_there.then(|| gaps.values_or_guess()[0] * boundary_a)
-}
-
-/// Gives a drop of brushes that is too soft for its own form half the probability of the gaps whose form it has.
-pub(super) fn share_with_drop(model: &Model, linear: &Linear, posterior: &mut Posterior) {
-    let place = |id| linear.candidates.iter().position(|own| own.id == id);
-    if let (Some(_), Some(drop), Some(gaps)) = (
-        drop_of_brushes_v(model),
-        place(SIMPLE_FOR_RICH.0),
-        place(SIMPLE_FOR_RICH.1),
-    ) {
-        let half = 0.5 * posterior.probability[gaps];
-        posterior.probability[gaps] = half;
-        posterior.probability[drop] = half.max(posterior.probability[drop]);
-    }
+/// Whether a model's gaps of the current were fitted down to the least boundary that a converter's have: what would end below
+/// is a drop of brushes, however softly it builds up.
+pub(super) fn has_drop_of_brushes(model: &Model) -> bool {
+    let mut gaps = model.effects.iter();
+    let gaps = gaps.find(|active| active.id() == SIMPLE_FOR_RICH.1);
+    gaps.is_some_and(|gaps| {
+        let boundary = gaps.effect.parameters().iter();
+        let boundary = boundary.zip(gaps.values_or_guess());
+        let mut boundary = boundary.filter(|(spec, _)| spec.key == "boundary_a");
+        boundary.any(|(_, value_a)| value_a < AT_THE_LIMIT * LEAST_BOUNDARY_A)
+    })
 }
 
 /// How many times the least value of a shape one that was fitted down to it may be.
@@ -229,7 +213,7 @@ impl Weighed<'_> {
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
             let is_one = simple == SIMPLE_FOR_RICH.0
-                && drop_of_brushes_v(there).is_some()
+                && has_drop_of_brushes(there)
                 && left.squares < SOFTLY * rich.squares;
             let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND;
             (is_one || serves).then_some((simple, left.hypothesis))
@@ -287,10 +271,41 @@ mod tests {
     #[test]
     fn gaps_that_end_where_no_converters_do_are_a_drop_of_brushes() {
         let gaps = |boundary_a: f64| truth("discontinuous_conduction", &[1.4, boundary_a]);
-        let drop_v = drop_of_brushes_v(&gaps(LEAST_BOUNDARY_A)).unwrap();
-        assert!((drop_v - 1.4 * LEAST_BOUNDARY_A).abs() < 1e-12);
-        assert!(drop_of_brushes_v(&gaps(1.5 * LEAST_BOUNDARY_A)).is_none());
-        assert!(drop_of_brushes_v(&truth("voltage_drop", &[0.9])).is_none());
+        assert!(has_drop_of_brushes(&gaps(LEAST_BOUNDARY_A)));
+        assert!(!has_drop_of_brushes(&gaps(1.5 * LEAST_BOUNDARY_A)));
+        assert!(!has_drop_of_brushes(&truth("voltage_drop", &[0.9])));
+    }
+
+    #[test]
+    fn a_sharp_drop_stands_for_gaps_that_end_early_only_where_it_leaves_hardly_more() {
+        let gaps =
+            |extra_ohm: f64| truth("discontinuous_conduction", &[extra_ohm, LEAST_BOUNDARY_A]);
+        let asked = ["voltage_drop", "discontinuous_conduction"];
+        // A small drop is hardly seen, whatever its form; of a large one the form is.
+        for (extra_ohm, stands) in [(0.05, true), (4.0, false)] {
+            let machine = gaps(extra_ohm);
+            let run = record(&machine, 0, 7);
+            let simpler = weighed(&machine, &run, &asked, |_| {}, |own| own.simpler(&[]));
+            assert_eq!(simpler.is_some(), stands, "{extra_ohm} ohm");
+        }
+    }
+
+    #[test]
+    fn what_rings_is_kept_out_unless_the_model_has_it() {
+        let coupled = nameplate().with_effect("elastic_coupling").unwrap();
+        for (model, is_barred) in [(nameplate(), true), (coupled, false)] {
+            let run = record(&model, 0, 7);
+            let odds = |linear: &mut Linear| {
+                bar_what_rings(linear);
+                let mut rings = linear.candidates.iter().filter(|own| own.is_whole());
+                let coupling = rings.find(|own| own.id == "elastic_coupling");
+                assert_eq!(
+                    coupling.is_some_and(|own| own.log_odds <= BARRED),
+                    is_barred
+                );
+            };
+            weighed(&model, &run, &["elastic_coupling"], odds, |_| {});
+        }
     }
 
     #[test]

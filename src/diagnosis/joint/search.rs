@@ -16,7 +16,7 @@ use super::follow::Noise;
 use super::free_run::{unseen, wandering};
 use super::noise::likeliest;
 use super::prediction_error::fit;
-use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed, share_with_drop};
+use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::family::takes_power;
@@ -371,14 +371,7 @@ impl<'a> Search<'a> {
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
         let posterior = select(&reduced, &sets);
         drop(reduced);
-        ended(
-            hypothesis,
-            linear,
-            posterior,
-            &runs,
-            self.noise,
-            &self.judged,
-        )
+        self.ended(hypothesis, linear, posterior, &runs)
     }
 
     /// Weighs, refits and linearises anew until set and noise stand. Where a torque drives no step by step approach is needed:
@@ -455,14 +448,7 @@ impl<'a> Search<'a> {
             }
             if stands || round + 1 == rounds {
                 drop(reduced);
-                return ended(
-                    hypothesis,
-                    linear,
-                    posterior,
-                    &runs,
-                    self.noise,
-                    &self.judged,
-                );
+                return self.ended(hypothesis, linear, posterior, &runs);
             }
             seen.push(set);
             if !is_settled {
@@ -483,6 +469,41 @@ impl<'a> Search<'a> {
             }
         }
         None
+    }
+
+    /// The answer where set and noise stand: the posterior again where what is left is more than white noise.
+    fn ended(
+        &self,
+        hypothesis: Hypothesis,
+        linear: Linear,
+        mut posterior: Posterior,
+        runs: &[Around<'_>],
+    ) -> Option<Found> {
+        let reduced = Reduced::new(&linear, 1.0, true)?;
+        let excess = excess_of(&linear, &reduced, &posterior.best, runs);
+        let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, runs)?;
+        let (wandering, unseen) = (wandering(runs.last()?), unseen(runs.last()?));
+        let wider = if excess > 1.0 {
+            let wider = Reduced::new(&linear, excess, true)?;
+            posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
+            wider
+        } else {
+            reduced
+        };
+        keep_doubts(&self.judged, &linear, &mut posterior);
+        let happened = happened(&linear, &wider, &posterior.best, runs, excess)?;
+        drop(wider);
+        Some(Found {
+            hypothesis,
+            happened,
+            linear,
+            posterior,
+            noise: self.noise,
+            excess,
+            wandering,
+            unseen,
+            unknown_share,
+        })
     }
 
     /// What a set that stands gives way to where refits speak against it: to the model with one effect for two, or to that
@@ -542,43 +563,6 @@ fn first_noise(
     // A load that wanders would explain what is missing: it is not taken for more than was thought.
     let is_less = noise.disturbance_n_m <= known.disturbance_n_m;
     Some((if is_less { noise } else { known }, true))
-}
-
-/// The answer where set and noise stand: the posterior again where what is left is more than white noise.
-fn ended(
-    hypothesis: Hypothesis,
-    linear: Linear,
-    mut posterior: Posterior,
-    runs: &[Around<'_>],
-    noise: Noise,
-    judged: &[Judged],
-) -> Option<Found> {
-    let reduced = Reduced::new(&linear, 1.0, true)?;
-    let excess = excess_of(&linear, &reduced, &posterior.best, runs);
-    let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, runs)?;
-    let (wandering, unseen) = (wandering(runs.last()?), unseen(runs.last()?));
-    let wider = if excess > 1.0 {
-        let wider = Reduced::new(&linear, excess, true)?;
-        posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
-        wider
-    } else {
-        reduced
-    };
-    keep_doubts(judged, &linear, &mut posterior);
-    share_with_drop(&hypothesis.model, &linear, &mut posterior);
-    let happened = happened(&linear, &wider, &posterior.best, runs, excess)?;
-    drop(wider);
-    Some(Found {
-        hypothesis,
-        happened,
-        linear,
-        posterior,
-        noise,
-        excess,
-        wandering,
-        unseen,
-        unknown_share,
-    })
 }
 
 /// Hands on what each effect would explain by itself.
