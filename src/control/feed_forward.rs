@@ -6,7 +6,7 @@
 //! wrapped in it.
 
 use super::{Actuator, Measured, SpeedController};
-use crate::plant::{Enters, Instant, Model, MotorKey, Terms};
+use crate::plant::{Enters, Instant, Model, MotorKey, ShaftAngle, Terms};
 
 /// Speed at which the friction's full size is given, rad/s: at rest its sign is not known.
 const SIGN_SPEED_RAD_S: f64 = 2.0;
@@ -68,7 +68,7 @@ impl FeedForward {
         let sign = (speed_rad_s / SIGN_SPEED_RAD_S).clamp(-1.0, 1.0);
         let mut at = Instant {
             speed_rad_s,
-            angle_rad,
+            angle: ShaftAngle::at(angle_rad),
             current_a: self.friction_n_m * sign * self.amperes_per_torque,
             ..self.motor
         };

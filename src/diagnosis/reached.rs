@@ -7,7 +7,8 @@ use serde::Serialize;
 
 use super::fitted::Fitted;
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, MotorKey, Plant, Scenario, State, Trajectory,
+    ActiveEffect, Effect, Input, Instant, Model, MotorKey, Plant, Scenario, ShaftAngle, State,
+    Trajectory,
 };
 
 /// Standard deviations on either side of a value: its 95 % interval.
@@ -203,7 +204,7 @@ impl<'a> Measure<'a> {
                 supply_v,
                 current_a: self.with.current_a[sample],
                 speed_rad_s: self.with.speed_rad_s[sample],
-                angle_rad,
+                angle: ShaftAngle::at(angle_rad),
                 ..Instant::of(motor)
             };
             if !own.is_empty() && time_s > last_s {

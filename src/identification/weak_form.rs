@@ -28,7 +28,7 @@ use super::output_error::{BLOCK_S, FitError};
 use super::regressor::{PROPORTIONAL, why_no_regressor};
 use super::verdict::judge;
 use crate::numerics::least_squares;
-use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, Slot};
+use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot};
 use crate::sample::{ParameterEstimate, Verdict};
 
 /// Half length of the windows, s: the armature circuit is faster than the shaft.
@@ -575,7 +575,7 @@ impl<'a> Signals<'a> {
             supply_v: self.supply_v,
             current_a: self.scenario.current_a[sample],
             speed_rad_s: self.scenario.speed_rad_s[sample],
-            angle_rad: self.angle[sample],
+            angle: ShaftAngle::at(self.angle[sample]),
             ..Instant::of(&self.model.motor)
         };
         let own = vec![0.0; terms.states()];

@@ -26,8 +26,8 @@ mod typical_size;
 mod unknown_input;
 
 pub use effect::{
-    Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path, Sums,
-    Terms,
+    Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path,
+    ShaftAngle, Sums, Terms,
 };
 pub use linear::{Linear, LinearStep};
 pub use model::{ActiveEffect, Held, Model, ModelError, Slot};

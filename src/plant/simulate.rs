@@ -110,6 +110,16 @@ impl Plant {
         })
     }
 
+    /// With sub-steps of `step_s` where effects ask for shorter ones: runs that are compared with each other, not with a
+    /// measurement, share what that costs in accuracy. A second inertia keeps its own.
+    #[must_use]
+    pub fn coarse(mut self, step_s: f64) -> Self {
+        if self.two_mass.is_none() {
+            self.longest_step_s = self.longest_step_s.max(step_s);
+        }
+        self
+    }
+
     /// Number of states of all effects together.
     pub fn effect_states(&self) -> usize {
         self.equations.states()
@@ -314,6 +324,7 @@ impl Plant {
             let at = Instant {
                 time_s: begin_s - self.begin_s,
                 voltage_v: input,
+                angle: self.equations.angle(state.angle_rad),
                 ..Instant::default()
             };
             self.resolved_step(state, at, h);

@@ -1,6 +1,6 @@
 //! How large an effect would have to be to matter in a run: where fits start and in which unit they step.
 
-use super::effect::{Effect, Instant};
+use super::effect::{Effect, Instant, ShaftAngle};
 use super::model::Model;
 use super::scenario::{Input, Scenario};
 
@@ -79,7 +79,7 @@ pub fn typical_size(
                 voltage_v: input,
                 supply_v,
                 // Any angles will do, as long as they are many.
-                angle_rad: sample as f64,
+                angle: ShaftAngle::at(sample as f64),
                 ..motor
             };
             let voltage = terms.voltage_v(&at, &own).abs() / largest_input;

@@ -2,7 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use crate::plant::{Coupling, Input, Instant, Model, MotorKey, Scenario, State, Sums, Terms};
+use crate::plant::{
+    Coupling, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, State, Sums, Terms,
+};
 
 /// What the form of an effect may be wrong by, as a share of what it does; where a torque drives, of friction too, and of
 /// the torque itself, which no machine measures better.
@@ -74,7 +76,7 @@ impl Forms {
             voltage_v,
             current_a: state.current_a,
             speed_rad_s: state.speed_rad_s,
-            angle_rad: state.angle_rad,
+            angle: ShaftAngle::at(state.angle_rad),
             ..self.motor
         }
     }

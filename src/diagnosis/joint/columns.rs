@@ -18,8 +18,8 @@ use super::whitened::Whitened;
 use crate::diagnosis::family::{curve_of, related, takes_power};
 use crate::diagnosis::shapes::shape_grid;
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario, State,
-    typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario,
+    ShaftAngle, State, typical_size,
 };
 
 /// The plausible size of an effect before any data, in typical sizes (three per cent of the largest torque or voltage).
@@ -144,8 +144,6 @@ pub(super) struct Around<'a> {
     pub dynamics: Dynamics,
     /// The middle of the interval before each sample.
     pub(super) instants: Vec<Instant>,
-    /// Cosine and sine of the angle there.
-    pub(super) turns: Vec<[f64; 2]>,
     /// How deviations pass the interval.
     pub(super) steps: Vec<Step>,
 }
@@ -180,11 +178,6 @@ impl<'a> Around<'a> {
         }
         let dynamics = Dynamics::of(&model, scenario.input)?;
         let instants = instants(&model, scenario, &followed);
-        let turn = |at: &Instant| {
-            let (sine, cosine) = at.angle_rad.sin_cos();
-            [cosine, sine]
-        };
-        let turns = instants.iter().map(turn).collect();
         let step = |(passage, forget): (&Passage, &f64)| {
             if passage.interval_s > 0.0 {
                 Step::of(passage, *forget, &dynamics)
@@ -208,7 +201,6 @@ impl<'a> Around<'a> {
             followed,
             dynamics,
             instants,
-            turns,
             steps,
         })
     }
@@ -303,7 +295,7 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
                     input
                 },
                 speed_rad_s: mean(1),
-                angle_rad,
+                angle: ShaftAngle::at(angle_rad),
                 ..motor
             }
         })

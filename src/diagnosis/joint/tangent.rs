@@ -9,8 +9,6 @@ use crate::plant::{Instant, MotorKey, Sums, Terms};
 pub(super) const LANES: usize = 8;
 /// Samples that are forced, passed and handed on at once, so that all of it stays in the cache.
 pub(super) const CHUNK: usize = 128;
-/// Multiples of the angle up to which a wave is a power of the shaft's turn; rounding grows with the power.
-const HIGHEST_POWER: f64 = 200.0;
 
 /// A number for each lane.
 pub(super) type Lane = [f64; LANES];
@@ -378,53 +376,28 @@ fn slower(terms: &dyn Terms, at: &Instant, factor: f64, share: f64) -> Sums {
     }
 }
 
-/// Multiples of the shaft's angle at the samples of one chunk, as cosine and sine.
-struct Turns {
+/// Sine and cosine of a wave at the samples of one chunk.
+struct Waves {
     order: f64,
     each: [[f64; 2]; CHUNK],
 }
 
-impl Turns {
+impl Waves {
     /// Goes on to `order`; the next one after the present costs one product a sample.
-    fn to(&mut self, order: f64, once: &[[f64; 2]], instants: &[Instant]) {
+    fn to(&mut self, order: f64, instants: &[Instant]) {
         if order.to_bits() == self.order.to_bits() {
             return;
         }
-        let next = (order - self.order - 1.0).abs() < f64::EPSILON;
-        let whole = order.fract().abs() < f64::EPSILON && (1.0..=HIGHEST_POWER).contains(&order);
-        for ((turn, once), at) in self.each.iter_mut().zip(once).zip(instants) {
-            *turn = if next {
-                times(*turn, *once)
-            } else if whole {
-                #[expect(
-                    clippy::cast_possible_truncation,
-                    clippy::cast_sign_loss,
-                    reason = "whole and small"
-                )]
-                power(*once, order as u32)
+        let is_next = (order - self.order - 1.0).abs() < f64::EPSILON;
+        for (wave, at) in self.each.iter_mut().zip(instants) {
+            *wave = if is_next {
+                at.angle.next_wave(*wave)
             } else {
-                let (sine, cosine) = (order * at.angle_rad).sin_cos();
-                [cosine, sine]
+                at.angle.wave(order)
             };
         }
         self.order = order;
     }
-}
-
-fn times(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
-    [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
-}
-
-fn power(mut base: [f64; 2], mut exponent: u32) -> [f64; 2] {
-    let mut out = [1.0, 0.0];
-    while exponent > 0 {
-        if exponent & 1 == 1 {
-            out = times(out, base);
-        }
-        base = times(base, base);
-        exponent >>= 1;
-    }
-    out
 }
 
 /// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
@@ -462,16 +435,16 @@ pub(super) fn carry(
     for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No order is this: the first wave of a chunk is computed anew.
-        let mut turns = Turns {
+        let mut waves = Waves {
             order: f64::NEG_INFINITY,
-            each: [[1.0, 0.0]; CHUNK],
+            each: [[0.0; 2]; CHUNK],
         };
         for (lane, traveller) in travellers.iter_mut().enumerate() {
             force(
                 run,
                 traveller,
                 range.clone(),
-                &mut turns,
+                &mut waves,
                 |k, [current, speed]| {
                     forcing[k][0][lane] = current;
                     forcing[k][1][lane] = speed;
@@ -515,7 +488,7 @@ fn force(
     run: &Around<'_>,
     traveller: &mut Traveller<'_>,
     range: std::ops::Range<usize>,
-    turns: &mut Turns,
+    waves: &mut Waves,
     mut put: impl FnMut(usize, [f64; 2]),
 ) {
     let instants = &run.instants[range.clone()];
@@ -583,10 +556,10 @@ fn force(
             }
         }
         Tangent::Wave(wave) => {
-            turns.to(wave.order, &run.turns[range], instants);
-            let turned = instants.iter().zip(&turns.each).zip(passages);
-            for (k, ((at, turn), passage)) in turned.enumerate() {
-                let torque = wave_torque(wave, at, passage.interval_s, turn);
+            waves.to(wave.order, instants);
+            let along = instants.iter().zip(&waves.each).zip(passages);
+            for (k, ((at, each), passage)) in along.enumerate() {
+                let torque = wave_torque(wave, at, passage.interval_s, each);
                 put(k, [0.0, -torque * inertia]);
             }
         }
@@ -614,8 +587,8 @@ fn force(
     }
 }
 
-/// Torque of a wave over an interval about an instant at which the shaft has turned this far.
-fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, turn: &[f64; 2]) -> f64 {
+/// Torque of a wave over an interval about an instant at which its sine and cosine are these.
+fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, [sin, cos]: &[f64; 2]) -> f64 {
     // What a wave does over an interval in which the shaft turns by much of it is little.
     let mean = sinc(0.5 * wave.order * at.speed_rad_s * interval_s);
     let per = if wave.of_current {
@@ -623,7 +596,7 @@ fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, turn: &[f64; 2]) -> f
     } else {
         1.0
     };
-    mean * wave.size * per * turn[usize::from(wave.sine)]
+    mean * wave.size * per * if wave.sine { sin } else { cos }
 }
 
 /// A curve at a speed by its values at equidistant speeds between plus and minus the largest.

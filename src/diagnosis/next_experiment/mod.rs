@@ -101,7 +101,8 @@ impl PairEntry {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MenuEntry {
     pub program: &'static str,
-    /// The smallest over the pairs; where there is no pair, the largest over what it would reveal.
+    /// The smallest over the pairs; where there is no pair, the largest over what it would reveal. Of a run that tells no
+    /// pair apart it is what it could be at most.
     pub expected_separation: f64,
     /// What a diagnosis of that run asks for, as in [`PairEntry::needed`].
     pub needed: f64,

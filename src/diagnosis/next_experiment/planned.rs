@@ -5,6 +5,7 @@ use serde::Serialize;
 use super::limits::ExperimentLimits;
 use super::menu::{Reach, Recipe, recipe};
 use crate::excitation::{Output, Program};
+use crate::identification::noise::NoiseFloor;
 use crate::numerics::count::whole;
 use crate::plant::{Input, Model, MotorKey, Plant, Scenario, State};
 use crate::sample::Channel;
@@ -13,8 +14,9 @@ use crate::sample::Channel;
 const VOLTAGE_SHARE: f64 = 0.95;
 const CURRENT_SHARE: f64 = 0.85;
 const SPEED_SHARE: f64 = 0.92;
-/// Rows of a plan are not closer than this, s: the simulations take their time.
-const SHORTEST_PERIOD_S: f64 = 1e-3;
+/// Rows of a plan are not closer than this, and its simulations take no shorter steps, s: a menu of runs takes its time, and
+/// what two models differ by in a run needs no such accuracy as a measurement.
+pub(super) const SHORTEST_PERIOD_S: f64 = 2e-3;
 const LONGEST_PERIOD_S: f64 = 0.05;
 /// Times a recipe is made smaller before it is given up.
 const MOST_TRIALS: usize = 5;
@@ -36,11 +38,23 @@ pub(super) struct Planned {
     pub(super) peaks: Peaks,
     /// Commands, sample times and the angle; no measurement yet.
     blank: Scenario,
+    /// How many rows of the bench one of the plan stands for.
+    stands_for: f64,
 }
 
 impl Planned {
-    pub(super) fn rows(&self) -> usize {
-        self.blank.samples()
+    /// Rows that the bench would record.
+    pub(super) fn rows(&self) -> f64 {
+        self.stands_for * self.blank.samples() as f64
+    }
+
+    /// The noise that rows of the plan have where they say as much as those of the bench do.
+    pub(super) fn noise(&self, noise: NoiseFloor) -> NoiseFloor {
+        NoiseFloor {
+            current_a: noise.current_a / self.stands_for.sqrt(),
+            speed_rad_s: noise.speed_rad_s / self.stands_for.sqrt(),
+            ..noise
+        }
     }
 
     /// The run as it would be measured, without noise, if `truth` were true.
@@ -79,6 +93,7 @@ pub(super) fn planned(
                 recipe,
                 peaks,
                 blank,
+                stands_for: (period_s / limits.period_s).max(1.0),
             });
         }
         share *= 0.97 / excess;
@@ -87,7 +102,8 @@ pub(super) fn planned(
 }
 
 fn fill(run: &mut Scenario, model: &Model) -> Option<()> {
-    let mut plant = Plant::new(model, Input::Voltage).ok()?;
+    let plant = Plant::new(model, Input::Voltage).ok()?;
+    let mut plant = plant.coarse(SHORTEST_PERIOD_S);
     let out = plant.simulate(run, State::default());
     let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
     (finite(&out.current_a) && finite(&out.speed_rad_s)).then(|| {

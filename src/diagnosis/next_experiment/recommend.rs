@@ -10,8 +10,9 @@ use super::rival::Rival;
 use super::separation::{Response, refitted};
 use super::{MenuEntry, NextExperiment, PairEntry, SEPARATED, words};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, Status};
+use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{Input, Model};
+use crate::plant::{Input, Model, Scenario};
 
 /// Pairs that one run is asked to tell apart.
 const MOST_PAIRS: usize = 3;
@@ -40,6 +41,12 @@ struct Tried {
     needed: f64,
 }
 
+impl Tried {
+    fn tells_any(&self) -> bool {
+        self.separations.iter().any(|value| *value >= self.needed)
+    }
+}
+
 impl Question<'_> {
     /// Factor by which the squared errors of the better rival of a pair count less than white noise.
     fn inflation(&self, pair: usize) -> f64 {
@@ -49,14 +56,34 @@ impl Question<'_> {
     }
 
     /// For each pair the smaller of the two directions from linear fits, over the pair's inflation; and the separation
-    /// that is needed in this run.
+    /// that is needed in this run. Where that is more than the runs of any pair differ by before a rival is fitted to
+    /// them, what they differ by stands for the rest.
     fn ask(&self, plan: Planned, evidence: &Evidence) -> Tried {
-        let noise = evidence.noise;
+        let noise = plan.noise(evidence.noise);
+        let residuals = 2.0 * plan.rows();
+        let runs: Vec<Option<Scenario>> = self
+            .rivals
+            .par_iter()
+            .map(|rival| plan.measured(rival.model))
+            .collect();
+        let apart = |pair: usize| {
+            let squares = runs[0].as_ref().zip(runs[pair + 1].as_ref());
+            squares.map_or(0.0, |(a, b)| squared_difference(a, b, noise)) / self.inflation(pair)
+        };
+        let at_most = Tried {
+            separations: (0..self.names.len()).map(apart).collect(),
+            needed: SEPARATED.max(TOLD_APART * residuals),
+            plan,
+        };
+        if !at_most.tells_any() {
+            return at_most;
+        }
         let seen: Vec<_> = self
             .rivals
             .par_iter()
-            .map(|rival| {
-                let run = plan.measured(rival.model)?;
+            .zip(runs)
+            .map(|(rival, run)| {
+                let run = run?;
                 let (response, _) = Response::of(rival, &run, noise)?;
                 Some((run, response))
             })
@@ -76,12 +103,11 @@ impl Question<'_> {
             let (response, difference) = Response::of(&self.base, run, noise)?;
             Some(response.without_memory().separation(&difference) / self.rivals[0].inflation)
         });
-        let residuals = 2.0 * plan.rows() as f64;
         let gained = explainable.filter(|d| d.is_finite()).unwrap_or(0.0);
         Tried {
-            plan,
             separations,
             needed: SEPARATED.max(TOLD_APART * gained.max(residuals)),
+            ..at_most
         }
     }
 
@@ -92,13 +118,27 @@ impl Question<'_> {
             .map(|pair| {
                 let one_way = |truth: usize, rival: usize| {
                     let run = plan.measured(self.rivals[truth].model)?;
-                    refitted(&run, &self.rivals[rival], evidence.noise)
+                    refitted(&run, &self.rivals[rival], plan.noise(evidence.noise))
                 };
                 let (there, back) = rayon::join(|| one_way(0, pair + 1), || one_way(pair + 1, 0));
                 smaller([there, back]) / self.inflation(pair)
             })
             .collect()
     }
+}
+
+/// What two simulated runs differ by, in units of the noise.
+fn squared_difference(a: &Scenario, b: &Scenario, noise: NoiseFloor) -> f64 {
+    let sum = |a: &[f64], b: &[f64], noise: f64| {
+        let pairs = a.iter().zip(b);
+        // A signal that was not measured counts for nothing.
+        pairs
+            .map(|(a, b)| ((a - b) / noise).powi(2))
+            .filter(|d| d.is_finite())
+            .sum::<f64>()
+    };
+    sum(&a.current_a, &b.current_a, noise.current_a)
+        + sum(&a.speed_rad_s, &b.speed_rad_s, noise.speed_rad_s)
 }
 
 /// A rival that cannot be simulated there promises nothing.
@@ -269,12 +309,16 @@ fn tried(
 }
 
 /// Index of the run that is best when the rivals are refitted in full, and its separations: the linear order is asked
-/// from its top until the next one could not be much better.
+/// from its top until the next one could not be much better. Where the first tells nothing apart no refit is asked.
 fn best(
     question: &Question<'_>,
     tried: &[Tried],
     evidence: &Evidence,
 ) -> Option<(usize, Vec<f64>)> {
+    let first = tried.first()?;
+    if !first.tells_any() {
+        return Some((0, first.separations.clone()));
+    }
     let mut best: Option<(f64, usize, Vec<f64>)> = None;
     for (index, next) in tried.iter().take(FINALISTS).enumerate() {
         let so_far = best

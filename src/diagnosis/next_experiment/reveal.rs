@@ -97,14 +97,13 @@ fn shown(
     truths: &[(&'static str, Model)],
     evidence: &Evidence,
 ) -> Option<Vec<f64>> {
-    let own = plan.measured(rival.model)?;
-    let (response, _) = Response::of(rival, &own, evidence.noise)?;
+    let (own, noise) = (plan.measured(rival.model)?, plan.noise(evidence.noise));
+    let (response, _) = Response::of(rival, &own, noise)?;
     truths
         .iter()
         .map(|(_, truth)| {
             let run = plan.measured(truth)?;
-            let separation =
-                response.separation_from(&run, rival, evidence.noise)? / rival.inflation;
+            let separation = response.separation_from(&run, rival, noise)? / rival.inflation;
             Some(if separation.is_finite() {
                 separation
             } else {

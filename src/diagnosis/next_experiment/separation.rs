@@ -5,6 +5,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::planned::SHORTEST_PERIOD_S;
 use super::rival::Rival;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FreeRun;
@@ -15,6 +16,11 @@ use crate::plant::Scenario;
 pub(super) fn linear(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
     let (response, difference) = Response::of(rival, run, noise)?;
     Some(response.separation(&difference))
+}
+
+fn planned_run<'a>(rival: &Rival<'_>, run: &'a Scenario, noise: NoiseFloor) -> Option<FreeRun<'a>> {
+    let run = FreeRun::new(rival.model, run, noise).ok()?;
+    Some(run.coarse(SHORTEST_PERIOD_S))
 }
 
 /// The rival's difference to the run, in units of the noise.
@@ -38,7 +44,7 @@ impl Response {
         run: &Scenario,
         noise: NoiseFloor,
     ) -> Option<(Self, DVector<f64>)> {
-        let problem = FreeRun::new(rival.model, run, noise).ok()?;
+        let problem = planned_run(rival, run, noise)?;
         let x = problem.start();
         let difference = difference(&problem, &x)?;
         let response = Self {
@@ -55,7 +61,7 @@ impl Response {
         rival: &Rival<'_>,
         noise: NoiseFloor,
     ) -> Option<f64> {
-        let problem = FreeRun::new(rival.model, run, noise).ok()?;
+        let problem = planned_run(rival, run, noise)?;
         let x = problem.start();
         if x.len() != self.information.nrows() {
             // An offset does not look like rest: its start is one more unknown.
@@ -105,7 +111,7 @@ pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> 
     let rival = &placed
         .as_ref()
         .map_or_else(|| rival.clone(), |model| rival.with(model));
-    let problem = FreeRun::new(rival.model, run, noise).ok()?;
+    let problem = planned_run(rival, run, noise)?;
     let start = problem.start();
     let (response, difference) = Response::of(rival, run, noise)?;
     // Most of the way is linear.

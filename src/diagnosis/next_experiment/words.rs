@@ -40,7 +40,7 @@ pub(super) fn pairs(
         } else {
             format!(
                 "no run of this kind will separate {a} and {b} within the limits: the best, {run}, gives a separation \
-                 of {best}, {needed} are needed"
+                 of {best} at most, {needed} are needed"
             )
         });
     }

@@ -3,7 +3,7 @@
 use super::grid::{Motion, Part};
 use super::processing::{Processing, filter, rate, spanned};
 use crate::identification::regressor::PROPORTIONAL;
-use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, Slot};
+use crate::plant::{Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot};
 
 /// Rows of one part before decimation.
 pub(super) struct Rows {
@@ -150,7 +150,7 @@ impl Signals<'_> {
                     supply_v: self.supply_v,
                     current_a: self.current[k],
                     speed_rad_s: self.speed[k],
-                    angle_rad: self.part.angle_rad[k],
+                    angle: ShaftAngle::at(self.part.angle_rad[k]),
                     ..Instant::of(&self.model.motor)
                 };
                 let added = match self.equation {

@@ -15,7 +15,7 @@ use super::processing::{Processing, filter, rate, spanned};
 use crate::identification::speed_from_angle;
 use crate::identification::torque_rows::{Method, TorqueRows};
 use crate::numerics::filter::Butterworth;
-use crate::plant::{Input, Instant, Model, Scenario};
+use crate::plant::{Input, Instant, Model, Scenario, ShaftAngle};
 use crate::sample::{Channel, Origin, Run};
 
 /// One part of the run without gaps.
@@ -113,7 +113,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
                 voltage_v: f64::NAN,
                 current_a: drives,
                 speed_rad_s,
-                angle_rad,
+                angle: ShaftAngle::at(angle_rad),
                 torque_n_m_per_a: per_unit,
                 ..constants
             });

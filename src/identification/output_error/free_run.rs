@@ -8,7 +8,8 @@ use crate::identification::stamps;
 use crate::numerics::levenberg_marquardt::Problem;
 use crate::numerics::statistics;
 use crate::plant::{
-    Model, MotorKey, Plant, Scenario, Slot, State, Trajectory, motor_range, typical_size,
+    Model, ModelError, MotorKey, Plant, Scenario, Slot, State, Trajectory, motor_range,
+    typical_size,
 };
 
 /// Where a fit of a Coulomb level starts that was given as zero, whose logarithm does not exist, N.m.
@@ -116,6 +117,8 @@ pub struct FreeRun<'a> {
     effect_states: usize,
     /// Which scored samples enter: `(sample, is_speed)`, in the order of time.
     rows: Vec<(usize, bool)>,
+    /// Sub-steps of the simulation are at least this long, s; zero: as short as its effects ask for.
+    coarse_s: f64,
     /// Memory of simulations that are over, for the next ones: as much as there are threads at work on this problem.
     spare: Mutex<Vec<Trajectory>>,
 }
@@ -180,8 +183,16 @@ impl<'a> FreeRun<'a> {
             noise,
             free,
             rows,
+            coarse_s: 0.0,
             spare: Mutex::default(),
         })
+    }
+
+    /// In coarse sub-steps, see [`Plant::coarse`].
+    #[must_use]
+    pub const fn coarse(mut self, step_s: f64) -> Self {
+        self.coarse_s = step_s;
+        self
     }
 
     /// Lets the states of effects start anywhere: in another run than the fitted one the winding may be warm already.
@@ -312,7 +323,12 @@ impl<'a> FreeRun<'a> {
 
     pub fn trajectory(&self, x: &[f64]) -> Result<Trajectory, FitError> {
         let start = self.initial_state(x);
-        Ok(Plant::new(&self.model_at(x), self.scenario.input)?.simulate(self.scenario, start))
+        Ok(self.plant(x)?.simulate(self.scenario, start))
+    }
+
+    fn plant(&self, x: &[f64]) -> Result<Plant, ModelError> {
+        let plant = Plant::new(&self.model_at(x), self.scenario.input)?;
+        Ok(plant.coarse(self.coarse_s))
     }
 
     /// Units in which the initial state is fitted.
@@ -352,7 +368,7 @@ pub fn weighted_residual(
 impl Problem for FreeRun<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let start = self.initial_state(x);
-        let Ok(mut plant) = Plant::new(&self.model_at(x), self.scenario.input) else {
+        let Ok(mut plant) = self.plant(x) else {
             return false;
         };
         let mut simulated = self.borrowed();

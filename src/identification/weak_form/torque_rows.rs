@@ -11,7 +11,7 @@ use super::window::{Window, held_mean};
 use super::{FEWEST_HALF, TORQUE_HALF_S};
 use crate::identification::torque_rows::{Method, TorqueRows, between, median_gap_s};
 use crate::numerics::count::whole;
-use crate::plant::{Input, Instant, Model, Scenario};
+use crate::plant::{Input, Instant, Model, Scenario, ShaftAngle};
 
 /// Periods without a measured torque across which it is not interpolated.
 const LONGEST_GAP: f64 = 5.0;
@@ -119,7 +119,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
             current_a,
             speed_rad_s,
             // Where the angle is not known at the very ends, its nearest value.
-            angle_rad: clamped(&angles, time_s),
+            angle: ShaftAngle::at(clamped(&angles, time_s)),
             torque_n_m_per_a,
             ..constants
         });

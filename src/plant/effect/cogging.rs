@@ -57,7 +57,7 @@ impl Effect for Cogging {
 
 impl Terms for Wave {
     fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
-        let (sin, cos) = (self.order * at.angle_rad).sin_cos();
+        let [sin, cos] = at.angle.wave(self.order);
         self.sin_n_m * sin + self.cos_n_m * cos
     }
 }

@@ -46,7 +46,7 @@ impl Effect for EccentricLoad {
 
 impl Terms for Imbalance {
     fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
-        let (sin, cos) = at.angle_rad.sin_cos();
+        let [sin, cos] = at.angle.wave(1.0);
         self.sin_n_m * sin + self.cos_n_m * cos
     }
 }

@@ -8,6 +8,7 @@
 //!     the path of command and measurement (Path)      a second inertia behind a shaft (Coupling)
 //! ```
 
+mod angle;
 mod asymmetric_viscous;
 mod backlash;
 mod cogging;
@@ -47,6 +48,7 @@ mod voltage_drop;
 mod voltage_offset;
 mod winding_heating;
 
+pub use angle::ShaftAngle;
 pub use defined::{DefinitionError, FAMILIES, Layout, define, family};
 pub use parameter::{ParameterRole, ParameterSpec};
 pub use path::{Coupling, Path};

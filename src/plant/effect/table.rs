@@ -77,7 +77,7 @@ impl Axis {
         match self {
             Self::Speed => at.speed_rad_s,
             Self::Current => at.current_a,
-            Self::Angle => at.angle_rad,
+            Self::Angle => at.angle.rad(),
             Self::Time => at.time_s,
             Self::Voltage => at.voltage_v,
         }

@@ -1,6 +1,6 @@
 //! What an effect adds to the equations of the baseline.
 
-use super::{Coupling, Path};
+use super::{Coupling, Path, ShaftAngle};
 use crate::plant::motor::{Motor, MotorKey};
 
 /// The instant at which terms are evaluated, and the motor that they act on.
@@ -13,7 +13,7 @@ pub struct Instant {
     pub supply_v: f64,
     pub current_a: f64,
     pub speed_rad_s: f64,
-    pub angle_rad: f64,
+    pub angle: ShaftAngle,
     /// Of the cold winding.
     pub resistance_ohm: f64,
     pub back_emf_v_s_per_rad: f64,
@@ -70,15 +70,20 @@ pub trait Terms: Send + Sync {
         0.0
     }
 
-    /// The five above at once: one call through the table of methods where a simulation would need five.
+    /// Adds the five above: one call through the table of methods where a simulation would need five.
+    fn add_to(&self, sums: &mut Sums, at: &Instant, own: &[f64]) {
+        sums.voltage_v += self.voltage_v(at, own);
+        sums.torque_n_m += self.torque_n_m(at, own);
+        sums.friction_n_m += self.friction_n_m(at);
+        sums.current_rate_gain += self.current_rate_gain(at);
+        sums.inertia_gain += self.inertia_gain(at);
+    }
+
+    /// The five above at once.
     fn sums(&self, at: &Instant, own: &[f64]) -> Sums {
-        Sums {
-            voltage_v: self.voltage_v(at, own),
-            torque_n_m: self.torque_n_m(at, own),
-            friction_n_m: self.friction_n_m(at),
-            current_rate_gain: self.current_rate_gain(at),
-            inertia_gain: self.inertia_gain(at),
-        }
+        let mut sums = Sums::default();
+        self.add_to(&mut sums, at, own);
+        sums
     }
 
     /// Number of states, all starting at zero.

@@ -95,7 +95,7 @@ fn instant() -> Instant {
         supply_v: 60.0,
         current_a: 3.0,
         speed_rad_s: 5.0,
-        angle_rad: 0.7,
+        angle: ShaftAngle::at(0.7),
         ..Instant::of(&Motor::zk_22fc())
     }
 }
@@ -296,7 +296,7 @@ fn what_depends_on_the_angle_says_so() {
         let terms = effect.terms(&sized(*effect, 1.0));
         let own = vec![2.0; terms.states()];
         let turned = Instant {
-            angle_rad: instant().angle_rad + 0.1,
+            angle: ShaftAngle::at(instant().angle.rad() + 0.1),
             ..instant()
         };
         let (here, there) = (terms.sums(&instant(), &own), terms.sums(&turned, &own));

@@ -57,7 +57,7 @@ impl Effect for TorqueRipple {
 
 impl Terms for Ripple {
     fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
-        let (sin, cos) = (self.order * at.angle_rad).sin_cos();
+        let [sin, cos] = at.angle.wave(self.order);
         at.torque_n_m_per_a * at.current_a * (self.sin_ratio * sin + self.cos_ratio * cos)
     }
 }

@@ -1,16 +1,15 @@
 //! The right-hand sides: what drives the linear part, and what holds the shaft.
 
 use super::state::{MOST_STATES, Mode, State};
-use crate::plant::effect::{Balance, Coupling, Enters, Instant, Path, Sums, Terms};
+use crate::plant::effect::{Coupling, Enters, Instant, Path, ShaftAngle, Sums, Terms};
 use crate::plant::model::{Model, ModelError};
 use crate::plant::motor::MotorKey;
 use crate::plant::propagator::M2;
 use crate::plant::scenario::Input;
 
-/// An effect's terms, the balances that they enter, and the number of their states.
+/// An effect's terms and the number of their states.
 struct Entry {
     terms: Box<dyn Terms>,
-    enters: Enters,
     states: usize,
 }
 
@@ -90,10 +89,9 @@ impl Equations {
         let terms: Vec<Entry> = effects
             .into_iter()
             .filter(|(enters, terms)| *enters != Enters::Path && terms.coupling().is_none())
-            .map(|(enters, terms)| Entry {
+            .map(|(_, terms)| Entry {
                 states: terms.states(),
                 terms,
-                enters,
             })
             .collect();
         Ok(Self {
@@ -143,19 +141,9 @@ impl Equations {
         if let [only] = &self.terms[..] {
             return only.terms.sums(&here, &state.own);
         }
-        // Asked for each number by itself, and only for those of its balance: five at once go through memory.
         let mut own = &state.own[..];
         for entry in &self.terms {
-            let terms = &entry.terms;
-            if entry.enters.includes(Balance::Voltage) {
-                sums.voltage_v += terms.voltage_v(&here, own);
-                sums.current_rate_gain += terms.current_rate_gain(&here);
-            }
-            if entry.enters.includes(Balance::Torque) {
-                sums.torque_n_m += terms.torque_n_m(&here, own);
-                sums.friction_n_m += terms.friction_n_m(&here);
-                sums.inertia_gain += terms.inertia_gain(&here);
-            }
+            entry.terms.add_to(&mut sums, &here, own);
             own = &own[entry.states..];
         }
         sums
@@ -215,6 +203,15 @@ impl Equations {
         ((1.0 + gain) * (resistance_ohm + slope_ohm) - resistance_ohm).abs() * self.per_volt
     }
 
+    /// The angle as the effects see it, which is the same over a sub-step; none where no effect asks.
+    pub(super) fn angle(&self, angle_rad: f64) -> ShaftAngle {
+        if self.needs_angle {
+            ShaftAngle::at(angle_rad)
+        } else {
+            ShaftAngle::default()
+        }
+    }
+
     /// The instant `at` with what is known here.
     fn instant(&self, state: &State, at: &Instant) -> Instant {
         Instant {
@@ -222,7 +219,7 @@ impl Equations {
             voltage_v: at.voltage_v,
             current_a: state.current_a,
             speed_rad_s: state.speed_rad_s,
-            angle_rad: state.angle_rad,
+            angle: at.angle,
             ..self.motor
         }
     }

@@ -76,7 +76,7 @@ impl Shaft {
                 time_s: self.time_s,
                 current_a: drive_n_m / TORQUE_N_M_PER_A,
                 speed_rad_s: self.speed_rad_s,
-                angle_rad: self.angle_rad,
+                angle: crate::plant::ShaftAngle::at(self.angle_rad),
                 torque_n_m_per_a: TORQUE_N_M_PER_A,
                 ..Instant::default()
             };

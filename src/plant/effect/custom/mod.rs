@@ -224,7 +224,7 @@ impl Evaluated {
             at.voltage_v,
             at.current_a,
             at.speed_rad_s,
-            at.angle_rad,
+            at.angle.rad(),
             at.time_s,
         ]);
         all[DIRECTION] = direction;

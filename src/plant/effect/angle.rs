@@ -1,0 +1,87 @@
+//! The angle of the shaft with its sine and cosine, of which all waves over it are made.
+
+use crate::numerics::count::whole;
+
+/// Periods per turn up to which a wave is a power of the first; rounding grows with the power.
+const HIGHEST_POWER: f64 = 200.0;
+
+/// An angle of the shaft. Its sine and cosine are found once: effects ask for theirs many times at each instant.
+#[derive(Clone, Copy, Debug)]
+pub struct ShaftAngle {
+    rad: f64,
+    once: [f64; 2],
+}
+
+impl Default for ShaftAngle {
+    fn default() -> Self {
+        Self {
+            rad: 0.0,
+            once: [0.0, 1.0],
+        }
+    }
+}
+
+impl ShaftAngle {
+    pub fn at(rad: f64) -> Self {
+        let once = rad.sin_cos().into();
+        Self { rad, once }
+    }
+
+    pub const fn rad(&self) -> f64 {
+        self.rad
+    }
+
+    /// Sine and cosine of a wave with `order` periods per turn.
+    pub fn wave(&self, order: f64) -> [f64; 2] {
+        let is_whole = order.fract() == 0.0 && (0.0..=HIGHEST_POWER).contains(&order);
+        if !is_whole {
+            return (order * self.rad).sin_cos().into();
+        }
+        let (mut left, mut power, mut wave) = (whole(order), self.once, [0.0, 1.0]);
+        while left > 0 {
+            if left % 2 == 1 {
+                wave = of_sum(wave, power);
+            }
+            left /= 2;
+            if left > 0 {
+                power = of_sum(power, power);
+            }
+        }
+        wave
+    }
+
+    /// The wave with one period per turn more than `wave`.
+    pub fn next_wave(&self, wave: [f64; 2]) -> [f64; 2] {
+        of_sum(wave, self.once)
+    }
+}
+
+/// Sine and cosine of the sum of two angles.
+fn of_sum([sin_a, cos_a]: [f64; 2], [sin_b, cos_b]: [f64; 2]) -> [f64; 2] {
+    [sin_a * cos_b + cos_a * sin_b, cos_a * cos_b - sin_a * sin_b]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wave_is_the_sine_of_so_many_times_the_angle() {
+        for rad in [-0.3, 0.0, 1.1, 12.5] {
+            let angle = ShaftAngle::at(rad);
+            for order in [0.0, 1.0, 2.0, 7.0, 24.0, 200.0, 201.0, 1000.0, 2.5, -3.0] {
+                let alike = |wave: [f64; 2], order: f64| {
+                    let (sin, cos) = (order * rad).sin_cos();
+                    let off = (wave[0] - sin).abs().max((wave[1] - cos).abs());
+                    assert!(off < 1e-12, "{order} times {rad}: {off}");
+                };
+                let wave = angle.wave(order);
+                alike(wave, order);
+                alike(angle.next_wave(wave), order + 1.0);
+            }
+        }
+        assert!(ShaftAngle::at(f64::NAN).wave(3.0)[0].is_nan());
+        let none = ShaftAngle::default();
+        assert!(none.rad() == 0.0 && none.wave(7.0) == [0.0, 1.0]);
+    }
+}
