@@ -107,6 +107,13 @@ impl Deviations {
         white
     }
 
+    /// Behind a hole the motion is put where the readings are what was measured, whatever they have beside.
+    fn take_over(&mut self, beside: &[Lane; 2]) {
+        for (motion, beside) in self.0.iter_mut().zip(beside) {
+            *motion = beside.map(|beside| -beside);
+        }
+    }
+
     /// The inverse of `correct`: what does this to the readings, from its whitened innovations.
     #[inline]
     pub(super) fn colour(&mut self, update: &Update, white: &[Lane; 2]) -> [Lane; 2] {
@@ -459,6 +466,9 @@ pub(super) fn carry(
                     beside[*lane] = -by_s[signal] * run.followed.rates[sample][signal];
                 }
             }
+            if run.follower.passages[sample].begins_again {
+                deviations.take_over(&beside);
+            }
             white.copy_from_slice(&deviations.correct(&run.follower.updates[sample], &beside));
         }
         hand_on(first, &white[..2 * range.len()]);
@@ -768,6 +778,33 @@ mod tests {
             let difference: Vec<f64> = difference.into_iter().map(f64::from).collect();
             let apart = distance(&columns(&around, &[tangent])[0], &difference);
             assert!(apart < 0.05, "case {number}: {apart}");
+        }
+    }
+
+    #[test]
+    fn behind_a_hole_readings_are_what_was_measured_whatever_they_have_beside() {
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut scenario = run(&model);
+        let [first, last] = [620, 680];
+        scenario.unknown_input = vec![crate::plant::UnknownInput {
+            from_s: scenario.sample_time_s[first],
+            to_s: scenario.sample_time_s[last],
+            lost_rows: last - first,
+            mean: 60.0,
+            beside: [0.0; 3],
+            variance: 0.0,
+            restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
+        }];
+        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        for (id, offset) in [("current_offset", [0.4, 0.0]), ("speed_offset", [0.0, 3.0])] {
+            let mut with = model.with_effect(id).unwrap();
+            with.effects[0].values = vec![Some(offset[0] + offset[1])];
+            let difference = around.difference(&with, &scenario, 1.0);
+            let difference: Vec<f64> = difference.into_iter().map(f64::from).collect();
+            let behind = 2 * last..2 * last + 100;
+            let column = &columns(&around, &[&Tangent::Offset(offset)])[0];
+            let apart = distance(&column[behind.clone()], &difference[behind]);
+            assert!(apart < 1e-6, "{id}: {apart}");
         }
     }
 

@@ -82,6 +82,9 @@ mod tests {
         }
         assert!(ShaftAngle::at(f64::NAN).wave(3.0)[0].is_nan());
         let none = ShaftAngle::default();
-        assert!(none.rad() == 0.0 && none.wave(7.0) == [0.0, 1.0]);
+        assert_eq!(
+            [none.rad(), none.wave(7.0)[0], none.wave(7.0)[1]],
+            [0.0, 0.0, 1.0]
+        );
     }
 }
