@@ -10,7 +10,7 @@ use super::follow::Noise;
 use super::prediction_error::estimate;
 use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
 use super::search::{self, Found, Happened};
-use super::select::{Posterior, Reduced, Set};
+use super::select::{Posterior, Set};
 use crate::diagnosis::Evidence;
 use crate::diagnosis::candidates::{Onset, RunOf};
 use crate::diagnosis::evidence::HoldoutFrom;
@@ -167,12 +167,12 @@ impl Inference {
     pub(in crate::diagnosis) fn with_effects(&self, ids: &[&'static str]) -> Option<Model> {
         let Found {
             hypothesis,
-            linear,
+            reduced,
             posterior,
             happened,
             ..
         } = &self.found;
-        let reduced = Reduced::new(linear, self.found.excess, true)?;
+        let linear = &reduced.linear;
         let mut missing: Vec<&str> = ids.to_vec();
         let candidates = linear.candidates.iter().zip(&posterior.forms);
         let set: Set = candidates
@@ -182,7 +182,7 @@ impl Inference {
                 Some(if candidate.in_model { 0 } else { *form })
             })
             .collect();
-        let there = search::at_solution(hypothesis, linear, &reduced, &set)?;
+        let there = search::at_solution(hypothesis, reduced, &set)?;
         let mut model = there.model;
         let mut known: Vec<&Event> = happened.iter().map(|happened| &happened.event).collect();
         known.sort_by_key(|event| event.run);
@@ -279,18 +279,17 @@ pub(in crate::diagnosis) fn infer(
     let models = [&model, before];
     let found =
         search::search(models, asked, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
-    let reduced = Reduced::new(&found.linear, found.excess, true).ok_or_else(failed)?;
     let mut effects: Vec<Inferred> = asked
         .iter()
         .map(|effect| Inferred {
             given: given.contains(&effect.card().id),
             why_not: why_not(*effect, &runs[0]),
-            ..inferred(*effect, &found, &reduced)
+            ..inferred(*effect, &found)
         })
         .collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
     // Of two that these runs cannot tell apart the likelier stands for both.
-    let mut confusable = confusable(&found, &reduced);
+    let mut confusable = confusable(&found);
     if has_drop_of_brushes(&found.hypothesis.model) {
         share_with_drop(&mut effects, &mut confusable);
     }
@@ -317,7 +316,11 @@ pub(in crate::diagnosis) fn infer(
     let superfluous = given.into_iter().filter(is_gone).collect();
     confusable.retain(|pair| named.contains(&pair[0]));
     let Posterior { probability, .. } = &found.posterior;
-    let unknown = unknown_parts(&found.linear.candidates, probability, &found.unknown_share);
+    let unknown = unknown_parts(
+        &found.reduced.linear.candidates,
+        probability,
+        &found.unknown_share,
+    );
     Ok(Inference {
         confusable,
         effects,
@@ -460,7 +463,8 @@ fn roughness(values: &[f64]) -> f64 {
     statistics::robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
-fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -> Inferred {
+fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
+    let reduced = &found.reduced;
     let id = effect.card().id;
     let mut out = Inferred {
         effect,
@@ -473,7 +477,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
         log_odds: f64::NEG_INFINITY,
     };
     let mut absent = 1.0;
-    for (k, candidate) in found.linear.candidates.iter().enumerate() {
+    for (k, candidate) in reduced.linear.candidates.iter().enumerate() {
         if candidate.id != id {
             continue;
         }
@@ -487,7 +491,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
             let own: Vec<usize> = variant
                 .columns
                 .iter()
-                .map(|c| c - found.linear.nuisances.len())
+                .map(|c| c - reduced.linear.nuisances.len())
                 .collect();
             let seen = reduced.seen(&columns, own[0], 1.0).information;
             out.excited |= seen * variant.mean.powi(2) > 25.0;
@@ -497,16 +501,16 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
         for (set, _) in found.posterior.sets.iter().take(SETS) {
             let mut with = reduced.cleared(set, k);
             with[k] = Some(form);
-            if let Some((size, sd)) = size_in(found, reduced, &with, k) {
+            if let Some((size, sd)) = size_in(found, &with, k) {
                 bound = bound.max(size + BOUND * sd);
             }
         }
         if candidate.is_event() && !candidate.in_model {
-            bound = bound.max(whenever(&moments(found, reduced, k)));
+            bound = bound.max(whenever(&moments(found, k)));
         }
         let mut with = reduced.cleared(&found.posterior.best, k);
         with[k] = Some(form);
-        if let Some((_, sd)) = size_in(found, reduced, &with, k) {
+        if let Some((_, sd)) = size_in(found, &with, k) {
             let slab = variant.units[0];
             let excited = sd < SAYS_NOTHING * slab;
             out.excited |= excited;
@@ -516,7 +520,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
                 let detectable = if candidate.is_event() {
                     None
                 } else {
-                    detectable(found, reduced, &with, k, sd)
+                    detectable(found, &with, k, sd)
                 };
                 out.detectable = match (out.detectable, detectable) {
                     (Some(a), Some(b)) => Some(a.max(b)),
@@ -530,8 +534,9 @@ fn inferred(effect: &'static dyn Effect, found: &Found, reduced: &Reduced<'_>) -
 }
 
 /// What the runs say of an event at each moment of one of them, beside the best set.
-fn moments(found: &Found, reduced: &Reduced<'_>, k: usize) -> Vec<Seen> {
-    let candidate = &found.linear.candidates[k];
+fn moments(found: &Found, k: usize) -> Vec<Seen> {
+    let reduced = &found.reduced;
+    let candidate = &reduced.linear.candidates[k];
     if !candidate.moments.is_empty() {
         let wider = |seen: &Seen| Seen {
             information: seen.information / found.excess,
@@ -543,7 +548,7 @@ fn moments(found: &Found, reduced: &Reduced<'_>, k: usize) -> Vec<Seen> {
     let others = reduced.columns(&reduced.cleared(&found.posterior.best, k));
     let alone = candidate.variants.iter();
     let alone = alone.filter(|variant| variant.columns.len() == 1);
-    let m = found.linear.nuisances.len();
+    let m = reduced.linear.nuisances.len();
     alone
         .map(|variant| reduced.seen(&others, variant.columns[0] - m, variant.units[0]))
         .collect()
@@ -598,16 +603,17 @@ fn without(set: &Set, k: usize) -> Set {
 }
 
 /// Size of candidate `k` in a set and its standard deviation, in the unit of its first parameter.
-fn size_in(found: &Found, reduced: &Reduced<'_>, set: &Set, k: usize) -> Option<(f64, f64)> {
-    let variant = &found.linear.candidates[k].variants[set[k]?];
+fn size_in(found: &Found, set: &Set, k: usize) -> Option<(f64, f64)> {
+    let reduced = &found.reduced;
+    let variant = &reduced.linear.candidates[k].variants[set[k]?];
     let columns = reduced.columns(set);
     let (mean, covariance) = reduced.sizes(&columns)?;
-    let m = found.linear.nuisances.len();
+    let m = reduced.linear.nuisances.len();
     let is_wave = variant.parameters.len() > 1
         && variant.units.len() > 1
         && variant.units[1] > 0.0
         && variant.parameters[1] == 1
-        && is_amplitude(found.linear.candidates[k].effect);
+        && is_amplitude(reduced.linear.candidates[k].effect);
     let count = if is_wave { 2 } else { 1 };
     let (mut square, mut variance) = (0.0, 0.0_f64);
     for (column, unit) in variant.columns.iter().zip(&variant.units).take(count) {
@@ -627,8 +633,9 @@ fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
 
 /// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
 /// against it.
-fn detectable(found: &Found, reduced: &Reduced<'_>, with: &Set, k: usize, sd: f64) -> Option<f64> {
-    let candidate = &found.linear.candidates[k];
+fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
+    let reduced = &found.reduced;
+    let candidate = &reduced.linear.candidates[k];
     let variant = &candidate.variants[with[k]?];
     let others = reduced.columns(&without(with, k));
     let wave = is_amplitude(candidate.effect);
@@ -678,8 +685,9 @@ const SERVES_AS_WELL: f64 = 3.0;
 
 /// Pairs of which these runs want one and cannot say which: an effect of the best set, and one that serves nearly as well in
 /// its place when everything else moves along. How wide each was believed to be beforehand has no say in it.
-fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
-    let candidates = &found.linear.candidates;
+fn confusable(found: &Found) -> Vec<[&'static str; 2]> {
+    let reduced = &found.reduced;
+    let candidates = &reduced.linear.candidates;
     let best = &found.posterior.best;
     let likelihood = |set: &Set| reduced.log_likelihood(&reduced.columns(set));
     let mut pairs: Vec<[&'static str; 2]> = Vec::new();
@@ -691,7 +699,7 @@ fn confusable(found: &Found, reduced: &Reduced<'_>) -> Vec<[&'static str; 2]> {
         let mut columns = reduced.columns(best);
         if present.is_event() {
             let forms = onset_forms(&present.variants[own]);
-            columns.retain(|column| !forms.contains(&(column + found.linear.nuisances.len())));
+            columns.retain(|column| !forms.contains(&(column + reduced.linear.nuisances.len())));
         }
         let most = reduced.log_likelihood(&columns);
         for (k, rival) in candidates.iter().enumerate() {

@@ -83,8 +83,9 @@ fn best_step(
     near: f64,
 ) -> Option<Step> {
     let linear = linearise(hypothesis, asked, runs, false)?;
-    let reduced = Reduced::new(&linear, 1.0, false)?;
     let set = present(&linear);
+    let reduced = Reduced::new(linear, 1.0, false)?;
+    let linear = &reduced.linear;
     let columns = reduced.columns(&set);
     let with = |candidate: usize, variant: usize| {
         let mut with = set.clone();
@@ -107,7 +108,7 @@ fn best_step(
     let most = singles.first()?.0;
     singles.truncate(MOST_SINGLES);
     // A linear solution knows little of what is there wholly or not at all, and just how much that leaves is known.
-    for whole in as_it_is(&linear, &set) {
+    for whole in as_it_is(linear, &set) {
         if !singles
             .iter()
             .any(|single| (single.1, single.2) == (whole.1, whole.2))
@@ -119,7 +120,7 @@ fn best_step(
     let mut best: Option<Step> = None;
     let mut take = |candidate: usize, variant: usize| {
         let set = with(candidate, variant);
-        let start = placed(hypothesis, &linear, &reduced, &set, runs)?;
+        let start = placed(hypothesis, &reduced, &set, runs)?;
         // Far from the data a wider error of form would be the likelier: all are held against the same noise.
         let (hypothesis, squares) = fit_as_followed(&start, runs)?;
         if best.as_ref().is_none_or(|best| squares < best.squares) {

@@ -7,7 +7,7 @@ use super::columns::{Around, Linear};
 use super::follow::{Noise, P, Passage, corrected, jump_of, predicted, stop};
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
-use super::whitened::{Whitened, add_upper};
+use super::whitened::{Whitened, add_upper, turned};
 use crate::numerics::count::whole;
 use crate::plant::Input;
 use crate::plant::propagator::Propagator;
@@ -233,8 +233,8 @@ impl Averaged {
             }
             if buffer.len() >= 2 * AT_ONCE * width || block + 1 == self.passages.len() {
                 let rows = buffer.len() / width;
-                let innovations = DMatrixView::from_slice(&buffer, width, rows).transpose();
-                add_upper(&mut sums, &innovations.as_view());
+                let side_by_side = DMatrixView::from_slice(&buffer, width, rows);
+                add_upper(&mut sums, &turned(&buffer, width).as_view(), &side_by_side);
                 buffer.clear();
             }
         }
@@ -243,15 +243,16 @@ impl Averaged {
     }
 }
 
-/// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest.
+/// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest. What the runs do not
+/// tell from what `start` has stays as it is.
 pub(super) fn likeliest(
     runs: &[Around<'_>],
-    linear: &Linear,
-    reduced: &Reduced<'_>,
+    reduced: &Reduced,
     forms: &[usize],
     floor: &Noise,
     start: Noise,
 ) -> Noise {
+    let linear = &reduced.linear;
     let columns = representatives(linear, forms);
     let course = Course::of(runs[0].scenario.input);
     let m = linear.nuisances.len();
@@ -296,7 +297,24 @@ pub(super) fn likeliest(
         .into_iter()
         .filter(|unknown| unknown.log(floor).is_finite())
         .collect();
-    climb(start, &unknowns, floor, course, log_likelihood)
+    let found = climb(start, &unknowns, floor, course, &log_likelihood);
+    unless_told(found, start, log_likelihood)
+}
+
+/// Gain of another disturbance, or another error of the input, below which the runs do not tell it from the one before, nats.
+const TOLD: f64 = 0.5;
+
+/// What was found, with what it began with where that is as likely: a change that no run shows is none.
+fn unless_told(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
+    let best = log_likelihood(&found);
+    [Unknown::Disturbance, Unknown::Input]
+        .into_iter()
+        .fold(found, |now, unknown| {
+            let mut same = now;
+            *unknown.of(&mut same) = *unknown.of(&mut start.clone());
+            let is_told = same == now || log_likelihood(&same) < best - TOLD;
+            if is_told { now } else { same }
+        })
 }
 
 /// How the correlation time is searched. Under a voltage, current and speed tell the spectrum above its corner, and the
@@ -411,7 +429,7 @@ fn climb(
     unknowns: &[Unknown],
     floor: &Noise,
     course: Course,
-    log_likelihood: impl Fn(&Noise) -> f64,
+    log_likelihood: &impl Fn(&Noise) -> f64,
 ) -> Noise {
     let mut now = start;
     let mut best = log_likelihood(&now);
@@ -499,7 +517,7 @@ mod tests {
             -500.0 * above * above - 8.0 * corner * corner
         };
         let unknowns = [Unknown::Disturbance, Unknown::Correlation];
-        let found = climb(floor, &unknowns, &floor, Course::Ridge, likelihood);
+        let found = climb(floor, &unknowns, &floor, Course::Ridge, &likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
     }
 
@@ -529,12 +547,12 @@ mod tests {
                 - 5.0 * v * v
                 - ((noise.current_a / 0.031).ln() / 0.01).powi(2)
         };
-        let found = climb(floor, &UNKNOWNS, &floor, Course::Ridge, likelihood);
+        let found = climb(floor, &UNKNOWNS, &floor, Course::Ridge, &likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
         assert!(count.get() < 60, "{}", count.get());
         // Nothing to gain: one look to either side of each.
         count.set(0);
-        climb(found, &UNKNOWNS, &floor, Course::Ridge, likelihood);
+        climb(found, &UNKNOWNS, &floor, Course::Ridge, &likelihood);
         assert!(count.get() < 16, "{}", count.get());
     }
 

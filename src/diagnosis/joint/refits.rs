@@ -120,8 +120,7 @@ const SOFTLY: f64 = 1.05;
 /// Sets as the linear solution weighs them.
 pub(super) struct Weighed<'a> {
     pub(super) hypothesis: &'a Hypothesis,
-    pub(super) linear: &'a Linear,
-    pub(super) reduced: &'a Reduced<'a>,
+    pub(super) reduced: &'a Reduced,
     pub(super) posterior: &'a Posterior,
     pub(super) runs: &'a [Around<'a>],
 }
@@ -137,7 +136,7 @@ impl Weighed<'_> {
             let named = best[*k].is_some() && !candidate.is_unknown();
             named && !given.contains(&candidate.id)
         };
-        let candidates = self.linear.candidates.iter().enumerate();
+        let candidates = self.reduced.linear.candidates.iter().enumerate();
         let asked: Vec<(usize, &Candidate)> = candidates.filter(asked).collect();
         if asked.is_empty() {
             return None;
@@ -147,10 +146,9 @@ impl Weighed<'_> {
             if candidate.in_model {
                 return fit(&self.hypothesis.without(candidate.id), self.runs).map(Some);
             }
-            let mut with = present(self.linear);
+            let mut with = present(&self.reduced.linear);
             with[*k] = best[*k];
-            let (linear, reduced) = (self.linear, self.reduced);
-            let start = placed(self.hypothesis, linear, reduced, &with, self.runs)?;
+            let start = placed(self.hypothesis, self.reduced, &with, self.runs)?;
             Some(fit(&start, self.runs))
         };
         let (base, refitted) = rayon::join(
@@ -257,11 +255,11 @@ mod tests {
         let (hypothesis, runs) = (Hypothesis::of(model), led(model, run));
         let mut linear = linearise(&hypothesis, &asked, &runs, false).unwrap();
         pretend(&mut linear);
-        let reduced = Reduced::new(&linear, 1.0, true).unwrap();
-        let posterior = select(&reduced, &[present(&linear)]);
+        let there = present(&linear);
+        let reduced = Reduced::new(linear, 1.0, true).unwrap();
+        let posterior = select(&reduced, &[there]);
         about(&Weighed {
             hypothesis: &hypothesis,
-            linear: &linear,
             reduced: &reduced,
             posterior: &posterior,
             runs: &runs,
@@ -346,13 +344,9 @@ mod tests {
         let excluded = |one| {
             let pretend = |linear: &mut Linear| bar(linear, &[], one);
             weighed(&nameplate(), &run, &asked, pretend, |own| {
-                let candidates = own.linear.candidates.iter();
+                let candidates = own.reduced.linear.candidates.iter();
                 let filter = candidates.clone().find(|own| own.id == "current_filter");
-                let delay = own
-                    .linear
-                    .candidates
-                    .iter()
-                    .position(|c| c.id == "speed_delay");
+                let delay = candidates.clone().position(|c| c.id == "speed_delay");
                 filter.unwrap().excludes.contains(&delay.unwrap())
             })
         };

@@ -46,7 +46,8 @@ pub(super) struct Found {
     /// The best set, fitted on all runs, and when its events happened.
     pub(super) hypothesis: Hypothesis,
     pub(super) happened: Vec<Happened>,
-    pub(super) linear: Linear,
+    /// The linear problem around it, with the excess of what is left.
+    pub(super) reduced: Reduced,
     pub(super) posterior: Posterior,
     /// What is random in the runs.
     pub(super) noise: Noise,
@@ -143,10 +144,10 @@ fn happening(
 /// What there is at the linear solution of a set.
 pub(super) fn at_solution(
     hypothesis: &Hypothesis,
-    linear: &Linear,
-    reduced: &Reduced<'_>,
+    reduced: &Reduced,
     set: &Set,
 ) -> Option<Hypothesis> {
+    let linear = &reduced.linear;
     let columns = reduced.columns(set);
     let (mean, _) = reduced.sizes(&columns)?;
     let m = linear.nuisances.len();
@@ -209,13 +210,12 @@ pub(super) fn at_solution(
 /// The same with its events at their likeliest moments.
 pub(super) fn placed(
     hypothesis: &Hypothesis,
-    linear: &Linear,
-    reduced: &Reduced<'_>,
+    reduced: &Reduced,
     set: &Set,
     runs: &[Around<'_>],
 ) -> Option<Hypothesis> {
-    let mut next = at_solution(hypothesis, linear, reduced, set)?;
-    let moments = events::placed(&next.events, linear, set, runs, 1.0);
+    let mut next = at_solution(hypothesis, reduced, set)?;
+    let moments = events::placed(&next.events, &reduced.linear, set, runs, 1.0);
     for (event, moment) in next.events.iter_mut().zip(moments) {
         event.put_at(moment.time_s);
     }
@@ -224,12 +224,12 @@ pub(super) fn placed(
 
 /// The events of a set with all that is known of them.
 fn happened(
-    linear: &Linear,
-    reduced: &Reduced<'_>,
+    reduced: &Reduced,
     set: &Set,
     runs: &[Around<'_>],
     excess: f64,
 ) -> Option<Vec<Happened>> {
+    let linear = &reduced.linear;
     let columns = reduced.columns(set);
     let (mean, covariance) = reduced.sizes(&columns)?;
     let m = linear.nuisances.len();
@@ -367,11 +367,10 @@ impl<'a> Search<'a> {
         let hypothesis = self.last.clone();
         let runs = self.around(&hypothesis)?;
         let linear = self.linearised(&hypothesis, &runs, false)?;
-        let reduced = Reduced::new(&linear, 1.0, true)?;
         let sets = [vec![None; linear.candidates.len()], present(&linear)];
+        let reduced = Reduced::new(linear, 1.0, true)?;
         let posterior = select(&reduced, &sets);
-        drop(reduced);
-        self.ended(hypothesis, linear, posterior, &runs)
+        self.ended(hypothesis, reduced, posterior, &runs)
     }
 
     /// Weighs, refits and linearises anew until set and noise stand. Where a torque drives no step by step approach is needed:
@@ -394,19 +393,19 @@ impl<'a> Search<'a> {
         for round in 0..rounds {
             let is_far = round == 0 && !is_near;
             let mut runs = self.around(&hypothesis)?;
-            let mut linear = self.linearised(&hypothesis, &runs, is_far)?;
-            let mut reduced = Reduced::new(&linear, 1.0, true)?;
-            if round == 0 {
-                screened(&linear, &reduced, progress);
-            }
+            let linear = self.linearised(&hypothesis, &runs, is_far)?;
             let sets = [vec![None; linear.candidates.len()], present(&linear)];
+            let mut reduced = Reduced::new(linear, 1.0, true)?;
+            if round == 0 {
+                screened(&reduced, progress);
+            }
             let (mut posterior, followed_with) = (select(&reduced, &sets), self.noise);
             let is_first = by_voltage && is_near && round == 0;
-            let is_to_be_placed = is_first && has_new_event(&linear, &posterior.best);
+            let is_to_be_placed = is_first && has_new_event(&reduced.linear, &posterior.best);
             if round < NOISE_ROUNDS && !is_to_be_placed {
                 // A load that wanders explains what an effect would: from little of it on the effects come first.
                 let from = [self.noise, floor][usize::from(round == 0 && !is_near)];
-                let better = likeliest(&runs, &linear, &reduced, &posterior.forms, &floor, from);
+                let better = likeliest(&runs, &reduced, &posterior.forms, &floor, from);
                 if is_another(&better, &self.noise) {
                     self.noise = better;
                 }
@@ -416,26 +415,24 @@ impl<'a> Search<'a> {
             if self.noise.disturbance_n_m > followed_with.disturbance_n_m
                 || (!is_near && !is_settled)
             {
-                drop(reduced);
                 runs = self.around(&hypothesis)?;
-                linear = self.linearised(&hypothesis, &runs, is_far)?;
-                reduced = Reduced::new(&linear, 1.0, true)?;
+                let linear = self.linearised(&hypothesis, &runs, is_far)?;
+                reduced = Reduced::new(linear, 1.0, true)?;
                 posterior = select(&reduced, &sets);
                 is_settled = true;
             }
             self.last = hypothesis.clone();
-            let set = names(&linear, &posterior.best);
-            let start = placed(&hypothesis, &linear, &reduced, &posterior.best, &runs)?;
+            let set = names(&reduced.linear, &posterior.best);
+            let start = placed(&hypothesis, &reduced, &posterior.best, &runs)?;
             let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
             moves += usize::from(!stays);
             // Near the data a model that lacks nothing need not be linearised twice.
-            let is_whole = seen.is_empty() && is_near && posterior.best == present(&linear);
+            let is_whole = seen.is_empty() && is_near && posterior.best == present(&reduced.linear);
             let stands = stays && is_settled && (is_whole || was_seen(&seen, &set));
             // Where a torque drives, the balance of torques has the last word instead.
             if by_voltage && stands && round + 1 < rounds {
                 let weighed = Weighed {
                     hypothesis: &hypothesis,
-                    linear: &linear,
                     reduced: &reduced,
                     posterior: &posterior,
                     runs: &runs,
@@ -447,8 +444,7 @@ impl<'a> Search<'a> {
                 }
             }
             if stands || round + 1 == rounds {
-                drop(reduced);
-                return self.ended(hypothesis, linear, posterior, &runs);
+                return self.ended(hypothesis, reduced, posterior, &runs);
             }
             seen.push(set);
             if !is_settled {
@@ -475,28 +471,24 @@ impl<'a> Search<'a> {
     fn ended(
         &self,
         hypothesis: Hypothesis,
-        linear: Linear,
+        mut reduced: Reduced,
         mut posterior: Posterior,
         runs: &[Around<'_>],
     ) -> Option<Found> {
-        let reduced = Reduced::new(&linear, 1.0, true)?;
-        let excess = excess_of(&linear, &reduced, &posterior.best, runs);
-        let unknown_share = unknown_shares(&linear, &reduced, &posterior.best, runs)?;
+        let excess = excess_of(&reduced, &posterior.best, runs);
+        let unknown_share = unknown_shares(&reduced, &posterior.best, runs)?;
         let (wandering, unseen) = (wandering(runs.last()?), unseen(runs.last()?));
-        let wider = if excess > 1.0 {
-            let wider = Reduced::new(&linear, excess, true)?;
-            posterior = select(&wider, &[posterior.best.clone(), present(&linear)]);
-            wider
-        } else {
-            reduced
-        };
-        keep_doubts(&self.judged, &linear, &mut posterior);
-        let happened = happened(&linear, &wider, &posterior.best, runs, excess)?;
-        drop(wider);
+        if excess > 1.0 {
+            reduced = Reduced::new(reduced.linear, excess, true)?;
+            let sets = [posterior.best.clone(), present(&reduced.linear)];
+            posterior = select(&reduced, &sets);
+        }
+        keep_doubts(&self.judged, &reduced.linear, &mut posterior);
+        let happened = happened(&reduced, &posterior.best, runs, excess)?;
         Some(Found {
             hypothesis,
             happened,
-            linear,
+            reduced,
             posterior,
             noise: self.noise,
             excess,
@@ -557,16 +549,17 @@ fn first_noise(
     let own = |effect: &&&'static dyn Effect| hypothesis.model.has(effect.card().id);
     let own: Vec<&'static dyn Effect> = asked.iter().filter(own).copied().collect();
     let linear = linearise(hypothesis, &own, &runs, false)?;
-    let reduced = Reduced::new(&linear, 1.0, true)?;
     let forms = vec![0; linear.candidates.len()];
-    let noise = likeliest(&runs, &linear, &reduced, &forms, &floor, known);
+    let reduced = Reduced::new(linear, 1.0, true)?;
+    let noise = likeliest(&runs, &reduced, &forms, &floor, known);
     // A load that wanders would explain what is missing: it is not taken for more than was thought.
     let is_less = noise.disturbance_n_m <= known.disturbance_n_m;
     Some((if is_less { noise } else { known }, true))
 }
 
 /// Hands on what each effect would explain by itself.
-fn screened(linear: &Linear, reduced: &Reduced<'_>, progress: Progress<'_>) {
+fn screened(reduced: &Reduced, progress: Progress<'_>) {
+    let linear = &reduced.linear;
     for (k, candidate) in linear.candidates.iter().enumerate() {
         if k > 0 && linear.candidates[k - 1].id == candidate.id {
             continue;
@@ -579,7 +572,8 @@ fn screened(linear: &Linear, reduced: &Reduced<'_>, progress: Progress<'_>) {
 }
 
 /// The linear solution of a set in all columns, the nuisances' first.
-fn solution(linear: &Linear, reduced: &Reduced<'_>, set: &Set) -> Option<DVector<f64>> {
+fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
+    let linear = &reduced.linear;
     let m = linear.nuisances.len();
     let columns = reduced.columns(set);
     let (mean, _) = reduced.sizes(&columns)?;
@@ -619,13 +613,9 @@ fn readings(
 }
 
 /// What each unknown part of a set takes from the error that the runs have without the set.
-fn unknown_shares(
-    linear: &Linear,
-    reduced: &Reduced<'_>,
-    set: &Set,
-    runs: &[Around<'_>],
-) -> Option<Vec<f64>> {
-    let solution = solution(linear, reduced, set)?;
+fn unknown_shares(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> Option<Vec<f64>> {
+    let linear = &reduced.linear;
+    let solution = solution(reduced, set)?;
     let share = |variant: usize, candidate: usize| {
         let (mut before, mut after, mut floor) = (0.0, 0.0, 0.0);
         for (run, columns) in runs.iter().zip(&linear.columns) {
@@ -723,8 +713,9 @@ fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVect
 }
 
 /// The excess of what a set leaves at its linear solution.
-fn excess_of(linear: &Linear, reduced: &Reduced<'_>, set: &Set, runs: &[Around<'_>]) -> f64 {
-    let Some(solution) = solution(linear, reduced, set) else {
+fn excess_of(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> f64 {
+    let linear = &reduced.linear;
+    let Some(solution) = solution(reduced, set) else {
         return 1.0;
     };
     let explained = &solution - &linear.present;

@@ -33,8 +33,8 @@ pub(super) struct Posterior {
 }
 
 /// The problem with the motor's parameters integrated out.
-pub(super) struct Reduced<'a> {
-    pub linear: &'a Linear,
+pub(super) struct Reduced {
+    pub linear: Linear,
     pub gram: DMatrix<f64>,
     pub right: DVector<f64>,
     pub squares: f64,
@@ -42,9 +42,9 @@ pub(super) struct Reduced<'a> {
     pub prior: DVector<f64>,
 }
 
-impl<'a> Reduced<'a> {
+impl Reduced {
     /// `excess` is how many times as large as expected the variance of what the model leaves is.
-    pub(super) fn new(linear: &'a Linear, excess: f64, hairs: bool) -> Option<Self> {
+    pub(super) fn new(linear: Linear, excess: f64, hairs: bool) -> Option<Self> {
         let none_is_zero = hairs;
         let m = linear.nuisances.len();
         let p = linear.gram.nrows();
@@ -84,11 +84,11 @@ impl<'a> Reduced<'a> {
             }
         }
         Some(Self {
-            linear,
             prior,
             gram: gram.view((m, m), (p - m, p - m)) - half.transpose() * &half,
             right: right.rows(m, p - m) - half.tr_mul(&half_b),
             squares,
+            linear,
         })
     }
 
@@ -334,7 +334,7 @@ fn log_positive(mean: f64, sd: f64) -> f64 {
 
 /// The sets that were looked at.
 struct Explored<'a> {
-    reduced: &'a Reduced<'a>,
+    reduced: &'a Reduced,
     /// Log posterior of each, where it is only reckoned from a neighbour's also.
     weighed: HashMap<Set, f64>,
     /// Log posterior of those whose own was worked out.
@@ -413,7 +413,7 @@ impl Explored<'_> {
 }
 
 /// Finds the plausible sets, from each of `starts` on.
-pub(super) fn select(reduced: &Reduced<'_>, starts: &[Set]) -> Posterior {
+pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
     let n = reduced.linear.candidates.len();
     let mut explored = Explored {
         reduced,
@@ -506,8 +506,8 @@ mod tests {
     }
 
     fn weighed(linear: &Linear) -> Posterior {
-        let reduced = Reduced::new(linear, 1.0, false).unwrap();
         let nothing = vec![None; linear.candidates.len()];
+        let reduced = Reduced::new(linear.clone(), 1.0, false).unwrap();
         select(&reduced, &[nothing])
     }
 
@@ -564,9 +564,9 @@ mod tests {
         // Fifty standard deviations from zero, and yet no more than a thousandth of its slab.
         let g = 2.5e9;
         let data = linear(&[&[g]], &[1e-3 * g]);
-        let bare = Reduced::new(&data, 1.0, false).unwrap();
+        let bare = Reduced::new(data.clone(), 1.0, false).unwrap();
         assert!(select(&bare, &[vec![None]]).probability[0] > 0.999);
-        let real = Reduced::new(&data, 1.0, true).unwrap();
+        let real = Reduced::new(data, 1.0, true).unwrap();
         assert!(select(&real, &[vec![None]]).probability[0] < 0.1);
     }
 

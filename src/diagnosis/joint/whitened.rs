@@ -94,7 +94,7 @@ impl Whitened {
                     }
                     buffer.extend(range.clone().map(|row| last[row / 2][row % 2]));
                     let w = DMatrixView::from_slice(&buffer, range.len(), own.ncols());
-                    add_upper(&mut own, &w);
+                    add_upper(&mut own, &w, &turned(&buffer, range.len()).as_view());
                 }
                 add_at(&mut sum, &own, &there);
                 sum
@@ -133,10 +133,33 @@ fn add_at(sum: &mut DMatrix<f64>, own: &DMatrix<f64>, columns: &[usize]) {
     }
 }
 
-/// Adds the blocks on and above the diagonal of `w' w`.
-pub(super) fn add_upper(sum: &mut DMatrix<f64>, w: &DMatrixView<'_, f64>) {
+/// Rows and columns that are turned at once: both sides stay in the nearest cache.
+const TILE: usize = 16;
+
+/// The transpose of a matrix of so many rows, column by column.
+pub(super) fn turned(w: &[f64], rows: usize) -> DMatrix<f64> {
+    let columns = w.len() / rows;
+    let mut turned = DMatrix::zeros(columns, rows);
+    let to = turned.as_mut_slice();
+    for from in (0..columns).step_by(TILE) {
+        for above in (0..rows).step_by(TILE) {
+            for column in from..(from + TILE).min(columns) {
+                for row in above..(above + TILE).min(rows) {
+                    to[row * columns + column] = w[column * rows + row];
+                }
+            }
+        }
+    }
+    turned
+}
+
+/// Adds the blocks on and above the diagonal of `w' w`, of which both factors are given.
+pub(super) fn add_upper(
+    sum: &mut DMatrix<f64>,
+    w: &DMatrixView<'_, f64>,
+    turned: &DMatrixView<'_, f64>,
+) {
     let p = sum.ncols();
-    let turned = w.transpose();
     for from in (0..p).step_by(BLOCK) {
         let width = BLOCK.min(p - from);
         let right = w.columns(from, p - from);
