@@ -4,13 +4,12 @@ mod program;
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
-use std::path::Path;
 use std::process::Stdio;
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use program::{Done, command, drivebench, line, only_folder};
-use serde_json::{Value, json};
+use program::{command, drivebench, line, only_folder};
+use serde_json::Value;
 
 #[test]
 fn an_unknown_paper_is_told_what_is_allowed() {
@@ -41,7 +40,7 @@ fn a_folder_with_results_is_not_overwritten() {
 fn the_size_of_the_study_is_refused_where_it_means_nothing() {
     let paper = drivebench(line("reproduce paper-a --sets 2 --json", &[])).expect(2);
     assert!(paper.error().contains("--sets"), "{}", paper.stderr);
-    drivebench(line("reproduce discovery --sets 0 --json", &[])).expect(2);
+    drivebench(line("reproduce discovery --sets 0 --mysteries 0 --json", &[])).expect(2);
 }
 
 #[test]
@@ -67,84 +66,25 @@ fn an_interrupted_study_ends_with_130_and_leaves_nothing_behind() {
     assert!(rest.contains("error: interrupted"), "{rest}");
 }
 
-/// Interrupts the study when `begun` is on stderr, and reads what it says until its end.
-fn interrupted(out: &Path, begun: &str) -> Done {
-    let study = "reproduce discovery --sets 0 --live 1 --out {}";
-    let mut child = command(line(study, &[out]))
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the program and its folder are ours");
-    let mut stderr = BufReader::new(
-        child
-            .stderr
-            .take()
-            .expect("the program and its folder are ours"),
-    );
-    let mut said = String::new();
-    while !said.contains(begun) {
-        assert!(
-            stderr
-                .read_line(&mut said)
-                .expect("the program and its folder are ours")
-                > 0,
-            "{said}"
-        );
-    }
-    let id = i32::try_from(child.id()).expect("the program and its folder are ours");
-    kill(Pid::from_raw(id), Signal::SIGINT).expect("the program and its folder are ours");
-    stderr
-        .read_to_string(&mut said)
-        .expect("the program and its folder are ours");
-    let output = child
-        .wait_with_output()
-        .expect("the program and its folder are ours");
-    Done {
-        stderr: said,
-        ..Done::of(&output)
-    }
-}
-
-/// What a start that was interrupted later would have kept of one drive.
-fn keep(out: &Path, link: &str, hidden: &str) {
-    let drive = out.join("live").join(format!("{link}-1"));
-    fs::create_dir_all(&drive).expect("the program and its folder are ours");
-    let answer = json!({
-        "link": link, "seed": 1, "hidden": hidden, "verdict": "effect", "effects": ["cogging"],
-        "outcome": "wrong", "reason": "", "rows_per_s": 100.0, "holdout_before": 4.1,
-        "holdout_after": 1.03, "size_error_percent": null
-    });
-    fs::write(drive.join("answer.json"), answer.to_string())
-        .expect("the program and its folder are ours");
-}
-
 #[test]
-fn a_live_study_that_is_interrupted_keeps_what_is_finished_and_is_gone_on_with() {
+fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
     let room = tempfile::tempdir().unwrap();
     let out = room.path().join("study");
-    let study = "reproduce discovery --sets 0 --live 1 --out {}";
-    let first = interrupted(&out, "2 mystery drives").expect(130);
-    let said = first.error();
-    assert!(said.contains("0 of 2 mystery drives"), "{said}");
-    assert!(said.contains("the same command again"), "{said}");
-    assert!(!out.join("validation.md").exists());
-
-    keep(&out, "modbus-rtu", "voltage_drop");
-    let second = interrupted(&out, "1 of 2 mystery drives are finished").expect(130);
-    assert!(second.error().contains("1 of 2"), "{}", second.stderr);
+    let study = "reproduce discovery --sets 0 --mysteries 2 --seed 3 --out {}";
+    let done = drivebench(line(study, &[&out])).expect(0);
+    assert!(
+        done.stderr.contains("mystery 4: hidden "),
+        "{}",
+        done.stderr
+    );
     let page = fs::read_to_string(out.join("validation.md")).unwrap();
-    assert!(page.contains("1 of the 2 drives"), "{page}");
-    assert!(page.contains("voltage_drop"), "{page}");
-
-    keep(&out, "stream", "supply_sag");
-    let third = drivebench(line(study, &[&out])).expect(0);
-    assert!(third.stdout.contains("supply_sag"), "{}", third.stdout);
-    let page = fs::read_to_string(out.join("validation.md")).unwrap();
-    assert!(!page.contains("interrupted"), "{page}");
-    assert!(page.contains("--live 1"), "{page}");
-    // A study that is whole is a result, and results are never overwritten.
-    let fourth = drivebench(line(study, &[&out])).expect(2);
-    assert!(fourth.error().contains("never overwritten"));
+    assert!(page.contains("--sets 0 --mysteries 2 --seed 3"), "{page}");
+    assert!(page.contains("Of 2 mystery drives"), "{page}");
+    assert!(page.contains("| resistance_ohm "), "{page}");
+    assert!(!page.contains("One hidden effect"), "{page}");
+    // A study is a result, and results are never overwritten.
+    let again = drivebench(line(study, &[&out])).expect(2);
+    assert!(again.error().contains("never overwritten"));
 }
 
 /// One run serves the text and the files; a second one, as JSON, is the same to the bit.

@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::failure::{Failure, INTERRUPTED, USAGE};
-use super::live_record::LiveFolder;
-use super::live_study::{live_study, mysteries};
-use super::{output, progress, signals};
+use super::{mysteries, output, progress, signals};
 use crate::report::reproduce::Reproduction;
 use crate::workflow::reproduce;
 use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery, files, records};
@@ -16,25 +14,25 @@ use crate::workflow::reproduce::discovery::{Answer, Outcome, Size, discovery, fi
 /// Compute a paper's figures and tables again, or how often the diagnosis is right: text on stdout, page, pictures and tables in a folder
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  drivebench reproduce paper-a --out paper-a\n  drivebench reproduce lines --out lines\n  drivebench reproduce discovery --sets 2 --out validation\n  drivebench reproduce discovery --sets 1 --live 30 --out validation"
+    after_help = "Examples:\n  drivebench reproduce paper-a --out paper-a\n  drivebench reproduce lines --out lines\n  drivebench reproduce discovery --sets 2 --out validation\n  drivebench reproduce discovery --sets 0 --mysteries 40 --out mysteries"
 )]
 pub(super) struct Arguments {
     /// Which paper, or `discovery`: the diagnosis on machines whose truth is known
     #[arg(value_enum, value_name = "PAPER")]
     paper: Paper,
-    /// With `discovery`: machines for each effect and excitation (default 1: some 730 machines in all; 0 with --live: none); with `lines`: records of each line (default 60)
+    /// With `discovery`: machines for each effect and excitation (default 1: some 730 machines in all; 0: none); with `lines`: records of each line (default 60)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=100))]
     sets: Option<u64>,
-    /// With `discovery`: also so many mystery drives in real time over each link, through the whole program; their runs are kept in DIR/live
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
-    live: Option<u64>,
+    /// With `discovery`: so many mystery drives beside them, commissioned by the whole program (default 160)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=10_000))]
+    mysteries: Option<u64>,
     /// With `discovery`: a folder with public records of real machines, of which the page then tells too: `emps/DATA_EMPS.csv`, `sar_bldc/time_constant_2023-12-16.csv`
     #[arg(long, value_name = "DIR")]
     records: Option<PathBuf>,
     /// With `discovery` and `lines`: another seed makes other machines (default 1)
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
-    /// Folder for report.html, figure-2.svg .., table-1.csv ..; it must be new or empty, or hold a --live study that was interrupted, which then goes on (default: reproduce-PAPER, with --json none)
+    /// Folder for report.html, figure-2.svg .., table-1.csv ..; it must be new or empty (default: reproduce-PAPER, with --json none)
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print JSON
@@ -42,8 +40,10 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// Records of each kind of line.
+/// Records of each kind of line, by themselves and beside the study of the diagnosis.
 const LINE_RUNS: u64 = 60;
+const LINE_RUNS_BESIDE: usize = 40;
+const MYSTERIES: u64 = 160;
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Paper {
@@ -74,21 +74,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         (!arguments.json).then(default)
     });
     // Before the work, not after it.
-    if let Some(folder) = &out
-        && !(arguments.live.is_some() && LiveFolder::of(folder).is_unfinished()?)
-    {
+    if let Some(folder) = &out {
         require_empty(folder)?;
     }
     match arguments.paper {
         Paper::PaperA | Paper::PaperB
             if arguments.sets.is_some()
                 || arguments.seed.is_some()
-                || arguments.live.is_some()
+                || arguments.mysteries.is_some()
                 || arguments.records.is_some() =>
         {
             Err(Failure::with_help(
                 USAGE,
-                "--sets, --seed, --live and --records belong to `reproduce discovery`: a paper's figures have fixed seeds",
+                "--sets, --seed, --mysteries and --records belong to `reproduce discovery`: a paper's figures have fixed seeds",
                 "leave them out",
             ))
         }
@@ -110,11 +108,13 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             file(out.as_deref(), &report, None)?;
             output::result(&found, arguments.json, |_| report.text())
         }
-        Paper::Lines if arguments.records.is_some() => Err(Failure::with_help(
-            USAGE,
-            "--records belongs to `reproduce discovery`",
-            "leave it out",
-        )),
+        Paper::Lines if arguments.records.is_some() || arguments.mysteries.is_some() => {
+            Err(Failure::with_help(
+                USAGE,
+                "--records and --mysteries belong to `reproduce discovery`",
+                "leave it out",
+            ))
+        }
         Paper::Lines => {
             let _endable = signals::endable()?;
             let shown = progress::begin("reproduce");
@@ -129,11 +129,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         Paper::Discovery => {
             let shown = progress::begin("reproduce");
             let real = real_records(arguments)?;
-            let found = study(arguments, out.as_deref());
+            let found = study(arguments);
             drop(shown);
             let mut found = found?;
             found.records = real;
-            file_study(&found, arguments, out.as_deref())
+            let report = found.report();
+            let page = ("validation.md".to_owned(), report.markdown());
+            file(out.as_deref(), &report, Some(page))?;
+            output::result(&found, arguments.json, |_| report.text())
         }
     }
 }
@@ -158,97 +161,42 @@ fn real_records(arguments: &Arguments) -> Result<Vec<reproduce::discovery::Recor
     Ok(found)
 }
 
-/// Page and tables of the study, also where only a part of its mystery drives is finished.
-fn file_study(
-    found: &reproduce::discovery::Discovery,
-    arguments: &Arguments,
-    out: Option<&Path>,
-) -> Result<(), Failure> {
-    let report = found.report();
-    let is_whole = found.live.len() == found.live_asked;
-    if is_whole || !found.live.is_empty() || !found.answers.is_empty() {
-        let page = ("validation.md".to_owned(), report.markdown());
-        file(out, &report, Some(page))?;
-    }
-    if is_whole {
-        if let (Some(folder), Some(_)) = (out, arguments.live) {
-            LiveFolder::of(folder).finish()?;
-        }
-        return output::result(found, arguments.json, |_| report.text());
-    }
-    if arguments.json {
-        output::result(found, true, |_| String::new())?;
-    }
-    Err(Failure::with_help(
-        INTERRUPTED,
-        format!(
-            "interrupted: {} of {} mystery drives are finished",
-            found.live.len(),
-            found.live_asked
-        ),
-        match out {
-            Some(folder) => format!(
-                "they are kept in {}: start the same command again, and it goes on with the others",
-                folder.display()
-            ),
-            None => "give --out DIR: what is finished is kept there, and a second start goes on"
-                .to_owned(),
-        },
-    ))
-}
-
 /// Runs the study with its progress on stderr; a signal ends it after the sets that are under way.
-fn study(
-    arguments: &Arguments,
-    out: Option<&Path>,
-) -> Result<reproduce::discovery::Discovery, Failure> {
+fn study(arguments: &Arguments) -> Result<reproduce::discovery::Discovery, Failure> {
     let size = Size {
         sets: arguments.sets.unwrap_or(1),
         seed: arguments.seed.unwrap_or(1),
         reduced: false,
     };
-    if size.sets == 0 && arguments.live.is_none() {
+    let mysteries = arguments.mysteries.unwrap_or(MYSTERIES);
+    if size.sets == 0 && mysteries == 0 {
         return Err(Failure::with_help(
             USAGE,
-            "--sets 0 leaves nothing to study",
-            "give --live N with it, or --sets of at least 1",
+            "--sets 0 --mysteries 0 leaves nothing to study",
+            "give one of them a number of at least 1",
         ));
     }
     let interrupted = signals::flag()?;
     let ended = || {
         Failure::with_help(
             INTERRUPTED,
-            "interrupted: a part of the machines in virtual time is not the study, so no page was written",
+            "interrupted: a part of the machines is not the study, so no page was written",
             "start it again, with a smaller --sets where it takes too long",
         )
     };
-    let live = arguments
-        .live
-        .map_or(0, |drives| mysteries(drives, size.seed).len());
-    output::message(&match (size.machines(), live) {
-        (machines, 0) => format!("{machines} machines are excited and diagnosed; Ctrl-C ends it"),
-        (0, drives) => format!(
-            "{drives} mystery drives are run in real time; Ctrl-C ends it and keeps what is finished"
-        ),
-        (machines, drives) => format!(
-            "{machines} machines are excited and diagnosed, then {drives} mystery drives run in real time; Ctrl-C ends it and keeps the drives that are finished"
-        ),
-    });
+    output::message(&format!(
+        "{} machines are excited and diagnosed, {mysteries} mystery drives are commissioned; Ctrl-C ends it",
+        size.machines()
+    ));
     progress::stage("excites and diagnoses machines", size.machines());
     let mut found = discovery(size, &interrupted, tell).ok_or_else(ended)?;
-    if let Some(drives) = arguments.live {
-        found.live_asked = live;
-        let scratch =
-            || std::env::temp_dir().join(format!("drivebench-live-{}", std::process::id()));
-        let place = out.map_or_else(scratch, Path::to_owned);
-        let folder = LiveFolder::of(&place);
-        folder.begin()?;
-        let answers = live_study(drives, size.seed, &folder, &interrupted);
-        if out.is_none() {
-            // Nobody was told of it; what stays of it is the system's to clear.
-            let _ = fs::remove_dir_all(place);
-        }
-        found.live = answers?;
+    if size.sets > 0 {
+        progress::stage("asks what lines do to a measurement", 0);
+        found.lines = Some(reproduce::lines::line_study(LINE_RUNS_BESIDE, size.seed));
+    }
+    if mysteries > 0 {
+        found.mysteries =
+            mysteries::commission(mysteries, size.seed, &interrupted)?.ok_or_else(ended)?;
     }
     Ok(found)
 }

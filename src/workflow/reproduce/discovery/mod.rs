@@ -14,7 +14,7 @@ pub(super) mod calibration;
 mod cases;
 mod finding;
 mod judge;
-mod live;
+mod mysteries;
 mod parameters;
 mod record;
 mod records;
@@ -33,12 +33,13 @@ pub use calibration::{Bin, Calibration, Sizes, sizes};
 pub use cases::{Case, Group};
 pub use finding::Finding;
 pub use judge::{Answer, Outcome};
-pub use live::{Heard, LiveAnswer, LiveLink};
-pub use parameters::{Coverage, ParameterFinding, coverage};
+pub use mysteries::MysteryAnswer;
+pub use parameters::{Coverage, ParameterFinding, coverage, coverage_of};
 pub use record::Excitation;
 pub use records::{RecordAnswer, files, records};
 pub use tally::{Bounded, Matrix, Tally, matrix, median_errors};
 
+use super::lines::LineStudy;
 use crate::bench::BenchFile;
 use crate::diagnosis::{Evidence, diagnose};
 use crate::plant::Model;
@@ -75,20 +76,12 @@ pub struct Discovery {
     /// Real machines; empty where no folder of records was given.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub records: Vec<RecordAnswer>,
-    /// Mysteries that the whole program was given in real time; empty where that was not asked for.
+    /// Mysteries that the whole program was given; empty where that was not asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub live: Vec<LiveAnswer>,
-    /// Mysteries that were asked for; more than there are answers where the study was interrupted.
-    #[serde(skip_serializing_if = "is_none")]
-    pub live_asked: usize,
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "the signature that serde asks for"
-)]
-const fn is_none(count: &usize) -> bool {
-    *count == 0
+    pub mysteries: Vec<MysteryAnswer>,
+    /// What lines of every kind do to a measurement; none where that was not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lines: Option<LineStudy>,
 }
 
 /// Counts of one group, for one excitation.
@@ -131,8 +124,8 @@ pub fn discovery(
         coverage: coverage(&answers.iter().collect::<Vec<_>>()),
         answers,
         records: Vec::new(),
-        live: Vec::new(),
-        live_asked: 0,
+        mysteries: Vec::new(),
+        lines: None,
     })
 }
 

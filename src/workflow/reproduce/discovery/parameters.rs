@@ -39,16 +39,20 @@ impl ParameterFinding {
     }
 }
 
-/// What a diagnosis says of the motor; nothing of a parameter that the runs leave undetermined.
-pub(super) fn findings(motor: &MotorTruth, diagnosis: &Diagnosis) -> Vec<ParameterFinding> {
-    let truths = [
+/// What a motor was made of.
+pub(super) const fn truths(motor: &MotorTruth) -> [(MotorKey, f64); 5] {
+    [
         (MotorKey::Resistance, motor.resistance_ohm),
         (MotorKey::Inductance, motor.inductance_h),
         (MotorKey::BackEmf, motor.back_emf_v_s_per_rad),
         (MotorKey::Inertia, motor.inertia_kg_m2),
         (MotorKey::LoadTorque, motor.load_torque_n_m),
-    ];
-    let found = truths.into_iter().filter_map(|(parameter, truth)| {
+    ]
+}
+
+/// What a diagnosis says of the motor; nothing of a parameter that the runs leave undetermined.
+pub(super) fn findings(motor: &MotorTruth, diagnosis: &Diagnosis) -> Vec<ParameterFinding> {
+    let found = truths(motor).into_iter().filter_map(|(parameter, truth)| {
         let estimates = &diagnosis.model.parameters;
         let own = estimates.iter().find(|own| own.key == parameter.key())?;
         Some(ParameterFinding {
@@ -80,9 +84,16 @@ pub struct Coverage {
 
 /// Coverage of each parameter over these answers.
 pub fn coverage(answers: &[&Answer]) -> Vec<Coverage> {
+    let all = answers.iter().flat_map(|answer| &answer.parameters);
+    coverage_of(&all.collect::<Vec<_>>())
+}
+
+/// The same over what was found, of whatever machines.
+pub fn coverage_of(found: &[&ParameterFinding]) -> Vec<Coverage> {
     let of_parameter = |parameter: MotorKey| {
-        let all = answers.iter().flat_map(|answer| &answer.parameters);
-        let (settled, open): (Vec<&ParameterFinding>, Vec<&ParameterFinding>) = all
+        let (settled, open): (Vec<&ParameterFinding>, Vec<&ParameterFinding>) = found
+            .iter()
+            .copied()
             .filter(|own| own.parameter == parameter)
             .partition(|own| own.verdict == Verdict::Settled && own.std > 0.0);
         let hold = settled

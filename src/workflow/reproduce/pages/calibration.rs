@@ -5,7 +5,7 @@ use super::discovery::table;
 use crate::report::number::{fixed, significant};
 use crate::report::page::Cell;
 use crate::report::plot::{Claims, ReliabilityChart};
-use crate::report::reproduce::{Picture, Section};
+use crate::report::reproduce::{NamedTable, Picture, Section};
 use crate::workflow::reproduce::discovery::{
     Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, sizes,
 };
@@ -158,16 +158,6 @@ pub(super) fn parameters(study: &Discovery) -> Section {
         let row = std::iter::once(name).chain(held);
         row.map(Cell::text).collect()
     });
-    let of_one = |own: &Coverage| {
-        cells([
-            own.parameter.key().to_owned(),
-            counted(own.hold),
-            number(own.spread, 2),
-            number(own.error_percent, 2),
-            number(own.std_percent, 2),
-            none_as_dot(own.not_settled),
-        ])
-    };
     let mut head = vec!["group"];
     head.extend(study.coverage.iter().map(|own| own.parameter.key()));
     Section {
@@ -180,22 +170,39 @@ pub(super) fn parameters(study: &Discovery) -> Section {
                 head,
                 by_group.collect(),
             ),
-            table(
-                "All groups together: root mean square of the errors in their standard deviations (1 where intervals are right), medians of the error and of its standard deviation in %, and machines on which the parameter was not settled.",
-                "parameters",
-                vec![
-                    "parameter",
-                    "intervals hold",
-                    "spread",
-                    "error",
-                    "std",
-                    "not settled",
-                ],
-                study.coverage.iter().map(of_one).collect(),
-            ),
+            intervals("All groups together", "parameters", &study.coverage),
         ],
         ..Section::default()
     }
+}
+
+/// What the intervals of some machines' parameters are worth.
+pub(super) fn intervals(whose: &str, id: &str, coverage: &[Coverage]) -> (String, NamedTable) {
+    let of_one = |own: &Coverage| {
+        cells([
+            own.parameter.key().to_owned(),
+            counted(own.hold),
+            number(own.spread, 2),
+            number(own.error_percent, 2),
+            number(own.std_percent, 2),
+            none_as_dot(own.not_settled),
+        ])
+    };
+    table(
+        &format!(
+            "{whose}: 95 % intervals that hold the truth, root mean square of the errors in their standard deviations (1 where intervals are right), medians of the error and of its standard deviation in %, and machines on which the parameter was not settled."
+        ),
+        id,
+        vec![
+            "parameter",
+            "intervals hold",
+            "spread",
+            "error",
+            "std",
+            "not settled",
+        ],
+        coverage.iter().map(of_one).collect(),
+    )
 }
 
 const PARAMETERS: &str = "R, L, Ke, J and Mc of the model with all named effects beside what each machine was made of, as far as they were called settled. Where an effect changes a parameter (a winding that warms, a field that drifts, iron that saturates) the truth is that at the beginning, cold, at rest and without current. Machines with something in no catalogue and answers with a wrong name are counted too.";
@@ -408,8 +415,8 @@ mod tests {
             coverage: coverage(&answers.iter().collect::<Vec<_>>()),
             answers,
             records: vec![],
-            live: vec![],
-            live_asked: 0,
+            mysteries: vec![],
+            lines: None,
         }
     }
 

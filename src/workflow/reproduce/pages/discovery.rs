@@ -2,13 +2,14 @@
 
 use std::fmt::Write as _;
 
-use super::{calibration, cells, live};
+use super::{calibration, cells, mysteries};
 use crate::report::number::{fixed, significant};
 use crate::report::page::{Cell, Table};
 use crate::report::reproduce::{NamedTable, Reproduction, Section};
 use crate::workflow::reproduce::discovery::{
-    Answer, Bounded, Discovery, Excitation, Group, LiveLink, Matrix, Outcome, Tally, median_errors,
+    Answer, Bounded, Discovery, Excitation, Group, Matrix, Outcome, Tally, median_errors,
 };
+use crate::workflow::reproduce::lines::LineStudy;
 
 /// Heads of the columns of the matrix: numbers, which a row's label explains.
 const NUMBERS: [&str; 40] = [
@@ -23,11 +24,11 @@ impl Discovery {
         Reproduction {
             title: "How often the diagnosis is right".to_owned(),
             subtitle: format!(
-                "Written by `drivebench reproduce discovery --sets {} --seed {}{}`: {} machines with a known truth, each diagnosed from two recorded runs.",
+                "Written by `drivebench reproduce discovery --sets {} --mysteries {} --seed {}`: {} machines with a known truth, each diagnosed from its recorded runs.",
                 self.sets_in_each_cell,
+                self.mysteries.len(),
                 self.seed,
-                self.live_option(),
-                self.answers.len() + self.live.len()
+                self.answers.len() + self.mysteries.len()
             ),
             lead: ("In short".to_owned(), self.in_short()),
             sections: self.sections(),
@@ -58,9 +59,10 @@ impl Discovery {
         if !self.records.is_empty() {
             sections.push(self.real_machines());
         }
-        if !self.live.is_empty() {
-            sections.push(live::section(&self.live, self.live_asked));
+        if !self.mysteries.is_empty() {
+            sections.push(mysteries::section(&self.mysteries));
         }
+        sections.extend(self.lines.as_ref().map(LineStudy::section));
         sections
     }
 
@@ -68,16 +70,9 @@ impl Discovery {
         self.answers.iter().filter(|answer| keep(answer)).collect()
     }
 
-    fn live_option(&self) -> String {
-        match self.live_asked / LiveLink::ALL.len() {
-            0 => String::new(),
-            drives => format!(" --live {drives}"),
-        }
-    }
-
     fn in_short(&self) -> String {
         let mut text = self.in_virtual_time();
-        text.extend(live::in_short(&self.live, self.live_asked));
+        text.extend(mysteries::in_short(&self.mysteries));
         text.trim_start().to_owned()
     }
 

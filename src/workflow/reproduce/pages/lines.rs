@@ -36,7 +36,7 @@ impl LineStudy {
         )
     }
 
-    fn section(&self) -> Section {
+    pub(super) fn section(&self) -> Section {
         Section {
             heading: HEADING.to_owned(),
             paragraphs: vec![

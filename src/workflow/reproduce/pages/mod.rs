@@ -15,7 +15,7 @@ mod discovery;
 mod figure_2;
 mod figure_3;
 mod lines;
-mod live;
+mod mysteries;
 mod paper_b;
 mod paper_b_beyond;
 mod paper_b_design;

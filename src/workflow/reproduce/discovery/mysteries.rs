@@ -1,59 +1,20 @@
-//! What the whole program makes of a mystery drive in real time: one answer for each seed and link.
+//! What the whole program makes of a mystery drive: one answer for each seed.
 //!
 //! Recorded by whoever starts the program (`cli`): this is the sheet that is filled in, and its marking.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::Value;
 
 use super::judge::are_twins;
+use super::parameters::{ParameterFinding, truths};
 use super::{Outcome, Tally};
 use crate::emulator::mystery::{Truth, draw};
+use crate::sample::Verdict;
 use crate::workflow::reveal::{self, Answer as Said, reveal};
 
-/// A link and its rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LiveLink {
-    ModbusRtu,
-    Stream,
-}
-
-impl LiveLink {
-    pub const ALL: [Self; 2] = [Self::ModbusRtu, Self::Stream];
-
-    /// The protocol's name in a bench file.
-    pub const fn protocol(self) -> &'static str {
-        match self {
-            Self::ModbusRtu => "modbus-rtu",
-            Self::Stream => "stream",
-        }
-    }
-
-    /// Exchanges asked for in a second, and the bits a second of the line.
-    pub const fn pace(self) -> (f64, u32) {
-        match self {
-            Self::ModbusRtu => (100.0, 115_200),
-            // As over USB, where the baud rate bounds nothing.
-            Self::Stream => (1000.0, 12_000_000),
-        }
-    }
-}
-
-/// What the commands said about one mystery.
-#[derive(Clone, Debug, Default)]
-pub struct Heard {
-    /// `diagnose --json`.
-    pub diagnosis: Value,
-    /// `add --json` of the last named effect, on the model with those before it.
-    pub last_add: Option<Value>,
-    /// Rows a second that the fit run has.
-    pub rows_per_s: f64,
-}
-
-/// One mystery from `run` to `add`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LiveAnswer {
-    pub link: LiveLink,
+/// One mystery, commissioned.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MysteryAnswer {
     pub seed: u64,
     /// Id of the hidden effect; `(nothing)`.
     pub hidden: String,
@@ -62,23 +23,24 @@ pub struct LiveAnswer {
     pub outcome: Outcome,
     /// Why it is marked so, or what failed.
     pub reason: String,
-    pub rows_per_s: Option<f64>,
-    /// Held-out error in units of the noise: of the five-parameter model, and after `add`.
+    /// Held-out error in units of the noise: of the five-parameter model, and with all that was named.
     pub holdout_before: Option<f64>,
     pub holdout_after: Option<f64>,
     /// Largest error among the hidden effect's sizes, %.
     pub size_error_percent: Option<f64>,
+    /// The motor's parameters with their intervals.
+    pub parameters: Vec<ParameterFinding>,
 }
 
 /// Named in tables where nothing is hidden.
 const NOTHING: &str = "(nothing)";
 
-impl LiveAnswer {
-    /// Marks what was heard against what the seed hides.
-    pub fn of(link: LiveLink, seed: u64, heard: &Heard) -> Self {
+impl MysteryAnswer {
+    /// Marks what `commission --json` said against what the seed hides.
+    pub fn of(seed: u64, commissioned: &Value) -> Self {
         let truth = draw(seed).truth;
-        let Some(said) = Said::from_json(&heard.diagnosis) else {
-            return Self::failed(link, seed, "the diagnosis has no verdict".to_owned());
+        let Some(said) = Said::from_json(commissioned) else {
+            return Self::failed(seed, "the answer has no verdict".to_owned());
         };
         let outcome = outcome(&truth, &said);
         let revelation = reveal(truth, Some(said.clone()), None);
@@ -86,41 +48,36 @@ impl LiveAnswer {
             .sizes
             .iter()
             .filter(|size| !size.effect.is_empty());
-        let ladder = (heard.last_add.as_ref())
-            .map(|add| &add["ladder"])
-            .and_then(Value::as_array);
-        let rung = |rung: Option<&Value>| rung.and_then(|rung| rung["holdout_rmse"].as_f64());
+        let diagnosis = &commissioned["diagnosis"];
         Self {
-            link,
             seed,
             hidden: hidden(&revelation.truth),
             verdict: said.verdict,
             effects: said.effects,
             outcome,
             reason: revelation.reason.unwrap_or_default(),
-            rows_per_s: Some(heard.rows_per_s),
-            holdout_before: heard.diagnosis["holdout_before"].as_f64(),
-            holdout_after: rung(ladder.and_then(|ladder| ladder.last())),
+            holdout_before: diagnosis["holdout_before"].as_f64(),
+            holdout_after: diagnosis["holdout_after"].as_f64(),
             size_error_percent: sizes
                 .map(|size| size.error_percent.abs())
                 .max_by(f64::total_cmp),
+            parameters: parameters(&revelation.truth, commissioned),
         }
     }
 
-    /// A mystery for which a command gave no answer.
-    pub fn failed(link: LiveLink, seed: u64, reason: String) -> Self {
+    /// A mystery for which the program gave no answer.
+    pub fn failed(seed: u64, reason: String) -> Self {
         Self {
-            link,
             seed,
             hidden: hidden(&draw(seed).truth),
             verdict: String::new(),
             effects: Vec::new(),
             outcome: Outcome::Failed,
             reason,
-            rows_per_s: None,
             holdout_before: None,
             holdout_after: None,
             size_error_percent: None,
+            parameters: Vec::new(),
         }
     }
 
@@ -134,9 +91,32 @@ impl LiveAnswer {
     }
 }
 
+/// What the commissioned model says of the motor beside what the drive was made of.
+fn parameters(truth: &Truth, commissioned: &Value) -> Vec<ParameterFinding> {
+    let estimates = commissioned["parameters"].as_array();
+    let found = truths(&truth.motor)
+        .into_iter()
+        .filter_map(|(parameter, truth)| {
+            let mut estimates = estimates?.iter();
+            let own = estimates.find(|own| own["key"] == parameter.key())?;
+            Some(ParameterFinding {
+                parameter,
+                truth,
+                value: own["value"].as_f64()?,
+                std: own["std"].as_f64()?,
+                verdict: if own["verdict"] == "settled" {
+                    Verdict::Settled
+                } else {
+                    Verdict::Searching
+                },
+            })
+        });
+    found.collect()
+}
+
 impl Tally {
-    /// Counts of the live answers over one link.
-    pub fn of_live<'a>(answers: impl IntoIterator<Item = &'a LiveAnswer>) -> Self {
+    /// Counts of the mysteries.
+    pub fn of_mysteries<'a>(answers: impl IntoIterator<Item = &'a MysteryAnswer>) -> Self {
         let mut tally = Self::default();
         for answer in answers {
             tally.count(answer.outcome);
@@ -191,11 +171,10 @@ mod tests {
             .iter()
             .map(|id| json!({"effect": id, "status": "not_excited"}))
             .collect();
-        let heard = Heard {
-            diagnosis: json!({"verdict": verdict, "effects": effects, "candidates": candidates}),
-            ..Heard::default()
-        };
-        LiveAnswer::of(LiveLink::ModbusRtu, seed_of(id), &heard).outcome
+        let said = json!({
+            "diagnosis": {"verdict": verdict, "effects": effects, "candidates": candidates}
+        });
+        MysteryAnswer::of(seed_of(id), &said).outcome
     }
 
     #[test]
@@ -245,26 +224,34 @@ mod tests {
 
     #[test]
     fn a_set_is_all_that_the_answer_leaves_open() {
-        let heard = Heard {
-            diagnosis: json!({
+        let said = json!({
+            "diagnosis": {
                 "verdict": "ambiguous", "effects": ["speed_filter"], "candidates": [],
                 "confusable": [["speed_filter", "speed_delay"]]
-            }),
-            ..Heard::default()
-        };
-        let answer = LiveAnswer::of(LiveLink::Stream, seed_of("speed_delay"), &heard);
+            }
+        });
+        let answer = MysteryAnswer::of(seed_of("speed_delay"), &said);
         assert_eq!(answer.outcome, Outcome::Ambiguous);
     }
 
     #[test]
-    fn the_error_after_is_that_of_the_last_rung() {
-        let heard = Heard {
-            diagnosis: json!({"verdict": "effect", "effects": ["cogging"], "holdout_before": 5.0, "candidates": []}),
-            last_add: Some(json!({"ladder": [{"holdout_rmse": 5.0}, {"holdout_rmse": 1.02}]})),
-            rows_per_s: 99.0,
+    fn parameters_are_held_against_the_specimen() {
+        let seed = seed_of("cogging");
+        let truth = draw(seed).truth.motor.resistance_ohm;
+        let said = json!({
+            "diagnosis": {"verdict": "effect", "effects": ["cogging"], "candidates": [],
+                "holdout_before": 5.0, "holdout_after": 1.02},
+            "parameters": [
+                {"key": "resistance_ohm", "value": 1.01 * truth, "std": 0.02, "verdict": "settled"},
+                {"key": "inertia_kg_m2", "value": null, "std": null, "verdict": "not_observable"}
+            ]
+        });
+        let answer = MysteryAnswer::of(seed, &said);
+        let [own] = answer.parameters.as_slice() else {
+            panic!("{:?}", answer.parameters)
         };
-        let answer = LiveAnswer::of(LiveLink::Stream, seed_of("cogging"), &heard);
-        assert_eq!(answer.holdout_before, Some(5.0));
+        assert_eq!(own.verdict, Verdict::Settled);
+        assert!((own.value / own.truth - 1.01).abs() < 1e-12);
         assert_eq!(answer.holdout_after, Some(1.02));
     }
 }
