@@ -82,9 +82,9 @@ mod tests {
         }
         assert!(ShaftAngle::at(f64::NAN).wave(3.0)[0].is_nan());
         let none = ShaftAngle::default();
-        assert_eq!(
-            [none.rad(), none.wave(7.0)[0], none.wave(7.0)[1]],
-            [0.0, 0.0, 1.0]
-        );
+        let [sine, cosine] = none.wave(7.0);
+        for (value, expected) in [(none.rad(), 0.0_f64), (sine, 0.0), (cosine, 1.0)] {
+            assert_eq!(value.to_bits(), expected.to_bits());
+        }
     }
 }
