@@ -298,23 +298,35 @@ pub(super) fn likeliest(
         .filter(|unknown| unknown.log(floor).is_finite())
         .collect();
     let found = climb(start, &unknowns, floor, course, &log_likelihood);
+    // The error of form of what rings has a spectrum like a disturbance's: there each is taken as it is found.
+    let mut candidates = linear.candidates.iter();
+    if candidates.any(|own| own.in_model && own.is_whole()) {
+        return found;
+    }
     unless_told(found, start, log_likelihood)
 }
 
 /// Gain of another disturbance, or another error of the input, below which the runs do not tell it from the one before, nats.
-const TOLD: f64 = 0.5;
+const TOLD_NATS: f64 = 0.5;
 
-/// What was found, with what it began with where that is as likely: a change that no run shows is none.
+/// What was found, with what it began with where that is as likely: a change that no run shows is none. A disturbance that
+/// turns out to be less is taken at once, since what it no longer explains an effect may.
 fn unless_told(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
     let best = log_likelihood(&found);
-    [Unknown::Disturbance, Unknown::Input]
-        .into_iter()
-        .fold(found, |now, unknown| {
-            let mut same = now;
-            *unknown.of(&mut same) = *unknown.of(&mut start.clone());
-            let is_told = same == now || log_likelihood(&same) < best - TOLD;
-            if is_told { now } else { same }
-        })
+    let is_as_likely = |noise: &Noise| log_likelihood(noise) >= best - TOLD_NATS;
+    let mut now = found;
+    if found.disturbance_n_m > start.disturbance_n_m {
+        let same = Noise {
+            disturbance_n_m: start.disturbance_n_m,
+            ..now
+        };
+        now = if is_as_likely(&same) { same } else { now };
+    }
+    let same = Noise {
+        input: start.input,
+        ..now
+    };
+    if is_as_likely(&same) { same } else { now }
 }
 
 /// How the correlation time is searched. Under a voltage, current and speed tell the spectrum above its corner, and the
@@ -554,6 +566,43 @@ mod tests {
         count.set(0);
         climb(found, &UNKNOWNS, &floor, Course::Ridge, &likelihood);
         assert!(count.get() < 16, "{}", count.get());
+    }
+
+    #[test]
+    fn more_of_a_disturbance_and_another_error_of_the_input_count_only_where_they_are_told() {
+        let start = Noise {
+            disturbance_n_m: 2e-5,
+            input: 0.01,
+            ..QUIET
+        };
+        let found = |disturbance_n_m| Noise {
+            disturbance_n_m,
+            input: 0.001,
+            ..QUIET
+        };
+        // Nats lost by another disturbance, and by another input, than the one that was found.
+        let left = |disturbance_n_m: f64, loses: [f64; 2]| {
+            let top = found(disturbance_n_m);
+            let likelihood = |noise: &Noise| {
+                let is_other = |a: f64, b: f64| f64::from(u8::from(a.to_bits() != b.to_bits()));
+                -loses[0] * is_other(noise.disturbance_n_m, top.disturbance_n_m)
+                    - loses[1] * is_other(noise.input, top.input)
+            };
+            let left = unless_told(top, start, likelihood);
+            [left.disturbance_n_m, left.input].map(f64::to_bits)
+        };
+        let of = |noise: Noise| [noise.disturbance_n_m, noise.input].map(f64::to_bits);
+        assert_eq!(left(4e-5, [0.1, 0.1]), of(start));
+        assert_eq!(left(4e-5, [2.0, 2.0]), of(found(4e-5)));
+        assert_eq!(
+            left(4e-5, [2.0, 0.1]),
+            of(Noise {
+                input: 0.01,
+                ..found(4e-5)
+            })
+        );
+        // Less of it is taken at once.
+        assert_eq!(left(1e-5, [0.1, 2.0]), of(found(1e-5)));
     }
 
     #[test]
