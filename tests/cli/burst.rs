@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::kit::{BENCH, column, drivebench, in_real_time, line, only_folder, parameter};
+use crate::kit::{BENCH, column, drivebench, has, in_real_time, line, only_folder, parameter};
 /// The default bench with a burst at its second part, over `protocol`.
 fn bench(folder: &Path, protocol: &str) -> std::path::PathBuf {
     let text = BENCH
@@ -48,12 +48,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
     let out = folder.path().join("runs");
     let text = "run {} --port sim: --headless --seed 3 --out {}";
     let done = drivebench(line(text, &[&bench, &out])).expect(0);
-    assert!(
-        done.stderr
-            .contains("burst capture: 4095 samples at 10000 Hz"),
-        "{}",
-        done.stderr
-    );
+    has(&done.stderr, &["burst capture: 4095 samples at 10000 Hz"]);
     let run = only_folder(&out);
     let (rows, first_s, last_s) = capture(&run);
     assert_eq!(rows, 4095);

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::kit::{BENCH, Desk, Done, PLAIN, column, drivebench, line, manifest, only_folder};
+use crate::kit::{BENCH, Desk, Done, PLAIN, column, drivebench, has, line, manifest, only_folder};
 
 /// A short bench over the paper's motor: head, more sections, and the parts of the sequence.
 fn bench(more: &str, sequence: &str) -> String {
@@ -34,14 +34,15 @@ fn events(folder: &Path) -> String {
 fn the_pulse_is_told_with_its_figures_and_nothing_is_waived() {
     let desk = Desk::new();
     let done = run(&desk, &bench("", STEPS), PLAIN, "").expect(0);
-    for words in [
-        "direction          pulse one way and back: +",
-        "plausibility       forward resistance",
-        "back-EMF constant 0.3",
-        "times the nameplate's 0.3538",
-    ] {
-        assert!(done.stderr.contains(words), "{words}: {}", done.stderr);
-    }
+    has(
+        &done.stderr,
+        &[
+            "direction          pulse one way and back: +",
+            "plausibility       forward resistance",
+            "back-EMF constant 0.3",
+            "times the nameplate's 0.3538",
+        ],
+    );
     let manifest = manifest(&desk.path("runs"));
     assert_eq!(manifest["waivers"].as_array().map(Vec::len), Some(0));
 }
@@ -58,19 +59,17 @@ fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
 
     // What the waived pulse would have shown the run shows itself: no waiver lets an encoder run backwards.
     let done = run(&desk, &bench("", STEPS), &reversed, "--waive-direction").expect(4);
-    for words in [
-        "waived: direction",
-        "WAIVED: no pulse was made",
-        "safety trip: encoder reversed",
-    ] {
-        assert!(done.stderr.contains(words), "{words}: {}", done.stderr);
-    }
+    has(
+        &done.stderr,
+        &[
+            "waived: direction",
+            "WAIVED: no pulse was made",
+            "safety trip: encoder reversed",
+        ],
+    );
     let folder = folder(&desk);
     let waivers = manifest(&desk.path("runs"))["waivers"].to_string();
-    assert!(
-        waivers.contains("direction") && waivers.contains("plausibility"),
-        "{waivers}"
-    );
+    has(&waivers, &["direction", "plausibility"]);
     assert!(events(&folder).contains("\"waived\""));
 }
 
@@ -82,10 +81,7 @@ fn a_back_emf_per_revolution_is_refused_with_the_mistake_named() {
         "back_emf_v_s_per_rad = 0.03705",
     );
     let error = run(&desk, &wrong, PLAIN, "").expect(3).error();
-    assert!(
-        error.contains("plausibility: back-EMF constant 0.3"),
-        "{error}"
-    );
+    has(&error, &["plausibility: back-EMF constant 0.3"]);
     assert!(error.contains("V per r/min on the nameplate"), "{error}");
     assert!(error.contains("--waive-plausibility"), "{error}");
 }
@@ -136,10 +132,7 @@ fn a_vertical_load_is_neither_dropped_nor_moved_without_a_brake() {
     let coast = format!("{STEPS}[[sequence]]\ncoast_down = {{ seconds = 0.5 }}\n");
     let file = desk.put("bench.toml", &bench(VERTICAL, &coast));
     let error = drivebench(line("plan {}", &[&file])).expect(2).error();
-    assert!(
-        error.contains("free fall of a vertical load 0.5"),
-        "{error}"
-    );
+    has(&error, &["free fall of a vertical load 0.5"]);
     let undescribed = bench("[load]\nvertical = true\n", STEPS);
     let hoist = format!("{PLAIN}\n{HOIST}");
     let error = run(&desk, &undescribed, &hoist, "--waive-direction")
@@ -170,10 +163,7 @@ fn a_supply_that_takes_nothing_back_limits_the_deceleration_instead_of_the_bus_s
         .expect(0)
         .json();
     let warnings = plan["warnings"].to_string();
-    assert!(
-        warnings.contains("the supply takes nothing back"),
-        "{warnings}"
-    );
+    has(&warnings, &["the supply takes nothing back"]);
     assert!(plan["peak_returned_w"].as_f64().unwrap() < 60.0, "{plan}");
 }
 
@@ -225,20 +215,18 @@ fn a_bridge_of_one_quadrant_goes_one_way_and_a_lost_field_is_a_trip() {
 
     let forward = with("[[sequence]]\nsteps = { levels_v = [12.0, 6.0], hold_s = 1.5 }\n");
     let done = run(&desk, &forward, PLAIN, "--waive-watchdog").expect(0);
-    for words in [
-        "one way, as the converter goes no other",
-        "field              1.000 A, a trip below 0.3 A",
-    ] {
-        assert!(done.stderr.contains(words), "{words}: {}", done.stderr);
-    }
+    has(
+        &done.stderr,
+        &[
+            "one way, as the converter goes no other",
+            "field              1.000 A, a trip below 0.3 A",
+        ],
+    );
     let desk = Desk::new();
     let lost = format!("{PLAIN}\n[faults]\nfield_lost_from_s = 4.0\n");
     let longer = forward.replace("hold_s = 1.5", "hold_s = 4.0");
     let error = run(&desk, &longer, &lost, "--waive-watchdog")
         .expect(4)
         .error();
-    assert!(
-        error.contains("field lost: field current 0.000 A"),
-        "{error}"
-    );
+    has(&error, &["field lost: field current 0.000 A"]);
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use crate::kit::motor_log::{Bench, COLUMNS, Row, csv, push, steps};
-use crate::kit::{Desk, drivebench, line};
+use crate::kit::{Desk, drivebench, has, line};
 /// `share` of the steps.
 fn record(bench: Bench, share: f64) -> Vec<Row> {
     bench.record(|time_s| share * steps(time_s))
@@ -220,11 +220,9 @@ fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
     }
     let gap = desk.put("gap.csv", &text);
     let done = drivebench(line("compare {} --json --model {}", &[&gap, &nameplate])).expect(0);
-    assert!(
-        done.stderr
-            .contains("the longest time without 0.900 s from 3.200 s on"),
-        "{}",
-        done.stderr
+    has(
+        &done.stderr,
+        &["the longest time without 0.900 s from 3.200 s on"],
     );
     let mut holes = format!("{COLUMNS}\n");
     for (k, row) in good().iter().enumerate() {
@@ -237,10 +235,5 @@ fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
     }
     let holes = desk.put("holes.csv", &holes);
     let done = drivebench(line("compare {} --json --model {}", &[&holes, &nameplate])).expect(0);
-    assert!(
-        done.stderr
-            .contains(" of 1,599 rows of voltage_v are missing"),
-        "{}",
-        done.stderr
-    );
+    has(&done.stderr, &[" of 1,599 rows of voltage_v are missing"]);
 }

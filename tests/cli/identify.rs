@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::kit::{PLAIN, drivebench, line, number, only_folder};
+use crate::kit::{PLAIN, drivebench, has, line, number, only_folder};
 
 /// A run in virtual time of the plain ZK-22FC with torque constant 0.30 N.m/A and the given inertia, kg.m2.
 fn run_with(inertia_kg_m2: f64, seed: u32) -> PathBuf {
@@ -124,11 +124,7 @@ fn a_load_trace_never_overwrites_a_record() {
     let before = std::fs::read(&samples).expect("a record");
     let text = "identify {} --model {} --load-torque {}";
     let done = drivebench(line(text, &[&samples, &model, &samples])).expect(2);
-    assert!(
-        done.error().contains("never overwritten"),
-        "{}",
-        done.error()
-    );
+    has(&done.error(), &["never overwritten"]);
     assert_eq!(std::fs::read(&samples).expect("a record"), before);
 }
 

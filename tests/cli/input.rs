@@ -4,7 +4,9 @@ use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::fs;
 
-use crate::kit::{BENCH, Desk, Done, PLAIN, drivebench, line, only_folder, parameter as value};
+use crate::kit::{
+    BENCH, Desk, Done, PLAIN, drivebench, has, line, only_folder, parameter as value,
+};
 use serde_json::Value;
 
 /// A run of the plain motor, as rows of text: time, voltage, current, speed.
@@ -410,10 +412,7 @@ fn effects_has_a_card_for_each_and_names_the_nearest() {
     let error = drivebench(["effects", "stribek_friction"])
         .expect(2)
         .error();
-    assert!(
-        error.contains("did you mean `stribeck_friction`"),
-        "{error}"
-    );
+    has(&error, &["did you mean `stribeck_friction`"]);
 }
 
 #[test]

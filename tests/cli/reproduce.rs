@@ -4,7 +4,7 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read};
 
 use crate::kit::process::Process;
-use crate::kit::{drivebench, line, only_folder};
+use crate::kit::{drivebench, has, line, only_folder};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 
@@ -13,10 +13,7 @@ fn an_unknown_paper_is_told_what_is_allowed() {
     let error = drivebench(line("reproduce paper-z --json", &[]))
         .expect(2)
         .error();
-    assert!(
-        error.contains("paper-z") && error.contains("paper-a"),
-        "{error}"
-    );
+    has(&error, &["paper-z", "paper-a"]);
 }
 
 #[test]
@@ -68,11 +65,7 @@ fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
     let out = room.path().join("study");
     let study = "reproduce discovery --sets 0 --mysteries 2 --seed 3 --out {}";
     let done = drivebench(line(study, &[&out])).expect(0);
-    assert!(
-        done.stderr.contains("mystery 4: hidden "),
-        "{}",
-        done.stderr
-    );
+    has(&done.stderr, &["mystery 4: hidden "]);
     let page = fs::read_to_string(out.join("validation.md")).unwrap();
     assert!(page.contains("--sets 0 --mysteries 2 --seed 3"), "{page}");
     assert!(page.contains("Of 2 mystery drives"), "{page}");
@@ -90,17 +83,18 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
     let out = room.path().join("paper-a");
     let done = drivebench(line("reproduce paper-a --out {}", &[&out])).expect(0);
     assert_eq!(only_folder(room.path()), out);
-    for word in [
-        "Figure 2",
-        "Figure 3",
-        "Figure 4",
-        "Table 1",
-        "TQ16",
-        "power",
-        "equation error",
-    ] {
-        assert!(done.stdout.contains(word), "{word}");
-    }
+    has(
+        &done.stdout,
+        &[
+            "Figure 2",
+            "Figure 3",
+            "Figure 4",
+            "Table 1",
+            "TQ16",
+            "power",
+            "equation error",
+        ],
+    );
     for word in ["NaN", "inf"] {
         assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
     }
@@ -139,10 +133,7 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
         assert!(table.lines().count() > 5, "{name}: {table}");
     }
     // The paper's own figures stand beside ours.
-    assert!(
-        table.contains("3654,0.4380") && table.contains("4536,0.4149"),
-        "{table}"
-    );
+    has(&table, &["3654,0.4380", "4536,0.4149"]);
 
     let json = drivebench(line("reproduce paper-a --json", &[]))
         .expect(0)
@@ -171,16 +162,17 @@ fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
     let room = tempfile::tempdir().unwrap();
     let out = room.path().join("paper-b");
     let done = drivebench(line("reproduce paper-b --out {}", &[&out])).expect(0);
-    for word in [
-        "chosen by us",
-        "Figure 4",
-        "Figure 5",
-        "K and gamma",
-        "Hall",
-        "back-EMF",
-    ] {
-        assert!(done.stdout.contains(word), "{word}");
-    }
+    has(
+        &done.stdout,
+        &[
+            "chosen by us",
+            "Figure 4",
+            "Figure 5",
+            "K and gamma",
+            "Hall",
+            "back-EMF",
+        ],
+    );
     for word in ["NaN", "inf"] {
         assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
     }
@@ -203,9 +195,10 @@ fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
     // Six regulators in five cases, and a head.
     let table = fs::read_to_string(out.join("controllers.csv")).unwrap();
     assert_eq!(table.lines().count(), 31, "{table}");
-    for name in ["pi (fixed)", "addc", "mrac", "paper-b", "load-observer"] {
-        assert!(table.contains(name), "{name}");
-    }
+    has(
+        &table,
+        &["pi (fixed)", "addc", "mrac", "paper-b", "load-observer"],
+    );
 
     let json = drivebench(line("reproduce paper-b --json", &[]))
         .expect(0)

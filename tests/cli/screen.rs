@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use crate::kit::terminal::Session;
-use crate::kit::{drivebench, line, only_folder};
+use crate::kit::{drivebench, has, line, only_folder};
 use nix::sys::signal::Signal;
 
 /// Two runs of an emulated motor with Stribeck friction, recorded in virtual time; made once, the tests only read them.
@@ -84,13 +84,14 @@ fn guess_then_add_with_one_key_and_the_error_falls_to_the_floor() {
     assert_eq!(session.end(), 0, "{}", session.text());
     // What stays behind is about the model as it stands, and says how it came about and where it is.
     let left = session.text();
-    for part in [
-        "model written to found.toml",
-        "by hand: + stribeck_friction: held-out error ",
-        "nothing is missing",
-    ] {
-        assert!(left.contains(part), "{part}: {left}");
-    }
+    has(
+        &left,
+        &[
+            "model written to found.toml",
+            "by hand: + stribeck_friction: held-out error ",
+            "nothing is missing",
+        ],
+    );
     assert!(!left.contains("missing: stribeck_friction"), "{left}");
     session.expect_terminal_as_it_was();
     let model = std::fs::read_to_string(folder.path().join("found.toml")).unwrap();
@@ -161,11 +162,7 @@ fn d_goes_on_by_hand_after_a_commissioning() {
     session.press("d");
     session.wait_for("DIAGNOSIS");
     session.wait_for(ADD);
-    assert!(
-        session.text().contains("stribeck_friction"),
-        "{}",
-        session.text()
-    );
+    has(&session.text(), &["stribeck_friction"]);
     session.press("m");
     session.wait_for("error over speed x current");
     session.press("q");
@@ -176,10 +173,7 @@ fn d_goes_on_by_hand_after_a_commissioning() {
     assert_eq!(session.end(), 130, "{}", session.text());
     let left = session.text();
     assert!(left.contains("stribeck_friction"), "{left}");
-    assert!(
-        left.contains("interrupted in the diagnosis by hand"),
-        "{left}"
-    );
+    has(&left, &["interrupted in the diagnosis by hand"]);
     session.expect_terminal_as_it_was();
 }
 

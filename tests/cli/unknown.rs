@@ -1,6 +1,6 @@
 //! An unknown motor, a broken bench and a nameplate that does not fit; through the real binary, in virtual time.
 
-use crate::kit::{BENCH, drivebench, line, only_folder, parameter, read_json};
+use crate::kit::{BENCH, drivebench, has, line, only_folder, parameter, read_json};
 use serde_json::Value;
 
 #[track_caller]
@@ -146,11 +146,7 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
 
     // Nothing is predicted of nothing: the plan tells the first small step.
     let planned = drivebench(line("plan {}", &[&bench])).expect(0);
-    assert!(
-        planned.stdout.contains("first stage (feel): up to 0.330 V"),
-        "{}",
-        planned.stdout
-    );
+    has(&planned.stdout, &["first stage (feel): up to 0.330 V"]);
 }
 
 #[test]
@@ -191,20 +187,17 @@ fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_
     let out = tempfile::tempdir().expect("a temporary folder");
     let servo = "run --escalate --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
     let refused = drivebench(line(servo, &[out.path()])).expect(2);
-    for words in [
-        "the nameplate does not fit",
-        "peak speed",
-        "back_emf_v_s_per_rad: found 0.05",
-        "nameplate 0.3538",
-        "likely: another motor",
-        "motor.unknown = true",
-    ] {
-        assert!(
-            refused.stderr.contains(words),
-            "{words}: {}",
-            refused.stderr
-        );
-    }
+    has(
+        &refused.stderr,
+        &[
+            "the nameplate does not fit",
+            "peak speed",
+            "back_emf_v_s_per_rad: found 0.05",
+            "nameplate 0.3538",
+            "likely: another motor",
+            "motor.unknown = true",
+        ],
+    );
 
     let bench = out.path().join("bench.toml");
     let told = BENCH.replace("# unknown = false", "unknown = true");

@@ -159,6 +159,14 @@ pub(crate) fn in_real_time<T>(mut attempt: impl FnMut() -> (Done, T)) -> (Done, 
     attempt()
 }
 
+/// Each part stands in the text.
+#[track_caller]
+pub(crate) fn has(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "{part:?} is not in {text}");
+    }
+}
+
 /// Arguments from one line; paths are put in as `{}` in order, so that they may hold spaces.
 pub(crate) fn line(text: &str, paths: &[&Path]) -> Vec<PathBuf> {
     let mut paths = paths.iter();

@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 
 pub(crate) const L_H: f64 = 0.0099;
 pub(crate) const J: f64 = 0.0045;
@@ -15,10 +14,11 @@ pub(crate) const COLUMNS: &str = "time_s,voltage_v,current_a,speed_rad_s";
 /// Time, voltage, current, speed, angle.
 pub(crate) type Row = [f64; 5];
 
-/// Normal noise, each value of the standard deviation that is asked for.
+/// Uniform noise, each value of the standard deviation that is asked for.
 pub(crate) fn noise(seed: u64) -> impl FnMut(f64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    move |deviation| deviation * rng.sample::<f64, _>(StandardNormal)
+    let most = 3_f64.sqrt();
+    move |deviation| deviation * rng.random_range(-most..most)
 }
 
 /// What is recorded.

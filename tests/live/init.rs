@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::kit::process::Emulator;
-use crate::kit::{Desk, drivebench, line, manifest, parameter};
+use crate::kit::{Desk, drivebench, has, line, manifest, parameter};
 use serde_json::Value;
 
 const PLATE: &str = "bench-configs/motors/zk-22fc.toml";
@@ -26,9 +26,11 @@ fn our_own_drive_is_set_up_planned_and_run() {
         assert!(done.stderr.contains(&command), "{}", done.stderr);
     }
     let text = fs::read_to_string(&file).unwrap();
-    assert!(
-        text.contains("smaller of 2.0 x rated current 5.7 A (nameplate) and the drive's own limit 11.4 A (read back)"),
-        "{text}"
+    has(
+        &text,
+        &[
+            "smaller of 2.0 x rated current 5.7 A (nameplate) and the drive's own limit 11.4 A (read back)",
+        ],
     );
     let plan = drivebench(line("plan {} --json", &[&file]))
         .expect(0)
@@ -55,11 +57,7 @@ fn a_drive_of_another_make_that_takes_a_speed_is_set_up_and_run() {
     let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
     let options = "init --drive epulse50-dc --port sim: --motor {} --out {}";
     let done = drivebench(line(options, &[&plate(), &file])).expect(0);
-    assert!(
-        done.stderr.contains("takes no voltage command"),
-        "{}",
-        done.stderr
-    );
+    has(&done.stderr, &["takes no voltage command"]);
     assert!(!done.stderr.contains("drivebench run"), "{}", done.stderr);
     drivebench(line("plan {}", &[&file])).expect(0);
     let speed = "speed {} --headless --waive-watchdog --json --emulator zk-22fc-plain --out {}";

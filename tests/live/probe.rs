@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::kit::process::Emulator;
-use crate::kit::{Desk, Done, drivebench, line};
+use crate::kit::{Desk, Done, drivebench, has, line};
 use drivebench::drive::DriveProfile;
 use serde_json::Value;
 
@@ -153,10 +153,12 @@ fn an_address_base_that_is_off_by_one_is_named() {
     assert!(done.error().contains("bus"), "{}", done.stderr);
     is_read_only(&capture);
     let told = probe(&emulator, "--drive {}", &[&profile]).expect(1).stdout;
-    assert!(
-        told.contains("with the address one higher (base 0 instead of 1) bus would be 1")
-            && told.contains("is the profile right?"),
-        "{told}"
+    has(
+        &told,
+        &[
+            "with the address one higher (base 0 instead of 1) bus would be 1",
+            "is the profile right?",
+        ],
     );
 }
 
@@ -188,10 +190,12 @@ fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
     assert_eq!(candidate["change"], "word_order = \"high_first\"");
     is_120_v(candidate);
     let told = probe(&emulator, "--drive {}", &[&wrong]).expect(1).stdout;
-    assert!(
-        told.contains("with word_order = \"high_first\" bus would be 1")
-            && told.contains(" V, plausible: is the profile right?"),
-        "{told}"
+    has(
+        &told,
+        &[
+            "with word_order = \"high_first\" bus would be 1",
+            " V, plausible: is the profile right?",
+        ],
     );
 }
 
@@ -216,10 +220,7 @@ fn our_own_drive_is_looked_at_over_every_link() {
         let text = probe(&emulator, &format!("--drive {drive}"), &[])
             .expect(0)
             .stdout;
-        assert!(
-            text.contains("emulator") && text.contains("bus_voltage"),
-            "{text}"
-        );
+        has(&text, &["emulator", "bus_voltage"]);
     }
     let text = drivebench(line("probe --port emulator --drive own", &[]))
         .expect(0)

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::kit::process::Emulator;
-use crate::kit::{BENCH, Desk, drivebench, line, manifest, only_folder};
+use crate::kit::{BENCH, Desk, drivebench, has, line, manifest, only_folder};
 
 /// A bench whose motor is the emulated one, at a rate that a loaded machine keeps.
 fn bench(desk: &Desk, profile: &str, rate_hz: u32, reference: &str) -> PathBuf {
@@ -77,11 +77,7 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
         &[&bench, &pty, &runs],
     );
     let done = drivebench(arguments).expect(0);
-    assert!(
-        done.stderr.contains("drive profile epulse50-dc"),
-        "{}",
-        done.stderr
-    );
+    has(&done.stderr, &["drive profile epulse50-dc"]);
     assert!(done.stderr.contains("trust manual"), "{}", done.stderr);
     let manifest = manifest(&runs);
     let configs = &manifest["configs"];
@@ -185,10 +181,7 @@ fn a_bench_that_asks_for_more_than_its_drive_s_profile_allows_is_refused() {
     // Where the bench gives none, the profile's is the limit: the sequence would draw 6.7 A.
     let silent = desk.put("silent.toml", &bench.replace("current_a = 13.0", ""));
     let error = drivebench(line("plan {}", &[&silent])).expect(2).error();
-    assert!(
-        error.contains("plan refused") && error.contains("limit 6"),
-        "{error}"
-    );
+    has(&error, &["plan refused", "limit 6"]);
 }
 
 #[test]
@@ -205,9 +198,9 @@ fn a_defect_in_a_profile_is_an_error_with_its_line() {
     let error = drivebench(line("emulate --profile {}", &[&profile]))
         .expect(2)
         .error();
-    assert!(
-        error.contains(&format!("vacon.toml:{line_of}:1: unknown field `quantty`")),
-        "{error}"
+    has(
+        &error,
+        &[&format!("vacon.toml:{line_of}:1: unknown field `quantty`")],
     );
     assert!(error.contains("did you mean `quantity`?"), "{error}");
     let unknown = drivebench(line("emulate --profile siemens-v30", &[]))

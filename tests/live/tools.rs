@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::kit::process::Emulator;
-use crate::kit::{BENCH, Desk, Done, drivebench, line};
+use crate::kit::{BENCH, Desk, Done, drivebench, has, line};
 use serde_json::Value;
 
 /// A software drive that never outlives its test.
@@ -168,11 +168,7 @@ fn wrong_arguments_are_usage_errors() {
 fn a_write_is_shown_guarded_and_read_back() {
     let drive = Drive::start("modbus-rtu");
     let refused = drive.ask("registers write 73 640", &[]).expect(2);
-    assert!(
-        refused.stderr.contains("-> 640 (0x0280)"),
-        "{}",
-        refused.stderr
-    );
+    has(&refused.stderr, &["-> 640 (0x0280)"]);
     assert!(refused.error().contains("--yes"), "{}", refused.stderr);
     let before = drive.ask("registers read 73 --json", &[]).expect(0).json();
     assert_ne!(before["reads"][0]["values"][0], 640);
@@ -299,15 +295,16 @@ fn the_doctor_measures_and_leaves_a_line_to_paste() {
     assert_eq!(found["names"][0], "drivebench");
     balances(&found["counters"]);
     let text = drive.ask("doctor", &[]).expect(0).stdout;
-    for part in [
-        "round trip",
-        "loop rate",
-        "bug report",
-        "115200 8N1 unit 1",
-        "fc08 yes",
-    ] {
-        assert!(text.contains(part), "{part} in {text}");
-    }
+    has(
+        &text,
+        &[
+            "round trip",
+            "loop rate",
+            "bug report",
+            "115200 8N1 unit 1",
+            "fc08 yes",
+        ],
+    );
     let mut arguments = line("doctor --unit 9 --timeout-ms 50 --port", &[]);
     arguments.push(PathBuf::from(&drive.emulator.address));
     let done = drivebench(arguments).expect(3);

@@ -11,7 +11,7 @@ use crate::kit::process::{
     Emulator, Process, RUNNING, STATE, WATCHDOG_TRIPPED, telemetry, wait_for,
 };
 use crate::kit::terminal::Session;
-use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, column, drivebench, line, only_folder};
+use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, column, drivebench, has, line, only_folder};
 use nix::sys::signal::Signal;
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
@@ -219,11 +219,7 @@ fn a_folder_that_is_deleted_is_told_of_while_the_run_goes_on_and_made_again() {
     fs::rename(only_folder(&lab.path().join("runs")), &gone).unwrap();
     fs::remove_dir_all(gone).unwrap();
     let done = run.end().expect(0);
-    assert!(
-        done.stderr.contains("was deleted or renamed"),
-        "{}",
-        done.stderr
-    );
+    has(&done.stderr, &["was deleted or renamed"]);
     let run = only_folder(&lab.path().join("runs"));
     let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
     assert!(manifest.contains("\"finished\": true"), "{manifest}");
