@@ -7,14 +7,13 @@
 //! ```
 //!
 //! None of the real records at hand has a motor's voltage and current beside its speed: the doses are given to runs of
-//! another simulator there. `DRIVEBENCH_EVERYTHING=1 cargo test --release --test bench rule6 -- --nocapture` does every case and
-//! prints the tables; else a few cases are done.
+//! another simulator there. `DRIVEBENCH_EVERYTHING=1 cargo test --release --test bench rule6 -- --nocapture` does every
+//! case and prints the tables; else a few cases are done.
 #![expect(
-    clippy::unwrap_used,
     clippy::print_stdout,
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "helpers of an integration test are test code; the tables are its product"
+    reason = "the tables are its product, of counts and shares"
 )]
 
 mod placebo;

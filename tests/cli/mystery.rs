@@ -249,8 +249,8 @@ fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows()
     });
     let done = drivebench(line("diagnose {} --holdout {}", &[&runs[0], &runs[1]])).expect(0);
     let said = &done.stdout;
-    has(&said, &["no effect of the catalogue explains it"]);
-    has(&said, &["curve: ", "torque error follows the speed"]);
+    has(said, &["no effect of the catalogue explains it"]);
+    has(said, &["curve: ", "torque error follows the speed"]);
     let add = said.split('`').nth(1).unwrap();
     assert_eq!(
         add,

@@ -157,7 +157,7 @@ fn d_goes_on_by_hand_after_a_commissioning() {
         "--out",
         "runs",
     ];
-    let mut session = Session::start(&arguments, folder.path(), (120, 40));
+    let mut session = Session::start(arguments, folder.path(), (120, 40));
     session.wait_for("d diagnosis by hand");
     session.press("d");
     session.wait_for("DIAGNOSIS");

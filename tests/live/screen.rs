@@ -23,7 +23,7 @@ fn start(command: &str, folder: &Path) -> Session {
         "--emulator",
         "drive.toml",
     ];
-    Session::start(&line, folder, SIZE)
+    Session::start(line, folder, SIZE)
 }
 
 #[test]
