@@ -230,3 +230,14 @@ pub(crate) fn column(csv: &str, name: &str) -> Vec<f64> {
     let cells = lines.filter_map(|row| row.split(',').nth(place?)?.parse().ok());
     cells.collect()
 }
+
+/// The record of the newest run inside `out` shows a speed beyond this.
+pub(crate) fn turns(out: &Path, faster_than_rad_s: f64) -> bool {
+    let samples = || {
+        let runs = std::fs::read_dir(out).ok()?;
+        let newest = runs.filter_map(|run| Some(run.ok()?.path())).max()?;
+        std::fs::read_to_string(newest.join("samples.csv")).ok()
+    };
+    let is_fast = |speed: &f64| *speed > faster_than_rad_s;
+    samples().is_some_and(|text| column(&text, "speed_rad_s").iter().any(is_fast))
+}

@@ -10,8 +10,9 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::thread::{sleep, spawn};
 use std::time::Duration;
 
+use super::run::{BenchFile, EMULATOR};
 use crate::kit::process::{Emulator, Process, wait_for};
-use crate::kit::{Desk, column, drivebench, has, line, manifest, only_folder};
+use crate::kit::{Desk, drivebench, has, line, manifest, only_folder, turns};
 use nix::fcntl::OFlag;
 use nix::pty::{PtyMaster, posix_openpt};
 use nix::sys::signal::Signal;
@@ -21,26 +22,10 @@ use serde_json::Value;
 struct Lab(Desk);
 
 impl Lab {
-    fn new(protocol: &str) -> Self {
-        let motor = "name = \"ZK-22FC\"\nrated_voltage_v = 110.0\nrated_current_a = 5.7\n\
-                     rated_speed_rad_s = 293.2\nresistance_ohm = 1.1\ninductance_h = 0.0099\n\
-                     back_emf_v_s_per_rad = 0.3538\ninertia_kg_m2 = 0.0045\nload_torque_n_m = 0.455\n";
-        let emulator = format!(
-            "watchdog_ms = 1000\n[motor]\n{motor}\
-             [limits]\ncurrent_limit_a = 11.4\nbus_v = 120.0\nspeed_limit_rad_s = 350.0\n"
-        );
-        let bench = format!(
-            "name = \"lost\"\n[drive]\nprofile = \"own\"\n\
-             [link]\nport = \"/dev/given-by-port\"\nprotocol = \"{protocol}\"\nrate_hz = 50.0\n\
-             [motor]\n{motor}\
-             [limits]\ncurrent_a = 11.0\nspeed_rad_s = 340.0\nvoltage_v = 110.0\nslew_v_per_s = 200.0\n\
-             link_silence_s = 0.95\n\
-             [[sequence]]\nstandstill = {{ seconds = 0.3 }}\n\
-             [[sequence]]\nsteps = {{ levels_v = [40.0], hold_s = 50.0 }}\n"
-        );
+    fn new(protocol: &'static str) -> Self {
         let desk = Desk::new();
-        desk.put("emulator.toml", &emulator);
-        desk.put("bench.toml", &bench);
+        desk.put("emulator.toml", EMULATOR);
+        desk.put("bench.toml", &BenchFile::long(protocol).text());
         Self(desk)
     }
 
@@ -64,16 +49,13 @@ impl Lab {
         ];
         let run = Process::start(&line(&text, &paths));
         wait_for("a motor that turns", || {
-            let folder = fs::read_dir(self.path("runs")).ok()?.next()?.ok()?.path();
-            let samples = fs::read_to_string(folder.join("samples.csv")).ok()?;
-            let mut speeds = column(&samples, "speed_rad_s").into_iter();
-            speeds.find(|speed| *speed > 60.0)
+            turns(&self.path("runs"), 60.0).then_some(())
         });
         run
     }
 
     /// A drive and a run over `protocol` in which the motor turns fast.
-    fn turning(protocol: &str, options: &str) -> (Self, Emulator, Process) {
+    fn turning(protocol: &'static str, options: &str) -> (Self, Emulator, Process) {
         let lab = Self::new(protocol);
         let drive = lab.drive(protocol, 1);
         let run = lab.run_until_turning(&drive.address, options);

@@ -9,14 +9,14 @@ use crate::kit::process::{
     self, Emulator, FAULT, Process, RUNNING, STATE, WATCHDOG_TRIPPED, ask, now, wait_for,
 };
 use crate::kit::{
-    Desk, Done, column, drivebench, in_real_time, line, manifest, only_folder, parameter,
+    Desk, Done, column, drivebench, in_real_time, line, manifest, only_folder, parameter, turns,
 };
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use tokio_modbus::prelude::Writer;
 
 /// A plain motor behind a drive whose watchdog leaves a loaded machine some time.
-const EMULATOR: &str = r#"
+pub(crate) const EMULATOR: &str = r#"
 watchdog_ms = 1000
 [motor]
 name = "ZK-22FC"
@@ -40,7 +40,7 @@ speed_rad_s = 0.15
 
 /// The bench that goes with it. `unit`, the constant of the nameplate, the limit of the speed and the sequence differ
 /// from test to test.
-struct BenchFile {
+pub(crate) struct BenchFile {
     protocol: &'static str,
     unit: u8,
     back_emf_v_s_per_rad: f64,
@@ -67,7 +67,16 @@ impl Default for BenchFile {
 }
 
 impl BenchFile {
-    fn text(&self) -> String {
+    /// The motor turns until the run is ended from outside.
+    pub(crate) fn long(protocol: &'static str) -> Self {
+        Self {
+            protocol,
+            sequence: LONG,
+            ..Self::default()
+        }
+    }
+
+    pub(crate) fn text(&self) -> String {
         let Self {
             protocol,
             unit,
@@ -143,17 +152,9 @@ impl Lab {
 
     /// Starts a long run and returns once the record shows that the motor turns fast.
     fn run_until_turning(&self, protocol: &'static str) -> Process {
-        let bench = BenchFile {
-            protocol,
-            sequence: LONG,
-            ..BenchFile::default()
-        };
-        let run = Process::start(&self.run_arguments(&bench));
+        let run = Process::start(&self.run_arguments(&BenchFile::long(protocol)));
         wait_for("a motor that turns", || {
-            let folder = fs::read_dir(self.out()).ok()?.next()?.ok()?.path();
-            let samples = fs::read_to_string(folder.join("samples.csv")).ok()?;
-            let mut speeds = column(&samples, "speed_rad_s").into_iter();
-            speeds.rfind(|speed| *speed > 80.0)
+            turns(&self.out(), 80.0).then_some(())
         });
         run
     }

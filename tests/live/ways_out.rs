@@ -11,7 +11,7 @@ use crate::kit::process::{
     Emulator, Process, RUNNING, STATE, WATCHDOG_TRIPPED, telemetry, wait_for,
 };
 use crate::kit::terminal::Session;
-use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, column, drivebench, has, line, only_folder};
+use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, drivebench, has, line, only_folder, turns};
 use nix::sys::signal::Signal;
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
@@ -95,16 +95,7 @@ impl Lab {
     }
 
     fn turns(&self) -> bool {
-        let newest = || {
-            let runs = fs::read_dir(self.path().join("runs")).ok()?;
-            let newest = runs.filter_map(|run| Some(run.ok()?.path())).max()?;
-            fs::read_to_string(newest.join("samples.csv")).ok()
-        };
-        newest().is_some_and(|text| {
-            column(&text, "speed_rad_s")
-                .iter()
-                .any(|speed| *speed > 60.0)
-        })
+        turns(&self.desk.path("runs"), 60.0)
     }
 
     /// By the drive's own word, some time after its watchdog would have acted.
