@@ -5,7 +5,7 @@
 use std::sync::OnceLock;
 
 use crate::kit::motor_log::{Bench, COLUMNS, J, Row, csv, noise, push, steps};
-use crate::kit::{Desk, drivebench, has, line, manifest, only_folder, parameter};
+use crate::kit::{Desk, call, drivebench, has, line, manifest, only_folder, parameter, refusal};
 use serde_json::Value;
 
 const RPM: f64 = 9.549_296_585_513_72;
@@ -72,9 +72,9 @@ fn the_record_itself_is_good() {
     ] {
         let file = desk.put("log.csv", &text);
         let done = if model {
-            drivebench(line("identify {} --json --model {}", &[&file, &nameplate]))
+            call("identify {} --json --model {}", &[&file, &nameplate])
         } else {
-            drivebench(line("identify {} --json", &[&file]))
+            call("identify {} --json", &[&file])
         };
         let done = done.expect(0);
         assert!(!done.stderr.contains("warning"), "{}", done.stderr);
@@ -355,13 +355,11 @@ fn an_unusable_file_is_status_2_for_every_command() {
             "compare {} --json",
             "diagnose {} --json",
         ] {
-            let bare = drivebench(line(command, &[&file])).expect(2);
+            let bare = call(command, &[&file]).expect(2);
             assert!(bare.error().contains(part), "{name}: {}", bare.error());
             assert_eq!(bare.stdout, "", "{name}");
             let text = format!("{command} --model {{}}");
-            drivebench(line(&text, &[&file, &nameplate]))
-                .expect(2)
-                .error();
+            refusal(&text, &[&file, &nameplate]);
         }
     }
 }
@@ -372,22 +370,15 @@ fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
     let nameplate = desk.nameplate();
     let swapped = desk.put("swapped.csv", &spoilt(|row| row.swap(1, 2)));
     for command in ["compare {} --json", "diagnose {} --json"] {
-        let error = drivebench(line(command, &[&swapped])).expect(5).error();
+        let error = call(command, &[&swapped]).expect(5).error();
         assert!(error.contains("voltage and current are swapped"), "{error}");
     }
-    let error = drivebench(line(
-        "diagnose {} --json --model {}",
-        &[&swapped, &nameplate],
-    ))
-    .expect(5)
-    .error();
+    let error = call("diagnose {} --json --model {}", &[&swapped, &nameplate])
+        .expect(5)
+        .error();
     assert!(error.contains("swapped"), "{error}");
     // A model as given can be compared with anything; what is wrong stands beside the figures.
-    let done = drivebench(line(
-        "compare {} --json --model {}",
-        &[&swapped, &nameplate],
-    ))
-    .expect(0);
+    let done = call("compare {} --json --model {}", &[&swapped, &nameplate]).expect(0);
     assert!(done.stderr.contains("swapped"), "{}", done.stderr);
     assert!(
         done.json()["notes"][0]
@@ -400,10 +391,7 @@ fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
         "steady.csv",
         &spoilt(|row| *row = [row[0], 12.0, 1.5, 30.0, 0.0]),
     );
-    let done = drivebench(line(
-        "diagnose {} --json --model {}",
-        &[&steady, &nameplate],
-    ));
+    let done = call("diagnose {} --json --model {}", &[&steady, &nameplate]);
     assert!(done.status == 5 || done.status == 0, "{}", done.stderr);
     assert!(done.stderr.contains("nothing changes"), "{}", done.stderr);
 }
@@ -464,10 +452,10 @@ fn the_origin_of_a_signal_limits_what_is_claimed_from_it() {
 fn the_origin_travels_from_the_drives_profile_to_the_answer() {
     let out = tempfile::tempdir().expect("a temporary folder");
     let text = "run --port sim: --headless --emulator zk-22fc-hidden --seed 7 --out {}";
-    drivebench(line(text, &[out.path()])).expect(0);
+    call(text, &[out.path()]).expect(0);
     let folder = only_folder(out.path());
     assert_eq!(manifest(out.path())["sides"]["current_a"], "terminal");
-    let done = drivebench(line("identify {} --json", &[&folder])).expect(0);
+    let done = call("identify {} --json", &[&folder]).expect(0);
     // A good run of a motor with a hidden effect is no bad input.
     assert!(!done.stderr.contains("warning"), "{}", done.stderr);
     let signals = &done.json()["signals"];
@@ -490,7 +478,7 @@ fn a_signal_with_holes_is_named_before_anything_is_concluded_from_the_rest() {
         }
     });
     let file = desk.put("log.csv", &text);
-    let done = drivebench(line("compare {} --model {}", &[&file, &nameplate])).expect(0);
+    let done = call("compare {} --model {}", &[&file, &nameplate]).expect(0);
     let said = "current_a is missing in 400 of 1600 samples";
     assert!(done.stderr.contains(said), "{}", done.stderr);
 }

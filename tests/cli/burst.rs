@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::kit::{BENCH, column, drivebench, has, in_real_time, line, only_folder, parameter};
+use crate::kit::{BENCH, call, column, has, in_real_time, json_of, only_folder, parameter};
 /// The default bench with a burst at its second part, over `protocol`.
 fn bench(folder: &Path, protocol: &str) -> std::path::PathBuf {
     let text = BENCH
@@ -47,7 +47,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
     let bench = bench(folder.path(), "modbus-rtu");
     let out = folder.path().join("runs");
     let text = "run {} --port sim: --headless --seed 3 --out {}";
-    let done = drivebench(line(text, &[&bench, &out])).expect(0);
+    let done = call(text, &[&bench, &out]).expect(0);
     has(&done.stderr, &["burst capture: 4095 samples at 10000 Hz"]);
     let run = only_folder(&out);
     let (rows, first_s, last_s) = capture(&run);
@@ -62,7 +62,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
     // The truth of seed 3 is within 10 % of the plate; the run itself tells it well.
     let identify = |data: &Path| {
         let text = "identify {} --json --require resistance_ohm,inductance_h";
-        drivebench(line(text, &[data])).expect(0).json()
+        json_of(text, &[data])
     };
     let (whole, burst) = (identify(&run), identify(&run.join("capture-01.csv")));
     for key in ["resistance_ohm", "inductance_h"] {
@@ -94,7 +94,7 @@ fn a_burst_is_fetched_over_every_wire() {
         let text = "run {} --port emulator --headless --out {}";
         let (done, ()) = in_real_time(|| {
             let _ = fs::remove_dir_all(&out);
-            (drivebench(line(text, &[&bench, &out])), ())
+            (call(text, &[&bench, &out]), ())
         });
         let done = done.expect(0);
         let (rows, ..) = capture(&only_folder(&out));
@@ -108,7 +108,7 @@ fn a_part_that_is_not_there_is_refused() {
     let path = bench(folder.path(), "modbus-rtu");
     let text = fs::read_to_string(&path).expect("it was written");
     fs::write(&path, text.replace("burst_at = 2", "burst_at = 99")).expect("a file");
-    let refused = drivebench(line("plan {}", &[&path])).expect(2);
+    let refused = call("plan {}", &[&path]).expect(2);
     assert!(
         refused.error().contains("runs.burst_at = 99"),
         "{}",
@@ -127,7 +127,7 @@ fn a_commissioning_takes_a_burst_by_itself_where_the_loop_is_slower_than_the_cur
     let bench = folder.path().join("bench.toml");
     fs::write(&bench, text).expect("a file");
     let text = "commission {} --port sim: --headless --seed 5 --json --out {}";
-    let done = drivebench(line(text, &[&bench, &out])).expect(0).json();
+    let done = json_of(text, &[&bench, &out]);
     let burst = &done["burst"];
     assert_eq!(burst["rate_hz"].as_f64().map(f64::round), Some(10_000.0));
     assert_eq!(

@@ -4,7 +4,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::kit::{BENCH, Desk, Done, PLAIN, column, drivebench, has, line, manifest, only_folder};
+use crate::kit::{
+    BENCH, Desk, Done, PLAIN, call, column, has, json_of, manifest, only_folder, refusal,
+};
 
 /// A short bench over the paper's motor: head, more sections, and the parts of the sequence.
 fn bench(more: &str, sequence: &str) -> String {
@@ -19,7 +21,7 @@ fn run(desk: &Desk, bench: &str, emulator: &str, options: &str) -> Done {
     let bench = desk.put("bench.toml", bench);
     let emulator = desk.put("emulator.toml", emulator);
     let text = format!("run {{}} --port sim: --emulator {{}} --headless --out {{}} {options}");
-    drivebench(line(&text, &[&bench, &emulator, &desk.path("runs")]))
+    call(&text, &[&bench, &emulator, &desk.path("runs")])
 }
 
 fn folder(desk: &Desk) -> PathBuf {
@@ -131,7 +133,7 @@ fn a_vertical_load_is_neither_dropped_nor_moved_without_a_brake() {
     let desk = Desk::new();
     let coast = format!("{STEPS}[[sequence]]\ncoast_down = {{ seconds = 0.5 }}\n");
     let file = desk.put("bench.toml", &bench(VERTICAL, &coast));
-    let error = drivebench(line("plan {}", &[&file])).expect(2).error();
+    let error = refusal("plan {}", &[&file]);
     has(&error, &["free fall of a vertical load 0.5"]);
     let undescribed = bench("[load]\nvertical = true\n", STEPS);
     let hoist = format!("{PLAIN}\n{HOIST}");
@@ -159,9 +161,7 @@ fn a_supply_that_takes_nothing_back_limits_the_deceleration_instead_of_the_bus_s
     run(&desk, &limited, &sink, "").expect(0);
     assert!(events(&folder(&desk)).contains("\"supply\":true"));
     let file = desk.put("plan.toml", &limited);
-    let plan = drivebench(line("plan {} --json", &[&file]))
-        .expect(0)
-        .json();
+    let plan = json_of("plan {} --json", &[&file]);
     let warnings = plan["warnings"].to_string();
     has(&warnings, &["the supply takes nothing back"]);
     assert!(plan["peak_returned_w"].as_f64().unwrap() < 60.0, "{plan}");
@@ -210,7 +210,7 @@ fn a_bridge_of_one_quadrant_goes_one_way_and_a_lost_field_is_a_trip() {
     };
     let both = "[[sequence]]\nsteps = { levels_v = [12.0, -12.0], hold_s = 1.0 }\n";
     let file = desk.put("both.toml", &with(both));
-    let error = drivebench(line("plan {}", &[&file])).expect(2).error();
+    let error = refusal("plan {}", &[&file]);
     assert!(error.contains("reverse voltage 12"), "{error}");
 
     let forward = with("[[sequence]]\nsteps = { levels_v = [12.0, 6.0], hold_s = 1.5 }\n");

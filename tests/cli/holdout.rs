@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use crate::kit::motor_log::{Bench, COLUMNS, Row, csv, push, steps};
-use crate::kit::{Desk, drivebench, has, line};
+use crate::kit::{Desk, call, has};
 /// `share` of the steps.
 fn record(bench: Bench, share: f64) -> Vec<Row> {
     bench.record(|time_s| share * steps(time_s))
@@ -77,10 +77,10 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
         ),
     ] {
         let holdout = desk.put("holdout.csv", &text);
-        let done = drivebench(line(
+        let done = call(
             "diagnose {} --json --model {} --holdout {}",
             &[&run, &nameplate, &holdout],
-        ))
+        )
         .expect(0);
         let found = done.json();
         assert_eq!(found["holdout_from"], "split", "{name}: {}", done.stderr);
@@ -91,10 +91,10 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
         assert!(notes.contains(reason), "{name}: {notes}");
     }
     let good = desk.put("holdout.csv", &text_of(&again, |_| {}));
-    let done = drivebench(line(
+    let done = call(
         "diagnose {} --json --model {} --holdout {}",
         &[&run, &nameplate, &good],
-    ))
+    )
     .expect(0);
     assert_eq!(done.json()["holdout_from"], "run");
     assert!(!done.stderr.contains("warning"), "{}", done.stderr);
@@ -119,9 +119,9 @@ fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
     let diagnosed = "diagnose {} --model {} --holdout {} --html {}";
     let added = "add voltage_drop --model {} --run {} --holdout {} --confirm {} --output {}";
     let refused = "add quadratic_load --model {} --run {} --holdout {} --confirm {}";
-    let diagnosis = drivebench(line(diagnosed, &files)).expect(0).stdout;
-    let accepted = drivebench(line(added, &paths)).expect(0).stdout;
-    let refusal = drivebench(line(refused, &paths[..4]));
+    let diagnosis = call(diagnosed, &files).expect(0).stdout;
+    let accepted = call(added, &paths).expect(0).stdout;
+    let refusal = call(refused, &paths[..4]);
     for (name, text) in [
         ("diagnose", diagnosis),
         ("page", fs::read_to_string(page).expect("written")),
@@ -141,7 +141,7 @@ fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> String {
     let page = desk.path(format!("{command}.html"));
     let nameplate = desk.nameplate();
     let text = format!("{command} {{}} --holdout {{}} --model {{}} --html {{}}");
-    drivebench(line(&text, &[run, holdout, &nameplate, &page])).expect(0);
+    call(&text, &[run, holdout, &nameplate, &page]).expect(0);
     fs::read_to_string(page).expect("the page is written")
 }
 
@@ -203,7 +203,7 @@ fn a_record_that_begins_while_the_motor_runs_out_has_the_floor_of_the_rest_after
     let rows = record(bench, 1.0);
     let run = desk.put("coasts.csv", &text_of(&rows, |_| {}));
     let nameplate = desk.nameplate();
-    let done = drivebench(line("compare {} --json --model {}", &[&run, &nameplate])).expect(0);
+    let done = call("compare {} --json --model {}", &[&run, &nameplate]).expect(0);
     let floor = done.json()["signals"]["speed_rad_s"]["noise_floor"].as_f64();
     assert!(floor > Some(0.1) && floor < Some(0.2), "{floor:?}");
 }
@@ -219,7 +219,7 @@ fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
         }
     }
     let gap = desk.put("gap.csv", &text);
-    let done = drivebench(line("compare {} --json --model {}", &[&gap, &nameplate])).expect(0);
+    let done = call("compare {} --json --model {}", &[&gap, &nameplate]).expect(0);
     has(
         &done.stderr,
         &["the longest time without 0.900 s from 3.200 s on"],
@@ -234,6 +234,6 @@ fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
         let _ = writeln!(holes, "{},{volts},{},{}", row[0], row[2], row[3]);
     }
     let holes = desk.put("holes.csv", &holes);
-    let done = drivebench(line("compare {} --json --model {}", &[&holes, &nameplate])).expect(0);
+    let done = call("compare {} --json --model {}", &[&holes, &nameplate]).expect(0);
     has(&done.stderr, &[" of 1,599 rows of voltage_v are missing"]);
 }

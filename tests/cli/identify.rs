@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::kit::{PLAIN, drivebench, has, line, number, only_folder};
+use crate::kit::{PLAIN, call, has, json_of, number, only_folder};
 
 /// A run in virtual time of the plain ZK-22FC with torque constant 0.30 N.m/A and the given inertia, kg.m2.
 fn run_with(inertia_kg_m2: f64, seed: u32) -> PathBuf {
@@ -16,7 +16,7 @@ fn run_with(inertia_kg_m2: f64, seed: u32) -> PathBuf {
     let runs = out.path().join("runs");
     let text =
         format!("run --port sim: --headless --json --emulator {{}} --seed {seed} --out {{}}");
-    drivebench(line(&text, &[&file, &runs])).expect(0);
+    call(&text, &[&file, &runs]).expect(0);
     let folder = only_folder(&runs);
     // Read until the test ends.
     let _ = out.keep();
@@ -28,7 +28,7 @@ fn a_known_added_inertia_gives_the_absolute_scale() {
     let (bare, disc) = (run_with(0.0045, 1), run_with(0.005, 2));
     let added = format!("{}=0.0005", disc.display());
     let text = format!("identify {{}} --added-inertia {added} --json");
-    let done = drivebench(line(&text, &[&bare])).expect(0);
+    let done = call(&text, &[&bare]).expect(0);
     let found = done.json();
     for (key, truth) in [
         ("torque_n_m_per_a", 0.30),
@@ -49,7 +49,7 @@ fn a_known_added_inertia_gives_the_absolute_scale() {
         "identify {{}} --added-inertia {}=0.005 --json",
         disc.display()
     );
-    let wrong = drivebench(line(&ten_times, &[&bare])).expect(0);
+    let wrong = call(&ten_times, &[&bare]).expect(0);
     assert!(wrong.stdout.contains("plausible"), "{}", wrong.stdout);
 }
 
@@ -61,9 +61,7 @@ fn several_runs_give_the_spread_between_them() {
         run_with(0.0047, 5),
     ];
     let paths: Vec<_> = runs.iter().map(PathBuf::as_path).collect();
-    let found = drivebench(line("identify {} {} {} --json --gear-ratio 10", &paths))
-        .expect(0)
-        .json();
+    let found = json_of("identify {} {} {} --json --gear-ratio 10", &paths);
     let at = |pointer: &str| number(&found, pointer);
     assert!((at("/parameters/inertia_kg_m2/runs") - 3.0).abs() < 1e-9);
     // 0.0045, 0.0045, 0.0047, times Ke/Kt.
@@ -86,9 +84,7 @@ fn several_runs_give_the_spread_between_them() {
 fn a_drive_that_limits_the_voltage_settles_nothing() {
     // The embedded program on twice the inertia: the emulated drive reaches its current limit.
     let heavy = run_with(0.0095, 7);
-    let found = drivebench(line("identify {} --json", &[&heavy]))
-        .expect(0)
-        .json();
+    let found = json_of("identify {} --json", &[&heavy]);
     for (key, parameter) in found["parameters"].as_object().unwrap() {
         assert_ne!(parameter["verdict"], "settled", "{key} {parameter}");
     }
@@ -107,7 +103,7 @@ fn a_nameplate_that_does_not_fit_is_told_with_both_numbers() {
     let compare = |text: &str| {
         std::fs::write(&file, text).expect("a temporary file");
         let options = "identify {} --nameplate {} --json";
-        drivebench(line(options, &[&run, &file])).expect(0).json()
+        json_of(options, &[&run, &file])
     };
     assert_eq!(compare(plate)["nameplate"]["fits"], true);
     let other = compare(&plate.replace("resistance_ohm = 1.1 ", "resistance_ohm = 3.3 "));
@@ -123,7 +119,7 @@ fn a_load_trace_never_overwrites_a_record() {
     let model = run.join("model.toml");
     let before = std::fs::read(&samples).expect("a record");
     let text = "identify {} --model {} --load-torque {}";
-    let done = drivebench(line(text, &[&samples, &model, &samples])).expect(2);
+    let done = call(text, &[&samples, &model, &samples]).expect(2);
     has(&done.error(), &["never overwritten"]);
     assert_eq!(std::fs::read(&samples).expect("a record"), before);
 }
@@ -137,7 +133,7 @@ fn wrong_options_are_named_with_what_is_allowed() {
         ("--scheme 4", "output-error"),
     ] {
         let bare = run_with(0.0045, 6);
-        let done = drivebench(line(&format!("identify {{}} {options}"), &[&bare])).expect(2);
+        let done = call(&format!("identify {{}} {options}"), &[&bare]).expect(2);
         assert!(done.error().contains(phrase), "{options}: {}", done.error());
     }
 }

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use std::fs;
 
 use crate::kit::{
-    BENCH, Desk, Done, PLAIN, drivebench, has, line, only_folder, parameter as value,
+    BENCH, Desk, Done, PLAIN, call, drivebench, has, json_of, line, only_folder,
+    parameter as value, refusal,
 };
 use serde_json::Value;
 
@@ -13,7 +14,7 @@ use serde_json::Value;
 fn rows() -> Vec<[String; 4]> {
     let out = tempfile::tempdir().expect("a temporary folder");
     let text = "run --port sim: --headless --emulator zk-22fc-plain --seed 7 --out {}";
-    drivebench(line(text, &[out.path()])).expect(0);
+    call(text, &[out.path()]).expect(0);
     let csv = fs::read_to_string(only_folder(out.path()).join("samples.csv")).expect("samples");
     let mut lines = csv.lines().map(|row| row.split(',').collect::<Vec<_>>());
     let header = lines.next().expect("a header");
@@ -76,10 +77,10 @@ fn a_foreign_file_with_other_names_and_units_gives_the_same_motor() {
     }
     // A header that is not there is named, with what is there.
     let text = "identify {} --map time_s=t,speed_rad_s=rmp";
-    let error = drivebench(line(text, &[&file])).expect(2).error();
+    let error = refusal(text, &[&file]);
     assert!(error.contains("rmp") && error.contains("rpm"), "{error}");
     let text = "identify {} --map time_s=t,sped_rad_s=rpm";
-    let error = drivebench(line(text, &[&file])).expect(2).error();
+    let error = refusal(text, &[&file]);
     assert!(error.contains("speed_rad_s"), "{error}");
 }
 
@@ -109,9 +110,7 @@ fn files_without_data_are_status_2_with_the_name() {
         assert!(error.contains("log.csv"), "{text:?}: {error}");
     }
     let missing = desk.path("missing.csv");
-    let error = drivebench(line("identify {}", &[&missing]))
-        .expect(2)
-        .error();
+    let error = refusal("identify {}", &[&missing]);
     assert!(error.contains("missing.csv"), "{error}");
     let text = "time_s,voltage_cmd_v,current_a,speed_rad_s\n0,1,1,1\n0,1,1,1\n";
     let error = desk.identify(text, "").expect(2).error();
@@ -220,7 +219,7 @@ fn an_axis_without_electrics_is_identified_from_force_and_position() {
         "[motor]\nname = \"axis\"\n[[effect]]\nid = \"viscous_friction\"\n[[effect]]\nid = \"constant_load\"\n",
     );
     let text = "identify {} --model {} --json --map time_s=t,torque_n_m=force_n,angle_rad=x_m";
-    let done = drivebench(line(text, &[&file, &model])).expect(0);
+    let done = call(text, &[&file, &model]).expect(0);
     assert!(done.stderr.contains("derived"), "{}", done.stderr);
     let found = done.json();
     assert_eq!(found["scheme"], "weak-form");
@@ -265,9 +264,7 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
     let page = desk.path("page.html");
     let map = "--map time_s=t,torque_n_m=force_n,angle_rad=x_m";
     let compared = format!("compare {{}} --model {{}} --html {{}} {map}");
-    let shown = drivebench(line(&compared, &[&file, &model, &page]))
-        .expect(0)
-        .stdout;
+    let shown = call(&compared, &[&file, &model, &page]).expect(0).stdout;
     let row = |name: &str| {
         let found = shown.lines().find_map(|line| line.strip_prefix(name));
         let (holdout, training) = found
@@ -282,12 +279,10 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
         };
         (cells(holdout), cells(training))
     };
-    let found = drivebench(line(
+    let found = json_of(
         &format!("compare {{}} --model {{}} --json {map}"),
         &[&file, &model],
-    ))
-    .expect(0)
-    .json();
+    );
     let torque = &found["signals"]["torque_n_m"];
     let [floor, rmse, training] = ["/noise_floor", "/holdout/rmse", "/fit_percent"]
         .map(|key| torque.pointer(key).and_then(Value::as_f64).unwrap());
@@ -356,11 +351,11 @@ fn a_wrong_key_is_named_with_its_line_and_the_nearest() {
 #[test]
 fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
     let desk = Desk::new();
-    drivebench(line("plan {} --json", &[&desk.put("good.toml", BENCH)])).expect(0);
+    call("plan {} --json", &[&desk.put("good.toml", BENCH)]).expect(0);
     let (right, wrong) = ("\nspeed_rad_s = 340.0", "\nspeed_rad_s = 100.0");
     assert!(BENCH.contains(right));
     let file = desk.put("fast.toml", &BENCH.replacen(right, wrong, 1));
-    let done = drivebench(line("plan {} --json", &[&file])).expect(2);
+    let done = call("plan {} --json", &[&file]).expect(2);
     let error = done.error();
     assert!(error.contains("speed") && error.contains("100"), "{error}");
     let refusals = done.json()["refusals"].as_array().map_or(0, Vec::len);
@@ -370,7 +365,7 @@ fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
     // And `run` refuses it before anything is energised.
     let out = desk.path("runs");
     let text = "run {} --port sim: --headless --out {}";
-    let error = drivebench(line(text, &[&file, &out])).expect(2).error();
+    let error = refusal(text, &[&file, &out]);
     assert!(error.contains("plan refused"), "{error}");
     assert!(!out.exists());
 }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::kit::process::Emulator;
-use crate::kit::{BENCH, drivebench, has, line, only_folder};
+use crate::kit::{BENCH, call, has, json_of, only_folder, refusal};
 use drivebench::emulator::mystery::{Truth, draw};
 use nix::sys::signal::Signal;
 
@@ -86,7 +86,7 @@ fn nothing_that_a_run_leaves_behind_tells_what_a_mystery_hides() {
     let seed = seed_of(Some("torque_ripple"));
     let text = format!("run --port sim: --headless --json --mystery {seed} --out {{}}");
     let runs = out.path().join("runs");
-    let done = drivebench(line(&text, &[&runs])).expect(0);
+    let done = call(&text, &[&runs]).expect(0);
     assert_eq!(only_folder(out.path()), runs);
     tells_nothing(seed, "stdout", &done.stdout);
     tells_nothing(seed, "stderr", &done.stderr);
@@ -126,7 +126,7 @@ fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
         } else {
             &paths[1..]
         };
-        drivebench(line(text, paths)).expect(0);
+        call(text, paths).expect(0);
         let sealed = runs.join("mystery-11.sealed.json");
         fs::remove_file(sealed).expect("the sealed truth is beside the run");
         fs::read_to_string(only_folder(&runs).join("samples.csv")).expect("samples")
@@ -150,7 +150,7 @@ fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
         ("abstain", "abstained"),
     ] {
         let text = format!("reveal {{}} --answer {word} --json");
-        let json = drivebench(line(&text, &[&file])).expect(0).json();
+        let json = json_of(&text, &[&file]);
         assert_eq!(json["outcome"], outcome, "{word}");
         assert_eq!(json["truth"]["effects"][0]["effect"], "voltage_drop");
     }
@@ -163,7 +163,7 @@ fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
     let said = folder.path().join("diagnosis.json");
     fs::write(&said, diagnosis.to_string()).expect("the folder takes a file");
     let text = "reveal {} --diagnosis {} --guess supply_sag";
-    let done = drivebench(line(text, &[&file, &said])).expect(0);
+    let done = call(text, &[&file, &said]).expect(0);
     has(
         &done.stdout,
         &[
@@ -181,16 +181,14 @@ fn reveal_scores_a_word_a_diagnosis_and_a_guess() {
 fn without_a_terminal_reveal_asks_nothing() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = sealed(seed_of(None), folder.path());
-    let done = drivebench(line("reveal {}", &[&file])).expect(0);
+    let done = call("reveal {}", &[&file]).expect(0);
     assert!(
         done.stdout.starts_with("hidden: nothing"),
         "{}",
         done.stdout
     );
     assert!(done.stderr.is_empty(), "{}", done.stderr);
-    let json = drivebench(line("reveal {} --json", &[&file]))
-        .expect(0)
-        .json();
+    let json = json_of("reveal {} --json", &[&file]);
     assert!(json["outcome"].is_null());
     assert_eq!(json["truth"]["effects"], serde_json::json!([]));
 }
@@ -231,7 +229,7 @@ fn what_cannot_be_revealed_is_refused_with_a_next_step() {
             "cannot be used with",
         ),
     ] {
-        let error = drivebench(line(text, &paths)).expect(2).error();
+        let error = refusal(text, &paths);
         assert!(error.contains(part), "{part} in {error}");
     }
 }
@@ -244,10 +242,10 @@ fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows()
         let out = room.path().join(run_seed);
         let text =
             format!("run --port sim: --headless --mystery {seed} --run-seed {run_seed} --out {{}}");
-        drivebench(line(&text, &[&out])).expect(0);
+        call(&text, &[&out]).expect(0);
         run_in(&out)
     });
-    let done = drivebench(line("diagnose {} --holdout {}", &[&runs[0], &runs[1]])).expect(0);
+    let done = call("diagnose {} --holdout {}", &[&runs[0], &runs[1]]).expect(0);
     let said = &done.stdout;
     has(said, &["no effect of the catalogue explains it"]);
     has(said, &["curve: ", "torque error follows the speed"]);
@@ -258,10 +256,10 @@ fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows()
     );
     // What is recommended works as it is written.
     let words = add.strip_prefix("drivebench ").unwrap();
-    let added = drivebench(line(
+    let added = call(
         &format!("{words} --run {{}} --holdout {{}}"),
         &[&runs[0], &runs[1]],
-    ));
+    );
     let added = added.expect(0).stdout;
     assert!(added.starts_with("accepted: "), "{added}");
     assert!(added.contains("the held-out error falls by"), "{added}");
@@ -280,9 +278,7 @@ fn a_split_run_names_nothing_that_only_leans_on_what_is_there() {
     let room = tempfile::tempdir().unwrap();
     let out = room.path().join("runs");
     let text = format!("run --port sim: --headless --mystery {seed} --run-seed 1 --out {{}}");
-    drivebench(line(&text, &[&out])).expect(0);
-    let answer = drivebench(line("diagnose {} --json", &[&run_in(&out)]))
-        .expect(0)
-        .json();
+    call(&text, &[&out]).expect(0);
+    let answer = json_of("diagnose {} --json", &[&run_in(&out)]);
     assert_eq!(answer["verdict"], "unexplained", "{}", answer["sentence"]);
 }

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::kit::{BENCH, PLAIN, column, drivebench, line, only_folder};
+use crate::kit::{BENCH, PLAIN, call, column, json_of, only_folder};
 use serde_json::Value;
 
 /// The default bench with a weak sequence and little time.
@@ -29,15 +29,13 @@ fn weak_bench(emulator: &Path) -> String {
 fn recorded(bench: &Path, run_seed: u64, out: &Path) -> std::path::PathBuf {
     let arguments =
         format!("run {{}} --headless --port sim: --seed 5 --run-seed {run_seed} --out {{}} --json");
-    drivebench(line(&arguments, &[bench, out])).expect(0);
+    call(&arguments, &[bench, out]).expect(0);
     only_folder(out)
 }
 
 fn diagnosed(run: &Path, bench: &Path, next: &Path) -> Value {
     let arguments = "diagnose {} --bench {} --next-bench {} --json";
-    drivebench(line(arguments, &[run, bench, next]))
-        .expect(0)
-        .json()
+    json_of(arguments, &[run, bench, next])
 }
 
 #[test]
@@ -59,7 +57,7 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     assert!(expected.is_some_and(|d| d > 1e3), "{recommended}");
 
     let arguments = "diagnose {} --bench {}";
-    let missing = drivebench(line(arguments, &[&run, &at("no.toml")])).expect(2);
+    let missing = call(arguments, &[&run, &at("no.toml")]).expect(2);
     assert!(missing.error().contains("no.toml"), "{}", missing.stderr);
 
     // Exactly the file that was written; the drive keeps the limits that the plan promised.

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::kit::{Done, drivebench, line, manifest, number, only_folder, word};
+use crate::kit::{Done, call, json_of, manifest, number, only_folder, word};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -21,7 +21,7 @@ fn record(emulator: &str, run_seed: &str) -> (TempDir, Done) {
     let text = format!(
         "run --port sim: --headless --json --emulator {emulator} --seed 7 --run-seed {run_seed} --out {{}}"
     );
-    let done = drivebench(line(&text, &[out.path()]));
+    let done = call(&text, &[out.path()]);
     (out, done)
 }
 
@@ -61,7 +61,7 @@ fn on_hidden(text: &str, more: &[&Path]) -> Done {
         runs.model.as_path(),
     ];
     paths.extend(more);
-    drivebench(line(text, &paths))
+    call(text, &paths)
 }
 
 /// Each parameter as the contract of `identify` has it.
@@ -132,7 +132,7 @@ fn one_seed_is_one_run_to_the_bit_and_another_seed_is_another() {
 fn a_second_run_does_not_touch_the_first() {
     let out = tempfile::tempdir().unwrap();
     for _ in 0..2 {
-        drivebench(line("run --port sim: --headless --out {}", &[out.path()])).expect(0);
+        call("run --port sim: --headless --out {}", &[out.path()]).expect(0);
     }
     assert_eq!(fs::read_dir(out.path()).unwrap().count(), 2);
 }
@@ -162,7 +162,7 @@ fn identify_finds_the_motor_that_was_emulated() {
     let runs = plain();
     let inertia = |scheme: &str| {
         let text = format!("identify {{}} --scheme {scheme} --json");
-        let found = drivebench(line(&text, &[&runs.fit])).expect(0).json();
+        let found = json_of(&text, &[&runs.fit]);
         assert_eq!(word(&found, "/scheme"), scheme);
         number(&found, "/parameters/inertia_kg_m2/value")
     };
@@ -266,7 +266,7 @@ fn diagnose_names_the_hidden_effect() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("next.toml");
         fs::write(&file, bench).unwrap();
-        drivebench(line("plan {}", &[&file])).expect(0);
+        call("plan {}", &[&file]).expect(0);
     }
 }
 
@@ -348,9 +348,7 @@ fn pages_are_whole_and_never_overwritten() {
 fn without_a_holdout_the_run_is_split() {
     let runs = hidden();
     let paths = [runs.fit.as_path(), runs.model.as_path()];
-    let found = drivebench(line("diagnose {} --model {} --json", &paths))
-        .expect(0)
-        .json();
+    let found = json_of("diagnose {} --model {} --json", &paths);
     assert_eq!(word(&found, "/holdout_from"), "split");
     assert_eq!(word(&found, "/effect"), "stribeck_friction");
 }
@@ -359,9 +357,7 @@ fn without_a_holdout_the_run_is_split() {
 fn a_motor_without_a_hidden_effect_gets_none() {
     let runs = plain();
     let paths = [runs.fit.as_path(), runs.holdout.as_path()];
-    let found = drivebench(line("diagnose {} --holdout {} --json", &paths))
-        .expect(0)
-        .json();
+    let found = json_of("diagnose {} --holdout {} --json", &paths);
     assert_eq!(word(&found, "/verdict"), "none");
     assert!(found["effect"].is_null());
     assert_eq!(found["effects"], serde_json::json!([]));
@@ -401,12 +397,12 @@ fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
     let (fit, holdout) = (runs.fit.as_path(), runs.holdout.as_path());
     let none = folder.path().join("none.toml");
     let paths = [fit, holdout, &richer, &none];
-    let refused = drivebench(line(&format!("add voltage_drop {add}"), &paths)).expect(1);
+    let refused = call(&format!("add voltage_drop {add}"), &paths).expect(1);
     assert_eq!(refused.json()["accepted"], false);
     assert!(!word(&refused.json(), "/reason").is_empty());
     assert!(refused.error().contains("refused"));
     // To remove what is needed is refused too.
-    let kept = drivebench(line(&format!("remove stribeck_friction {add}"), &paths)).expect(1);
+    let kept = call(&format!("remove stribeck_friction {add}"), &paths).expect(1);
     assert_eq!(kept.json()["accepted"], false);
     assert!(!none.exists());
 
@@ -418,25 +414,21 @@ fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
     let with_drop = format!("{text_before}\n[[effect]]\nid = \"voltage_drop\"\ndrop_v = 0.01\n");
     fs::write(&fuller, with_drop).unwrap();
     let paths = [fit, holdout, &fuller, &leaner];
-    let removed = drivebench(line(&format!("remove voltage_drop {add}"), &paths)).expect(0);
+    let removed = call(&format!("remove voltage_drop {add}"), &paths).expect(0);
     assert_eq!(removed.json()["accepted"], true);
     let text = fs::read_to_string(&leaner).unwrap();
     assert!(text.contains("stribeck_friction") && !text.contains("id = \"voltage_drop\""));
 
     // Simulated with its own model, a run is that model.
     let csv = folder.path().join("simulated.csv");
-    let printed = drivebench(line("simulate --model {} --run {}", &[&richer, fit])).expect(0);
+    let printed = call("simulate --model {} --run {}", &[&richer, fit]).expect(0);
     fs::write(&csv, &printed.stdout).unwrap();
-    let same = drivebench(line("compare {} --model {} --json", &[&csv, &richer]))
-        .expect(0)
-        .json();
+    let same = json_of("compare {} --model {} --json", &[&csv, &richer]);
     for signal in ["speed_rad_s", "current_a"] {
         let fit = number(&same, &format!("/signals/{signal}/fit_percent"));
         assert!(fit > 99.9, "{signal}: {fit}");
     }
-    let other = drivebench(line("compare {} --model {} --json", &[&csv, &runs.model]))
-        .expect(0)
-        .json();
+    let other = json_of("compare {} --model {} --json", &[&csv, &runs.model]);
     assert!(number(&other, "/signals/speed_rad_s/fit_percent") < 99.9);
 }
 
@@ -446,7 +438,7 @@ fn commission(emulator: &str, seed: &str) -> Value {
     let text = format!(
         "commission --headless --port sim: --json --emulator {emulator} --seed {seed} --out {{}}"
     );
-    let result = drivebench(line(&text, &[out.path()])).expect(0).json();
+    let result = json_of(&text, &[out.path()]);
     let runs = result["runs"].as_array().expect("a list of runs");
     assert!(runs.len() >= 3);
     for run in runs {

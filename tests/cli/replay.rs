@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use crate::kit::{BINARY, Done, drivebench, line, only_folder, parameter, read_json};
+use crate::kit::{BINARY, Done, call, json_of, only_folder, parameter, read_json};
 use serde_json::Value;
 
 /// A live run of the emulated motor; the tests work on copies.
@@ -15,7 +15,7 @@ fn live() -> &'static Path {
     RUN.get_or_init(|| {
         let out = tempfile::tempdir().expect("a temporary folder");
         let text = "run --port sim: --headless --json --emulator zk-22fc-plain --seed 3 --out {}";
-        drivebench(line(text, &[out.path()])).expect(0);
+        call(text, &[out.path()]).expect(0);
         only_folder(&out.keep())
     })
 }
@@ -33,7 +33,7 @@ fn copy() -> (tempfile::TempDir, PathBuf) {
 }
 
 fn replay(run: &Path) -> Done {
-    drivebench(line("replay {} --json", &[run]))
+    call("replay {} --json", &[run])
 }
 
 /// The samples with one line changed.
@@ -60,7 +60,7 @@ fn a_live_run_comes_out_again_to_the_bit() {
     let kept = read_json(live().join("result.json"));
     assert_eq!(&kept["parameters"]["inertia_kg_m2"], inertia);
     assert!(kept["online"]["rows"].as_u64() > Some(1000));
-    let text = drivebench(line("replay {}", &[live()])).expect(0).stdout;
+    let text = call("replay {}", &[live()]).expect(0).stdout;
     assert!(text.contains("identical to the live estimates"), "{text}");
 }
 
@@ -152,7 +152,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
     fs::write(&foreign, text.replace("time_s,", "t,")).expect("the copy can be written");
     let map = "time_s=t,voltage_cmd_v=voltage_cmd_v,current_a=current_a,speed_rad_s=speed_rad_s";
     let text = format!("replay {{}} --json --map {map}");
-    let result = drivebench(line(&text, &[&foreign])).expect(0).json();
+    let result = json_of(&text, &[&foreign]);
     assert_eq!(result["identical"], Value::Null);
     let because = result["not_compared_because"].as_str().expect("a reason");
     assert!(because.contains("foreign"), "{because}");
@@ -166,7 +166,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
     }
     // Without speed nothing can be told, and the reader learns why.
     let text = "replay {} --json --map time_s=t,current_a=current_a";
-    let done = drivebench(line(text, &[&foreign])).expect(0);
+    let done = call(text, &[&foreign]).expect(0);
     assert!(done.stderr.contains("no speed_rad_s"), "{}", done.stderr);
     assert_eq!(
         done.json()["parameters"]["inertia_kg_m2"]["value"],

@@ -4,15 +4,13 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read};
 
 use crate::kit::process::Process;
-use crate::kit::{drivebench, has, line, only_folder};
+use crate::kit::{call, has, json_of, line, only_folder, refusal};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 
 #[test]
 fn an_unknown_paper_is_told_what_is_allowed() {
-    let error = drivebench(line("reproduce paper-z --json", &[]))
-        .expect(2)
-        .error();
+    let error = refusal("reproduce paper-z --json", &[]);
     has(&error, &["paper-z", "paper-a"]);
 }
 
@@ -20,7 +18,7 @@ fn an_unknown_paper_is_told_what_is_allowed() {
 fn a_folder_with_results_is_not_overwritten() {
     let out = tempfile::tempdir().unwrap();
     fs::write(out.path().join("mine.txt"), "mine").unwrap();
-    let done = drivebench(line("reproduce paper-a --out {}", &[out.path()])).expect(2);
+    let done = call("reproduce paper-a --out {}", &[out.path()]).expect(2);
     assert!(
         done.error().contains("never overwritten"),
         "{}",
@@ -32,13 +30,9 @@ fn a_folder_with_results_is_not_overwritten() {
 
 #[test]
 fn the_size_of_the_study_is_refused_where_it_means_nothing() {
-    let paper = drivebench(line("reproduce paper-a --sets 2 --json", &[])).expect(2);
+    let paper = call("reproduce paper-a --sets 2 --json", &[]).expect(2);
     assert!(paper.error().contains("--sets"), "{}", paper.stderr);
-    drivebench(line(
-        "reproduce discovery --sets 0 --mysteries 0 --json",
-        &[],
-    ))
-    .expect(2);
+    call("reproduce discovery --sets 0 --mysteries 0 --json", &[]).expect(2);
 }
 
 #[test]
@@ -64,7 +58,7 @@ fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
     let room = tempfile::tempdir().unwrap();
     let out = room.path().join("study");
     let study = "reproduce discovery --sets 0 --mysteries 2 --seed 3 --out {}";
-    let done = drivebench(line(study, &[&out])).expect(0);
+    let done = call(study, &[&out]).expect(0);
     has(&done.stderr, &["mystery 4: hidden "]);
     let page = fs::read_to_string(out.join("validation.md")).unwrap();
     assert!(page.contains("--sets 0 --mysteries 2 --seed 3"), "{page}");
@@ -72,7 +66,7 @@ fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
     assert!(page.contains("| resistance_ohm "), "{page}");
     assert!(!page.contains("One hidden effect"), "{page}");
     // A study is a result, and results are never overwritten.
-    let again = drivebench(line(study, &[&out])).expect(2);
+    let again = call(study, &[&out]).expect(2);
     assert!(again.error().contains("never overwritten"));
 }
 
@@ -81,7 +75,7 @@ fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
 fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
     let room = tempfile::tempdir().unwrap();
     let out = room.path().join("paper-a");
-    let done = drivebench(line("reproduce paper-a --out {}", &[&out])).expect(0);
+    let done = call("reproduce paper-a --out {}", &[&out]).expect(0);
     assert_eq!(only_folder(room.path()), out);
     has(
         &done.stdout,
@@ -135,9 +129,7 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
     // The paper's own figures stand beside ours.
     has(&table, &["3654,0.4380", "4536,0.4149"]);
 
-    let json = drivebench(line("reproduce paper-a --json", &[]))
-        .expect(0)
-        .json();
+    let json = json_of("reproduce paper-a --json", &[]);
     assert_eq!(json["paper"], "paper-a");
     let rows = json["table_1"]["rows"].as_array().unwrap();
     let mean = |row: &Value| row["inertia_with_noise"]["mean"].as_f64().unwrap();
@@ -161,7 +153,7 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
 fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
     let room = tempfile::tempdir().unwrap();
     let out = room.path().join("paper-b");
-    let done = drivebench(line("reproduce paper-b --out {}", &[&out])).expect(0);
+    let done = call("reproduce paper-b --out {}", &[&out]).expect(0);
     has(
         &done.stdout,
         &[
@@ -200,14 +192,12 @@ fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
         &["pi (fixed)", "addc", "mrac", "paper-b", "load-observer"],
     );
 
-    let json = drivebench(line("reproduce paper-b --json", &[]))
-        .expect(0)
-        .json();
+    let json = json_of("reproduce paper-b --json", &[]);
     assert_eq!(json["paper"], "paper-b");
     let loads = fs::read_to_string(out.join("figure-5.csv")).unwrap();
     let dip = json["figure_5"]["courses"][1]["applied"]["dip_rad_s"]
         .as_f64()
         .unwrap();
     assert!(loads.contains(&format!("yes,applied,{dip:.2}")), "{loads}");
-    drivebench(line("reproduce paper-b --seed 2 --json", &[])).expect(2);
+    call("reproduce paper-b --seed 2 --json", &[]).expect(2);
 }

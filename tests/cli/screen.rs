@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use crate::kit::terminal::Session;
-use crate::kit::{drivebench, has, line, only_folder};
+use crate::kit::{call, has, only_folder};
 use nix::sys::signal::Signal;
 
 /// Two runs of an emulated motor with Stribeck friction, recorded in virtual time; made once, the tests only read them.
@@ -17,7 +17,7 @@ fn runs() -> &'static [PathBuf; 2] {
             let text = format!(
                 "run --port sim: --headless --json --emulator zk-22fc-hidden --seed 7 --run-seed {seed} --out {{}}"
             );
-            drivebench(line(&text, &[&out])).expect(0);
+            call(&text, &[&out]).expect(0);
             only_folder(&out)
         })
     })

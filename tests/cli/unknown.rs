@@ -1,6 +1,6 @@
 //! An unknown motor, a broken bench and a nameplate that does not fit; through the real binary, in virtual time.
 
-use crate::kit::{BENCH, drivebench, has, line, only_folder, parameter, read_json};
+use crate::kit::{BENCH, call, has, json_of, only_folder, parameter, read_json};
 use serde_json::Value;
 
 #[track_caller]
@@ -30,7 +30,7 @@ fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
     ] {
         let out = tempfile::tempdir().expect("a temporary folder");
         let text = format!("run --escalate --port sim: --json --emulator {emulator} --out {{}}");
-        let done = drivebench(line(&text, &[out.path()])).expect(3);
+        let done = call(&text, &[out.path()]).expect(3);
         assert_eq!(done.json()["outcome"], name);
         assert!(done.error().contains(sentence), "{}", done.stderr);
         // Every stage is on the disk with what came of it.
@@ -50,7 +50,7 @@ fn noise_never_passes_for_the_current_of_an_open_phase() {
         let text = format!(
             "run --escalate --port sim: --json --emulator zk-22fc-open --seed {seed} --out {{}}"
         );
-        let done = drivebench(line(&text, &[out.path()])).expect(3);
+        let done = call(&text, &[out.path()]).expect(3);
         assert_eq!(done.json()["outcome"], "open phase", "seed {seed}");
     }
 }
@@ -68,7 +68,7 @@ fn the_slew_limit_of_the_bench_holds_in_every_stage() {
     std::fs::write(&bench, text).expect("a bench file");
     let runs = out.path().join("runs");
     let options = "run {} --escalate --port sim: --json --emulator zk-22fc-plain --out {}";
-    let done = drivebench(line(options, &[&bench, &runs]));
+    let done = call(options, &[&bench, &runs]);
     let found = done.json();
     let stages = found["escalation"]["stages"].as_array();
     let stages = stages.or_else(|| found["stages"].as_array());
@@ -118,7 +118,7 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
     std::fs::write(&bench, unknown).expect("a temporary file");
     let runs = out.path().join("runs");
     let text = "run {} --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
-    let done = drivebench(line(text, &[&bench, &runs])).expect(0);
+    let done = call(text, &[&bench, &runs]).expect(0);
     let found = done.json();
     assert_eq!(found["escalation"]["outcome"], "found");
     assert!(
@@ -133,9 +133,7 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
     let parameters = &found["escalation"]["parameters"];
     assert!((ratio(parameters, "back_emf_v_s_per_rad", 0.05) - 1.0).abs() < 0.1);
     let folder = std::path::PathBuf::from(found["folder"].as_str().unwrap_or_default());
-    let batch = drivebench(line("identify {} --json", &[&folder]))
-        .expect(0)
-        .json();
+    let batch = json_of("identify {} --json", &[&folder]);
     for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
         let value = parameter(&batch, key).unwrap_or(f64::NAN);
         let agreement = ratio(parameters, key, value);
@@ -145,7 +143,7 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
     assert!(excited.is_some_and(|share| share > 0.9), "{excited:?}");
 
     // Nothing is predicted of nothing: the plan tells the first small step.
-    let planned = drivebench(line("plan {}", &[&bench])).expect(0);
+    let planned = call("plan {}", &[&bench]).expect(0);
     has(&planned.stdout, &["first stage (feel): up to 0.330 V"]);
 }
 
@@ -159,9 +157,7 @@ fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
         .flat_map(|line| [line, "\n"])
         .collect();
     std::fs::write(&bench, without).expect("a temporary file");
-    let plan = drivebench(line("plan {} --json", &[&bench]))
-        .expect(0)
-        .json();
+    let plan = json_of("plan {} --json", &[&bench]);
     assert!(
         plan["peak_current_a"]
             .as_f64()
@@ -175,9 +171,7 @@ fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
     let unknown = BENCH.replacen("# unknown = false", "unknown = true", 1);
     assert!(unknown.contains("\nunknown = true"));
     std::fs::write(&bench, unknown).expect("a temporary file");
-    let plan = drivebench(line("plan {} --json", &[&bench]))
-        .expect(0)
-        .json();
+    let plan = json_of("plan {} --json", &[&bench]);
     assert_eq!(plan["escalation"]["first"]["kind"], "feel");
     assert!(plan["peak_current_a"].is_null());
 }
@@ -186,7 +180,7 @@ fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
 fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_not() {
     let out = tempfile::tempdir().expect("a temporary folder");
     let servo = "run --escalate --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
-    let refused = drivebench(line(servo, &[out.path()])).expect(2);
+    let refused = call(servo, &[out.path()]).expect(2);
     has(
         &refused.stderr,
         &[
@@ -203,7 +197,7 @@ fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_
     let told = BENCH.replace("# unknown = false", "unknown = true");
     std::fs::write(&bench, told).expect("a temporary file");
     let text = "run {} --port sim: --json --emulator small-servo-behind-zk-22fc --out {}";
-    let done = drivebench(line(text, &[&bench, out.path()])).expect(0);
+    let done = call(text, &[&bench, out.path()]).expect(0);
     assert_eq!(done.json()["escalation"]["nameplate"]["fits"], false);
     assert_eq!(done.json()["nameplate"]["fits"], false);
 }
@@ -212,7 +206,7 @@ fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_
 fn the_whole_loop_goes_on_from_the_motor_that_was_found() {
     let out = tempfile::tempdir().expect("a temporary folder");
     let text = "commission --escalate --port sim: --json --emulator zk-22fc-hidden --out {}";
-    let done = drivebench(line(text, &[out.path()])).expect(0);
+    let done = call(text, &[out.path()]).expect(0);
     let result = done.json();
     assert_eq!(result["escalation"]["outcome"], "found");
     assert_eq!(result["nameplate"]["fits"], true);
@@ -224,7 +218,7 @@ fn the_whole_loop_goes_on_from_the_motor_that_was_found() {
 fn an_ordinary_run_is_compared_with_its_plate_too() {
     let out = tempfile::tempdir().expect("a temporary folder");
     let text = "run --port sim: --json --emulator zk-22fc-plain --out {}";
-    let done = drivebench(line(text, &[out.path()])).expect(0);
+    let done = call(text, &[out.path()]).expect(0);
     assert_eq!(done.json()["nameplate"]["fits"], true);
     let kept = read_json(only_folder(out.path()).join("result.json"));
     assert_eq!(kept["nameplate"], done.json()["nameplate"]);

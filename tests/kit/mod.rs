@@ -53,7 +53,7 @@ impl Desk {
     /// Runs a command on a file of this text.
     pub(crate) fn on(&self, command: &str, text: &str) -> Done {
         let file = self.put("log.csv", text);
-        drivebench(line(command, &[&file]))
+        call(command, &[&file])
     }
 }
 
@@ -179,6 +179,23 @@ pub(crate) fn line(text: &str, paths: &[&Path]) -> Vec<PathBuf> {
             _ => PathBuf::from(word),
         })
         .collect()
+}
+
+/// Runs the program to its end; `{}` in the text are the paths.
+pub(crate) fn call(text: &str, paths: &[&Path]) -> Done {
+    drivebench(line(text, paths))
+}
+
+/// What a command that succeeds answers with `--json`.
+#[track_caller]
+pub(crate) fn json_of(text: &str, paths: &[&Path]) -> Value {
+    call(text, paths).expect(0).json()
+}
+
+/// The error of a command that is not understood, or whose files are not.
+#[track_caller]
+pub(crate) fn refusal(text: &str, paths: &[&Path]) -> String {
+    call(text, paths).expect(2).error()
 }
 
 /// The only folder inside `out`.

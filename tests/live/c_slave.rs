@@ -14,7 +14,7 @@ use std::thread::{sleep, spawn};
 use std::time::Duration;
 
 use crate::kit::process::Process;
-use crate::kit::{Desk, Done, drivebench, line, manifest, only_folder, parameter};
+use crate::kit::{Desk, Done, call, json_of, manifest, only_folder, parameter};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 /// A machine that stands still for longer than the drive's watchdog loses the link, and nobody is to blame.
@@ -107,7 +107,7 @@ fn attempt(command: &str, link: &str, bench: &str) -> Option<(Done, PathBuf, Dri
         let out = drive.desk.path("runs");
         let paths: [&Path; 3] = [&file, &drive.port, &out];
         let text = format!("{command} {{}} --port {{}} --out {{}} --json");
-        let done = drivebench(line(&text, &paths));
+        let done = call(&text, &paths);
         if done.status == LINK_LOST && number < ATTEMPTS {
             c_compiler::aloud(&format!(
                 "the link was lost (attempt {number} of {ATTEMPTS}), trying again:\n{}",
@@ -137,9 +137,7 @@ fn is_identified(link: &'static str) {
             "{manifest:#}"
         );
     }
-    let found = drivebench(line("identify {} --json", &[&folder]))
-        .expect(0)
-        .json();
+    let found = json_of("identify {} --json", &[&folder]);
     for (key, truth, tolerance) in [
         ("resistance_ohm", 1.1, 0.1),
         ("back_emf_v_s_per_rad", 0.3538, 0.05),
@@ -199,7 +197,7 @@ fn a_host_that_speaks_the_other_protocol_is_told_so() {
     let out = drive.desk.path("runs");
     let paths: [&Path; 3] = [&file, &drive.port, &out];
     let text = "run {} --port {} --out {} --headless";
-    drivebench(line(text, &paths)).expect(LINK_LOST).error();
+    call(text, &paths).expect(LINK_LOST).error();
 }
 
 /// Function code 08 and back; `None` where the pseudo-terminal is just being replaced.

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::kit::process::Emulator;
-use crate::kit::{Desk, Done, drivebench, has, line};
+use crate::kit::{Desk, Done, call, drivebench, has, line, refusal};
 use drivebench::drive::DriveProfile;
 use serde_json::Value;
 
@@ -222,7 +222,7 @@ fn our_own_drive_is_looked_at_over_every_link() {
             .stdout;
         has(&text, &["emulator", "bus_voltage"]);
     }
-    let text = drivebench(line("probe --port emulator --drive own", &[]))
+    let text = call("probe --port emulator --drive own", &[])
         .expect(0)
         .stdout;
     assert!(text.contains("those of a drive at rest"), "{text}");
@@ -277,7 +277,7 @@ fn nobody_and_another_drive_are_exit_status_3_and_wrong_arguments_2() {
         nobody.stderr
     );
     assert!(nobody.stdout.is_empty());
-    drivebench(line("probe --drive own --port /dev/drivebench-none", &[]))
+    call("probe --drive own --port /dev/drivebench-none", &[])
         .expect(3)
         .error();
     for text in [
@@ -287,6 +287,6 @@ fn nobody_and_another_drive_are_exit_status_3_and_wrong_arguments_2() {
         "probe --port x --drive siemens-v30",
         "probe --port x --drive own --unit 0",
     ] {
-        drivebench(line(text, &[])).expect(2).error();
+        refusal(text, &[]);
     }
 }

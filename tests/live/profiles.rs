@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::kit::process::Emulator;
-use crate::kit::{BENCH, Desk, drivebench, has, line, manifest, only_folder};
+use crate::kit::{BENCH, Desk, drivebench, has, line, manifest, only_folder, refusal};
 
 /// A bench whose motor is the emulated one, at a rate that a loaded machine keeps.
 fn bench(desk: &Desk, profile: &str, rate_hz: u32, reference: &str) -> PathBuf {
@@ -174,13 +174,13 @@ fn a_bench_that_asks_for_more_than_its_drive_s_profile_allows_is_refused() {
     let bench = BENCH.replace("\"own\"", &format!("{:?}", profile.to_str().unwrap()));
     let beyond = desk.put("beyond.toml", &bench);
     for command in ["plan {}", "run {} --port sim: --headless"] {
-        let error = drivebench(line(command, &[&beyond])).expect(2).error();
+        let error = refusal(command, &[&beyond]);
         assert!(error.contains("limits.current_a = 13"), "{error}");
         assert!(error.contains("allows at most 6"), "{error}");
     }
     // Where the bench gives none, the profile's is the limit: the sequence would draw 6.7 A.
     let silent = desk.put("silent.toml", &bench.replace("current_a = 13.0", ""));
-    let error = drivebench(line("plan {}", &[&silent])).expect(2).error();
+    let error = refusal("plan {}", &[&silent]);
     has(&error, &["plan refused", "limit 6"]);
 }
 
@@ -195,16 +195,12 @@ fn a_defect_in_a_profile_is_an_error_with_its_line() {
         .position(|line| line.starts_with("quantty"))
         .unwrap();
     let profile = desk.put("vacon.toml", &wrong);
-    let error = drivebench(line("emulate --profile {}", &[&profile]))
-        .expect(2)
-        .error();
+    let error = refusal("emulate --profile {}", &[&profile]);
     has(
         &error,
         &[&format!("vacon.toml:{line_of}:1: unknown field `quantty`")],
     );
     assert!(error.contains("did you mean `quantity`?"), "{error}");
-    let unknown = drivebench(line("emulate --profile siemens-v30", &[]))
-        .expect(2)
-        .error();
+    let unknown = refusal("emulate --profile siemens-v30", &[]);
     assert!(unknown.contains("did you mean `siemens-v20`?"), "{unknown}");
 }

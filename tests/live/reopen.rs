@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use super::run::{BenchFile, EMULATOR};
 use crate::kit::process::{Emulator, Process, wait_for};
-use crate::kit::{Desk, drivebench, has, line, manifest, only_folder, turns};
+use crate::kit::{Desk, call, has, line, manifest, only_folder, turns};
 use nix::fcntl::OFlag;
 use nix::pty::{PtyMaster, posix_openpt};
 use nix::sys::signal::Signal;
@@ -244,7 +244,7 @@ fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
 #[test]
 fn a_time_that_cannot_be_is_refused() {
     for wrong in ["-1", "soon", "1e9"] {
-        let done = drivebench(line(&format!("run --headless --reopen-s={wrong}"), &[]));
+        let done = call(&format!("run --headless --reopen-s={wrong}"), &[]);
         let error = done.expect(2).error();
         assert!(error.contains("--reopen-s"), "{error}");
     }

@@ -9,7 +9,7 @@ use crate::kit::process::{
     self, Emulator, FAULT, Process, RUNNING, STATE, WATCHDOG_TRIPPED, ask, now, wait_for,
 };
 use crate::kit::{
-    Desk, Done, column, drivebench, in_real_time, line, manifest, only_folder, parameter, turns,
+    Desk, Done, call, column, in_real_time, json_of, line, manifest, only_folder, parameter, turns,
 };
 use nix::sys::signal::Signal;
 use serde_json::Value;
@@ -224,9 +224,7 @@ fn complete_run(link: &'static str) {
         assert!(size > 0, "{file}");
     }
     // What was recorded over the wire can be used.
-    let found = drivebench(line("identify {} --json", &[&folder]))
-        .expect(0)
-        .json();
+    let found = json_of("identify {} --json", &[&folder]);
     let constant = parameter(&found, "back_emf_v_s_per_rad");
     assert!(
         constant.is_some_and(|value| (value / 0.3538 - 1.0).abs() < 0.05),
@@ -251,7 +249,7 @@ fn a_run_over_modbus_tcp() {
 
 #[test]
 fn a_port_that_is_not_there_is_status_3_and_names_what_is() {
-    let done = drivebench(line("run --headless --port /dev/ttyNowhere", &[])).expect(3);
+    let done = call("run --headless --port /dev/ttyNowhere", &[]).expect(3);
     let error = done.error();
     assert!(error.contains("/dev/ttyNowhere"), "{error}");
     assert!(
@@ -259,7 +257,7 @@ fn a_port_that_is_not_there_is_status_3_and_names_what_is() {
         "{error}"
     );
     // Port 1 of this machine: nobody listens.
-    let done = drivebench(line("run --headless --port tcp:127.0.0.1:1", &[])).expect(3);
+    let done = call("run --headless --port tcp:127.0.0.1:1", &[]).expect(3);
     assert!(done.error().contains("127.0.0.1:1"));
 }
 
@@ -338,7 +336,7 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
     // What was recorded until then is there, and says that it is not all.
     let folder = only_folder(&lab.out());
     assert_eq!(lab.manifest()["finished"], false);
-    let opened = drivebench(line("identify {} --json", &[&folder]));
+    let opened = call("identify {} --json", &[&folder]);
     assert!(
         opened.status == 0 || opened.status == 5,
         "{}",

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::kit::process::Emulator;
-use crate::kit::{BENCH, Desk, Done, drivebench, has, line};
+use crate::kit::{BENCH, Desk, Done, call, drivebench, has, json_of, line, refusal};
 use serde_json::Value;
 
 /// A software drive that never outlives its test.
@@ -134,7 +134,7 @@ fn nobody_at_the_other_end_is_exit_status_3_with_the_json() {
         "{}",
         done.stderr
     );
-    let done = drivebench(line("registers read 1 --port /dev/drivebench-none", &[])).expect(3);
+    let done = call("registers read 1 --port /dev/drivebench-none", &[]).expect(3);
     assert!(
         done.error().contains("it does not exist"),
         "{}",
@@ -160,7 +160,7 @@ fn wrong_arguments_are_usage_errors() {
         "doctor --port x --units 9-3",
         "run --headless --port sim: --tap x.pcap",
     ] {
-        drivebench(line(text, &[])).expect(2).error();
+        refusal(text, &[]);
     }
 }
 
@@ -271,7 +271,7 @@ fn taps_of_tcp_are_ip_packets_and_of_the_stream_its_frames() {
     let arguments = "run {} --headless --out {} --tap {} --port {}";
     let address = PathBuf::from(&drive.emulator.address);
     let out = drive.desk.path("runs");
-    drivebench(line(arguments, &[&bench, &out, &file, &address]));
+    call(arguments, &[&bench, &out, &file, &address]);
     let (link_type, frames) = records(&file);
     assert_eq!(link_type, 148);
     assert!(frames.len() > 10, "{}", frames.len());
@@ -314,7 +314,7 @@ fn the_doctor_measures_and_leaves_a_line_to_paste() {
 
 #[test]
 fn ports_are_a_list_even_where_there_is_none() {
-    let found = drivebench(line("ports --json", &[])).expect(0).json();
+    let found = json_of("ports --json", &[]);
     assert!(found["ports"].is_array());
-    assert!(!drivebench(line("ports", &[])).expect(0).stdout.is_empty());
+    assert!(!call("ports", &[]).expect(0).stdout.is_empty());
 }

@@ -11,7 +11,7 @@ use crate::kit::process::{
     Emulator, Process, RUNNING, STATE, WATCHDOG_TRIPPED, telemetry, wait_for,
 };
 use crate::kit::terminal::Session;
-use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, drivebench, has, line, only_folder, turns};
+use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, call, has, only_folder, turns};
 use nix::sys::signal::Signal;
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
@@ -193,7 +193,7 @@ fn a_run_goes_on_when_the_disk_takes_no_more_and_prints_its_result() {
     let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
     assert!(manifest.contains("\"finished\": false"), "{manifest}");
     // What there was room for is there, row by row.
-    let opened = drivebench(line("identify {} --json", &[&run]));
+    let opened = call("identify {} --json", &[&run]);
     assert!(
         opened.status == 0 || opened.status == 5,
         "{}",
