@@ -10,7 +10,6 @@
 mod kit;
 
 mod bad_input;
-mod burst;
 mod first_move;
 mod holdout;
 mod identify;
@@ -23,6 +22,4 @@ mod progress;
 mod replay;
 mod reproduce;
 mod screen;
-#[cfg(target_os = "linux")]
-mod speed;
 mod unknown;

@@ -12,6 +12,7 @@ mod kit;
 #[path = "../witness/mod.rs"]
 mod witness;
 
+mod burst;
 mod c_slave;
 mod fault_trials;
 mod init;
@@ -21,5 +22,6 @@ mod profiles;
 mod reopen;
 mod run;
 mod screen;
+mod speed;
 mod tools;
 mod ways_out;

@@ -76,7 +76,6 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
 }
 
 #[test]
-#[cfg(target_os = "linux")]
 fn a_burst_is_fetched_over_every_wire() {
     for protocol in ["modbus-rtu", "stream", "modbus-tcp"] {
         let folder = tempfile::tempdir().expect("a folder");
