@@ -171,11 +171,9 @@ fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
 }
 
 #[test]
+#[ignore = "needs DRIVEBENCH_DATA, a folder with hidden-effects"]
 fn on_the_data_at_hand_the_axis_of_the_hidden_effect_comes_first() {
-    let Ok(folder) = std::env::var("DRIVEBENCH_DATA") else {
-        println!("skipped: DRIVEBENCH_DATA is not set");
-        return;
-    };
+    let folder = std::env::var("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
     for (set, equation, axis, least) in [
         (3, "torque", "speed_rad_s", 0.84),
         (4, "voltage", "current_a", 0.96),

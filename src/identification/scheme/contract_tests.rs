@@ -72,6 +72,9 @@ fn holds_the_contract(found: &Identified, scheme: &dyn Scheme) {
     }
 }
 
+/// Schemes that noise biases, or that are read from a graph: they give a value and settle nothing.
+const BIASED: [&str; 5] = ["1", "1-exact", "2", "2-rectangle", "step-response"];
+
 #[test]
 fn on_a_well_excited_run_inertia_is_found_by_every_scheme() {
     let scenario = record(&Model::baseline(Motor::zk_22fc()), steps(), 0.002, 6.5, 11);
@@ -84,10 +87,14 @@ fn on_a_well_excited_run_inertia_is_found_by_every_scheme() {
             .iter()
             .find(|parameter| parameter.key == MotorKey::Inertia.key())
             .unwrap_or_else(|| panic!("{} reports the inertia", scheme.id()));
-        if inertia.verdict == Verdict::Settled {
-            let ratio = inertia.value.unwrap() / 0.0045;
-            assert!((ratio - 1.0).abs() < 0.05, "{} {inertia:?}", scheme.id());
-        }
+        let (verdict, most) = if BIASED.contains(&scheme.id()) {
+            (Verdict::Searching, 0.15)
+        } else {
+            (Verdict::Settled, 0.05)
+        };
+        let off = inertia.value.unwrap() / 0.0045 - 1.0;
+        let is_found = inertia.verdict == verdict && off.abs() < most;
+        assert!(is_found, "{} {inertia:?}", scheme.id());
     }
 }
 

@@ -1,0 +1,157 @@
+//! The whole measuring chain in virtual time: every embedded emulator, whose hidden effects have other forms than the
+//! catalogue's, is excited with the embedded bench, recorded, and diagnosed from nothing but its rows.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::channel;
+
+use drivebench::bench::{
+    self, Bench, BenchFile, CheckOptions, Guard, Outcome, RunOptions, Session, SnapshotCell,
+    Target, Waivers, check,
+};
+use drivebench::diagnosis::{DiagnosisVerdict, ErrorOf, Evidence, compare, diagnose};
+use drivebench::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+use drivebench::plant::{Model, Scenario};
+use drivebench::recording::MemoryRecorder;
+use drivebench::sample::{Channel, Origin};
+
+/// Four runs of one specimen: fit, select, confirm, repeat.
+fn record(config: &EmulatorConfig, seed: u64) -> Vec<Scenario> {
+    let file = BenchFile::embedded_default();
+    let time = VirtualClock::new();
+    let mut clock = time.clone();
+    let mut link = MemoryLink::new(SoftDrive::new(config, seed), time, Latency::default());
+    let options = CheckOptions {
+        rate_hz: file.link.rate_hz,
+        hardware_allowed: false,
+        hardware_said: false,
+        waivers: Waivers::default(),
+        first_move: None,
+        reset_fault: false,
+    };
+    let report = check(&mut link, &mut clock, &file.limits(), options).unwrap();
+    assert!(report.passed(), "{:?}", report.refusal());
+    let mut last_seq = report.last_seq;
+    [1, 2, 3, 1]
+        .iter()
+        .map(|run_seed| {
+            let guard = Guard::new(
+                file.limits(),
+                &file.nameplate().unwrap(),
+                report.identity.current_limit_a,
+            );
+            let program = Box::new(file.program(*run_seed).unwrap());
+            let session = Session::new(program, guard).after_seq(last_seq);
+            let mut recorder = MemoryRecorder::new(bench::layout(&report.signals));
+            let (_screen, intents) = channel();
+            let summary = bench::run(
+                session,
+                Bench {
+                    link: &mut link,
+                    clock: &mut clock,
+                    recorder: &mut recorder,
+                    estimator: None,
+                    intents: &intents,
+                    interrupted: &AtomicBool::new(false),
+                    snapshots: &SnapshotCell::default(),
+                },
+                &RunOptions {
+                    name: "run".to_owned(),
+                    target: Target::Sim,
+                    rate_hz: file.link.rate_hz,
+                    motor: file.nameplate(),
+                    auto_start: true,
+                },
+            );
+            assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
+            last_seq += summary.link.sent + 1;
+            recorder.finish();
+            let mut run = recorder.run("run").unwrap();
+            for (channel, origin) in [
+                (Channel::VoltageCmd, Origin::Commanded),
+                (Channel::Voltage, Origin::Measured),
+            ] {
+                let cells = run.column(channel).unwrap().to_vec();
+                run.set_column(channel, cells, origin).unwrap();
+            }
+            Scenario::from_run(&run).unwrap()
+        })
+        .collect()
+}
+
+/// Diagnoses a specimen and compares the speed error on the confirming run before and after.
+fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
+    let config = EmulatorConfig::embedded(emulator).unwrap();
+    let runs = record(&config, seed);
+    let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
+    let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
+    let (evidence, baseline) = evidence.with_baseline(&nameplate).unwrap();
+    let evidence = evidence
+        .with_repeat(&baseline.model, runs[3].clone())
+        .unwrap();
+    let confirming = Evidence {
+        holdout: runs[2].clone(),
+        ..evidence.clone()
+    };
+    let found = diagnose(&nameplate, evidence).unwrap();
+    let Some(effect) = effect else {
+        assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
+        return;
+    };
+    assert_eq!(
+        found.verdict,
+        DiagnosisVerdict::Effect,
+        "{}",
+        found.sentence
+    );
+    assert_eq!(found.effects, [effect]);
+    assert_eq!(found.repeats, Some(true), "{:?}", found.repeat_floor);
+    let speed_error = |model: &Model| {
+        let comparison = compare(model, &confirming, ErrorOf::Structure).unwrap();
+        let speed = comparison.signals.speed_rad_s.unwrap();
+        (speed.holdout.rmse, speed.noise_floor.unwrap())
+    };
+    let (before, floor) = speed_error(&found.baseline.model);
+    let (after, _) = speed_error(&found.model.model);
+    assert!(before > 1.2 * floor, "{before} {floor}");
+    // A winding that warms is warmer at the start of the confirming run than it ever was in the run that was fitted.
+    let most = if effect == "winding_heating" {
+        1.35
+    } else {
+        1.15
+    };
+    assert!(after < most * floor, "{after} {floor}");
+}
+
+#[test]
+fn low_speed_friction() {
+    for seed in [1, 2] {
+        hidden_effect_is_named("zk-22fc-hidden", Some("stribeck_friction"), seed);
+    }
+}
+
+#[test]
+fn nothing_hidden() {
+    for seed in [1, 2, 3] {
+        hidden_effect_is_named("zk-22fc-plain", None, seed);
+    }
+}
+
+#[test]
+fn drag_of_a_lubricant() {
+    hidden_effect_is_named("zk-22fc-viscous", Some("viscous_friction"), 1);
+}
+
+#[test]
+fn a_fan() {
+    hidden_effect_is_named("zk-22fc-fan", Some("quadratic_load"), 1);
+}
+
+#[test]
+fn brushes() {
+    hidden_effect_is_named("zk-22fc-brushes", Some("voltage_drop"), 1);
+}
+
+#[test]
+fn a_winding_that_warms_from_run_to_run() {
+    hidden_effect_is_named("zk-22fc-warming", Some("winding_heating"), 1);
+}

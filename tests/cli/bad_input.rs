@@ -1,0 +1,484 @@
+//! Data that carry nothing, or not what they are taken for: a clear reason, status 5 or 2, and no number.
+//!
+//! One good record of a motor is spoilt in every way that users of such tools complain of.
+
+use std::sync::OnceLock;
+
+use crate::kit::motor_log::{Bench, COLUMNS, J, Row, csv, noise, push, steps};
+use crate::kit::{Desk, call, drivebench, has, line, manifest, only_folder, parameter, refusal};
+use serde_json::Value;
+
+const RPM: f64 = 9.549_296_585_513_72;
+
+fn good() -> &'static [Row] {
+    static ROWS: OnceLock<Vec<Row>> = OnceLock::new();
+    ROWS.get_or_init(|| Bench::PAPER_A.record(steps))
+}
+
+/// The good record with each row changed, without the angle.
+fn spoilt(change: impl Fn(&mut Row)) -> String {
+    spoilt_csv(COLUMNS, change)
+}
+
+fn spoilt_csv(header: &str, change: impl Fn(&mut Row)) -> String {
+    csv(header, good(), change)
+}
+
+/// No parameter has a number; each says why not.
+#[track_caller]
+fn nothing_invented(found: &Value) {
+    let parameters = found["parameters"].as_object().expect("parameters");
+    assert!(parameters.len() >= 5, "{found:#}");
+    for (key, parameter) in parameters {
+        assert!(parameter["value"].is_null(), "{key}: {parameter}");
+        assert!(parameter["std"].is_null(), "{key}: {parameter}");
+        assert_eq!(parameter["verdict"], "not_observable", "{key}");
+        let reason = parameter["reason"].as_str().unwrap_or_default();
+        assert!(reason.len() > 20, "{key}: {reason:?}");
+    }
+}
+
+/// `identify` says status 5, `part` stands in headline or help, and the JSON holds no number.
+#[track_caller]
+fn refused(name: &str, text: &str, model: bool, parts: &[&str]) {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let file = desk.put("log.csv", text);
+    let command = if model {
+        line("identify {} --json --model {}", &[&file, &nameplate])
+    } else {
+        line("identify {} --json", &[&file])
+    };
+    let done = drivebench(command).expect(5);
+    let error = done.error();
+    for part in parts {
+        assert!(error.contains(part), "{name}: {part:?} is not in {error}");
+    }
+    let found = done.json();
+    nothing_invented(&found);
+    let kind = found["findings"][0]["kind"].as_str().unwrap_or_default();
+    assert!(!kind.is_empty(), "{name}: {found:#}");
+}
+
+#[test]
+fn the_record_itself_is_good() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let header = format!("{COLUMNS},angle_rad");
+    for (text, model) in [
+        (spoilt(|_| {}), false),
+        (spoilt_csv(&header, |_| {}), false),
+        (spoilt(|_| {}), true),
+    ] {
+        let file = desk.put("log.csv", &text);
+        let done = if model {
+            call("identify {} --json --model {}", &[&file, &nameplate])
+        } else {
+            call("identify {} --json", &[&file])
+        };
+        let done = done.expect(0);
+        assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+        let found = done.json();
+        assert_eq!(
+            found["parameters"]["back_emf_v_s_per_rad"]["verdict"],
+            "settled"
+        );
+        assert!(found["notes"].as_array().unwrap().is_empty(), "{found:#}");
+        let value = parameter(&found, "inertia_kg_m2").unwrap();
+        assert!((value / J - 1.0).abs() < 0.01, "{value}");
+    }
+}
+
+#[test]
+fn a_record_without_excitation_is_refused_with_the_operating_point() {
+    let mut noise = noise(11);
+    let mut level = |u: f64, i: f64, w: f64| {
+        let mut text = format!("{COLUMNS}\n");
+        for row in good() {
+            let cells = [row[0], u, i + noise(0.03), w + noise(0.15)];
+            push(&mut text, &cells);
+        }
+        text
+    };
+    let steady = level(24.0, 1.286, 63.8);
+    refused(
+        "constant voltage",
+        &steady,
+        false,
+        &["24", "one operating point", "steps of voltage"],
+    );
+    refused("constant voltage", &steady, true, &["one operating point"]);
+    let still = level(0.0, 0.0, 0.0);
+    refused(
+        "standstill",
+        &still,
+        false,
+        &["stands still", "7.995 s", "steps of voltage"],
+    );
+    let exact = spoilt(|row| *row = [row[0], 12.0, 1.5, 30.0, 0.0]);
+    refused("constant columns", &exact, false, &["nothing changes"]);
+}
+
+#[test]
+fn a_dead_or_frozen_channel_is_refused_by_name() {
+    let held = good()[700][3];
+    for (name, text, parts) in [
+        (
+            "constant current",
+            spoilt(|row| row[2] = 1.5),
+            ["current_a is 1.5 A", "not measured"],
+        ),
+        (
+            "zero current",
+            spoilt(|row| row[2] = 0.0),
+            ["current_a is 0 A", "not measured"],
+        ),
+        (
+            "constant speed",
+            spoilt(|row| row[3] = 30.0),
+            ["speed_rad_s is 30 rad/s", "not measured"],
+        ),
+        (
+            "zero speed",
+            spoilt(|row| row[3] = 0.0),
+            ["speed reads 0", "the shaft turns"],
+        ),
+        (
+            "frozen for a while",
+            spoilt(|row| {
+                if (3.5..5.5).contains(&row[0]) {
+                    row[3] = held;
+                }
+            }),
+            ["speed_rad_s repeats", "from 3.500 to"],
+        ),
+        (
+            "cut off",
+            spoilt(|row| row[2] = row[2].clamp(-8.0, 8.0)),
+            ["current_a stands at exactly", "cut off"],
+        ),
+    ] {
+        refused(name, &text, false, &parts);
+    }
+}
+
+#[test]
+fn swapped_columns_and_reversed_signs_are_named() {
+    for (name, text, parts) in [
+        (
+            "u and i",
+            spoilt(|row| row.swap(1, 2)),
+            [
+                "voltage and current are swapped",
+                "voltage_v=(column of current_a)",
+            ],
+        ),
+        (
+            "i and w",
+            spoilt(|row| row.swap(2, 3)),
+            [
+                "current and speed are swapped",
+                "current_a=(column of speed_rad_s)",
+            ],
+        ),
+        (
+            "reversed speed",
+            spoilt(|row| row[3] = -row[3]),
+            [
+                "sign of the speed is reversed",
+                "speed_rad_s=(column of speed_rad_s)*-1",
+            ],
+        ),
+        (
+            "reversed current",
+            spoilt(|row| row[2] = -row[2]),
+            ["sign of the current is reversed", "*-1"],
+        ),
+        (
+            "reversed voltage",
+            spoilt(|row| row[1] = -row[1]),
+            ["sign of the voltage is reversed", "*-1"],
+        ),
+        (
+            "unsigned current",
+            spoilt(|row| row[2] = row[2].abs()),
+            ["current_a is never negative", "lost its sign"],
+        ),
+        (
+            "unsigned speed",
+            spoilt(|row| row[3] = row[3].abs()),
+            ["speed_rad_s is never negative", "lost its sign"],
+        ),
+        (
+            "unsigned voltage",
+            spoilt(|row| row[1] = row[1].abs()),
+            ["voltage_v is never negative", "lost its sign"],
+        ),
+    ] {
+        refused(name, &text, false, &parts);
+    }
+    // Which of the two it is called does not matter: the voltage's column holds no speed.
+    let text = spoilt(|row| row.swap(1, 3));
+    refused("u and w", &text, false, &["speed"]);
+}
+
+#[test]
+fn a_wrong_unit_is_named_with_its_factor() {
+    let rpm = |row: &mut Row| row[3] *= RPM;
+    let header = format!("{COLUMNS},angle_rad");
+    let parts = ["r/min", "9.549", "*0.104719755"];
+    refused(
+        "r/min beside the angle",
+        &spoilt_csv(&header, rpm),
+        false,
+        &parts,
+    );
+    refused("r/min beside a nameplate", &spoilt(rpm), true, &parts);
+    let no_current = spoilt(|row| {
+        row[3] *= RPM;
+        row[2] = f64::NAN;
+    });
+    refused("r/min without a current", &no_current, true, &parts);
+    let milliamps = spoilt(|row| row[2] *= 1e3);
+    refused(
+        "mA beside a nameplate",
+        &milliamps,
+        true,
+        &["mA", "1000", "*0.001"],
+    );
+    refused("mA by their size", &milliamps, false, &["mA", "1000"]);
+    let milliseconds = spoilt(|row| row[0] *= 1e3);
+    refused(
+        "ms",
+        &milliseconds,
+        false,
+        &["ms", "1000", "time_s=COLUMN*0.001"],
+    );
+    let degrees = spoilt_csv(&header, |row| row[3] *= 57.295_779_513);
+    refused("deg/s", &degrees, false, &["deg/s", "57.29"]);
+}
+
+#[test]
+fn a_suspect_speed_with_nothing_to_compare_is_not_settled() {
+    let desk = Desk::new();
+    let done = desk.on("identify {} --json", &spoilt(|row| row[3] *= RPM));
+    let done = done.expect(0);
+    assert!(done.stderr.contains("9.5493"), "{}", done.stderr);
+    let found = done.json();
+    for (key, verdict) in [
+        ("back_emf_v_s_per_rad", "searching"),
+        ("inertia_kg_m2", "searching"),
+        ("load_torque_n_m", "searching"),
+        ("resistance_ohm", "settled"),
+    ] {
+        assert_eq!(found["parameters"][key]["verdict"], verdict, "{key}");
+    }
+    assert!(found["notes"][0].as_str().unwrap().contains("r/min"));
+}
+
+#[test]
+fn a_header_in_another_unit_needs_a_factor() {
+    let desk = Desk::new();
+    let text = spoilt_csv("t,u,i,speed [rpm]", |row| row[3] *= RPM);
+    let file = desk.put("log.csv", &text);
+    let identify = |speed: &str| {
+        let mut arguments = line("identify {} --json --map", &[&file]);
+        arguments.push(format!("time_s=t,voltage_v=u,current_a=i,speed_rad_s={speed}").into());
+        drivebench(arguments)
+    };
+    let error = identify("speed [rpm]").expect(2).error();
+    has(&error, &["9.5493", "*0.104719755"]);
+    let found = identify("speed [rpm]*0.104719755").expect(0).json();
+    let value = parameter(&found, "back_emf_v_s_per_rad");
+    assert!(
+        (value.unwrap() / Bench::PAPER_A.ke - 1.0).abs() < 0.01,
+        "{value:?}"
+    );
+    // Whoever writes the factor 1 means it.
+    identify("speed [rpm]*1").expect(0);
+}
+
+#[test]
+fn an_unusable_file_is_status_2_for_every_command() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let mut two = format!("{COLUMNS}\n");
+    for row in &good()[..2] {
+        push(&mut two, &row[..4]);
+    }
+    let nan = f64::NAN;
+    for (name, text, part) in [
+        ("two rows", two, "2 usable rows, at least 20"),
+        (
+            "all NaN",
+            spoilt(|row| *row = [row[0], nan, nan, nan, nan]),
+            "no voltage",
+        ),
+        (
+            "NaN outputs",
+            spoilt(|row| (row[2], row[3]) = (nan, nan)),
+            "neither current nor speed",
+        ),
+        (
+            "voltage only",
+            spoilt_csv("time_s,voltage_v", |_| {}),
+            "neither current nor speed",
+        ),
+        ("time only", spoilt_csv("time_s", |_| {}), "no column"),
+        (
+            "infinite time",
+            spoilt(|row| {
+                if row[0] > 3.0 {
+                    row[0] = f64::INFINITY;
+                }
+            }),
+            "inf",
+        ),
+        (
+            "time far away",
+            spoilt(|row| row[0] *= 1e20),
+            "size up to 1e12",
+        ),
+        (
+            "a wild cell",
+            spoilt(|row| {
+                if row[0] > 7.9 {
+                    row[2] = 1e300;
+                }
+            }),
+            "current_a 1e300",
+        ),
+    ] {
+        let file = desk.put("log.csv", &text);
+        for command in [
+            "identify {} --json",
+            "compare {} --json",
+            "diagnose {} --json",
+        ] {
+            let bare = call(command, &[&file]).expect(2);
+            assert!(bare.error().contains(part), "{name}: {}", bare.error());
+            assert_eq!(bare.stdout, "", "{name}");
+            let text = format!("{command} --model {{}}");
+            refusal(&text, &[&file, &nameplate]);
+        }
+    }
+}
+
+#[test]
+fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let swapped = desk.put("swapped.csv", &spoilt(|row| row.swap(1, 2)));
+    for command in ["compare {} --json", "diagnose {} --json"] {
+        let error = call(command, &[&swapped]).expect(5).error();
+        assert!(error.contains("voltage and current are swapped"), "{error}");
+    }
+    let error = call("diagnose {} --json --model {}", &[&swapped, &nameplate])
+        .expect(5)
+        .error();
+    assert!(error.contains("swapped"), "{error}");
+    // A model as given can be compared with anything; what is wrong stands beside the figures.
+    let done = call("compare {} --json --model {}", &[&swapped, &nameplate]).expect(0);
+    assert!(done.stderr.contains("swapped"), "{}", done.stderr);
+    assert!(
+        done.json()["notes"][0]
+            .as_str()
+            .unwrap()
+            .contains("swapped")
+    );
+    // A record that excites nothing has its own verdict in `diagnose`, and its caution.
+    let steady = desk.put(
+        "steady.csv",
+        &spoilt(|row| *row = [row[0], 12.0, 1.5, 30.0, 0.0]),
+    );
+    let done = call("diagnose {} --json --model {}", &[&steady, &nameplate]);
+    assert!(done.status == 5 || done.status == 0, "{}", done.stderr);
+    assert!(done.stderr.contains("nothing changes"), "{}", done.stderr);
+}
+
+#[test]
+fn a_locked_rotor_gives_the_winding_and_nothing_else() {
+    let mut text = format!("{COLUMNS}\n");
+    let locked = Bench {
+        free: false,
+        ..Bench::PAPER_A
+    };
+    for row in locked.record(|t| 0.2 * steps(t)) {
+        push(&mut text, &row[..4]);
+    }
+    let desk = Desk::new();
+    let done = desk.on("identify {} --json", &text).expect(0);
+    has(&done.stderr, &["shaft does not turn"]);
+    let found = done.json();
+    let value = |key: &str| parameter(&found, key);
+    assert!((value("resistance_ohm").unwrap() / Bench::PAPER_A.resistance_ohm - 1.0).abs() < 0.02);
+    for key in ["back_emf_v_s_per_rad", "inertia_kg_m2", "load_torque_n_m"] {
+        assert!(value(key).is_none(), "{key}: {found:#}");
+    }
+    desk.on("identify {} --require inertia_kg_m2", &text)
+        .expect(5);
+}
+
+#[test]
+fn the_origin_of_a_signal_limits_what_is_claimed_from_it() {
+    let desk = Desk::new();
+    let file = desk.put("log.csv", &spoilt(|_| {}));
+    let identify = |origin: &str| {
+        let mut arguments = line("identify {} --json --origin", &[&file]);
+        arguments.push(origin.into());
+        drivebench(arguments)
+    };
+    let verdict = |found: &Value, key: &str| found["parameters"][key]["verdict"].clone();
+    let found = identify("voltage_v=commanded").expect(0).json();
+    assert_eq!(found["signals"]["voltage_v"]["origin"], "commanded");
+    assert_eq!(verdict(&found, "resistance_ohm"), "settled");
+    let reason = found["parameters"]["resistance_ohm"]["reason"].as_str();
+    assert!(reason.unwrap().contains("drive's own drops"));
+
+    let found = identify("current_a=supply").expect(5).json();
+    assert_eq!(found["signals"]["current_a"]["side"], "supply");
+    for key in ["resistance_ohm", "inductance_h", "inertia_kg_m2"] {
+        assert_eq!(verdict(&found, key), "invalid", "{key}");
+        assert!(found["parameters"][key]["value"].is_number());
+    }
+    let found = identify("speed_rad_s=estimated").expect(0).json();
+    assert_eq!(verdict(&found, "back_emf_v_s_per_rad"), "searching");
+    assert_eq!(verdict(&found, "resistance_ohm"), "settled");
+    let error = identify("speed_rad_s=guessed").expect(2).error();
+    has(&error, &["guessed", "estimated"]);
+}
+
+#[test]
+fn the_origin_travels_from_the_drives_profile_to_the_answer() {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let text = "run --port sim: --headless --emulator zk-22fc-hidden --seed 7 --out {}";
+    call(text, &[out.path()]).expect(0);
+    let folder = only_folder(out.path());
+    assert_eq!(manifest(out.path())["sides"]["current_a"], "terminal");
+    let done = call("identify {} --json", &[&folder]).expect(0);
+    // A good run of a motor with a hidden effect is no bad input.
+    assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+    let signals = &done.json()["signals"];
+    assert_eq!(signals["voltage_cmd_v"]["origin"], "commanded");
+    assert_eq!(signals["voltage_v"]["origin"], "measured");
+    assert_eq!(signals["voltage_v"]["side"], "terminal");
+    assert_eq!(signals["current_a"]["side"], "terminal");
+    assert_eq!(signals["speed_rad_s"]["side"], Value::Null);
+}
+
+#[test]
+fn a_signal_with_holes_is_named_before_anything_is_concluded_from_the_rest() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let rows = std::cell::Cell::new(0);
+    let text = spoilt(|row| {
+        rows.set(rows.get() + 1);
+        if rows.get() % 4 == 0 {
+            row[2] = f64::NAN;
+        }
+    });
+    let file = desk.put("log.csv", &text);
+    let done = call("compare {} --model {}", &[&file, &nameplate]).expect(0);
+    let said = "current_a is missing in 400 of 1600 samples";
+    assert!(done.stderr.contains(said), "{}", done.stderr);
+}

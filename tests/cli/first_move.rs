@@ -1,0 +1,232 @@
+//! The first move and what may not be moved freely, through the real binary in virtual time: direction pulse and
+//! nameplate, vertical loads, supplies that take nothing back, thyristor converters.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::kit::{
+    BENCH, Desk, Done, PLAIN, call, column, has, json_of, manifest, only_folder, refusal,
+};
+
+/// A short bench over the paper's motor: head, more sections, and the parts of the sequence.
+fn bench(more: &str, sequence: &str) -> String {
+    let (head, _) = BENCH.split_once("# What `drivebench speed` does").unwrap();
+    format!("{head}\n{more}\n{sequence}\n")
+}
+
+const STEPS: &str = "[[sequence]]\nstandstill = { seconds = 0.2 }\n\
+                     [[sequence]]\nsteps = { levels_v = [40.0, 0.0], hold_s = 0.5 }\n";
+
+fn run(desk: &Desk, bench: &str, emulator: &str, options: &str) -> Done {
+    let bench = desk.put("bench.toml", bench);
+    let emulator = desk.put("emulator.toml", emulator);
+    let text = format!("run {{}} --port sim: --emulator {{}} --headless --out {{}} {options}");
+    call(&text, &[&bench, &emulator, &desk.path("runs")])
+}
+
+fn folder(desk: &Desk) -> PathBuf {
+    only_folder(&desk.path("runs"))
+}
+
+fn events(folder: &Path) -> String {
+    fs::read_to_string(folder.join("events.jsonl")).unwrap()
+}
+
+#[test]
+fn the_pulse_is_told_with_its_figures_and_nothing_is_waived() {
+    let desk = Desk::new();
+    let done = run(&desk, &bench("", STEPS), PLAIN, "").expect(0);
+    has(
+        &done.stderr,
+        &[
+            "direction          pulse one way and back: +",
+            "plausibility       forward resistance",
+            "back-EMF constant 0.3",
+            "times the nameplate's 0.3538",
+        ],
+    );
+    let manifest = manifest(&desk.path("runs"));
+    assert_eq!(manifest["waivers"].as_array().map(Vec::len), Some(0));
+}
+
+#[test]
+fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
+    let desk = Desk::new();
+    let reversed = format!("{PLAIN}\n[faults]\nencoder_reversed = true\n");
+    let done = run(&desk, &bench("", STEPS), &reversed, "").expect(3);
+    let error = done.error();
+    assert!(error.contains("direction: encoder reversed"), "{error}");
+    assert!(error.contains("help: exchange A and B"), "{error}");
+    assert!(!desk.path("runs").exists(), "nothing was recorded");
+
+    // What the waived pulse would have shown the run shows itself: no waiver lets an encoder run backwards.
+    let done = run(&desk, &bench("", STEPS), &reversed, "--waive-direction").expect(4);
+    has(
+        &done.stderr,
+        &[
+            "waived: direction",
+            "WAIVED: no pulse was made",
+            "safety trip: encoder reversed",
+        ],
+    );
+    let folder = folder(&desk);
+    let waivers = manifest(&desk.path("runs"))["waivers"].to_string();
+    has(&waivers, &["direction", "plausibility"]);
+    assert!(events(&folder).contains("\"waived\""));
+}
+
+#[test]
+fn a_back_emf_per_revolution_is_refused_with_the_mistake_named() {
+    let desk = Desk::new();
+    let wrong = bench("", STEPS).replace(
+        "back_emf_v_s_per_rad = 0.3538",
+        "back_emf_v_s_per_rad = 0.03705",
+    );
+    let error = run(&desk, &wrong, PLAIN, "").expect(3).error();
+    has(&error, &["plausibility: back-EMF constant 0.3"]);
+    assert!(error.contains("V per r/min on the nameplate"), "{error}");
+    assert!(error.contains("--waive-plausibility"), "{error}");
+}
+
+const VERTICAL: &str = "[load]\nvertical = true\nhold_current_a = 2.26\n\
+                        brake_release_s = 0.3\nbrake_apply_s = 0.2\n";
+const HOIST: &str = "[brake]\nrelease_s = 0.2\napply_s = 0.1\n\
+                     [[hidden]]\nid = \"constant_load\"\nconstant_n_m = 0.8\n";
+
+#[test]
+fn a_vertical_load_is_held_before_its_brake_opens_and_until_it_has_closed() {
+    let desk = Desk::new();
+    let hoist = format!("{PLAIN}\n{HOIST}");
+    run(&desk, &bench(VERTICAL, STEPS), &hoist, "").expect(0);
+    let folder = folder(&desk);
+    let events = events(&folder);
+    let at = |words: &str| {
+        events
+            .find(words)
+            .unwrap_or_else(|| panic!("{words}: {events}"))
+    };
+    // Held, then moved; at rest, then shut, then off.
+    let order = ["releases", "\"running\"", "applies", "\"stopping\""].map(at);
+    assert!(order.is_sorted(), "{events}");
+    let samples = fs::read_to_string(folder.join("samples.csv")).unwrap();
+    let (angles, volts) = (
+        column(&samples, "angle_rad"),
+        column(&samples, "voltage_cmd_v"),
+    );
+    // The load is lifted and never sinks below where it hung.
+    let start = angles[0];
+    assert!(angles.iter().all(|angle| angle - start > -1.0), "it fell");
+    assert!(
+        angles.iter().any(|angle| angle - start > 20.0),
+        "it was not lifted"
+    );
+    // 2.26 A times 1.1 ohm, from the begin to the end of the brake's time.
+    let held = volts
+        .iter()
+        .filter(|volts| (**volts - 2.486).abs() < 0.02)
+        .count();
+    assert!(held >= 40, "{held} cycles of holding");
+}
+
+#[test]
+fn a_vertical_load_is_neither_dropped_nor_moved_without_a_brake() {
+    let desk = Desk::new();
+    let coast = format!("{STEPS}[[sequence]]\ncoast_down = {{ seconds = 0.5 }}\n");
+    let file = desk.put("bench.toml", &bench(VERTICAL, &coast));
+    let error = refusal("plan {}", &[&file]);
+    has(&error, &["free fall of a vertical load 0.5"]);
+    let undescribed = bench("[load]\nvertical = true\n", STEPS);
+    let hoist = format!("{PLAIN}\n{HOIST}");
+    let error = run(&desk, &undescribed, &hoist, "--waive-direction")
+        .expect(3)
+        .error();
+    assert!(error.contains("load.hold_current_a is left out"), "{error}");
+}
+
+#[test]
+fn a_supply_that_takes_nothing_back_limits_the_deceleration_instead_of_the_bus_s_life() {
+    let fast = "[[sequence]]\nsteps = { levels_v = [95.0, 0.0], hold_s = 1.0 }\n";
+    let stiff = PLAIN.replace("bus_v = 120.0", "bus_v = 120.0\nbus_capacitance_f = 1e-3");
+    let desk = Desk::new();
+    let error = run(&desk, &bench("", fast), &stiff, "").expect(4).error();
+    assert!(error.contains("bus voltage too high"), "{error}");
+
+    let desk = Desk::new();
+    let limited = bench(
+        "[supply]\nregenerates = false\nbrake_power_w = 20.0\n",
+        fast,
+    );
+    // A small resistor burns what is left beside friction and winding.
+    let sink = stiff.replace("1e-3", "1.0");
+    run(&desk, &limited, &sink, "").expect(0);
+    assert!(events(&folder(&desk)).contains("\"supply\":true"));
+    let file = desk.put("plan.toml", &limited);
+    let plan = json_of("plan {} --json", &[&file]);
+    let warnings = plan["warnings"].to_string();
+    has(&warnings, &["the supply takes nothing back"]);
+    assert!(plan["peak_returned_w"].as_f64().unwrap() < 60.0, "{plan}");
+}
+
+/// A controller that takes voltages, made a thyristor bridge of one quadrant with a field that is watched.
+fn thyristor(desk: &Desk) -> PathBuf {
+    let text = include_str!("../../bench-configs/drives/roboteq-dc.toml");
+    let changes = [
+        (
+            "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]",
+            "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]",
+        ),
+        ("kind = \"dc\"", "kind = \"thyristor_dc\""),
+        (
+            "[missing]",
+            "[signals.field_current]\ncan = [0x2110, 1]\ntype = \"i32\"\nword_order = \"high_first\"\n\
+             scale = 0.01\nunit = \"A\"\nquantity = \"field_current\"\npoll = \"fast\"\n\n[missing]",
+        ),
+        (
+            "[rates]",
+            "[converter]\ndead_time_ms = 10.0\nquadrants = 1\n\n[limits]\nfield_min_a = 0.3\n\n[rates]",
+        ),
+    ];
+    let changed = changes.iter().fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replacen(from, to, 1)
+    });
+    desk.put("bridge.toml", &changed)
+}
+
+#[test]
+fn a_bridge_of_one_quadrant_goes_one_way_and_a_lost_field_is_a_trip() {
+    let desk = Desk::new();
+    let profile = thyristor(&desk);
+    let with = |sequence: &str| {
+        bench("", sequence)
+            .replace(
+                "profile = \"own\"",
+                &format!("profile = {:?}", profile.to_str().unwrap()),
+            )
+            .replace("rate_hz = 100.0", "rate_hz = 10.0\ndeadline_ms = 2000.0")
+            .replace("link_silence_s = 0.45", "link_silence_s = 20.0")
+            .replace("bus_min_v = 100.0", "")
+            .replace("bus_max_v = 150.0", "")
+    };
+    let both = "[[sequence]]\nsteps = { levels_v = [12.0, -12.0], hold_s = 1.0 }\n";
+    let file = desk.put("both.toml", &with(both));
+    let error = refusal("plan {}", &[&file]);
+    assert!(error.contains("reverse voltage 12"), "{error}");
+
+    let forward = with("[[sequence]]\nsteps = { levels_v = [12.0, 6.0], hold_s = 1.5 }\n");
+    let done = run(&desk, &forward, PLAIN, "--waive-watchdog").expect(0);
+    has(
+        &done.stderr,
+        &[
+            "one way, as the converter goes no other",
+            "field              1.000 A, a trip below 0.3 A",
+        ],
+    );
+    let desk = Desk::new();
+    let lost = format!("{PLAIN}\n[faults]\nfield_lost_from_s = 4.0\n");
+    let longer = forward.replace("hold_s = 1.5", "hold_s = 4.0");
+    let error = run(&desk, &longer, &lost, "--waive-watchdog")
+        .expect(4)
+        .error();
+    has(&error, &["field lost: field current 0.000 A"]);
+}

@@ -1,0 +1,239 @@
+//! Runs to judge by that cannot be judged by, and files with holes: said plainly, and what can be answered is answered.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use std::sync::OnceLock;
+
+use crate::kit::motor_log::{Bench, COLUMNS, Row, csv, push, steps};
+use crate::kit::{Desk, call, has};
+/// `share` of the steps.
+fn record(bench: Bench, share: f64) -> Vec<Row> {
+    bench.record(|time_s| share * steps(time_s))
+}
+
+/// The same motor with other noise.
+fn again(seed: u64) -> Bench {
+    Bench {
+        seed,
+        ..Bench::PAPER_A
+    }
+}
+
+/// Another motor.
+const OTHER: Bench = Bench {
+    resistance_ohm: 3.3,
+    ke: 0.17,
+    seed: 29,
+    ..Bench::PAPER_A
+};
+
+fn good() -> &'static [Row] {
+    static ROWS: OnceLock<Vec<Row>> = OnceLock::new();
+    ROWS.get_or_init(|| record(Bench::PAPER_A, 1.0))
+}
+
+fn text_of(rows: &[Row], change: impl Fn(&mut Row)) -> String {
+    csv(COLUMNS, rows, change)
+}
+
+/// What cannot serve as a hold-out is set aside with its reason, and the run is judged by its own last part.
+#[test]
+fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let again = record(again(23), 0.9);
+    for (name, text, reason) in [
+        (
+            "the run itself",
+            text_of(good(), |_| {}),
+            "are those of the run",
+        ),
+        (
+            "another motor",
+            text_of(&record(OTHER, 0.9), |_| {}),
+            "not of the same motor",
+        ),
+        (
+            "half a second",
+            text_of(&again[..100], |_| {}),
+            "at least 1 s",
+        ),
+        (
+            "standstill",
+            text_of(&again, |row| row[1..].fill(0.0)),
+            "nothing changes",
+        ),
+        (
+            "milliamperes",
+            text_of(&again, |row| row[2] *= 1e3),
+            "seems to be in mA",
+        ),
+        (
+            "milliseconds",
+            text_of(&again, |row| row[0] *= 1e3),
+            "seems to be in ms",
+        ),
+    ] {
+        let holdout = desk.put("holdout.csv", &text);
+        let done = call(
+            "diagnose {} --json --model {} --holdout {}",
+            &[&run, &nameplate, &holdout],
+        )
+        .expect(0);
+        let found = done.json();
+        assert_eq!(found["holdout_from"], "split", "{name}: {}", done.stderr);
+        assert_eq!(found["verdict"], "none", "{name}: {found:#}");
+        assert!(done.stderr.contains(reason), "{name}: {}", done.stderr);
+        assert!(done.stderr.contains("not used"), "{name}: {}", done.stderr);
+        let notes = found["notes"].to_string();
+        assert!(notes.contains(reason), "{name}: {notes}");
+    }
+    let good = desk.put("holdout.csv", &text_of(&again, |_| {}));
+    let done = call(
+        "diagnose {} --json --model {} --holdout {}",
+        &[&run, &nameplate, &good],
+    )
+    .expect(0);
+    assert_eq!(done.json()["holdout_from"], "run");
+    assert!(!done.stderr.contains("warning"), "{}", done.stderr);
+}
+
+/// Without a standstill errors are counted in the residual of the refitted baseline, and no word may call that a floor.
+#[test]
+fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    // The bridge takes 2 V of what was asked.
+    let dropped = |rows: &[Row]| text_of(rows, |row| row[1] += 2.0 * row[1].signum());
+    let run = desk.put("run.csv", &dropped(&good()[120..]));
+    let other = record(again(37), 0.9);
+    let holdout = desk.put("holdout.csv", &dropped(&other[120..]));
+    let third = record(again(41), 0.8);
+    let confirm = desk.put("confirm.csv", &dropped(&third[120..]));
+    let model = desk.path("model2.toml");
+    let page = desk.path("page.html");
+    let paths: [&Path; 5] = [&nameplate, &run, &holdout, &confirm, &model];
+    let files: [&Path; 4] = [&run, &nameplate, &holdout, &page];
+    let diagnosed = "diagnose {} --model {} --holdout {} --html {}";
+    let added = "add voltage_drop --model {} --run {} --holdout {} --confirm {} --output {}";
+    let refused = "add quadratic_load --model {} --run {} --holdout {} --confirm {}";
+    let diagnosis = call(diagnosed, &files).expect(0).stdout;
+    let accepted = call(added, &paths).expect(0).stdout;
+    let refusal = call(refused, &paths[..4]);
+    for (name, text) in [
+        ("diagnose", diagnosis),
+        ("page", fs::read_to_string(page).expect("written")),
+        ("add", accepted),
+        ("refused", refusal.stdout.clone() + &refusal.stderr),
+        ("model", fs::read_to_string(model).expect("written")),
+    ] {
+        let text = text.replace("&#39;", "'");
+        assert!(!text.contains("times the noise"), "{name}: {text}");
+        assert!(!text.contains("at the noise floor"), "{name}: {text}");
+        assert!(text.contains("the baseline's residual"), "{name}: {text}");
+    }
+}
+
+/// The page of a command on the run, a hold-out and the nameplate.
+fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> String {
+    let page = desk.path(format!("{command}.html"));
+    let nameplate = desk.nameplate();
+    let text = format!("{command} {{}} --holdout {{}} --model {{}} --html {{}}");
+    call(&text, &[run, holdout, &nameplate, &page]).expect(0);
+    fs::read_to_string(page).expect("the page is written")
+}
+
+#[test]
+fn a_page_names_no_holdout_that_was_set_aside_and_says_why_it_was() {
+    let desk = Desk::new();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let other = record(OTHER, 0.9);
+    let other = desk.put("other.csv", &text_of(&other, |_| {}));
+    let page = page_of(&desk, "diagnose", &run, &other);
+    assert!(page.contains("run.csv, last 40 % held out"), "{page}");
+    assert!(!page.contains("held out other.csv"), "{page}");
+    assert!(!page.contains("run 2"), "two runs: {page}");
+    assert!(page.contains("not of the same motor"), "{page}");
+}
+
+#[test]
+fn a_page_does_not_call_unseen_what_is_objected_to() {
+    let desk = Desk::new();
+    let run = desk.put("run.csv", &text_of(good(), |_| {}));
+    let page = page_of(&desk, "compare", &run, &run);
+    assert!(!page.contains("has not seen"), "{page}");
+    assert!(page.contains("its samples are those of the run"), "{page}");
+    let desk = Desk::new();
+    let again = record(again(23), 0.9);
+    let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
+    let page = page_of(&desk, "compare", &run, &holdout);
+    assert!(page.contains("held out again.csv"), "{page}");
+    assert!(page.contains("has not seen"), "{page}");
+    assert!(!page.contains("About the data"), "{page}");
+}
+
+#[test]
+fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
+    let desk = Desk::new();
+    let with_hole = |rows: &[Row]| [&rows[..700], &rows[760..]].concat();
+    let torn = text_of(&with_hole(good()), |_| {}) + "7.99,1";
+    let run = desk.put("run.csv", &torn);
+    let again = with_hole(&record(again(23), 0.9));
+    let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
+    for command in ["diagnose", "compare"] {
+        let page = page_of(&desk, command, &run, &holdout);
+        for file in ["run.csv: 60 of ", "again.csv: 60 of "] {
+            assert!(page.contains(file), "{command}, {file}: {page}");
+        }
+        assert!(page.contains("of voltage_v are missing"), "{page}");
+        let dropped = "Rows of the file that were dropped: 1";
+        assert!(page.contains(dropped), "{command}: {page}");
+    }
+}
+
+#[test]
+fn a_record_that_begins_while_the_motor_runs_out_has_the_floor_of_the_rest_after_it() {
+    let desk = Desk::new();
+    let bench = Bench {
+        turning: 80.0,
+        ..again(31)
+    };
+    let rows = record(bench, 1.0);
+    let run = desk.put("coasts.csv", &text_of(&rows, |_| {}));
+    let nameplate = desk.nameplate();
+    let done = call("compare {} --json --model {}", &[&run, &nameplate]).expect(0);
+    let floor = done.json()["signals"]["speed_rad_s"]["noise_floor"].as_f64();
+    assert!(floor > Some(0.1) && floor < Some(0.2), "{floor:?}");
+}
+
+#[test]
+fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
+    let desk = Desk::new();
+    let nameplate = desk.nameplate();
+    let mut text = format!("{COLUMNS}\n");
+    for row in good() {
+        if !(3.2..4.1).contains(&row[0]) {
+            push(&mut text, &row[..4]);
+        }
+    }
+    let gap = desk.put("gap.csv", &text);
+    let done = call("compare {} --json --model {}", &[&gap, &nameplate]).expect(0);
+    has(
+        &done.stderr,
+        &["the longest time without 0.900 s from 3.200 s on"],
+    );
+    let mut holes = format!("{COLUMNS}\n");
+    for (k, row) in good().iter().enumerate() {
+        let volts = if k % 10 == 9 {
+            String::new()
+        } else {
+            row[1].to_string()
+        };
+        let _ = writeln!(holes, "{},{volts},{},{}", row[0], row[2], row[3]);
+    }
+    let holes = desk.put("holes.csv", &holes);
+    let done = call("compare {} --json --model {}", &[&holes, &nameplate]).expect(0);
+    has(&done.stderr, &[" of 1,599 rows of voltage_v are missing"]);
+}

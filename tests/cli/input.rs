@@ -1,0 +1,473 @@
+//! What the command line makes of foreign, torn and empty files, wrong keys, wrong words and plans that are too much.
+
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::fs;
+
+use crate::kit::{
+    BENCH, Desk, Done, PLAIN, call, drivebench, has, json_of, line, only_folder,
+    parameter as value, refusal,
+};
+use serde_json::Value;
+
+/// A run of the plain motor, as rows of text: time, voltage, current, speed.
+fn rows() -> Vec<[String; 4]> {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let text = "run --port sim: --headless --emulator zk-22fc-plain --seed 7 --out {}";
+    call(text, &[out.path()]).expect(0);
+    let csv = fs::read_to_string(only_folder(out.path()).join("samples.csv")).expect("samples");
+    let mut lines = csv.lines().map(|row| row.split(',').collect::<Vec<_>>());
+    let header = lines.next().expect("a header");
+    let places = ["time_s", "voltage_cmd_v", "current_a", "speed_rad_s"].map(|name| {
+        let place = header.iter().position(|cell| *cell == name);
+        place.expect("a column that every run has")
+    });
+    let rows = lines.map(|row| places.map(|place| row[place].to_owned()));
+    rows.collect()
+}
+
+const HEADER: &str = "time_s,voltage_cmd_v,current_a,speed_rad_s\n";
+
+fn csv(header: &str, rows: &[[String; 4]]) -> String {
+    let mut text = header.to_owned();
+    for row in rows {
+        let _ = writeln!(text, "{}", row.join(","));
+    }
+    text
+}
+
+impl Desk {
+    /// `identify --json` on a file of this text.
+    fn identify(&self, text: &str, more: &str) -> Done {
+        self.on(&format!("identify {{}} --json {more}"), text)
+    }
+}
+
+#[test]
+fn a_foreign_file_with_other_names_and_units_gives_the_same_motor() {
+    let (desk, rows) = (Desk::new(), rows());
+    let own = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
+    let foreign: Vec<[String; 4]> = rows
+        .iter()
+        .map(|[time, volts, amps, speed]| {
+            let rpm = speed
+                .parse::<f64>()
+                .map_or(f64::NAN, |speed| speed * 60.0 / TAU);
+            let milliamps = amps.parse::<f64>().map_or(f64::NAN, |amps| amps * 1e3);
+            [
+                time.clone(),
+                volts.clone(),
+                milliamps.to_string(),
+                rpm.to_string(),
+            ]
+        })
+        .collect();
+    // With the byte order mark of a spreadsheet.
+    let text = csv("\u{feff}t,\"u, V\",i mA,rpm\n", &foreign);
+    let file = desk.put("foreign.csv", &text);
+    let mut arguments = line("identify {} --json --map", &[&file]);
+    arguments.push(
+        "time_s=t,voltage_v=\"u, V\",current_a=i mA*0.001,speed_rad_s=rpm*0.10471975511965977"
+            .into(),
+    );
+    let found = drivebench(arguments).expect(0).json();
+    for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
+        let (ours, theirs) = (value(&own, key).unwrap(), value(&found, key).unwrap());
+        assert!((theirs / ours - 1.0).abs() < 1e-3, "{key}: {ours} {theirs}");
+    }
+    // A header that is not there is named, with what is there.
+    let text = "identify {} --map time_s=t,speed_rad_s=rmp";
+    let error = refusal(text, &[&file]);
+    assert!(error.contains("rmp") && error.contains("rpm"), "{error}");
+    let text = "identify {} --map time_s=t,sped_rad_s=rpm";
+    let error = refusal(text, &[&file]);
+    assert!(error.contains("speed_rad_s"), "{error}");
+}
+
+#[test]
+fn a_torn_last_row_is_a_warning_and_a_torn_middle_an_error() {
+    let (desk, rows) = (Desk::new(), rows());
+    let whole = csv(HEADER, &rows);
+    // Cut within the last row, before its last comma.
+    let cut = whole.trim_end().rfind(',').unwrap();
+    let done = desk.identify(&whole[..cut], "").expect(0);
+    assert!(done.stderr.contains("warning: "), "{}", done.stderr);
+    let found = done.json();
+    assert_eq!(found["rows_dropped"], 1);
+    assert_eq!(found["rows"].as_u64(), Some(rows.len() as u64 - 1));
+
+    let mut torn: Vec<&str> = whole.lines().collect();
+    torn[20] = "0.95,0";
+    let error = desk.identify(&torn.join("\n"), "").expect(2).error();
+    assert!(error.contains("line 21"), "{error}");
+}
+
+#[test]
+fn files_without_data_are_status_2_with_the_name() {
+    let desk = Desk::new();
+    for text in ["", HEADER, "colour,shape\n1,2\n"] {
+        let error = desk.identify(text, "").expect(2).error();
+        assert!(error.contains("log.csv"), "{text:?}: {error}");
+    }
+    let missing = desk.path("missing.csv");
+    let error = refusal("identify {}", &[&missing]);
+    assert!(error.contains("missing.csv"), "{error}");
+    let text = "time_s,voltage_cmd_v,current_a,speed_rad_s\n0,1,1,1\n0,1,1,1\n";
+    let error = desk.identify(text, "").expect(2).error();
+    assert!(error.contains("strictly increasing"), "{error}");
+    let text = "time_s,voltage_cmd_v,current_a,speed_rad_s\n0,1,1,fast\n1,1,1,1\n";
+    let error = desk.identify(text, "").expect(2).error();
+    assert!(error.contains("fast"), "{error}");
+}
+
+#[test]
+fn a_column_of_missing_values_is_not_measured_and_never_zero() {
+    let (desk, rows) = (Desk::new(), rows());
+    let without = |place: usize| {
+        let mut rows = rows.clone();
+        for row in &mut rows {
+            row[place] = "NaN".to_owned();
+        }
+        csv(HEADER, &rows)
+    };
+    // Without the current the back-EMF is still there, and near what all columns give.
+    let all = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
+    let found = desk.identify(&without(2), "").expect(0).json();
+    let key = "back_emf_v_s_per_rad";
+    let (ours, theirs) = (value(&all, key).unwrap(), value(&found, key).unwrap());
+    assert!((theirs / ours - 1.0).abs() < 0.02, "{ours} {theirs}");
+    // Without the voltage nothing electrical can come out.
+    let done = desk
+        .identify(&without(1), "--require resistance_ohm")
+        .expect(5);
+    assert!(value(&done.json(), "resistance_ohm").is_none());
+    done.error();
+}
+
+#[test]
+fn data_that_excite_nothing_are_status_5_with_a_reason() {
+    let (desk, rows) = (Desk::new(), rows());
+    let steady: Vec<[String; 4]> = rows
+        .iter()
+        .map(|[time, ..]| [time, "12.0", "1.5", "30.0"].map(str::to_owned))
+        .collect();
+    desk.identify(&csv(HEADER, &steady), "").expect(5).error();
+    // The half second of standstill that each run begins with.
+    let done = desk.identify(&csv(HEADER, &rows[..45]), "").expect(5);
+    let found = done.json();
+    done.error();
+    for (key, parameter) in found["parameters"].as_object().unwrap() {
+        assert_eq!(parameter["verdict"], "not_observable", "{key}");
+        assert!(parameter["value"].is_null() && parameter["std"].is_null());
+        assert!(parameter["reason"].is_string(), "{key}");
+    }
+}
+
+#[test]
+fn what_cannot_be_observed_and_is_required_is_status_5() {
+    let (desk, rows) = (Desk::new(), rows());
+    // A shaft at rest does not show its inertia.
+    let text = csv(HEADER, &rows[..45]);
+    let done = desk.identify(&text, "--require inertia_kg_m2").expect(5);
+    assert!(done.json()["parameters"]["inertia_kg_m2"]["value"].is_null());
+    assert!(done.error().contains("inertia_kg_m2"));
+}
+
+/// Force and position of a linear axis: 95 kg, 20 N of dry friction, 200 N.s/m, 6 N of its own weight on the slope.
+fn axis() -> String {
+    let (mass, dry, viscous, offset) = (95.0, 20.0, 200.0, 6.0);
+    let force = |t: f64| {
+        150.0 * (TAU * 0.37 * t).sin()
+            + 70.0 * (TAU * 1.3 * t + 1.0).sin()
+            + 40.0 * (TAU * 3.1 * t).sin()
+    };
+    let (mut text, mut speed, mut position) = ("t,force_n,x_m\n".to_owned(), 0.0_f64, 0.0);
+    let (step_s, every) = (1e-5, 200);
+    for step in 0..1_500_000_u32 {
+        let time_s = f64::from(step) * step_s;
+        if step % every == 0 {
+            // As an encoder of 0.1 um reads it.
+            let count = (position * 1e7_f64).round() / 1e7;
+            let _ = writeln!(text, "{time_s:.5},{:.3},{count}", force(time_s));
+        }
+        let drive = force(time_s) - offset;
+        let sticks = speed == 0.0 && drive.abs() <= dry;
+        let direction = if speed == 0.0 {
+            drive.signum()
+        } else {
+            speed.signum()
+        };
+        let next = if sticks {
+            0.0
+        } else {
+            speed + (drive - dry * direction - viscous * speed) / mass * step_s
+        };
+        // Through zero it stops before it turns.
+        let next = if speed * next < 0.0 { 0.0 } else { next };
+        position += 0.5 * (speed + next) * step_s;
+        speed = next;
+    }
+    text
+}
+
+#[test]
+fn an_axis_without_electrics_is_identified_from_force_and_position() {
+    let desk = Desk::new();
+    let file = desk.put("axis.csv", &axis());
+    let model = desk.put(
+        "axis.toml",
+        "[motor]\nname = \"axis\"\n[[effect]]\nid = \"viscous_friction\"\n[[effect]]\nid = \"constant_load\"\n",
+    );
+    let text = "identify {} --model {} --json --map time_s=t,torque_n_m=force_n,angle_rad=x_m";
+    let done = call(text, &[&file, &model]).expect(0);
+    assert!(done.stderr.contains("derived"), "{}", done.stderr);
+    let found = done.json();
+    assert_eq!(found["scheme"], "weak-form");
+    for (key, truth, tolerance) in [
+        ("inertia_kg_m2", 95.0, 0.015),
+        ("load_torque_n_m", 20.0, 0.08),
+        ("viscous_friction.viscous_n_m_s_per_rad", 200.0, 0.05),
+        ("constant_load.constant_n_m", 6.0, 0.15),
+    ] {
+        let value = value(&found, key);
+        let near = value.is_some_and(|value| (value / truth - 1.0).abs() < tolerance);
+        assert!(near, "{key}: {value:?}, not {truth}\n{found:#}");
+    }
+}
+
+#[test]
+fn figures_of_an_axis_without_electrics_stand_under_their_names() {
+    let desk = Desk::new();
+    // A second at rest, in which the last digit of the encoder flickers, gives the floor.
+    let moving = axis();
+    let (header, moving) = moving.split_once('\n').unwrap();
+    let mut text = format!("{header}\n");
+    for k in 0..500_u32 {
+        let digit = k.wrapping_mul(2_654_435_761) >> 31;
+        let _ = writeln!(
+            text,
+            "{:.5},0.000,{}",
+            f64::from(k) * 2e-3,
+            f64::from(digit) * 1e-7
+        );
+    }
+    for row in moving.lines() {
+        let (time_s, rest) = row.split_once(',').unwrap();
+        let _ = writeln!(text, "{:.5},{rest}", time_s.parse::<f64>().unwrap() + 1.0);
+    }
+    let file = desk.put("axis.csv", &text);
+    let model = desk.put(
+        "axis.toml",
+        "[motor]\nname = \"axis\"\ninertia_kg_m2 = 80.0\nload_torque_n_m = 20.0\n\
+         [[effect]]\nid = \"viscous_friction\"\nviscous_n_m_s_per_rad = 200.0\n",
+    );
+    let page = desk.path("page.html");
+    let map = "--map time_s=t,torque_n_m=force_n,angle_rad=x_m";
+    let compared = format!("compare {{}} --model {{}} --html {{}} {map}");
+    let shown = call(&compared, &[&file, &model, &page]).expect(0).stdout;
+    let row = |name: &str| {
+        let found = shown.lines().find_map(|line| line.strip_prefix(name));
+        let (holdout, training) = found
+            .unwrap_or_else(|| panic!("{name}: {shown}"))
+            .split_once('|')
+            .unwrap();
+        let cells = |half: &str| -> Vec<String> {
+            let words = half.split_whitespace().map(str::to_owned);
+            words
+                .filter(|word| word.parse::<f64>().is_ok() || word == "unknown" || word == "-")
+                .collect()
+        };
+        (cells(holdout), cells(training))
+    };
+    let found = json_of(
+        &format!("compare {{}} --model {{}} --json {map}"),
+        &[&file, &model],
+    );
+    let torque = &found["signals"]["torque_n_m"];
+    let [floor, rmse, training] = ["/noise_floor", "/holdout/rmse", "/fit_percent"]
+        .map(|key| torque.pointer(key).and_then(Value::as_f64).unwrap());
+    let (holdout, fitted) = row("torque ");
+    assert_eq!(
+        holdout[2..],
+        [format!("{floor:.3}"), format!("{:.2}", rmse / floor)],
+        "{shown}"
+    );
+    assert_eq!(
+        fitted,
+        [format!("{training:.2}"), "-".to_owned()],
+        "{shown}"
+    );
+    assert_eq!(
+        row("speed (0.75 s windows)").0[2..],
+        ["unknown", "unknown"],
+        "{shown}"
+    );
+    assert!(shown.contains("band: torque ee"), "{shown}");
+    assert!(found["residual"]["torque_n_m"]["rho_ee"].is_object());
+    assert!(found["residual"].get("speed_rad_s").is_none());
+    let page = fs::read_to_string(page).unwrap();
+    assert!(page.contains("speed (0.75 s windows)"), "{page}");
+    let lights = &page[page.find("Residual lights").unwrap()..];
+    let lights = &lights[..lights.find("</table>").unwrap()];
+    assert!(
+        lights.contains("torque") && !lights.contains("speed"),
+        "{lights}"
+    );
+}
+
+#[test]
+fn a_wrong_key_is_named_with_its_line_and_the_nearest() {
+    let desk = Desk::new();
+    let model = "[motor]\nname = \"m\"\nresistance_ohm = 1.1\ninertia_kg_m2 = 0.0045\n";
+    let run = desk.put("run.csv", &csv(HEADER, &rows()[..60]));
+    for (command, text, right, wrong) in [
+        (
+            "identify RUN --model {}",
+            model,
+            "inertia_kg_m2",
+            "inertia_kgm2",
+        ),
+        ("plan {}", BENCH, "slew_v_per_s", "slew_v_pers"),
+        ("plan {}", BENCH, "resistance_ohm", "resistence_ohm"),
+        ("emulate {}", PLAIN, "current_limit_a", "curent_limit_a"),
+    ] {
+        let place = format!("\n{right}");
+        assert!(text.contains(&place), "{right}");
+        let text = text.replacen(&place, &format!("\n{wrong}"), 1);
+        let number = 1 + text.lines().position(|l| l.starts_with(wrong)).unwrap();
+        let file = desk.put("wrong.toml", &text);
+        let mut arguments = line(command, &[&file]);
+        for argument in &mut arguments {
+            if argument.as_os_str() == "RUN" {
+                argument.clone_from(&run);
+            }
+        }
+        let error = drivebench(arguments).expect(2).error();
+        assert!(error.contains(&format!("wrong.toml:{number}:")), "{error}");
+        assert!(error.contains(wrong) && error.contains(right), "{error}");
+    }
+}
+
+#[test]
+fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
+    let desk = Desk::new();
+    call("plan {} --json", &[&desk.put("good.toml", BENCH)]).expect(0);
+    let (right, wrong) = ("\nspeed_rad_s = 340.0", "\nspeed_rad_s = 100.0");
+    assert!(BENCH.contains(right));
+    let file = desk.put("fast.toml", &BENCH.replacen(right, wrong, 1));
+    let done = call("plan {} --json", &[&file]).expect(2);
+    let error = done.error();
+    assert!(error.contains("speed") && error.contains("100"), "{error}");
+    let refusals = done.json()["refusals"].as_array().map_or(0, Vec::len);
+    assert!(refusals > 0);
+    let predicted = done.json()["peak_speed_rad_s"].as_f64().unwrap();
+    assert!(predicted > 100.0);
+    // And `run` refuses it before anything is energised.
+    let out = desk.path("runs");
+    let text = "run {} --port sim: --headless --out {}";
+    let error = refusal(text, &[&file, &out]);
+    assert!(error.contains("plan refused"), "{error}");
+    assert!(!out.exists());
+}
+
+#[test]
+fn effects_has_a_card_for_each_and_names_the_nearest() {
+    let all = drivebench(["effects", "--json"]).expect(0).json();
+    let all = all.as_array().unwrap();
+    assert!(all.len() >= 27);
+    let changelog = include_str!("../../CHANGELOG.md").split_whitespace();
+    let changelog = changelog.collect::<Vec<_>>().join(" ");
+    for card in all {
+        let id = card["id"].as_str().unwrap();
+        let name = card["name"].as_str().unwrap();
+        let is_listed = changelog.contains(name) || changelog.contains(&format!("`add {id}`"));
+        assert!(is_listed, "{id} is not in the CHANGELOG");
+        for key in [
+            "name",
+            "equation",
+            "causes",
+            "looks_like",
+            "excite",
+            "remedy",
+        ] {
+            assert!(
+                card[key].as_str().is_some_and(|text| !text.is_empty()),
+                "{id}: {key}"
+            );
+        }
+        // What the user or the data define has its parameters in its settings.
+        let is_defined = ["custom", "table"].contains(&id);
+        let has_parameters = !card["parameters"].as_array().unwrap().is_empty();
+        assert!(has_parameters || is_defined, "{id}");
+        let text = drivebench(["effects", id]).expect(0).stdout;
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let equation = card["equation"].as_str().unwrap();
+        assert!(words.join(" ").contains(equation), "{id}");
+    }
+    let error = drivebench(["effects", "stribek_friction"])
+        .expect(2)
+        .error();
+    has(&error, &["did you mean `stribeck_friction`"]);
+}
+
+#[test]
+fn every_command_has_help_with_an_example() {
+    let page = drivebench(["--help"]).expect(0).stdout;
+    assert!(page.contains("130"), "the exit statuses are missing");
+    let commands: Vec<&str> = page
+        .lines()
+        .skip_while(|line| !line.starts_with("Commands:"))
+        .skip(1)
+        .take_while(|line| line.starts_with("  "))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|command| *command != "help")
+        .collect();
+    assert!(commands.len() >= 11, "{commands:?}");
+    for command in commands {
+        let help = drivebench([command, "--help"]).expect(0).stdout;
+        assert!(help.contains("Example"), "{command}: no example");
+        assert!(
+            help.contains(&format!("drivebench {command} ")),
+            "{command}: {help}"
+        );
+    }
+}
+
+#[test]
+fn usage_errors_are_two_lines_and_status_2() {
+    for arguments in [
+        &["nonsense"][..],
+        &["identify"],
+        &["identify", "a.csv", "--model"],
+        &["run", "--sed", "3"],
+        &["compare", "a.csv", "--min-fit", "much"],
+        &["run", "--headless", "--port", ""],
+        &[
+            "run",
+            "--headless",
+            "--port",
+            "sim:",
+            "--emulator",
+            "zk-22fc-plane",
+        ],
+        &["emulate", "--link", "telepathy"],
+        &["emulate", "--link", "modbus-tcp", "--pty", "no.pty"],
+        &["emulate", "--listen", "127.0.0.1:0"],
+        &["emulate", "--pty", "README.md"],
+        &["emulate", "--pty", "no-such-folder/drive.pty"],
+    ] {
+        let done = drivebench(arguments).expect(2);
+        done.error();
+        assert_eq!(done.stdout, "", "{arguments:?}");
+    }
+    // As newcomers write it.
+    for (arguments, is_told) in [
+        (["diagnose", "runs/a", "runs/b"], true),
+        (["compare", "runs/a", "runs/b"], true),
+        (["compare", "runs/a", "--fit"], false),
+        (["replay", "runs/a", "runs/b"], false),
+    ] {
+        let error = drivebench(arguments).expect(2).error();
+        assert_eq!(error.contains("--holdout RUN2"), is_told, "{error}");
+    }
+}

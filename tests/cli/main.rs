@@ -1,0 +1,25 @@
+//! The command line through the real binary: on files, and on emulated drives in virtual time. What wants its deadlines
+//! kept is in `tests/live`.
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of an integration test are test code"
+)]
+
+#[path = "../kit/mod.rs"]
+mod kit;
+
+mod bad_input;
+mod first_move;
+mod holdout;
+mod identify;
+mod input;
+#[cfg(target_os = "linux")]
+mod mystery;
+mod next_run;
+mod offline;
+mod progress;
+mod replay;
+mod reproduce;
+mod screen;
+mod unknown;

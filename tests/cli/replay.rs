@@ -1,0 +1,208 @@
+//! `replay` through the real binary: the live run again, to the bit and in constant memory.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use crate::kit::{BINARY, Done, call, json_of, only_folder, parameter, read_json};
+use serde_json::Value;
+
+/// A live run of the emulated motor; the tests work on copies.
+fn live() -> &'static Path {
+    static RUN: OnceLock<PathBuf> = OnceLock::new();
+    RUN.get_or_init(|| {
+        let out = tempfile::tempdir().expect("a temporary folder");
+        let text = "run --port sim: --headless --json --emulator zk-22fc-plain --seed 3 --out {}";
+        call(text, &[out.path()]).expect(0);
+        only_folder(&out.keep())
+    })
+}
+
+fn copy() -> (tempfile::TempDir, PathBuf) {
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let to = out.path().join("run");
+    fs::create_dir(&to).expect("a new folder");
+    for entry in fs::read_dir(live()).expect("the run is there") {
+        let path = entry.expect("an entry can be read").path();
+        let name = path.file_name().expect("a file has a name");
+        fs::copy(&path, to.join(name)).expect("a file can be copied");
+    }
+    (out, to)
+}
+
+fn replay(run: &Path) -> Done {
+    call("replay {} --json", &[run])
+}
+
+/// The samples with one line changed.
+fn change(run: &Path, row: usize, with: impl Fn(&str) -> String) {
+    let path = run.join("samples.csv");
+    let text = fs::read_to_string(&path).expect("samples are text");
+    let changed: String = text
+        .lines()
+        .enumerate()
+        .map(|(n, line)| if n == row { with(line) } else { line.to_owned() } + "\n")
+        .collect();
+    assert_ne!(text, changed);
+    fs::write(path, changed).expect("the copy can be written");
+}
+
+#[test]
+fn a_live_run_comes_out_again_to_the_bit() {
+    let result = replay(live()).expect(0).json();
+    assert_eq!(result["identical"], true);
+    assert_eq!(result["first_difference"], Value::Null);
+    assert_eq!(result["configuration_from"], "manifest");
+    let inertia = &result["parameters"]["inertia_kg_m2"];
+    assert_eq!(inertia["verdict"], "settled");
+    let kept = read_json(live().join("result.json"));
+    assert_eq!(&kept["parameters"]["inertia_kg_m2"], inertia);
+    assert!(kept["online"]["rows"].as_u64() > Some(1000));
+    let text = call("replay {}", &[live()]).expect(0).stdout;
+    assert!(text.contains("identical to the live estimates"), "{text}");
+}
+
+#[test]
+fn one_changed_digit_is_found() {
+    let (_out, run) = copy();
+    let header = fs::read_to_string(run.join("samples.csv")).expect("samples");
+    let column = header
+        .lines()
+        .next()
+        .and_then(|names| names.split(',').position(|name| name == "current_a"))
+        .expect("a current is recorded");
+    // The last digit of one current in the middle of the run.
+    let rows = header.lines().count();
+    let row = (rows / 2..rows)
+        .find(|row| {
+            let cells: Vec<&str> = header
+                .lines()
+                .nth(*row)
+                .expect("a row")
+                .split(',')
+                .collect();
+            cells[column].len() > 3
+        })
+        .expect("a row with a current");
+    change(&run, row, |line| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        let last = cells[column].pop();
+        cells[column].push(if last == Some('1') { '2' } else { '1' });
+        cells.join(",")
+    });
+    let done = replay(&run).expect(1);
+    let result = done.json();
+    assert_eq!(result["identical"], false);
+    let key = result["first_difference"]["key"].as_str().expect("a key");
+    assert!(done.error().contains(key), "{}", done.stderr);
+    assert!(key.starts_with("parameters."), "{key}");
+}
+
+#[test]
+fn the_configuration_of_the_live_estimators_is_used() {
+    let (_out, run) = copy();
+    let path = run.join("manifest.json");
+    let mut manifest = read_json(&path);
+    let online = manifest["configs"]["online"].as_str().expect("a text");
+    let other = online.replace(
+        "electrical_forgetting = 0.995",
+        "electrical_forgetting = 0.97",
+    );
+    assert_ne!(online, other);
+    manifest["configs"]["online"] = Value::String(other);
+    fs::write(&path, manifest.to_string()).expect("the copy can be written");
+    let result = replay(&run).expect(1).json();
+    assert_eq!(result["configuration"]["electrical_forgetting"], 0.97);
+    assert_eq!(result["identical"], false);
+
+    manifest["configs"]["online"] = Value::String("electrical = 1".into());
+    fs::write(&path, manifest.to_string()).expect("the copy can be written");
+    let error = replay(&run).expect(2).error();
+    assert!(error.contains("configs.online"), "{error}");
+}
+
+#[test]
+fn a_killed_run_has_nothing_to_compare_with_and_a_torn_row() {
+    let (_out, run) = copy();
+    let path = run.join("samples.csv");
+    let text = fs::read_to_string(&path).expect("samples");
+    fs::write(&path, &text[..text.len() * 2 / 3]).expect("the copy can be written");
+    let manifest = fs::read_to_string(run.join("manifest.json")).expect("a manifest");
+    let unfinished = manifest.replace("\"finished\": true", "\"finished\": false");
+    assert_ne!(manifest, unfinished);
+    fs::write(run.join("manifest.json"), unfinished).expect("the copy can be written");
+    fs::remove_file(run.join("result.json")).expect("it was there");
+    let done = replay(&run).expect(0);
+    let result = done.json();
+    assert_eq!(result["identical"], Value::Null);
+    assert_eq!(result["rows_dropped"], 1);
+    let because = result["not_compared_because"].as_str().expect("a reason");
+    assert!(because.contains("not finished"), "{because}");
+    assert!(done.stderr.contains("last whole row"), "{}", done.stderr);
+    assert!(result["parameters"]["resistance_ohm"]["value"].is_number());
+}
+
+#[test]
+fn a_foreign_file_is_replayed_by_its_map() {
+    let (_out, run) = copy();
+    let text = fs::read_to_string(run.join("samples.csv")).expect("samples");
+    let foreign = run.join("log.csv");
+    fs::write(&foreign, text.replace("time_s,", "t,")).expect("the copy can be written");
+    let map = "time_s=t,voltage_cmd_v=voltage_cmd_v,current_a=current_a,speed_rad_s=speed_rad_s";
+    let text = format!("replay {{}} --json --map {map}");
+    let result = json_of(&text, &[&foreign]);
+    assert_eq!(result["identical"], Value::Null);
+    let because = result["not_compared_because"].as_str().expect("a reason");
+    assert!(because.contains("foreign"), "{because}");
+    assert_eq!(result["configuration_from"], "default");
+    let own = replay(live()).expect(0).json();
+    // The live run started from the nameplate, the foreign one from nothing: the same motor, not the same bits.
+    for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
+        let value = |of: &Value| parameter(of, key).expect("a value");
+        let ratio = value(&result) / value(&own);
+        assert!((ratio - 1.0).abs() < 0.01, "{key} {ratio}");
+    }
+    // Without speed nothing can be told, and the reader learns why.
+    let text = "replay {} --json --map time_s=t,current_a=current_a";
+    let done = call(text, &[&foreign]).expect(0);
+    assert!(done.stderr.contains("no speed_rad_s"), "{}", done.stderr);
+    assert_eq!(
+        done.json()["parameters"]["inertia_kg_m2"]["value"],
+        Value::Null
+    );
+}
+
+/// Under a limit on the memory that reading the whole run into columns goes far beyond.
+#[test]
+#[cfg(target_os = "linux")]
+fn three_hundred_thousand_rows_stream_in_little_memory() {
+    const ROWS: u32 = 300_000;
+    let out = tempfile::tempdir().expect("a temporary folder");
+    let path = out.path().join("long.csv");
+    let mut text =
+        "time_s,voltage_cmd_v,current_a,speed_rad_s,angle_rad,bus_v,torque_n_m\n".to_owned();
+    for row in 0..ROWS {
+        let time_s = f64::from(row) * 1e-3;
+        let (wave, level) = ((time_s * 7.0).sin(), f64::from(row / 300 % 5));
+        let _ = writeln!(
+            text,
+            "{time_s},{},{},{},1,2,3",
+            level * 4.0,
+            level + 0.1 * wave,
+            level * 10.0 + wave
+        );
+    }
+    fs::write(&path, &text).expect("a temporary file can be written");
+    let limited = |arguments: &str| {
+        let script = format!("ulimit -d 24576; exec \"$0\" {arguments}");
+        let mut command = Command::new("sh");
+        command.arg("-c").arg(script).arg(BINARY).arg(&path);
+        Done::of(&command.output().expect("a shell can be started"))
+    };
+    let result = limited("replay \"$1\" --json").expect(0).json();
+    assert_eq!(result["rows"], ROWS);
+    // The same limit is too small for a command that holds the run: it is a limit.
+    assert_ne!(limited("identify \"$1\" --json").status, 0);
+}

@@ -1,0 +1,4 @@
+//! The repository's own rules: the plan of its rooms, and files of the user that are read or refused with words.
+
+mod architecture;
+mod text_files;

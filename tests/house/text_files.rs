@@ -1,0 +1,107 @@
+//! Whatever stands in a file of the user: it is read or refused with words, and never more than that.
+
+use drivebench::bench::BenchFile;
+use drivebench::drive::DriveProfile;
+use drivebench::emulator::EmulatorConfig;
+use drivebench::plant::ModelFile;
+use drivebench::recording::{ReadOptions, read_csv};
+use proptest::prelude::*;
+
+const BENCH: &str = include_str!("../../bench-configs/benches/zk-22fc-emulated.toml");
+const EMULATOR: &str = include_str!("../../bench-configs/emulators/example.toml");
+const OWN: &str = include_str!("../../bench-configs/drives/own.toml");
+const FOREIGN: &str = include_str!("../../bench-configs/drives/epulse50-dc.toml");
+const MODEL: &str = "[motor]\nname = \"m\"\nresistance_ohm = 1.1\ninductance_h = 0.0099\nback_emf_v_s_per_rad = 0.35\n\
+                     inertia_kg_m2 = 0.0045\nload_torque_n_m = 0.4\n\n[effects.stribeck_friction]\n";
+const SAMPLES: &str = "time_s,voltage_v,current_a,speed_rad_s\n0.0,0,0,0\n0.01,1.5,0.2,0\n0.02,1.5,,0.1\n0.03,3,0.5,0.4\n";
+
+/// What a typo, a broken download or malice puts in the place of something.
+const PIECES: [&str; 24] = [
+    "",
+    "\n",
+    "\r\n",
+    "\"",
+    "[",
+    "]]",
+    "{",
+    "}",
+    "=",
+    ",",
+    "#",
+    "nan",
+    "inf",
+    "-inf",
+    "1e999",
+    "-0",
+    "0",
+    "18446744073709551616",
+    "true",
+    "\u{0}",
+    "\u{feff}",
+    "\u{fffd}",
+    "a.b.c = 1\n",
+    "[sequence]\n",
+];
+
+/// A file that was right, with some places cut out or replaced.
+fn spoilt(text: &'static str) -> impl Strategy<Value = String> {
+    let piece = prop_oneof![
+        4 => prop::sample::select(&PIECES[..]).prop_map(str::to_owned),
+        1 => "\\PC{0,12}",
+    ];
+    let cuts = prop::collection::vec((any::<prop::sample::Index>(), 0..12_usize, piece), 1..6);
+    cuts.prop_map(move |cuts| {
+        let mut chars: Vec<char> = text.chars().collect();
+        for (place, length, piece) in cuts {
+            let begin = place.index(chars.len() + 1);
+            let end = (begin + length).min(chars.len());
+            chars.splice(begin..end, piece.chars());
+        }
+        chars.into_iter().collect()
+    })
+}
+
+/// What was refused is refused with words, on the file that was given, and without repeating the whole of it.
+fn told<T, E: std::fmt::Display>(file: &str, read: Result<T, E>) {
+    if let Err(error) = read {
+        let text = error.to_string();
+        assert!(!text.is_empty() && text.len() < 4000, "{file}: {text}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_spoilt_bench_file_is_read_or_refused(text in spoilt(BENCH)) {
+        told("bench.toml", BenchFile::parse("bench.toml", &text));
+    }
+
+    #[test]
+    fn a_spoilt_emulator_is_read_or_refused(text in spoilt(EMULATOR)) {
+        told("emulator.toml", EmulatorConfig::parse("emulator.toml", &text));
+    }
+
+    #[test]
+    fn a_spoilt_profile_is_read_or_refused(own in spoilt(OWN), foreign in spoilt(FOREIGN)) {
+        told("own.toml", DriveProfile::parse("own.toml", &own));
+        told("foreign.toml", DriveProfile::parse("foreign.toml", &foreign));
+    }
+
+    #[test]
+    fn a_spoilt_model_is_read_or_refused(text in spoilt(MODEL)) {
+        told("model.toml", ModelFile::parse("model.toml", &text));
+    }
+
+    #[test]
+    fn a_spoilt_table_is_read_or_refused(text in spoilt(SAMPLES)) {
+        told("samples.csv", read_csv(text.as_bytes(), "samples.csv", ReadOptions::default()));
+    }
+
+    #[test]
+    fn any_text_is_refused_by_everything(text in "\\PC{0,200}") {
+        told("bench.toml", BenchFile::parse("bench.toml", &text));
+        told("drive.toml", DriveProfile::parse("drive.toml", &text));
+        told("samples.csv", read_csv(text.as_bytes(), "samples.csv", ReadOptions::default()));
+    }
+}

@@ -1,0 +1,581 @@
+//! One trial in real time: the real binary, the witness on a pseudo-terminal, a fault, and the judgement.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::fs;
+use std::io::{Read, Write as _};
+use std::num::NonZero;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use portable_pty::{CommandBuilder, MasterPty, PtySize, native_pty_system};
+use serde_json::Value;
+
+use super::line::{Line, STOOD_STILL_S};
+use crate::kit::BINARY;
+use crate::witness::drive::{BENCH, Drive, PROFILE};
+use crate::witness::fault::{Act, Class, Fault, Host, Way};
+use crate::witness::judge::judge;
+use crate::witness::motor;
+
+/// A trial that takes longer hangs, s.
+const PATIENCE_S: f64 = 100.0;
+const POLL: Duration = Duration::from_millis(2);
+/// Nothing comes any more of a program that has had nothing running for so long, s: a person leaves.
+const HOPELESS_S: f64 = 8.0;
+/// Between two keys, s: a person's.
+const KEYS_S: f64 = 0.4;
+/// The witness stays for so long after the program, s: its watchdog, and somewhat more.
+const AFTER_S: f64 = 0.7;
+/// Standard deviations within which a parameter has to be: a hundred trials with three of them each.
+const SIGMAS: f64 = 3.5;
+/// Attempts at a trial in which the witness stood still.
+const ATTEMPTS: u32 = 4;
+const ROWS: u16 = 40;
+const COLUMNS: u16 = 120;
+/// Files may grow so far on a full disk, in blocks of 512 bytes.
+const FULL_BLOCKS: u32 = 60;
+
+/// What came of a trial.
+pub(crate) struct Trial {
+    pub(crate) fault: &'static Fault,
+    pub(crate) way: Way,
+    pub(crate) status: i32,
+    /// What was wrong; nothing: it passed.
+    pub(crate) wrong: Vec<String>,
+    /// Of that which was said: the last of it.
+    pub(crate) said: String,
+    /// R, Ke, J: value, standard deviation, verdict.
+    pub(crate) parameters: Vec<String>,
+    pub(crate) seconds: f64,
+    /// Longest time for which the witness stood still, or the program was kept from running, s.
+    pub(crate) stood_still_s: f64,
+    pub(crate) attempts: u32,
+    /// The fault was there at all.
+    came_about: bool,
+}
+
+impl Trial {
+    pub(crate) fn passed(&self) -> bool {
+        self.wrong.is_empty()
+    }
+
+    /// Nothing can be said: the witness did not see what happened, however often it was tried.
+    pub(crate) fn is_counted_apart(&self) -> bool {
+        !self.passed() && self.stood_still_s > STOOD_STILL_S
+    }
+}
+
+impl fmt::Display for Trial {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} {} x {:?}: status {}, {:.1} s",
+            match (self.passed(), self.is_counted_apart()) {
+                (true, _) => "ok  ",
+                (false, true) => "APART",
+                (false, false) => "FAIL",
+            },
+            self.fault,
+            self.way,
+            self.status,
+            self.seconds
+        )?;
+        if self.attempts > 1 || self.stood_still_s > STOOD_STILL_S {
+            let ms = self.stood_still_s * 1e3;
+            write!(
+                f,
+                " (attempt {}, it stood still for {ms:.0} ms)",
+                self.attempts
+            )?;
+        }
+        for parameter in &self.parameters {
+            write!(f, "; {parameter}")?;
+        }
+        for wrong in &self.wrong {
+            write!(f, "\n     {wrong}")?;
+        }
+        if !self.passed() {
+            write!(
+                f,
+                "\n     said: {}",
+                self.said.replace('\n', "\n           ")
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// The trial, repeated where the witness itself stood still.
+pub(crate) fn trial(fault: &'static Fault, way: Way, seed: u64) -> Trial {
+    let mut attempts = 1;
+    loop {
+        let mut done = attempt(fault, way, seed);
+        done.attempts = attempts;
+        // A program that stood still itself may end before there was a fault.
+        let disturbed = done.stood_still_s > STOOD_STILL_S || !done.came_about;
+        if done.passed() || !disturbed || attempts == ATTEMPTS {
+            return done;
+        }
+        attempts += 1;
+    }
+}
+
+/// The program and what it says: without a screen, or on one.
+enum Program {
+    Headless {
+        child: Child,
+        readers: Vec<JoinHandle<()>>,
+        said: Arc<Mutex<Vec<u8>>>,
+        /// The other end of its output is closed as soon as it says more.
+        is_closing: Arc<AtomicBool>,
+    },
+    Screen(Box<Screen>),
+}
+
+struct Screen {
+    child: Box<dyn portable_pty::Child + Send + Sync>,
+    master: Option<Box<dyn MasterPty + Send>>,
+    keys: Option<Box<dyn std::io::Write + Send>>,
+    reader: Option<JoinHandle<()>>,
+    shown: Arc<Mutex<vt100::Parser>>,
+    is_closing: Arc<AtomicBool>,
+}
+
+/// Reads until the end, or until it is told to close.
+fn drain(
+    mut from: impl Read + Send + 'static,
+    is_closing: Arc<AtomicBool>,
+    mut take: impl FnMut(&[u8]) + Send + 'static,
+) -> JoinHandle<()> {
+    std::thread::spawn(move || {
+        let mut bytes = [0; 4096];
+        while let Ok(count @ 1..) = from.read(&mut bytes) {
+            take(&bytes[..count]);
+            if is_closing.load(Ordering::Acquire) {
+                return;
+            }
+        }
+    })
+}
+
+impl Program {
+    fn start(fault: &Fault, way: Way, folder: &Path) -> Self {
+        let mut arguments: Vec<String> = [way.command(), "bench.toml", "--hardware"]
+            .map(str::to_owned)
+            .to_vec();
+        arguments.extend(["--out", "runs", "--reopen-s", "1"].map(str::to_owned));
+        let is_closing = Arc::new(AtomicBool::new(false));
+        if fault.act == Act::Host(Host::DiskFull) {
+            // What a full disk does to a write, without one: the file does not grow any more.
+            let shell = format!("trap '' XFSZ; ulimit -f {FULL_BLOCKS}; exec \"$0\" \"$@\"");
+            let before = ["-c".to_owned(), shell, BINARY.to_owned()];
+            arguments.splice(0..0, before);
+        }
+        let program = if fault.act == Act::Host(Host::DiskFull) {
+            "/bin/sh"
+        } else {
+            BINARY
+        };
+        if way.has_screen() {
+            let size = PtySize {
+                rows: ROWS,
+                cols: COLUMNS,
+                pixel_width: 0,
+                pixel_height: 0,
+            };
+            let pair = native_pty_system().openpty(size).expect("a terminal");
+            let mut command = CommandBuilder::new(program);
+            command.args(&arguments);
+            command.cwd(folder);
+            command.env("TERM", "xterm-256color");
+            let child = pair.slave.spawn_command(command).expect("it starts");
+            drop(pair.slave);
+            let (rows, columns) = [ROWS, COLUMNS]
+                .map(|n| NonZero::new(n).expect("some"))
+                .into();
+            let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
+            let reader = pair.master.try_clone_reader().expect("a reader");
+            let shown = Arc::clone(&screen);
+            let reader = drain(reader, Arc::clone(&is_closing), move |bytes| {
+                shown.lock().expect("the test lives").process(bytes);
+            });
+            return Self::Screen(Box::new(Screen {
+                child,
+                keys: pair.master.take_writer().ok(),
+                master: Some(pair.master),
+                reader: Some(reader),
+                shown: screen,
+                is_closing,
+            }));
+        }
+        arguments.push("--headless".to_owned());
+        let mut child = Command::new(program)
+            .args(&arguments)
+            .current_dir(folder)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("it starts");
+        let said = Arc::new(Mutex::new(Vec::new()));
+        let keep = |said: &Arc<Mutex<Vec<u8>>>| {
+            let said = Arc::clone(said);
+            move |bytes: &[u8]| said.lock().expect("the test lives").extend(bytes)
+        };
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        let readers = vec![
+            drain(stdout.expect("piped"), Arc::clone(&is_closing), keep(&said)),
+            drain(stderr.expect("piped"), Arc::clone(&is_closing), keep(&said)),
+        ];
+        Self::Headless {
+            child,
+            readers,
+            said,
+            is_closing,
+        }
+    }
+
+    fn id(&self) -> u32 {
+        match self {
+            Self::Headless { child, .. } => child.id(),
+            Self::Screen(screen) => screen.child.process_id().expect("a process id"),
+        }
+    }
+
+    fn signal(&self, signal: Signal) {
+        let id = i32::try_from(self.id()).expect("a process id");
+        let _ = kill(Pid::from_raw(id), signal);
+    }
+
+    fn press(&mut self, key: &str) {
+        if let Self::Screen(screen) = self
+            && let Some(keys) = &mut screen.keys
+        {
+            let _ = keys.write_all(key.as_bytes());
+            let _ = keys.flush();
+        }
+    }
+
+    /// Nobody reads what it says from now on.
+    fn close(&mut self) {
+        match self {
+            Self::Headless { is_closing, .. } => is_closing.store(true, Ordering::Release),
+            Self::Screen(screen) => {
+                screen.is_closing.store(true, Ordering::Release);
+                // It draws all the time, so this ends at once.
+                if let Some(reader) = screen.reader.take() {
+                    let _ = reader.join();
+                }
+                // The writer says goodbye with a line feed and an end of file, as its own drop has it.
+                screen.keys = None;
+                screen.master = None;
+            }
+        }
+    }
+
+    fn ended(&mut self) -> Option<i32> {
+        match self {
+            Self::Headless { child, .. } => {
+                let status = child.try_wait().expect("a child can be waited for")?;
+                Some(status.code().unwrap_or_else(|| {
+                    assert!(status.signal().is_some(), "{status:?}");
+                    -1
+                }))
+            }
+            Self::Screen(screen) => {
+                let status = screen
+                    .child
+                    .try_wait()
+                    .expect("a child can be waited for")?;
+                let by_signal = status.signal().is_some();
+                Some(if by_signal {
+                    -1
+                } else {
+                    i32::try_from(status.exit_code()).unwrap_or(-2)
+                })
+            }
+        }
+    }
+
+    fn end_by_force(&mut self) {
+        match self {
+            Self::Headless { child, .. } => {
+                let _ = child.kill();
+                let _ = child.wait();
+            }
+            Self::Screen(screen) => {
+                let _ = screen.child.kill();
+                let _ = screen.child.wait();
+            }
+        }
+    }
+
+    fn shown(&self) -> String {
+        match self {
+            Self::Headless { said, .. } => {
+                let said = said.lock().expect("the test lives");
+                String::from_utf8_lossy(&said).into_owned()
+            }
+            Self::Screen(screen) => {
+                let screen = screen.shown.lock().expect("the test lives");
+                screen.screen().contents()
+            }
+        }
+    }
+
+    /// Everything that it said; on a screen what stands there after the end, and what stood there before.
+    fn said(&mut self) -> String {
+        if let Self::Headless { readers, .. } = self {
+            for reader in readers.drain(..) {
+                let _ = reader.join();
+            }
+        } else {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        self.shown()
+    }
+}
+
+/// What is done to the program at its time, and when that was, s.
+fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64 {
+    let pause = |ms| std::thread::sleep(Duration::from_millis(ms));
+    let at_s = line.now_s();
+    match host {
+        Host::Interrupt => program.signal(Signal::SIGINT),
+        Host::InterruptTwice => {
+            program.signal(Signal::SIGINT);
+            pause(50);
+            program.signal(Signal::SIGINT);
+        }
+        Host::Terminate => program.signal(Signal::SIGTERM),
+        Host::HangUp => program.signal(Signal::SIGHUP),
+        Host::Quit => program.signal(Signal::SIGQUIT),
+        Host::User1 => program.signal(Signal::SIGUSR1),
+        Host::Kill => program.signal(Signal::SIGKILL),
+        Host::Suspend => {
+            program.signal(Signal::SIGSTOP);
+            pause(1000);
+            program.signal(Signal::SIGCONT);
+        }
+        Host::CloseTerminal => {
+            program.close();
+            return line.now_s();
+        }
+        Host::CloseOutput => program.close(),
+        Host::StopKey => program.press(" "),
+        Host::QuitKey => program.press("q"),
+        Host::InterruptKey => match program {
+            Program::Screen(_) => program.press("\u{3}"),
+            Program::Headless { .. } => program.signal(Signal::SIGINT),
+        },
+        Host::FolderGone => {
+            // At once: while it is emptied file by file, the recorder may make it again.
+            let gone = folder.join("gone");
+            fs::rename(folder.join("runs"), &gone).expect("it was there");
+            fs::remove_dir_all(gone).expect("nobody else knows it");
+        }
+        Host::DiskFull => {}
+    }
+    at_s
+}
+
+/// How long the threads of the program have been kept waiting for a processor, ns: nothing that it could help.
+#[derive(Default)]
+struct Kept(HashMap<PathBuf, u64>);
+
+impl Kept {
+    /// The longest wait that has ended since the last look, s.
+    fn waiting_s(&mut self, process: u32) -> f64 {
+        let tasks = fs::read_dir(format!("/proc/{process}/task"));
+        let mut longest = 0;
+        for task in tasks.into_iter().flatten().flatten() {
+            let waited = fs::read_to_string(task.path().join("schedstat")).ok();
+            let waited = waited.and_then(|text| text.split(' ').nth(1)?.parse().ok());
+            if let Some(waited) = waited {
+                let before = self.0.insert(task.path(), waited);
+                longest = longest.max(waited.saturating_sub(before.unwrap_or(waited)));
+            }
+        }
+        longest as f64 * 1e-9
+    }
+}
+
+/// Presses what a person would press, and does what the fault has it do; the status, when that was done, and the screens.
+fn sit_through(
+    fault: &Fault,
+    way: Way,
+    program: &mut Program,
+    folder: &Path,
+    line: &Line,
+) -> (i32, Option<f64>, Vec<String>) {
+    let (mut done_s, mut pressed_s, mut off_s) = (None, 0.0, None);
+    let mut stood = Vec::new();
+    let mut kept = Kept::default();
+    let status = loop {
+        if let Some(status) = program.ended() {
+            break status;
+        }
+        let now_s = line.now_s();
+        if now_s > PATIENCE_S {
+            program.end_by_force();
+            break -3;
+        }
+        let waited_s = kept.waiting_s(program.id());
+        let (from_s, is_on) = {
+            let mut state = line.lock();
+            if waited_s > STOOD_STILL_S {
+                state.gaps.push((now_s - waited_s, waited_s));
+            }
+            (state.drive.from_s, state.drive.is_on())
+        };
+        off_s = if is_on { None } else { off_s.or(Some(now_s)) };
+        if done_s.is_none()
+            && let (Some(host), Some(from_s)) = (fault.host(), from_s)
+            && now_s >= from_s
+        {
+            done_s = Some(inflict(host, program, folder, line));
+        }
+        if way.has_screen() && now_s - pressed_s > KEYS_S {
+            pressed_s = now_s;
+            let shown = program.shown();
+            if !shown.trim().is_empty() {
+                stood.push(shown.clone());
+            }
+            if shown.contains("y = start") {
+                program.press("y");
+            } else if from_s.is_none() && !shown.trim().is_empty() {
+                program.press("a");
+            } else if let Some(off_s) = off_s
+                && (shown.contains("q = quit") && now_s - off_s > 0.8 || now_s - off_s > HOPELESS_S)
+            {
+                program.press("q");
+            }
+        }
+        std::thread::sleep(POLL);
+    };
+    stood.dedup();
+    (status, done_s, stood)
+}
+
+fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let line = Line::open(Drive::new(fault.act, seed), folder.path().join("drive.pty"));
+    fs::write(folder.path().join("drive.toml"), PROFILE).expect("written");
+    fs::write(folder.path().join("bench.toml"), BENCH).expect("written");
+    let mut program = Program::start(fault, way, folder.path());
+    let (status, done_s, stood) = sit_through(fault, way, &mut program, folder.path(), &line);
+    let seconds = line.now_s();
+    std::thread::sleep(Duration::from_secs_f64(AFTER_S));
+    let mut said = program.said();
+    for screen in stood.iter().rev().take(12) {
+        said.push('\n');
+        said.push_str(screen);
+    }
+    let state = line.lock();
+    let from_s = match fault.act {
+        Act::Host(_) | Act::StopIgnored(_) => done_s,
+        _ => state.drive.seen_s(),
+    };
+    // What matters is what the witness did not see once the fault was there, or shortly before.
+    let stood_still_s = state
+        .gaps
+        .iter()
+        .filter(|(at_s, _)| from_s.is_none_or(|from_s| *at_s > from_s - 1.0))
+        .map(|(_, gap_s)| *gap_s)
+        .fold(0.0, f64::max);
+    let came_about = state.drive.from_s.is_some();
+    let mut wrong = judge(&state.drive, fault.act, fault.class, from_s);
+    drop(state);
+    if !fault.statuses.contains(&status) {
+        wrong.push(format!("status {status} instead of {:?}", fault.statuses));
+    }
+    let documents = documents(&folder.path().join("runs"));
+    // A screen is full of words; what counts is what stands as an error, and what is kept.
+    let mut told: String = documents.iter().map(|(text, _)| text.as_str()).collect();
+    let is_told = |line: &&str| {
+        let line = line.trim_start();
+        line.starts_with("error:") || line.starts_with("help:")
+    };
+    told.extend(said.lines().filter(is_told).map(|line| format!("\n{line}")));
+    if way == Way::Commission && fault.class == Class::GoesOn {
+        told.push_str(&said);
+    }
+    said.push_str(&told);
+    if fault.act != Act::Host(Host::CloseTerminal) {
+        wrong.extend(fault.untold(&told));
+    }
+    if said.contains("panicked at") {
+        wrong.push("it panicked".to_owned());
+    }
+    let loses_record = matches!(fault.act, Act::Host(Host::FolderGone | Host::DiskFull));
+    if loses_record && way == Way::Run && !said.contains("resistance") {
+        wrong.push("the result was not printed".to_owned());
+    }
+    let mut parameters = Vec::new();
+    if fault.class == Class::GoesOn && way.command() == "run" {
+        for (_, result) in &documents {
+            hold_against_truth(result, &mut parameters, &mut wrong);
+        }
+    }
+    let last: Vec<&str> = said.lines().filter(|l| !l.trim().is_empty()).collect();
+    Trial {
+        fault,
+        way,
+        status,
+        wrong,
+        said: last[..last.len().min(45)].join("\n"),
+        parameters,
+        seconds,
+        stood_still_s,
+        attempts: 1,
+        came_about,
+    }
+}
+
+/// How the runs say that they ended, and their results.
+fn documents(runs: &Path) -> Vec<(String, Value)> {
+    let Ok(entries) = fs::read_dir(runs) else {
+        return Vec::new();
+    };
+    let folders = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let read = |path: &Path| {
+        let text = fs::read_to_string(path).unwrap_or_default();
+        serde_json::from_str::<Value>(&text).unwrap_or_default()
+    };
+    folders
+        .filter(|folder| folder.is_dir())
+        .map(|folder| {
+            let manifest = read(&folder.join("manifest.json"));
+            let result = read(&folder.join("result.json"));
+            let text = format!("\n{} {}", manifest["outcome"], result["notices"]);
+            (text, result)
+        })
+        .collect()
+}
+
+/// R, Ke and J of a result: what is settled has to hold the truth.
+fn hold_against_truth(result: &Value, found: &mut Vec<String>, wrong: &mut Vec<String>) {
+    for (key, truth) in motor::TRUTHS {
+        let parameter = &result["parameters"][key];
+        let verdict = parameter["verdict"].as_str().unwrap_or("not told");
+        let (Some(value), Some(std)) = (parameter["value"].as_f64(), parameter["std"].as_f64())
+        else {
+            found.push(format!("{key} {verdict}"));
+            continue;
+        };
+        let off = (value - truth) / std;
+        let text = format!("{key} {verdict} {value:.5} +- {std:.5} ({off:+.1} sigma)");
+        if verdict == "settled" && off.abs() > SIGMAS {
+            wrong.push(format!("{text}: the truth is {truth}"));
+        }
+        found.push(text);
+    }
+}

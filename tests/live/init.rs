@@ -1,0 +1,200 @@
+//! `init` through the real binary: from nothing but profile, port and nameplate to a run.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::kit::process::Emulator;
+use crate::kit::{Desk, call, has, json_of, manifest, parameter, refusal};
+use serde_json::Value;
+
+const PLATE: &str = "bench-configs/motors/zk-22fc.toml";
+
+fn plate() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(PLATE)
+}
+
+#[test]
+fn our_own_drive_is_set_up_planned_and_run() {
+    let desk = Desk::new();
+    let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
+    let options = "init --drive own --port sim: --motor {} --out {}";
+    let done = call(options, &[&plate(), &file]).expect(0);
+    assert!(done.stdout.is_empty(), "{}", done.stdout);
+    // The next steps as they can be pasted.
+    for next in ["plan", "run"] {
+        let command = format!("  drivebench {next} {}", file.display());
+        assert!(done.stderr.contains(&command), "{}", done.stderr);
+    }
+    let text = fs::read_to_string(&file).unwrap();
+    has(
+        &text,
+        &[
+            "smaller of 2.0 x rated current 5.7 A (nameplate) and the drive's own limit 11.4 A (read back)",
+        ],
+    );
+    let plan = json_of("plan {} --json", &[&file]);
+    assert_eq!(plan["refusals"], serde_json::json!([]));
+    let run = "run {} --headless --json --emulator zk-22fc-plain --out {}";
+    let found = json_of(run, &[&file, &runs]);
+    assert_eq!(manifest(&runs)["outcome"], "passed");
+    for (key, truth) in [("resistance_ohm", 1.1), ("inertia_kg_m2", 0.0045)] {
+        let value = parameter(&found, key).unwrap();
+        assert!((value / truth - 1.0).abs() < 0.2, "{key} {value}");
+    }
+    let speed = "speed {} --headless --json --emulator zk-22fc-plain --out {}";
+    call(speed, &[&file, &desk.path("loops")]).expect(0);
+    // A second time there is a file.
+    let again = call(options, &[&plate(), &file]).expect(2);
+    assert!(again.error().contains("exists already"), "{}", again.stderr);
+    assert_eq!(fs::read_to_string(&file).unwrap(), text);
+}
+
+#[test]
+fn a_drive_of_another_make_that_takes_a_speed_is_set_up_and_run() {
+    let desk = Desk::new();
+    let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
+    let options = "init --drive epulse50-dc --port sim: --motor {} --out {}";
+    let done = call(options, &[&plate(), &file]).expect(0);
+    has(&done.stderr, &["takes no voltage command"]);
+    assert!(!done.stderr.contains("drivebench run"), "{}", done.stderr);
+    call("plan {}", &[&file]).expect(0);
+    let speed = "speed {} --headless --waive-watchdog --json --emulator zk-22fc-plain --out {}";
+    json_of(speed, &[&file, &runs]);
+    assert_eq!(manifest(&runs)["outcome"], "passed");
+    let refused = call("run {} --headless", &[&file]).expect(2);
+    assert!(
+        refused.error().contains("takes no voltage command"),
+        "{}",
+        refused.stderr
+    );
+}
+
+#[test]
+fn a_profile_from_a_file_that_takes_voltages_is_set_up_and_run() {
+    let desk = Desk::new();
+    let text = drivebench::drive::DriveProfile::text("roboteq-dc").unwrap();
+    let from = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
+    let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
+    assert!(text.contains(from));
+    let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
+    let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
+    let options = "init --drive {} --port sim: --motor {} --out {}";
+    call(options, &[&profile, &plate(), &file]).expect(0);
+    call("plan {}", &[&file]).expect(0);
+    let run = "run {} --headless --waive-watchdog --json --emulator zk-22fc-plain --out {}";
+    json_of(run, &[&file, &runs]);
+    assert_eq!(manifest(&runs)["outcome"], "passed");
+}
+
+#[test]
+fn limits_are_read_from_the_drive_and_only_offline_does_without() {
+    let desk = Desk::new();
+    let pty = desk.path("own.pty");
+    let emulator = Emulator::start("emulate zk-22fc-plain --link modbus-rtu --pty {}", &[&pty]);
+    let options = "init --drive own --port {} --motor {} --json";
+    let made = json_of(options, &[&pty, &plate()]);
+    assert_eq!(made["read_back"], true);
+    let reason = |made: &Value, key: &str| {
+        let values = made["values"].as_array().unwrap();
+        let found = values.iter().find(|value| value["key"] == key).unwrap();
+        found["reason"].as_str().unwrap().to_owned()
+    };
+    assert!(reason(&made, "limits.current_a").contains("11.4 A (read back)"));
+    assert!(reason(&made, "limits.link_silence_s").contains("watchdog of 0.5 s (read back)"));
+    assert!(reason(&made, "limits.bus_max_v").contains("(read back)"));
+    // It is a port of a real drive for all that the file knows.
+    let next = made["next"].as_array().unwrap();
+    assert!(
+        next.iter()
+            .any(|line| line.as_str().unwrap().ends_with("--hardware --headless"))
+    );
+    // The file on stdout is a bench file.
+    let text = call("init --drive own --port {} --motor {}", &[&pty, &plate()]);
+    let bench = desk.put("bench.toml", &text.expect(0).stdout);
+    call("plan {}", &[&bench]).expect(0);
+
+    drop(emulator);
+    let gone = call(options, &[&desk.path("none"), &plate()]).expect(3);
+    assert!(gone.error().contains("--offline"), "{}", gone.stderr);
+    assert!(gone.stdout.is_empty(), "{}", gone.stdout);
+    let offline = "init --drive own --port {} --motor {} --offline --json";
+    let made = json_of(offline, &[&pty, &plate()]);
+    assert_eq!(made["read_back"], false);
+    assert!(reason(&made, "limits.current_a").contains("not read back (--offline)"));
+}
+
+#[test]
+fn a_wrong_drive_is_not_believed_and_a_frequency_converter_refused_with_its_reason() {
+    let desk = Desk::new();
+    let pty = desk.path("v20.pty");
+    let _emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
+    let options = "init --drive own --port {} --motor {}";
+    let done = call(options, &[&pty, &plate()]).expect(3);
+    assert!(done.error().contains("drivebench probe"), "{}", done.stderr);
+    let options = "init --drive siemens-v20 --port {} --motor {}";
+    let done = call(options, &[&pty, &plate()]).expect(2);
+    assert!(
+        done.error().contains("takes no armature voltage"),
+        "{}",
+        done.stderr
+    );
+}
+
+#[test]
+fn a_motor_of_which_only_the_rated_values_are_given_is_found_by_the_run() {
+    let desk = Desk::new();
+    let plate = desk.put(
+        "motor.toml",
+        "name = \"what is on the plate\"\nrated_voltage_v = 110.0\nrated_current_a = 5.7\nrated_speed_rad_s = 293.2\n",
+    );
+    let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
+    let options = "init --drive own --port sim: --motor {} --out {}";
+    let done = call(options, &[&plate, &file]).expect(0);
+    assert!(done.stderr.contains("small steps"), "{}", done.stderr);
+    assert!(!done.stderr.contains("drivebench plan"), "{}", done.stderr);
+    let run = "run {} --headless --json --emulator zk-22fc-plain --out {}";
+    let found = json_of(run, &[&file, &runs]);
+    assert_eq!(found["escalation"]["outcome"], "found");
+}
+
+#[test]
+fn a_plate_or_an_argument_that_is_wrong_is_named_and_nothing_is_written() {
+    let desk = Desk::new();
+    let file = desk.path("bench.toml");
+    let zero = desk.put(
+        "motor.toml",
+        "name = \"x\"\nrated_voltage_v = 110.0\nrated_current_a = 0.0\nrated_speed_rad_s = 293.2\n",
+    );
+    let options = "init --drive own --port sim: --motor {} --out {}";
+    let done = call(options, &[&zero, &file]).expect(2);
+    assert!(
+        done.error().contains("rated_current_a = 0 is not allowed"),
+        "{}",
+        done.stderr
+    );
+    let typo = desk.put("typo.toml", "name = \"x\"\nrated_volts = 110.0\n");
+    let done = call(options, &[&typo, &file]).expect(2);
+    assert!(done.error().contains("typo.toml:2"), "{}", done.stderr);
+    for text in [
+        "init --drive siemens-v30 --port sim: --motor {}",
+        "init --drive own --port tcp:x --motor {}",
+        "init --drive own --motor {}",
+    ] {
+        refusal(text, &[&plate()]);
+    }
+    assert!(!file.exists());
+}
+
+#[test]
+fn without_a_screen_hardware_wants_the_word_even_where_init_made_the_file() {
+    let desk = Desk::new();
+    let (pty, runs) = (desk.path("epulse.pty"), desk.path("runs"));
+    let _emulator = Emulator::start("emulate --profile epulse50-dc --pty {}", &[&pty]);
+    let file = desk.path("bench.toml");
+    let options = "init --drive epulse50-dc --port {} --motor {} --out {}";
+    call(options, &[&pty, &plate(), &file]).expect(0);
+    let run = "speed {} --headless --waive-watchdog --out {}";
+    let done = call(run, &[&file, &runs]).expect(3);
+    assert!(done.error().contains("pass --hardware"), "{}", done.stderr);
+    assert!(!runs.exists() || fs::read_dir(&runs).unwrap().next().is_none());
+}

@@ -1,0 +1,292 @@
+//! `probe` through the real binary, against the software drive in the guise of every built-in profile in a process of
+//! its own. What went over the wire is looked at in the capture: nothing is ever written.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::kit::process::Emulator;
+use crate::kit::{Desk, Done, call, drivebench, has, line, refusal};
+use drivebench::drive::DriveProfile;
+use serde_json::Value;
+
+/// On a pseudo-terminal of the desk, as the profile.
+fn emulator_of(desk: &Desk, profile: &str) -> Emulator {
+    let name = format!("{}.pty", profile.replace('/', "-"));
+    let pty = desk.path(name);
+    let text = "emulate zk-22fc-plain --link modbus-rtu --profile {} --pty {}";
+    Emulator::start(text, &[Path::new(profile), &pty])
+}
+
+fn probe(emulator: &Emulator, options: &str, paths: &[&Path]) -> Done {
+    let mut arguments = line(&format!("probe {options}"), paths);
+    arguments.extend(["--port", &emulator.port(), "--timeout-ms", "5000"].map(PathBuf::from));
+    drivebench(arguments)
+}
+
+/// Whether bytes end with the checksum of those before it (MODBUS over Serial Line V1.02, 6.2.2).
+fn is_frame(bytes: &[u8]) -> bool {
+    let Some((body, [low, high])) = bytes.split_last_chunk::<2>() else {
+        return false;
+    };
+    let shift = |crc: u16| {
+        if crc & 1 == 1 {
+            (crc >> 1) ^ 0xA001
+        } else {
+            crc >> 1
+        }
+    };
+    let crc = body.iter().fold(0xFFFF, |crc: u16, byte| {
+        (0..8).fold(crc ^ u16::from(*byte), |crc, _| shift(crc))
+    });
+    body.len() > 1 && crc == u16::from_le_bytes([*low, *high])
+}
+
+/// Function codes of the RTU frames of a capture, those of refusals without their mark. What was sent is always whole; a
+/// reply may have come in pieces, and those are left out.
+fn functions(capture: &Path) -> Vec<u8> {
+    let bytes = fs::read(capture).unwrap();
+    let mut found: Vec<u8> = Vec::new();
+    let mut at = 24;
+    while at < bytes.len() {
+        let length = u32::from_le_bytes(bytes[at + 8..at + 12].try_into().unwrap()) as usize;
+        let frame = &bytes[at + 16..at + 16 + length];
+        if is_frame(frame) {
+            found.push(frame[1] & 0x7F);
+        }
+        at += 16 + length;
+    }
+    found
+}
+
+/// Nothing but reads, echoes and questions for names went over the wire.
+#[track_caller]
+fn is_read_only(capture: &Path) {
+    let asked = functions(capture);
+    let reads = |function: &u8| [3, 4, 8, 43].contains(function);
+    assert!(asked.len() > 4 && asked.iter().all(reads), "{asked:?}");
+}
+
+/// The emulated supply.
+#[track_caller]
+fn is_120_v(told: &Value) {
+    let volts = told["value"].as_f64().unwrap();
+    assert!((volts - 120.0).abs() < 2.0, "{told}");
+}
+
+fn signal<'a>(report: &'a Value, name: &str) -> &'a Value {
+    let signals = report["signals"].as_array().unwrap();
+    signals
+        .iter()
+        .find(|signal| signal["name"] == name)
+        .unwrap()
+}
+
+#[test]
+fn every_built_in_profile_is_plausible_at_its_own_drive_and_nothing_is_written() {
+    let desk = Desk::new();
+    let mut tried = 0;
+    for name in DriveProfile::names() {
+        let profile = DriveProfile::named(name).unwrap();
+        let Some(map) = profile.registers else {
+            continue;
+        };
+        let emulator = emulator_of(&desk, name);
+        let capture = desk.path(format!("{name}.pcap"));
+        let options = format!("--drive {name} --json --tap {{}}");
+        let report = probe(&emulator, &options, &[&capture]).expect(0).json();
+        assert_eq!(report["verdict"], "plausible", "{name}");
+        let signals = report["signals"].as_array().unwrap();
+        assert_eq!(signals.len(), map.signals.len(), "{name}");
+        for signal in signals {
+            assert!(signal["value"].is_number(), "{name}: {signal}");
+            assert_ne!(signal["plausible"], false, "{name}: {signal}");
+            assert!(signal["candidates"].as_array().unwrap().is_empty());
+        }
+        let is_known = map.functions.contains(&43);
+        let names = report["names"].as_array().unwrap();
+        assert_eq!(
+            names.contains(&Value::from("drivebench emulator")),
+            is_known,
+            "{name}"
+        );
+        assert_eq!(
+            report["answers_function_8"],
+            map.functions.contains(&8),
+            "{name}"
+        );
+        is_read_only(&capture);
+        tried += 1;
+    }
+    assert!(tried >= 11, "{tried}");
+}
+
+#[test]
+fn an_address_base_that_is_off_by_one_is_named() {
+    let desk = Desk::new();
+    let emulator = emulator_of(&desk, "delta-ms300");
+    let text = DriveProfile::text("delta-ms300").unwrap();
+    let wrong = text.replace("address_base = 0", "address_base = 1");
+    assert_ne!(wrong, text);
+    let profile = desk.put("off-by-one.toml", &wrong);
+    let capture = desk.path("wrong.pcap");
+    let done = probe(
+        &emulator,
+        "--drive {} --json --tap {}",
+        &[&profile, &capture],
+    )
+    .expect(1);
+    let report = done.json();
+    assert_eq!(report["verdict"], "implausible");
+    let best = report["hypotheses"][0]["change"].as_str().unwrap();
+    assert_eq!(best, "every address one higher (base 0 instead of 1)");
+    assert_eq!(
+        report["hypotheses"][0]["plausible"],
+        report["hypotheses"][0]["judged"]
+    );
+    // The register beside it holds noise, which may pass for a small bus voltage when its bytes are exchanged.
+    let bus = signal(&report, "bus");
+    let candidates = bus["candidates"].as_array().unwrap();
+    let higher = candidates
+        .iter()
+        .find(|candidate| candidate["change"].as_str().unwrap().contains("one higher"));
+    is_120_v(higher.expect("the address that is one higher"));
+    assert!(done.error().contains("bus"), "{}", done.stderr);
+    is_read_only(&capture);
+    let told = probe(&emulator, "--drive {}", &[&profile]).expect(1).stdout;
+    has(
+        &told,
+        &[
+            "with the address one higher (base 0 instead of 1) bus would be 1",
+            "is the profile right?",
+        ],
+    );
+}
+
+#[test]
+fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
+    let desk = Desk::new();
+    let bus = |order: &str| {
+        let text = DriveProfile::text("roboteq-dc").unwrap();
+        let from = "[missing]";
+        assert!(text.contains(from));
+        text.replace(
+            from,
+            &format!(
+                "[signals.bus]\ncan = [0x210D, 1]\ntype = \"i32\"\nword_order = \"{order}\"\nscale = 0.1\nunit = \"V\"\nquantity = \"bus_voltage\"\norigin = \"measured\"\npoll = \"fast\"\n\n[missing]"
+            ),
+        )
+    };
+    let right = desk.put("right.toml", &bus("high_first"));
+    let wrong = desk.put("wrong.toml", &bus("low_first"));
+    let emulator = emulator_of(&desk, right.to_str().unwrap());
+    let report = probe(&emulator, "--drive {} --json", &[&right])
+        .expect(0)
+        .json();
+    assert_eq!(signal(&report, "bus")["confirms"], true);
+    let report = probe(&emulator, "--drive {} --json", &[&wrong])
+        .expect(1)
+        .json();
+    let candidate = &signal(&report, "bus")["candidates"][0];
+    assert_eq!(candidate["change"], "word_order = \"high_first\"");
+    is_120_v(candidate);
+    let told = probe(&emulator, "--drive {}", &[&wrong]).expect(1).stdout;
+    has(
+        &told,
+        &[
+            "with word_order = \"high_first\" bus would be 1",
+            " V, plausible: is the profile right?",
+        ],
+    );
+}
+
+#[test]
+fn our_own_drive_is_looked_at_over_every_link() {
+    let desk = Desk::new();
+    for (link, drive) in [
+        ("modbus-rtu", "own"),
+        ("modbus-tcp", "own"),
+        ("stream", "own-stream"),
+    ] {
+        let emulator = Emulator::on(link, &desk.path(link), "zk-22fc-plain", &[]);
+        let report = probe(&emulator, &format!("--drive {drive} --json"), &[])
+            .expect(0)
+            .json();
+        assert_eq!(report["identity"]["is_emulator"], true, "{link}");
+        assert_eq!(report["identity"]["current_limit_a"], 11.4, "{link}");
+        assert_eq!(report["watchdog_s"], 0.5, "{link}");
+        let bus = signal(&report, "bus_voltage");
+        is_120_v(bus);
+        assert_eq!(bus["raw"].is_null(), link == "stream", "{link}: {bus}");
+        let text = probe(&emulator, &format!("--drive {drive}"), &[])
+            .expect(0)
+            .stdout;
+        has(&text, &["emulator", "bus_voltage"]);
+    }
+    let text = call("probe --port emulator --drive own", &[])
+        .expect(0)
+        .stdout;
+    assert!(text.contains("those of a drive at rest"), "{text}");
+}
+
+#[test]
+fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
+    let desk = Desk::new();
+    let own = Emulator::start("emulate --link modbus-rtu --pty {}", &[&desk.path("own")]);
+    let survey = probe(&own, "--json", &[]).expect(0).json();
+    let tried = survey["profiles"].as_array().unwrap();
+    assert_eq!(tried.len(), DriveProfile::names().count());
+    assert_eq!(
+        (&tried[0]["profile"], &tried[0]["fit"]),
+        (&"own".into(), &"matches".into())
+    );
+    let stream = tried.iter().find(|t| t["profile"] == "own-stream").unwrap();
+    assert_eq!(stream["fit"], "not_tried");
+
+    let v20 = emulator_of(&desk, "siemens-v20");
+    let capture = desk.path("survey.pcap");
+    let survey = probe(&v20, "--json --tap {}", &[&capture]).expect(0).json();
+    let tried = survey["profiles"].as_array().unwrap();
+    let of = |name: &str| tried.iter().find(|t| t["profile"] == name).unwrap();
+    assert_eq!(of("siemens-v20")["fit"], "cannot_be_told");
+    assert_eq!(of("own")["fit"], "no");
+    let refused = of("vacon10")["reason"].as_str().unwrap();
+    assert!(refused.contains("exception"), "{refused}");
+    is_read_only(&capture);
+}
+
+#[test]
+fn nobody_and_another_drive_are_exit_status_3_and_wrong_arguments_2() {
+    let desk = Desk::new();
+    let emulator = emulator_of(&desk, "siemens-v20");
+    let another = probe(&emulator, "--drive own --json", &[]).expect(3);
+    assert_eq!(another.json()["verdict"], "wrong_drive");
+    assert!(
+        another.error().contains("register 64"),
+        "{}",
+        another.stderr
+    );
+    let mut arguments = line(
+        "probe --drive siemens-v20 --unit 9 --timeout-ms 50 --port",
+        &[],
+    );
+    arguments.push(PathBuf::from(&emulator.address));
+    let nobody = drivebench(arguments).expect(3);
+    assert!(
+        nobody.error().contains("no reply within 50 ms"),
+        "{}",
+        nobody.stderr
+    );
+    assert!(nobody.stdout.is_empty());
+    call("probe --drive own --port /dev/drivebench-none", &[])
+        .expect(3)
+        .error();
+    for text in [
+        "probe --drive own",
+        "probe --port sim: --drive own",
+        "probe --port emulator",
+        "probe --port x --drive siemens-v30",
+        "probe --port x --drive own --unit 0",
+    ] {
+        refusal(text, &[]);
+    }
+}

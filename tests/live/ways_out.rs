@@ -1,0 +1,221 @@
+//! Every way out of a run with its motor on, over real pseudo-terminals: the drive in a process of its own is the witness.
+//! It was told to stop, and its watchdog did not have to act.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use crate::kit::process::{
+    Emulator, Process, RUNNING, STATE, WATCHDOG_TRIPPED, telemetry, wait_for,
+};
+use crate::kit::terminal::Session;
+use crate::kit::{BENCH, BINARY, Desk, Done, PLAIN, call, has, only_folder, turns};
+use nix::sys::signal::Signal;
+
+/// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
+struct Lab {
+    /// One run after the other: each wants its deadlines kept.
+    _turn: MutexGuard<'static, ()>,
+    desk: Desk,
+    drive: Emulator,
+}
+
+impl Lab {
+    fn new() -> Self {
+        Self::with("levels_v = [40.0], hold_s = 50.0")
+    }
+
+    fn with(steps: &str) -> Self {
+        static TURN: Mutex<()> = Mutex::new(());
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let desk = Desk::new();
+        let bench = BENCH
+            .replace("link_silence_s = 0.45", "link_silence_s = 0.95")
+            .replace("time_s = 30.0", "time_s = 60.0")
+            // A busy machine keeps this rate as well.
+            .replace("rate_hz = 100.0", "rate_hz = 50.0");
+        let (head, _) = bench.split_once("[[sequence]]").unwrap();
+        let sequence = format!(
+            "{head}[[sequence]]\nstandstill = {{ seconds = 0.3 }}\n[[sequence]]\nsteps = {{ {steps} }}\n"
+        );
+        desk.put("bench.toml", &sequence);
+        let drive = PLAIN.replace("watchdog_ms = 500", "watchdog_ms = 1000");
+        let config = desk.put("drive.toml", &drive);
+        let drive = Emulator::on("modbus-rtu", &desk.path("drive"), "{}", &[&config]);
+        Self {
+            _turn: turn,
+            desk,
+            drive,
+        }
+    }
+
+    fn path(&self) -> &Path {
+        self.desk.folder()
+    }
+
+    fn arguments(&self, command: &str) -> [String; 4] {
+        [
+            command.to_owned(),
+            "bench.toml".to_owned(),
+            "--port".to_owned(),
+            self.drive.port(),
+        ]
+    }
+
+    fn on_screen(&self, command: &str) -> Session {
+        let mut session = Session::start(self.arguments(command), self.path(), (120, 40));
+        session.wait_for(" SIM  RUNNING");
+        session.wait("a motor that turns", |_| self.turns());
+        session
+    }
+
+    /// A run whose motor turns. Where the machine stands still the checks refuse it: that is told and tried again.
+    fn headless(&self) -> Process {
+        for _ in 0..3 {
+            let mut command = Command::new(BINARY);
+            command.args(self.arguments("run")).arg("--headless");
+            let mut run = self.spawn(command);
+            let turns = wait_for("a motor that turns", || {
+                let over = run.0.try_wait().unwrap().is_some();
+                (over || self.turns()).then_some(!over)
+            });
+            if turns {
+                return run;
+            }
+            eprintln!("{}", run.end().stderr);
+        }
+        panic!("no run began");
+    }
+
+    fn spawn(&self, mut command: Command) -> Process {
+        command.current_dir(self.path()).stdin(Stdio::null());
+        Process::of(command)
+    }
+
+    fn turns(&self) -> bool {
+        turns(&self.desk.path("runs"), 60.0)
+    }
+
+    /// By the drive's own word, some time after its watchdog would have acted.
+    #[track_caller]
+    fn expect_stopped(&self, by: &str) {
+        std::thread::sleep(Duration::from_millis(1200));
+        let words = wait_for("an answer", || telemetry(&self.drive.port()));
+        assert_ne!(words[0] & STATE, RUNNING, "{by}: status {:#x}", words[0]);
+        assert_eq!(
+            words[0] & WATCHDOG_TRIPPED,
+            0,
+            "{by}: the watchdog stopped it"
+        );
+        assert_eq!(words[1], 0, "{by}: fault");
+    }
+}
+
+#[test]
+fn a_terminal_that_is_closed_stops_the_motor_first_and_is_status_130() {
+    for command in ["run", "commission", "speed"] {
+        let lab = Lab::new();
+        let session = lab.on_screen(command);
+        let status = session.close();
+        assert_eq!(status, 130, "{command}");
+        lab.expect_stopped(command);
+        if command == "run" {
+            let run = only_folder(&lab.path().join("runs"));
+            let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+            assert!(manifest.contains("\"interrupted\""), "{manifest}");
+            assert!(manifest.contains("\"finished\": true"), "{manifest}");
+        }
+    }
+}
+
+#[test]
+fn signals_on_the_screen_stop_the_motor_first_and_are_status_130() {
+    for signal in [Signal::SIGQUIT, Signal::SIGHUP, Signal::SIGUSR1] {
+        let lab = Lab::new();
+        let mut session = lab.on_screen("run");
+        session.signal(signal);
+        assert_eq!(session.end(), 130, "{signal}: {}", session.text());
+        session.expect_terminal_as_it_was();
+        lab.expect_stopped(signal.as_str());
+    }
+}
+
+#[test]
+fn signals_without_a_screen_stop_the_motor_first_and_are_status_130() {
+    let lab = Lab::new();
+    for signal in [
+        Signal::SIGQUIT,
+        Signal::SIGUSR1,
+        Signal::SIGUSR2,
+        Signal::SIGALRM,
+        Signal::SIGPIPE,
+        Signal::SIGTSTP,
+    ] {
+        let run = lab.headless();
+        run.signal(signal);
+        let done = run.end().expect(130);
+        assert!(done.error().contains("stopped before"), "{}", done.stderr);
+        lab.expect_stopped(signal.as_str());
+        fs::remove_dir_all(lab.path().join("runs")).unwrap();
+    }
+}
+
+/// Whatever it would like to say: nobody reads it any more, and that neither ends the program nor holds it up.
+#[test]
+fn a_run_that_nobody_reads_any_more_ends_its_motor_all_the_same() {
+    let lab = Lab::new();
+    let mut run = lab.headless();
+    drop((run.0.stdout.take(), run.0.stderr.take()));
+    run.signal(Signal::SIGTERM);
+    let status = wait_for("the end", || run.0.try_wait().unwrap());
+    assert_eq!(status.code(), Some(130));
+    lab.expect_stopped("closed pipes");
+}
+
+/// A limit on the size of files is a disk that is full in the middle of a run.
+#[test]
+fn a_run_goes_on_when_the_disk_takes_no_more_and_prints_its_result() {
+    let lab = Lab::with("levels_v = [40.0, -40.0, 0.0], hold_s = 4.0");
+    let mut command = Command::new("sh");
+    // Blocks of 512 bytes: the samples outgrow them.
+    command.args(["-c", "ulimit -f 64; exec \"$0\" \"$@\"", BINARY]);
+    command.args(lab.arguments("run")).arg("--headless");
+    let done: Done = lab.spawn(command).end().expect(6);
+    let error = done.error();
+    assert!(error.contains("record could not be kept"), "{error}");
+    assert!(done.stderr.contains("the run goes on"), "{}", done.stderr);
+    assert!(done.stdout.contains("done: "), "{}", done.stdout);
+    assert!(done.stdout.contains("back_emf"), "{}", done.stdout);
+    lab.expect_stopped("a full disk");
+    let run: PathBuf = only_folder(&lab.path().join("runs"));
+    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+    assert!(manifest.contains("\"finished\": false"), "{manifest}");
+    // What there was room for is there, row by row.
+    let opened = call("identify {} --json", &[&run]);
+    assert!(
+        opened.status == 0 || opened.status == 5,
+        "{}",
+        opened.stderr
+    );
+}
+
+#[test]
+fn a_folder_that_is_deleted_is_told_of_while_the_run_goes_on_and_made_again() {
+    let lab = Lab::with("levels_v = [40.0, 0.0], hold_s = 3.0");
+    let run = lab.headless();
+    // At once: while it is emptied file by file, the recorder may make it again.
+    let gone = lab.path().join("gone");
+    fs::rename(only_folder(&lab.path().join("runs")), &gone).unwrap();
+    fs::remove_dir_all(gone).unwrap();
+    let done = run.end().expect(0);
+    has(&done.stderr, &["was deleted or renamed"]);
+    let run = only_folder(&lab.path().join("runs"));
+    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+    assert!(manifest.contains("\"finished\": true"), "{manifest}");
+    let events = fs::read_to_string(run.join("events.jsonl")).unwrap();
+    assert!(events.contains("\"event\":\"record\""), "{events}");
+    assert!(events.contains("\"to\":\"armed\""), "{events}");
+    lab.expect_stopped("a folder that is gone");
+}
