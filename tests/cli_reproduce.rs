@@ -40,11 +40,7 @@ fn a_folder_with_results_is_not_overwritten() {
 fn the_size_of_the_study_is_refused_where_it_means_nothing() {
     let paper = drivebench(line("reproduce paper-a --sets 2 --json", &[])).expect(2);
     assert!(paper.error().contains("--sets"), "{}", paper.stderr);
-    drivebench(line(
-        "reproduce discovery --sets 0 --mysteries 0 --json",
-        &[],
-    ))
-    .expect(2);
+    drivebench(line("reproduce discovery --sets 0 --mysteries 0 --json", &[])).expect(2);
 }
 
 #[test]

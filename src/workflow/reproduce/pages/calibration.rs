@@ -1,12 +1,12 @@
 //! What probabilities, bounds and sizes are worth, on the page.
 
-use super::discovery::{distinct, none_as_dot};
+use super::discovery::none_as_dot;
 use super::{number, or_dash};
 use crate::report::number::{fixed, significant};
 use crate::report::plot::{Claims, ReliabilityChart};
 use crate::report::reproduce::Section;
 use crate::workflow::reproduce::discovery::{
-    Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, sizes,
+    Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, distinct, sizes,
 };
 
 /// Probabilities from which on an effect is called supported, and below which ruled out.
@@ -250,7 +250,7 @@ fn chart(all: &Calibration) -> String {
 
 /// The groups in the order in which they come, and all together.
 fn named_groups(answers: &[Answer]) -> Vec<String> {
-    distinct(answers, |answer| answer.group.name())
+    distinct(answers.iter().map(|answer| answer.group.name()))
 }
 
 fn groups(answers: &[Answer]) -> Vec<(String, Calibration)> {

@@ -7,7 +7,7 @@ use crate::report::number::{fixed, significant};
 use crate::report::reproduce::{Column, Reproduction, Section};
 use crate::workflow::reproduce::discovery::{
     Answer, Bounded, Discovery, Excitation, Group, Matrix, MysteryAnswer, Outcome,
-    ParameterFinding, Tally, coverage_of, median_errors,
+    ParameterFinding, Tally, coverage_of, distinct, median_errors,
 };
 use crate::workflow::reproduce::lines::LineStudy;
 
@@ -125,7 +125,7 @@ impl Discovery {
     }
 
     fn by_effect(&self) -> Section {
-        let classes = distinct(self.single(|_| true), |answer| answer.class.clone());
+        let classes = distinct(self.single(|_| true).into_iter().map(|a| a.class.clone()));
         let rows = classes.into_iter().map(|class| {
             let answers = self.single(|a| a.class == class);
             tallied(class, &answers)
@@ -169,7 +169,7 @@ impl Discovery {
             Group::Null => answer.excitation.to_owned(),
             _ => answer.class.clone(),
         };
-        let classes = distinct(answers.iter().copied(), class).into_iter();
+        let classes = distinct(answers.iter().map(|answer| class(answer))).into_iter();
         let rows = classes.map(|of| {
             let of_class = self.of(|a| {
                 a.group == group && (a.class == of || (group == Group::Null && a.excitation == of))
@@ -335,20 +335,6 @@ fn how_it_is_done() -> Section {
         .say("Everything follows from the seed: the same program with the same --sets and --seed writes this page to the bit.")
 }
 
-/// What names there are, in the order in which they come.
-pub(super) fn distinct<'a>(
-    answers: impl IntoIterator<Item = &'a Answer>,
-    name: impl Fn(&Answer) -> String,
-) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for name in answers.into_iter().map(name) {
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    names
-}
-
 /// Label, counts, median errors before and after.
 type Tallied = (String, Tally, Option<(f64, f64)>);
 
@@ -420,7 +406,7 @@ impl Outcome {
 
 /// One sentence on mysteries for the head of the page; none where no mystery was given.
 fn mysteries_in_short(answers: &[MysteryAnswer]) -> Option<String> {
-    let tally = Tally::of_mysteries(answers);
+    let tally = Tally::of_outcomes(answers.iter().map(|answer| answer.outcome));
     (tally.sets > 0).then(|| {
         format!(
             " Of {} mystery drives, through the whole program, {} were answered rightly ({} of them that the run cannot show the effect), {} were given a wrong name.",
@@ -438,7 +424,7 @@ fn mysteries(answers: &[MysteryAnswer]) -> Section {
     let errors = named.filter_map(|answer| Some((answer.holdout_before?, answer.holdout_after?)));
     let counts = (
         "all".to_owned(),
-        Tally::of_mysteries(answers),
+        Tally::of_outcomes(answers.iter().map(|answer| answer.outcome)),
         median_errors(errors),
     );
     let parameters = answers.iter().flat_map(|answer| &answer.parameters);
