@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
+use serde::Serialize;
 
 use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::{mysteries, output, progress, signals};
@@ -95,18 +96,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             let shown = progress::begin("reproduce");
             let found = reproduce::paper_a(|part| progress::stage(part, 0));
             drop(shown);
-            let report = found.report();
-            file(out.as_deref(), &report, None)?;
-            output::result(&found, arguments.json, |_| report.text())
+            finish(arguments, out.as_deref(), &found, &found.report(), None)
         }
         Paper::PaperB => {
             let _endable = signals::endable()?;
             let shown = progress::begin("reproduce");
             let found = reproduce::paper_b(|part| progress::stage(part, 0));
             drop(shown);
-            let report = found.report();
-            file(out.as_deref(), &report, None)?;
-            output::result(&found, arguments.json, |_| report.text())
+            finish(arguments, out.as_deref(), &found, &found.report(), None)
         }
         Paper::Lines if arguments.records.is_some() || arguments.mysteries.is_some() => {
             Err(Failure::with_help(
@@ -121,10 +118,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             let runs = usize::try_from(arguments.sets.unwrap_or(LINE_RUNS).max(1)).unwrap_or(1);
             let found = reproduce::lines::line_study(runs, arguments.seed.unwrap_or(1));
             drop(shown);
-            let report = found.report();
-            let page = ("lines.md".to_owned(), report.markdown());
-            file(out.as_deref(), &report, Some(page))?;
-            output::result(&found, arguments.json, |_| report.text())
+            let page = Some("lines.md");
+            finish(arguments, out.as_deref(), &found, &found.report(), page)
         }
         Paper::Discovery => {
             let shown = progress::begin("reproduce");
@@ -133,10 +128,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             drop(shown);
             let mut found = found?;
             found.records = real;
-            let report = found.report();
-            let page = ("validation.md".to_owned(), report.markdown());
-            file(out.as_deref(), &report, Some(page))?;
-            output::result(&found, arguments.json, |_| report.text())
+            let page = Some("validation.md");
+            finish(arguments, out.as_deref(), &found, &found.report(), page)
         }
     }
 }
@@ -215,18 +208,21 @@ fn tell(done: usize, _of: usize, answer: &Answer) {
     progress::at(done);
 }
 
-fn file(
+/// Writes the files and prints what was found; `page` is the name of the page as Markdown, where there is one.
+fn finish(
+    arguments: &Arguments,
     out: Option<&Path>,
+    found: &impl Serialize,
     report: &Reproduction,
-    page: Option<(String, String)>,
+    page: Option<&str>,
 ) -> Result<(), Failure> {
     if let Some(folder) = out {
         let mut files = report.files();
-        files.extend(page);
+        files.extend(page.map(|name| (name.to_owned(), report.markdown())));
         write(folder, &files)?;
         output::message(&format!("written to {}", folder.display()));
     }
-    Ok(())
+    output::result(found, arguments.json, |_| report.text())
 }
 
 fn require_empty(folder: &Path) -> Result<(), Failure> {

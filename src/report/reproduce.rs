@@ -1,6 +1,6 @@
 //! The report of a reproduction: a page, and each of its figures and tables as a file of its own.
 
-use super::page::{Page, Table, Tone};
+use super::page::{Cell, Page, Table, Tone};
 use super::plot::standalone;
 
 /// A picture with the name of its file, without ending.
@@ -11,12 +11,16 @@ pub struct Picture {
     pub caption: String,
 }
 
-/// A table with the name of its file, without ending.
+/// A table with the name of its file, without ending, and the sentence above it.
 #[derive(Clone, Debug)]
 pub struct NamedTable {
     pub name: String,
+    pub sentence: String,
     pub table: Table,
 }
+
+/// A column of a table: its head, and what it shows of a row.
+pub type Column<'a, T> = (&'static str, &'a dyn Fn(&T) -> String);
 
 /// One part of the reproduction: what is shown, under which assumptions.
 #[derive(Clone, Debug, Default)]
@@ -24,10 +28,74 @@ pub struct Section {
     pub heading: String,
     pub paragraphs: Vec<String>,
     pub pictures: Vec<Picture>,
-    /// `(sentence above it, table)`.
-    pub tables: Vec<(String, NamedTable)>,
+    pub tables: Vec<NamedTable>,
     /// Series behind a picture, `(file name, comma-separated values)`: too long for the page.
     pub data: Vec<(String, String)>,
+}
+
+impl Section {
+    pub fn new(heading: impl Into<String>) -> Self {
+        Self {
+            heading: heading.into(),
+            ..Self::default()
+        }
+    }
+
+    #[must_use]
+    pub fn say(mut self, paragraph: impl Into<String>) -> Self {
+        self.paragraphs.push(paragraph.into());
+        self
+    }
+
+    #[must_use]
+    pub fn picture(mut self, name: &'static str, svg: String, caption: impl Into<String>) -> Self {
+        let caption = caption.into();
+        self.pictures.push(Picture { name, svg, caption });
+        self
+    }
+
+    /// A table whose columns are known beforehand.
+    #[must_use]
+    pub fn table<T>(
+        self,
+        name: impl Into<String>,
+        sentence: impl Into<String>,
+        rows: impl IntoIterator<Item = T>,
+        columns: &[Column<'_, T>],
+    ) -> Self {
+        let head = columns.iter().map(|(head, _)| *head).collect();
+        let row = |row: T| columns.iter().map(|(_, cell)| cell(&row)).collect();
+        self.grid(name, sentence, head, rows.into_iter().map(row))
+    }
+
+    /// A table whose columns follow from what was found.
+    #[must_use]
+    pub fn grid(
+        mut self,
+        name: impl Into<String>,
+        sentence: impl Into<String>,
+        head: Vec<&'static str>,
+        rows: impl IntoIterator<Item = Vec<String>>,
+    ) -> Self {
+        let rows = rows.into_iter();
+        let rows = rows.map(|row| row.into_iter().map(Cell::text).collect());
+        let rows = rows.collect();
+        let table = Table { head, rows };
+        let (name, sentence) = (name.into(), sentence.into());
+        self.tables.push(NamedTable {
+            name,
+            sentence,
+            table,
+        });
+        self
+    }
+
+    /// The series behind the picture of this name.
+    #[must_use]
+    pub fn series(mut self, name: &str, values: String) -> Self {
+        self.data.push((format!("{name}-series.csv"), values));
+        self
+    }
 }
 
 /// Everything that a reproduction shows.
@@ -81,8 +149,8 @@ impl Reproduction {
             for picture in &section.pictures {
                 page.figure(picture.svg.clone(), &picture.caption);
             }
-            for (sentence, named) in &section.tables {
-                page.paragraph(sentence);
+            for named in &section.tables {
+                page.paragraph(&named.sentence);
                 page.table(named.table.clone());
             }
         }
@@ -95,7 +163,7 @@ impl Reproduction {
         for section in &self.sections {
             let pictures = section.pictures.iter().filter(|p| !p.svg.is_empty());
             files.extend(pictures.map(|p| (format!("{}.svg", p.name), standalone(&p.svg))));
-            let tables = section.tables.iter().map(|(_, named)| named);
+            let tables = section.tables.iter();
             files.extend(tables.map(|t| (format!("{}.csv", t.name), t.table.csv())));
             files.extend(section.data.iter().cloned());
         }
@@ -105,7 +173,6 @@ impl Reproduction {
 
 #[cfg(test)]
 mod tests {
-    use super::super::page::Cell;
     use super::super::plot::{Panel, PanelPlot, Series, Style};
     use super::*;
 
@@ -117,26 +184,20 @@ mod tests {
             title: "paper".into(),
             subtitle: "of 1980".into(),
             lead: ("Met".into(), "nearly".into()),
-            sections: vec![Section {
-                heading: "Figure 2".into(),
-                pictures: vec![Picture {
-                    name: "figure-2",
-                    svg: plot.svg("TM over the samples"),
-                    caption: "TM".into(),
-                }],
-                tables: vec![(
-                    "Values.".into(),
-                    NamedTable {
-                        name: "table-1".into(),
-                        table: Table {
-                            head: vec!["N", "a, b"],
-                            rows: vec![vec![Cell::text("8"), Cell::text("1,5")]],
-                        },
-                    },
-                )],
-                data: vec![("figure-2-series.csv".into(), "k\n1\n".into())],
-                ..Section::default()
-            }],
+            sections: vec![
+                Section::new("Figure 2")
+                    .picture("figure-2", plot.svg("TM over the samples"), "TM")
+                    .table(
+                        "table-1",
+                        "Values.",
+                        [("8", "1,5")],
+                        &[
+                            ("N", &|row| row.0.to_owned()),
+                            ("a, b", &|row| row.1.to_owned()),
+                        ],
+                    )
+                    .series("figure-2", "k\n1\n".to_owned()),
+            ],
         };
         let files = report.files();
         let content = |name: &str| &files.iter().find(|file| file.0 == name).unwrap().1;

@@ -2,7 +2,8 @@
 
 use nalgebra::Matrix4;
 
-use crate::plant::{Motor, MotorKey};
+use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
+use crate::sample::Channel;
 
 /// Resistance, ohm, and back-EMF constant, V.s/rad, of paper A's motor ZK-22FC; the figures' motors differ from it only
 /// in their time constants.
@@ -29,6 +30,39 @@ pub(super) fn value(motor: &Motor, key: MotorKey) -> f64 {
     motor
         .get(key)
         .expect("the motors of the figures are complete")
+}
+
+pub(super) fn stamps(period_s: f64, samples: usize) -> Vec<f64> {
+    (0..samples).map(|k| period_s * k as f64).collect()
+}
+
+/// A motor under voltages from their instants on, without anything measured yet.
+pub(super) fn driven(
+    name: String,
+    input_channel: Channel,
+    events: Vec<(f64, f64)>,
+    sample_time_s: Vec<f64>,
+) -> Scenario {
+    Scenario {
+        name,
+        input: Input::Voltage,
+        input_channel,
+        events,
+        scored: 0..sample_time_s.len(),
+        sample_time_s,
+        current_a: vec![],
+        speed_rad_s: vec![],
+        angle: vec![],
+        time_half_width_s: vec![],
+        unknown_input: vec![],
+    }
+}
+
+/// What the plant does under them.
+pub(super) fn simulated(motor: &Motor, scenario: &Scenario, from: State) -> Trajectory {
+    Plant::new(&Model::baseline(motor.clone()), Input::Voltage)
+        .expect("the motors of the figures are complete")
+        .simulate(scenario, from)
 }
 
 /// Speed, rad/s, and current, A.
@@ -134,32 +168,18 @@ pub(super) fn steady(motor: &Motor, voltage_v: f64) -> Turning {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::{Input, Model, Plant, Scenario, State};
-    use crate::sample::Channel;
 
     #[test]
     fn the_discrete_form_is_the_plant() {
         for (ta_s, tm_s) in [(0.1, 0.2), (0.1, 0.4), (0.009, 0.045)] {
             let motor = motor(ta_s, tm_s);
-            let times = (0..200).map(|k| 0.02 * f64::from(k)).collect::<Vec<_>>();
+            let times = stamps(0.02, 200);
             let volts = |k: usize| if k.is_multiple_of(7) { 90.0 } else { 40.0 };
             let start = steady(&motor, 60.0);
-            let scenario = Scenario {
-                name: String::new(),
-                input: Input::Voltage,
-                input_channel: Channel::Voltage,
-                events: (0..200).map(|k| (times[k], volts(k))).collect(),
-                sample_time_s: times,
-                current_a: vec![],
-                speed_rad_s: vec![],
-                angle: vec![],
-                time_half_width_s: vec![],
-                unknown_input: vec![],
-                scored: 0..200,
-            };
-            let truth = Plant::new(&Model::baseline(motor.clone()), Input::Voltage)
-                .unwrap()
-                .simulate(&scenario, State::at(start.current_a, start.speed_rad_s));
+            let events = (0..200).map(|k| (times[k], volts(k))).collect();
+            let scenario = driven(String::new(), Channel::Voltage, events, times);
+            let from = State::at(start.current_a, start.speed_rad_s);
+            let truth = simulated(&motor, &scenario, from);
             let hold = ZeroOrderHold::new(&motor, 0.02);
             let [a1, a2, b1, b2, b3] = hold.difference_equation();
             let (mut now, w) = (start, &truth.speed_rad_s);

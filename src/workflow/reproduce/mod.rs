@@ -1,7 +1,7 @@
 //! The papers' figures and tables, computed again beside what the papers print.
 //!
 //! ```text
-//! machine (exact discrete motor), signal (excitation, noise, spread) -> figure_2, figure_3, figure_4, table_1
+//! machine (exact discrete motor), signal (excitation, noise, spread) -> figure_2, figure_3, transient (Figure 4, Table 1)
 //!                                       schemes (one record, every scheme) -> sampling, noise
 //! loops (machines, regulators, trials) -> adaptive: Figures 5 to 7 of paper A
 //!                                      -> paper_b: Figures 4 and 5 of paper B, convergence, noise, Hall edges
@@ -16,7 +16,6 @@ pub mod adaptive;
 pub mod discovery;
 mod figure_2;
 mod figure_3;
-mod figure_4;
 pub mod lines;
 mod loops;
 mod machine;
@@ -26,21 +25,20 @@ pub mod paper_b;
 mod sampling;
 mod schemes;
 mod signal;
-mod table_1;
+mod transient;
 
 use serde::{Serialize, Serializer};
 
 pub use adaptive::AdaptiveLoop;
 pub use figure_2::{ByParameter, Figure2, Method};
 pub use figure_3::Figure3;
-pub use figure_4::Figure4;
 pub use loops::{Case, CaseRow, Comparison, Kind, LoadChange, Named, Step};
 pub use noise::NoiseSweep;
 pub use paper_b::{PaperB, paper_b};
 pub use sampling::{AtTa, Curve, Sampling, Sweep};
 pub use schemes::{Errors, NAMES};
 pub use signal::{RatioOf, SignalToNoise, Spread};
-pub use table_1::Table1;
+pub use transient::{Figure4, Table1};
 
 /// Motor of Figures 2 and 3, s: the text gives none. It asks for Ta, TM > 0.1 s at T = 15 to 20 ms, so this is the
 /// fastest motor that it admits, at the slower of its periods; TM is that of its Figure 6 before the jump.
@@ -128,7 +126,7 @@ pub fn paper_a(mut begins: impl FnMut(&str)) -> PaperA {
     part("Figure 3");
     let figure_3 = figure_3::figure_3();
     part("Figure 4 and Table 1");
-    let (figure_4, table_1) = (figure_4::figure_4(), table_1::table_1());
+    let (figure_4, table_1) = (transient::figure_4(), transient::table_1());
     part("errors against the period");
     let sampling = sampling::sampling();
     part("errors against the noise");
@@ -169,8 +167,8 @@ fn chosen() -> Vec<String> {
         "Noise: the text gives S/N without saying of what, or where the noise enters. Both readings of the ratio (power: of variances; amplitude: of standard deviations; the mean of the signal never counts) and both places (equation error, sensor) are computed.".to_owned(),
         format!(
             "Transient of Table 1: the paper shows it as a curve only. An emulated ZK-22FC (1.1 ohm, 9.9 mH, 0.0045 kg.m2, 0.455 N.m) starts from rest at {:.0} V, T = {:.0} ms; N counts the steps from one sample to the next since the voltage was switched on.",
-            figure_4::VOLTAGE_V,
-            1e3 * figure_4::PERIOD_S
+            transient::VOLTAGE_V,
+            1e3 * transient::PERIOD_S
         ),
         adaptive::chosen(),
         format!("Seeds are fixed: the same program gives the same figures. Spreads are over {SEEDS} seeds, one of which is drawn."),

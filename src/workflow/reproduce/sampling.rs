@@ -108,15 +108,12 @@ fn at_ta(tm_over_ta: f64) -> AtTa {
             scheme.push(volts[k.saturating_sub(1)], at.speed_rad_s, 1);
         }
         let found = scheme.parameters(value(&motor, MotorKey::Resistance), None);
-        let error = |found: f64, truth: Option<f64>| Some(100.0 * (found / truth? - 1.0));
         found.map_or_else(
             |_| Errors::default(),
-            |found| Errors {
-                electrical_time_constant: error(found.ta_s, motor.electrical_time_constant_s()),
-                mechanical_time_constant: error(found.tm_s, motor.mechanical_time_constant_s()),
-                back_emf: error(found.ke, motor.get(MotorKey::BackEmf)),
-                inertia: error(found.inertia, motor.get(MotorKey::Inertia)),
-                load_torque: error(found.load_torque, motor.get(MotorKey::LoadTorque)),
+            |found| {
+                let (ta_s, tm_s) = (found.ta_s, found.tm_s);
+                let found = [ta_s, tm_s, found.ke, found.inertia, found.load_torque];
+                Errors::between(found.map(Some), &motor)
             },
         )
     };

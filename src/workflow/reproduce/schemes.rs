@@ -7,12 +7,11 @@ use rand::Rng as _;
 use serde::Serialize;
 
 use super::LEVELS_V;
-use super::figure_4::stamps;
-use super::machine::value;
+use super::machine::{driven, simulated, stamps, value};
 use super::signal::{SignalToNoise, random, white, with_noise};
 use crate::identification::scheme::{CATALOGUE, Data, Scheme};
 use crate::numerics::count::whole;
-use crate::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
+use crate::plant::{Model, Motor, MotorKey, Scenario, State};
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
 
 /// Error of each parameter, per cent of the truth; `None` where the scheme does not give it or the data do not carry it.
@@ -36,6 +35,13 @@ impl Errors {
             self.inertia,
             self.load_torque,
         ]
+    }
+
+    /// Of what was found, in the order of [`Errors::to_array`].
+    pub(super) fn between(found: [Option<f64>; Self::COUNT], truth: &Motor) -> Self {
+        let truth = figures(truth);
+        let error = |which: usize| Some(100.0 * (found[which]? / truth[which]? - 1.0));
+        Self::from_array(std::array::from_fn(error))
     }
 
     pub(super) const fn from_array(values: [Option<f64>; Self::COUNT]) -> Self {
@@ -96,48 +102,26 @@ pub(super) fn record(
         high = !high;
     }
     let times = stamps(period_s, samples);
-    let mut scenario = Scenario {
-        name: format!("period {period_s} s, seed {seed}"),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events: times.iter().copied().zip(volts.iter().copied()).collect(),
-        sample_time_s: times.clone(),
-        current_a: vec![],
-        speed_rad_s: vec![],
-        angle: vec![],
-        time_half_width_s: vec![],
-        unknown_input: vec![],
-        scored: 0..samples,
-    };
-    let clean = Plant::new(&Model::baseline(motor.clone()), Input::Voltage)
-        .expect("the motors of the figures are complete")
-        .simulate(&scenario, State::default());
+    let events = times.iter().copied().zip(volts.iter().copied()).collect();
+    let name = format!("period {period_s} s, seed {seed}");
+    let mut scenario = driven(name, Channel::VoltageCmd, events, times.clone());
+    let clean = simulated(motor, &scenario, State::default());
     let sensor = |clean: Vec<f64>, purpose: u64| match noise {
         None => clean,
         Some(ratio) => {
             let deviation = ratio.noise_beside(&clean[REST_SAMPLES..]);
-            with_noise(
-                &clean,
-                &white(&mut random(seed, purpose), samples),
-                deviation,
-            )
+            let noise = white(&mut random(seed, purpose), samples);
+            with_noise(&clean, &noise, deviation)
         }
     };
     scenario.current_a = sensor(clean.current_a, 2);
     scenario.speed_rad_s = sensor(clean.speed_rad_s, 3);
     let mut run = Run::new(scenario.name.clone(), times).expect("stamps increase");
+    let (current, speed) = (scenario.current_a.clone(), scenario.speed_rad_s.clone());
     for (channel, cells, origin) in [
         (Channel::VoltageCmd, volts, Origin::Commanded),
-        (
-            Channel::Current,
-            scenario.current_a.clone(),
-            Origin::Measured,
-        ),
-        (
-            Channel::Speed,
-            scenario.speed_rad_s.clone(),
-            Origin::Measured,
-        ),
+        (Channel::Current, current, Origin::Measured),
+        (Channel::Speed, speed, Origin::Measured),
     ] {
         run.set_column(channel, cells, origin)
             .expect("every column has one cell per stamp");
@@ -204,19 +188,16 @@ fn errors_of(found: &[ParameterEstimate], known: &Motor, truth: &Motor) -> Error
             all.set(key, value);
         }
     }
-    let error = |found: Option<f64>, truth: Option<f64>| Some(100.0 * (found? / truth? - 1.0));
-    let of = |key: MotorKey| error(all.get(key), truth.get(key));
-    Errors {
-        electrical_time_constant: error(
-            all.electrical_time_constant_s(),
-            truth.electrical_time_constant_s(),
-        ),
-        mechanical_time_constant: error(
-            all.mechanical_time_constant_s(),
-            truth.mechanical_time_constant_s(),
-        ),
-        back_emf: of(MotorKey::BackEmf),
-        inertia: of(MotorKey::Inertia),
-        load_torque: of(MotorKey::LoadTorque),
-    }
+    Errors::between(figures(&all), truth)
+}
+
+/// Ta, TM, Ke, J and Mc of a motor, as far as it has them.
+fn figures(motor: &Motor) -> [Option<f64>; Errors::COUNT] {
+    [
+        motor.electrical_time_constant_s(),
+        motor.mechanical_time_constant_s(),
+        motor.get(MotorKey::BackEmf),
+        motor.get(MotorKey::Inertia),
+        motor.get(MotorKey::LoadTorque),
+    ]
 }

@@ -1,20 +1,18 @@
 //! The adaptive control of paper A: Figures 5 to 7, and every regulator on the same cases.
 //!
 //! ```text
-//! bench (ZK-22FC's circuit, TM = 0.2 s, 10 ms with two cycles of delay) -> figure_5, figure_6, figure_7, comparison
+//! bench (ZK-22FC's circuit, TM = 0.2 s, 10 ms with two cycles of delay) -> steps (Figures 5, 6), figure_7, comparison
 //! ```
 
-mod figure_5;
-mod figure_6;
 mod figure_7;
+mod steps;
 #[cfg(test)]
 mod tests;
 
 use serde::Serialize;
 
-pub use figure_5::Figure5;
-pub use figure_6::{Figure6, SteppedBy};
 pub use figure_7::{Adaptation, Cycle, Figure7, Saturated, Slower};
+pub use steps::{Figure5, Figure6, SteppedBy};
 
 use super::loops::{Bench, Comparison, Sizes, comparison, motor};
 use crate::control::{LoadObservingSettings, LoopTiming, PaperBSettings};
@@ -50,7 +48,7 @@ pub struct AdaptiveLoop {
 pub(super) fn adaptive_loop(mut begins: impl FnMut(&str)) -> AdaptiveLoop {
     let bench = bench();
     begins("Figures 5 and 6");
-    let (figure_5, figure_6) = (figure_5::figure_5(&bench), figure_6::figure_6(&bench));
+    let (figure_5, figure_6) = (steps::figure_5(&bench), steps::figure_6(&bench));
     begins("Figure 7");
     let figure_7 = figure_7::figure_7(&bench);
     begins("every regulator on the same cases");

@@ -13,7 +13,7 @@ fn figure_7() -> &'static Figure7 {
 
 #[test]
 fn figure_5_the_response_gets_better_when_the_adaptation_joins() {
-    let figure = figure_5::figure_5(&bench());
+    let figure = steps::figure_5(&bench());
     let worst = |steps: &[crate::workflow::reproduce::loops::Step]| {
         steps
             .iter()
@@ -31,7 +31,7 @@ fn figure_5_the_response_gets_better_when_the_adaptation_joins() {
 
 #[test]
 fn figure_6_the_fixed_gains_deteriorate_as_the_paper_shows_and_the_adaptive_ones_do_not() {
-    let figure = figure_6::figure_6(&bench());
+    let figure = steps::figure_6(&bench());
     for row in figure.adapted(1) {
         let overshoot = row.fixed.response.overshoot_percent;
         assert!((25.0..55.0).contains(&overshoot), "{overshoot}");

@@ -68,19 +68,15 @@ impl Answer {
         let said = Said::of(diagnosis);
         let orders: Vec<Option<f64>> = truths.iter().map(|truth| truth.order).collect();
         Self {
-            group: case.group,
-            excitation: case.excitation.name(),
-            class: case.class(),
-            seed: case.seed,
             outcome: outcome(case, &orders, &said),
             verdict: Some(diagnosis.verdict),
             effects: diagnosis.effects.clone(),
             sufficient: diagnosis.sufficient,
             holdout_before: Some(diagnosis.holdout_before),
             holdout_after: Some(diagnosis.holdout_after),
-            sentence: diagnosis.sentence.clone(),
             findings: findings(truths, &said.orders, diagnosis),
             parameters: parameters::findings(motor, diagnosis),
+            ..Self::failed(case, diagnosis.sentence.clone())
         }
     }
 

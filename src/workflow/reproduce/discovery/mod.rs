@@ -37,7 +37,7 @@ pub use mysteries::MysteryAnswer;
 pub use parameters::{Coverage, ParameterFinding, coverage, coverage_of};
 pub use record::Excitation;
 pub use records::{RecordAnswer, files, records};
-pub use tally::{Bounded, Matrix, Tally, matrix, median_errors};
+pub use tally::{Bounded, Matrix, Tally, distinct, matrix, median_errors};
 
 use super::lines::LineStudy;
 use crate::bench::BenchFile;

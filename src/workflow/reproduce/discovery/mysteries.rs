@@ -5,9 +5,9 @@
 use serde::Serialize;
 use serde_json::Value;
 
+use super::Outcome;
 use super::judge::are_twins;
 use super::parameters::{ParameterFinding, truths};
-use super::{Outcome, Tally};
 use crate::emulator::mystery::{Truth, draw};
 use crate::sample::Verdict;
 use crate::workflow::reveal::{self, Answer as Said, reveal};
@@ -112,17 +112,6 @@ fn parameters(truth: &Truth, commissioned: &Value) -> Vec<ParameterFinding> {
             })
         });
     found.collect()
-}
-
-impl Tally {
-    /// Counts of the mysteries.
-    pub fn of_mysteries<'a>(answers: impl IntoIterator<Item = &'a MysteryAnswer>) -> Self {
-        let mut tally = Self::default();
-        for answer in answers {
-            tally.count(answer.outcome);
-        }
-        tally
-    }
 }
 
 fn hidden(truth: &Truth) -> String {

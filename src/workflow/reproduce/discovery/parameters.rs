@@ -9,6 +9,7 @@ use crate::emulator::truth::MotorTruth;
 use crate::numerics::statistics::median;
 use crate::plant::MotorKey;
 use crate::sample::Verdict;
+use crate::workflow::reproduce::lines::KEYS;
 
 /// One parameter of one machine, with every named effect in the model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -117,14 +118,7 @@ pub fn coverage_of(found: &[&ParameterFinding]) -> Vec<Coverage> {
             std_percent: share(|own| own.std),
         }
     };
-    let keys = [
-        MotorKey::Resistance,
-        MotorKey::Inductance,
-        MotorKey::BackEmf,
-        MotorKey::Inertia,
-        MotorKey::LoadTorque,
-    ];
-    keys.into_iter().map(of_parameter).collect()
+    KEYS.into_iter().map(of_parameter).collect()
 }
 
 #[cfg(test)]

@@ -23,14 +23,18 @@ pub struct Tally {
 
 impl Tally {
     pub fn of<'a>(answers: impl IntoIterator<Item = &'a Answer>) -> Self {
+        Self::of_outcomes(answers.into_iter().map(|answer| answer.outcome))
+    }
+
+    pub fn of_outcomes(outcomes: impl IntoIterator<Item = Outcome>) -> Self {
         let mut tally = Self::default();
-        for answer in answers {
-            tally.count(answer.outcome);
+        for outcome in outcomes {
+            tally.count(outcome);
         }
         tally
     }
 
-    pub(super) fn count(&mut self, outcome: Outcome) {
+    fn count(&mut self, outcome: Outcome) {
         self.sets += 1;
         let count = match outcome {
             Outcome::Right => &mut self.right,
@@ -82,27 +86,29 @@ impl Bounded {
     }
 }
 
-/// Counts of every group and excitation, in the order in which they come.
-pub(super) fn counts(answers: &[Answer]) -> Vec<GroupCount> {
-    let mut cells: Vec<(Group, &'static str)> = Vec::new();
-    for answer in answers {
-        let cell = (answer.group, answer.excitation);
-        if !cells.contains(&cell) {
-            cells.push(cell);
+/// What there is, once each, in the order in which it comes.
+pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for one in all {
+        if !seen.contains(&one) {
+            seen.push(one);
         }
     }
-    cells
-        .into_iter()
-        .map(|(group, excitation)| GroupCount {
+    seen
+}
+
+/// Counts of every group and excitation, in the order in which they come.
+pub(super) fn counts(answers: &[Answer]) -> Vec<GroupCount> {
+    let cells = distinct(answers.iter().map(|a| (a.group, a.excitation))).into_iter();
+    let count = |(group, excitation): (Group, &'static str)| {
+        let of_cell = |a: &&Answer| a.group == group && a.excitation == excitation;
+        GroupCount {
             group,
             excitation,
-            tally: Tally::of(
-                answers
-                    .iter()
-                    .filter(|answer| answer.group == group && answer.excitation == excitation),
-            ),
-        })
-        .collect()
+            tally: Tally::of(answers.iter().filter(of_cell)),
+        }
+    };
+    cells.map(count).collect()
 }
 
 /// Medians of the held-out error before and after, in units of the noise floor; none without answers.
@@ -125,18 +131,8 @@ pub fn matrix(answers: &[Answer]) -> Matrix {
         .iter()
         .filter(|a| matches!(a.group, Group::Single | Group::Null | Group::Unknown))
         .collect();
-    let mut rows: Vec<String> = Vec::new();
-    for answer in &counted {
-        if !rows.contains(&answer.class) {
-            rows.push(answer.class.clone());
-        }
-    }
-    let mut columns: Vec<&'static str> = known().collect();
-    for answer in &counted {
-        if !columns.contains(&answer.column()) {
-            columns.push(answer.column());
-        }
-    }
+    let rows = distinct(counted.iter().map(|answer| answer.class.clone()));
+    let columns = distinct(known().chain(counted.iter().map(|answer| answer.column())));
     let count = |row: &String, column: &str| {
         counted
             .iter()

@@ -9,6 +9,11 @@ const REDUCED: Size = Size {
     seed: 7,
     reduced: true,
 };
+const WHOLE: Size = Size {
+    sets: 1,
+    seed: 1,
+    reduced: false,
+};
 
 #[test]
 #[cfg_attr(
@@ -71,11 +76,7 @@ fn an_interrupted_study_is_none() {
 
 #[test]
 fn every_case_of_the_full_study_can_be_recorded_and_has_seeds_of_its_own() {
-    let size = Size {
-        sets: 2,
-        seed: 1,
-        reduced: false,
-    };
+    let size = Size { sets: 2, ..WHOLE };
     let cases = cases::all(size);
     // Bad sensors and lost rows are those of machines that stand elsewhere in the study.
     let own = |case: &&Case| !matches!(case.group, Group::Noisy | Group::Lossy);
@@ -113,7 +114,7 @@ fn studies_of_neighbouring_seeds_share_no_set() {
         let size = Size {
             sets: 3,
             seed,
-            reduced: false,
+            ..WHOLE
         };
         cases::all(size).into_iter().map(|case| case.seed)
     };
@@ -126,13 +127,8 @@ fn studies_of_neighbouring_seeds_share_no_set() {
 
 #[test]
 fn a_line_that_loses_rows_loses_them_of_the_same_run() {
-    let size = Size {
-        sets: 1,
-        seed: 1,
-        reduced: false,
-    };
     let of = |group: Group| {
-        let mut cases = cases::all(size).into_iter();
+        let mut cases = cases::all(WHOLE).into_iter();
         let mut case = cases
             .find(|case| {
                 case.group == group
@@ -172,12 +168,8 @@ fn a_line_that_loses_rows_loses_them_of_the_same_run() {
 
 #[test]
 fn a_study_of_one_set_in_each_cell_has_more_than_six_hundred_machines() {
-    let size = Size {
-        sets: 1,
-        seed: 1,
-        reduced: false,
-    };
-    assert!((600..800).contains(&size.machines()), "{}", size.machines());
+    let machines = WHOLE.machines();
+    assert!((600..800).contains(&machines), "{machines}");
 }
 
 #[test]
@@ -192,12 +184,7 @@ fn the_same_seed_gives_the_same_runs_to_the_bit() {
 /// under load and for a winding that cools: sizes below zero, which no machine has.
 #[test]
 fn nothing_is_named_with_a_size_that_no_machine_has() {
-    let size = Size {
-        sets: 1,
-        seed: 1,
-        reduced: false,
-    };
-    let cases = cases::all(size);
+    let cases = cases::all(WHOLE);
     let case = cases
         .iter()
         .find(|case| case.excitation == Excitation::Ramp && case.hidden == ["flux_saturation"])
@@ -213,11 +200,7 @@ fn nothing_is_named_with_a_size_that_no_machine_has() {
     ignore = "diagnoses of two runs at 1 kHz take a minute without optimisation"
 )]
 fn a_small_effect_is_named_beside_four_others_and_nothing_that_is_not_there() {
-    let size = Size {
-        sets: 1,
-        seed: 3,
-        reduced: false,
-    };
+    let size = Size { seed: 3, ..WHOLE };
     let wanted = ["eccentric_load", "speed_offset", "stribeck_friction"];
     let cases = cases::all(size);
     let harsh = cases

@@ -93,32 +93,35 @@ pub struct LineStudy {
 
 /// `runs` records of each kind.
 pub fn line_study(runs: usize, seed: u64) -> LineStudy {
-    let own = Errors {
-        stamps: false,
-        quantised: false,
-        ..ALL_ERRORS
-    };
     let pace = |rate_hz, request_s, reply_s, drive_cycle_s| Pace {
         rate_hz,
         request_s,
         reply_s,
         drive_cycle_s,
     };
-    let clocked = Errors {
-        stamps: false,
-        ..ALL_ERRORS
+    let all = ALL_ERRORS;
+    #[rustfmt::skip]
+    let (clocked, prompt, fine) = (
+        Errors { stamps: false, ..all },
+        Errors { jitter: false, ..all },
+        Errors { quantised: false, ..all },
+    );
+    let own = Errors {
+        quantised: false,
+        ..clocked
     };
+    let sampled = Errors {
+        voltage: VoltageKnown::Sampled,
+        ..all
+    };
+    let slow = pace(20.0, 4.2e-3, 8.0e-3, 4e-3);
     let links = [
         ("own, stream", pace(200.0, 0.2e-3, 0.4e-3, 1e-3), own),
         ("own, Modbus RTU", pace(100.0, 0.8e-3, 3.2e-3, 1e-3), own),
         ("own, Modbus TCP", pace(100.0, 0.2e-3, 0.3e-3, 1e-3), own),
         ("profiled, with a clock", HOST_STAMPED, clocked),
-        ("profiled, without one", HOST_STAMPED, ALL_ERRORS),
-        (
-            "profiled, 19,200 baud",
-            pace(20.0, 4.2e-3, 8.0e-3, 4e-3),
-            ALL_ERRORS,
-        ),
+        ("profiled, without one", HOST_STAMPED, all),
+        ("profiled, 19,200 baud", slow, all),
     ];
     let mut lines = Vec::new();
     for (name, pace, errors) in links {
@@ -135,52 +138,21 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
         }
     }
     let causes = [
-        (
-            "all causes, stamps believed",
-            ALL_ERRORS,
-            Told::StampsBelieved,
-        ),
-        ("all causes", ALL_ERRORS, Told::All),
-        (
-            "no error of stamps",
-            Errors {
-                stamps: false,
-                ..ALL_ERRORS
-            },
-            Told::All,
-        ),
-        (
-            "no jitter, stamps believed",
-            Errors {
-                jitter: false,
-                ..ALL_ERRORS
-            },
-            Told::StampsBelieved,
-        ),
+        ("all causes, stamps believed", all, Told::StampsBelieved),
+        ("all causes", all, Told::All),
+        ("no error of stamps", clocked, Told::All),
+        ("no jitter, stamps believed", prompt, Told::StampsBelieved),
         (
             "no quantisation, stamps believed",
-            Errors {
-                quantised: false,
-                ..ALL_ERRORS
-            },
+            fine,
             Told::StampsBelieved,
         ),
         (
             "voltage sampled only, stamps believed",
-            Errors {
-                voltage: VoltageKnown::Sampled,
-                ..ALL_ERRORS
-            },
+            sampled,
             Told::StampsBelieved,
         ),
-        (
-            "voltage sampled only",
-            Errors {
-                voltage: VoltageKnown::Sampled,
-                ..ALL_ERRORS
-            },
-            Told::All,
-        ),
+        ("voltage sampled only", sampled, Told::All),
     ];
     let causes = causes
         .into_iter()

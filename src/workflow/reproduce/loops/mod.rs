@@ -35,10 +35,6 @@ impl Named {
             trace,
         }
     }
-
-    pub fn column(&self, of: impl Fn(&TrialPoint) -> f64) -> Vec<f64> {
-        self.trace.iter().map(of).collect()
-    }
 }
 
 /// A square wave that begins `high`, each level for `half_s`.

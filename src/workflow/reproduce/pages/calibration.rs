@@ -1,13 +1,12 @@
 //! What probabilities, bounds and sizes are worth, on the page.
 
-use super::cells;
-use super::discovery::table;
+use super::discovery::none_as_dot;
+use super::{number, or_dash};
 use crate::report::number::{fixed, significant};
-use crate::report::page::Cell;
 use crate::report::plot::{Claims, ReliabilityChart};
-use crate::report::reproduce::{NamedTable, Picture, Section};
+use crate::report::reproduce::Section;
 use crate::workflow::reproduce::discovery::{
-    Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, sizes,
+    Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, distinct, sizes,
 };
 
 /// Probabilities from which on an effect is called supported, and below which ruled out.
@@ -17,191 +16,131 @@ const POSSIBLE: f64 = 0.1;
 /// How often what was called likely is there.
 pub(super) fn probabilities(study: &Discovery) -> Section {
     let all = &study.calibration;
-    let rows = all.bins.iter().map(|bin| {
-        cells([
-            range(bin),
-            bin.there.of.to_string(),
-            bin.there.count.to_string(),
-            number(bin.mean, 3),
-            share(bin.there),
-            allowed(bin.there),
-        ])
-    });
-    let groups = groups(&study.answers).into_iter().map(|(name, of_group)| {
-        cells([
-            name,
-            of_group.sets.to_string(),
-            counted(at_least(&of_group, SUPPORTED)),
-            counted(below(&of_group, POSSIBLE)),
-            number(of_group.brier, 2),
-            counted(of_group.recalled),
-            counted(of_group.false_names),
-            none_as_dot(of_group.false_twins),
-            none_as_dot(of_group.false_but_open),
-        ])
-    });
-    Section {
-        heading: "How far the probabilities can be believed".to_owned(),
-        paragraphs: vec![
-            WEIGHED.to_owned(),
-            in_short(all),
-            beside_what_is_so(all),
-            missed(all),
-        ],
-        pictures: vec![Picture {
-            name: "reliability",
-            svg: chart(all),
-            caption: "Across: the probability that was given, the mean of each bin. Up: the share of these effects that are there, with its 90 % interval. Where probabilities are right the points lie on the line. Both axes are in log odds.".to_owned(),
-        }],
-        tables: vec![
-            table(
-                "All effects of all sets, by the probability that they were given.",
-                "reliability",
-                vec![
-                    "probability",
-                    "effects",
-                    "there",
-                    "mean given",
-                    "share there",
-                    "the counts allow",
-                ],
-                rows.collect(),
-            ),
-            table(
-                "By group. Of what was given 0.9 or more, and less than 0.1: how many are there. Named: of all effects that are there, by a right name. False names: of all names; of these, twins of what is there (delay and filter of one signal, drag and fan), and those that the answer itself calls open against what is there.",
-                "reliability-groups",
-                vec![
-                    "group",
-                    "sets",
-                    "given 0.9 or more",
-                    "given under 0.1",
-                    "Brier score",
-                    "named",
-                    "false names",
-                    "twins",
-                    "open",
-                ],
-                groups.collect(),
-            ),
-        ],
-        ..Section::default()
-    }
+    Section::new("How far the probabilities can be believed")
+        .say(WEIGHED)
+        .say(in_short(all))
+        .say(beside_what_is_so(all))
+        .say(missed(all))
+        .picture("reliability", chart(all), "Across: the probability that was given, the mean of each bin. Up: the share of these effects that are there, with its 90 % interval. Where probabilities are right the points lie on the line. Both axes are in log odds.")
+        .table(
+            "reliability",
+            "All effects of all sets, by the probability that they were given.",
+            &all.bins,
+            &[
+                ("probability", &|bin| range(bin)),
+                ("effects", &|bin| bin.there.of.to_string()),
+                ("there", &|bin| bin.there.count.to_string()),
+                ("mean given", &|bin| number(bin.mean, 3)),
+                ("share there", &|bin| share(bin.there)),
+                ("the counts allow", &|bin| allowed(bin.there)),
+            ],
+        )
+        .table(
+            "reliability-groups",
+            "By group. Of what was given 0.9 or more, and less than 0.1: how many are there. Named: of all effects that are there, by a right name. False names: of all names; of these, twins of what is there (delay and filter of one signal, drag and fan), and those that the answer itself calls open against what is there.",
+            groups(&study.answers),
+            &[
+                ("group", &|(name, _)| name.clone()),
+                ("sets", &|(_, all)| all.sets.to_string()),
+                ("given 0.9 or more", &|(_, all)| counted(at_least(all, SUPPORTED))),
+                ("given under 0.1", &|(_, all)| counted(below(all, POSSIBLE))),
+                ("Brier score", &|(_, all)| number(all.brier, 2)),
+                ("named", &|(_, all)| counted(all.recalled)),
+                ("false names", &|(_, all)| counted(all.false_names)),
+                ("twins", &|(_, all)| none_as_dot(all.false_twins)),
+                ("open", &|(_, all)| none_as_dot(all.false_but_open)),
+            ],
+        )
 }
 
 /// Whether "at most" and "would have shown" hold, and how large what was named is.
 pub(super) fn bounds(study: &Discovery) -> Section {
-    let rows = groups(&study.answers).into_iter().map(|(name, of_group)| {
-        cells([
-            name,
-            counted(of_group.falsely_ruled_out),
-            counted(of_group.bounds_hold),
-            counted(of_group.should_have_shown),
-            counted(of_group.absent_ruled_out),
-            number(of_group.bound_over_detectable, 2),
-            counted(of_group.intervals_hold),
-            percent_of(of_group.size_error),
-            counted(of_group.false_none),
-            counted(of_group.false_unexplained),
-        ])
-    });
-    let of_effects = sizes(&study.answers).into_iter();
-    let by_effect = of_effects.map(|of_effect| {
-        cells([
-            of_effect.effect.to_owned(),
-            counted(of_effect.intervals_hold),
-            percent_of(of_effect.error),
-        ])
-    });
-    Section {
-        heading: "Bounds".to_owned(),
-        paragraphs: vec![SIZES.to_owned(), bounds_in_short(&study.calibration)],
-        tables: vec![
-            table(
-                BOUNDS,
-                "bounds",
-                vec![
-                    "group",
-                    "falsely ruled out",
-                    "bounds hold",
-                    "should have shown",
-                    "absent: ruled out",
-                    "bound / detectable",
-                    "intervals hold",
-                    "size error",
-                    "false \"none\"",
-                    "false \"unexplained\"",
-                ],
-                rows.collect(),
-            ),
-            table(
-                "Sizes of right names over all groups, by effect: how many 95 % intervals hold the truth, and the median error with its sign.",
-                "sizes",
-                vec!["effect", "intervals hold", "error"],
-                by_effect.collect(),
-            ),
-        ],
-        ..Section::default()
-    }
+    Section::new("Bounds")
+        .say(SIZES)
+        .say(bounds_in_short(&study.calibration))
+        .table(
+            "bounds",
+            BOUNDS,
+            groups(&study.answers),
+            &[
+                ("group", &|(name, _)| name.clone()),
+                ("falsely ruled out", &|(_, all)| counted(all.falsely_ruled_out)),
+                ("bounds hold", &|(_, all)| counted(all.bounds_hold)),
+                ("should have shown", &|(_, all)| counted(all.should_have_shown)),
+                ("absent: ruled out", &|(_, all)| counted(all.absent_ruled_out)),
+                ("bound / detectable", &|(_, all)| number(all.bound_over_detectable, 2)),
+                ("intervals hold", &|(_, all)| counted(all.intervals_hold)),
+                ("size error", &|(_, all)| percent_of(all.size_error)),
+                ("false \"none\"", &|(_, all)| counted(all.false_none)),
+                ("false \"unexplained\"", &|(_, all)| counted(all.false_unexplained)),
+            ],
+        )
+        .table(
+            "sizes",
+            "Sizes of right names over all groups, by effect: how many 95 % intervals hold the truth, and the median error with its sign.",
+            sizes(&study.answers),
+            &[
+                ("effect", &|own| own.effect.to_owned()),
+                ("intervals hold", &|own| counted(own.intervals_hold)),
+                ("error", &|own| percent_of(own.error)),
+            ],
+        )
 }
 
 /// What the intervals of the motor's parameters hold.
 pub(super) fn parameters(study: &Discovery) -> Section {
-    let by_group = named_groups(&study.answers);
-    let all = ("all".to_owned(), study.coverage.clone());
-    let by_group = by_group.into_iter().map(|name| {
-        let own = study.answers.iter();
-        let own: Vec<&Answer> = own.filter(|answer| answer.group.name() == name).collect();
-        (name, coverage(&own))
-    });
-    let by_group = by_group.chain([all]).map(|(name, coverage)| {
+    let of_group = |name: String| {
+        let own = study
+            .answers
+            .iter()
+            .filter(|answer| answer.group.name() == name);
+        let found = coverage(&own.collect::<Vec<_>>());
+        (name, found)
+    };
+    let by_group = named_groups(&study.answers).into_iter().map(of_group);
+    let by_group = by_group.chain([("all".to_owned(), study.coverage.clone())]);
+    let by_group = by_group.map(|(name, coverage)| {
         let held = coverage.iter().map(|own| counted(own.hold));
-        let row = std::iter::once(name).chain(held);
-        row.map(Cell::text).collect()
+        std::iter::once(name).chain(held).collect()
     });
     let mut head = vec!["group"];
     head.extend(study.coverage.iter().map(|own| own.parameter.key()));
-    Section {
-        heading: "Intervals of the motor's parameters".to_owned(),
-        paragraphs: vec![PARAMETERS.to_owned()],
-        tables: vec![
-            table(
-                "95 % intervals that hold the truth.",
-                "coverage",
-                head,
-                by_group.collect(),
-            ),
-            intervals("All groups together", "parameters", &study.coverage),
-        ],
-        ..Section::default()
-    }
+    let section = Section::new("Intervals of the motor's parameters").say(PARAMETERS);
+    let section = section.grid(
+        "coverage",
+        "95 % intervals that hold the truth.",
+        head,
+        by_group,
+    );
+    intervals(
+        section,
+        "All groups together",
+        "parameters",
+        &study.coverage,
+    )
 }
 
 /// What the intervals of some machines' parameters are worth.
-pub(super) fn intervals(whose: &str, id: &str, coverage: &[Coverage]) -> (String, NamedTable) {
-    let of_one = |own: &Coverage| {
-        cells([
-            own.parameter.key().to_owned(),
-            counted(own.hold),
-            number(own.spread, 2),
-            number(own.error_percent, 2),
-            number(own.std_percent, 2),
-            none_as_dot(own.not_settled),
-        ])
-    };
-    table(
-        &format!(
+pub(super) fn intervals(
+    section: Section,
+    whose: &str,
+    name: &str,
+    coverage: &[Coverage],
+) -> Section {
+    section.table(
+        name,
+        format!(
             "{whose}: 95 % intervals that hold the truth, root mean square of the errors in their standard deviations (1 where intervals are right), medians of the error and of its standard deviation in %, and machines on which the parameter was not settled."
         ),
-        id,
-        vec![
-            "parameter",
-            "intervals hold",
-            "spread",
-            "error",
-            "std",
-            "not settled",
+        coverage,
+        &[
+            ("parameter", &|own| own.parameter.key().to_owned()),
+            ("intervals hold", &|own| counted(own.hold)),
+            ("spread", &|own| number(own.spread, 2)),
+            ("error", &|own| number(own.error_percent, 2)),
+            ("std", &|own| number(own.std_percent, 2)),
+            ("not settled", &|own| none_as_dot(own.not_settled)),
         ],
-        coverage.iter().map(of_one).collect(),
     )
 }
 
@@ -311,14 +250,7 @@ fn chart(all: &Calibration) -> String {
 
 /// The groups in the order in which they come, and all together.
 fn named_groups(answers: &[Answer]) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for answer in answers {
-        let name = answer.group.name();
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    names
+    distinct(answers.iter().map(|answer| answer.group.name()))
 }
 
 fn groups(answers: &[Answer]) -> Vec<(String, Calibration)> {
@@ -352,49 +284,31 @@ fn range(bin: &Bin) -> String {
 }
 
 /// `93 of 96 (96.9 %)`.
-fn counted(share: Bounded) -> String {
-    if share.of == 0 {
-        return "-".to_owned();
+fn counted(all: Bounded) -> String {
+    match all.of {
+        0 => "-".to_owned(),
+        of => format!("{} of {of} ({})", all.count, share(all)),
     }
-    let percent = 100.0 * share.count as f64 / share.of as f64;
-    format!("{} of {} ({} %)", share.count, share.of, fixed(percent, 1))
 }
 
-fn share(bounded: Bounded) -> String {
-    if bounded.of == 0 {
-        return "-".to_owned();
-    }
-    let percent = 100.0 * bounded.count as f64 / bounded.of as f64;
-    format!("{} %", fixed(percent, 1))
+fn share(all: Bounded) -> String {
+    let percent = 100.0 * all.count as f64 / all.of as f64;
+    or_dash((all.of > 0).then_some(percent), |percent| {
+        format!("{} %", fixed(percent, 1))
+    })
 }
 
-fn allowed(bounded: Bounded) -> String {
-    if bounded.of == 0 {
-        return "-".to_owned();
-    }
-    format!(
-        "{} to {} %",
-        fixed(bounded.lower_percent, 1),
-        fixed(bounded.upper_percent, 1)
-    )
-}
-
-fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or_else(|| "-".to_owned(), |value| significant(value, digits))
+fn allowed(all: Bounded) -> String {
+    let [lower, upper] = [all.lower_percent, all.upper_percent].map(|percent| fixed(percent, 1));
+    or_dash((all.of > 0).then_some(()), |()| {
+        format!("{lower} to {upper} %")
+    })
 }
 
 fn percent_of(value: Option<f64>) -> String {
-    value.map_or_else(
-        || "-".to_owned(),
-        |value| format!("{} %", significant(100.0 * value, 2)),
-    )
-}
-
-fn none_as_dot(count: usize) -> String {
-    match count {
-        0 => ".".to_owned(),
-        count => count.to_string(),
-    }
+    or_dash(value, |value| {
+        format!("{} %", significant(100.0 * value, 2))
+    })
 }
 
 #[cfg(test)]

@@ -2,12 +2,12 @@
 
 use std::fmt::Write as _;
 
-use super::{calibration, cells, mysteries};
+use super::{calibration, number, or_dash};
 use crate::report::number::{fixed, significant};
-use crate::report::page::{Cell, Table};
-use crate::report::reproduce::{NamedTable, Reproduction, Section};
+use crate::report::reproduce::{Column, Reproduction, Section};
 use crate::workflow::reproduce::discovery::{
-    Answer, Bounded, Discovery, Excitation, Group, Matrix, Outcome, Tally, median_errors,
+    Answer, Bounded, Discovery, Excitation, Group, Matrix, MysteryAnswer, Outcome,
+    ParameterFinding, Tally, coverage_of, distinct, median_errors,
 };
 use crate::workflow::reproduce::lines::LineStudy;
 
@@ -60,7 +60,7 @@ impl Discovery {
             sections.push(self.real_machines());
         }
         if !self.mysteries.is_empty() {
-            sections.push(mysteries::section(&self.mysteries));
+            sections.push(mysteries(&self.mysteries));
         }
         sections.extend(self.lines.as_ref().map(LineStudy::section));
         sections
@@ -72,7 +72,7 @@ impl Discovery {
 
     fn in_short(&self) -> String {
         let mut text = self.in_virtual_time();
-        text.extend(mysteries::in_short(&self.mysteries));
+        text.extend(mysteries_in_short(&self.mysteries));
         text.trim_start().to_owned()
     }
 
@@ -98,54 +98,44 @@ impl Discovery {
         )
     }
 
+    /// Machines with one hidden effect, all or some of them.
+    fn single(&self, keep: impl Fn(&Answer) -> bool) -> Vec<&Answer> {
+        self.of(|answer| answer.group == Group::Single && keep(answer))
+    }
+
     fn by_excitation(&self) -> Section {
         let rows = Excitation::ALL.iter().filter_map(|excitation| {
-            let answers =
-                self.of(|a| a.group == Group::Single && a.excitation == excitation.name());
-            (!answers.is_empty()).then(|| tally_row_of(excitation.name().to_owned(), &answers))
+            let answers = self.single(|a| a.excitation == excitation.name());
+            (!answers.is_empty()).then(|| tallied(excitation.name(), &answers))
         });
-        let mut paragraphs = vec![OUTCOMES.to_owned()];
-        for excitation in Excitation::ALL {
-            paragraphs.push(format!(
+        let section = Section::new("One hidden effect, by excitation").say(OUTCOMES);
+        let described = |section: Section, excitation: &Excitation| {
+            section.say(format!(
                 "{}: {}.",
                 excitation.name(),
                 excitation.description()
-            ));
-        }
-        Section {
-            heading: "One hidden effect, by excitation".to_owned(),
-            paragraphs,
-            tables: vec![table(
-                "Every effect of the catalogue in turn. Errors are medians on the hold-out, in units of the sensors' noise, before and after the named effects are added.",
-                "excitations",
-                tally_head("excitation"),
-                rows.collect(),
-            )],
-            ..Section::default()
-        }
+            ))
+        };
+        Excitation::ALL.iter().fold(section, described).table(
+            "excitations",
+            "Every effect of the catalogue in turn. Errors are medians on the hold-out, in units of the sensors' noise, before and after the named effects are added.",
+            rows,
+            &tally_columns("excitation"),
+        )
     }
 
     fn by_effect(&self) -> Section {
-        let mut classes: Vec<&str> = Vec::new();
-        for answer in self.of(|a| a.group == Group::Single) {
-            if !classes.contains(&answer.class.as_str()) {
-                classes.push(&answer.class);
-            }
-        }
+        let classes = distinct(self.single(|_| true).into_iter().map(|a| a.class.clone()));
         let rows = classes.into_iter().map(|class| {
-            let answers = self.of(|a| a.group == Group::Single && a.class == class);
-            tally_row_of(class.to_owned(), &answers)
+            let answers = self.single(|a| a.class == class);
+            tallied(class, &answers)
         });
-        Section {
-            heading: "One hidden effect, by effect".to_owned(),
-            tables: vec![table(
-                "The same sets, over all excitations.",
-                "effects",
-                tally_head("hidden"),
-                rows.collect(),
-            )],
-            ..Section::default()
-        }
+        Section::new("One hidden effect, by effect").table(
+            "effects",
+            "The same sets, over all excitations.",
+            rows,
+            &tally_columns("hidden"),
+        )
     }
 
     fn confusion(&self) -> Section {
@@ -159,13 +149,8 @@ impl Discovery {
         let body = rows.iter().zip(counts).map(|(row, counts)| {
             let number = columns.iter().position(|column| column == row);
             let label = number.map_or_else(|| row.clone(), |k| format!("{} {row}", k + 1));
-            let count = |count: &usize| match count {
-                0 => Cell::text("."),
-                count => Cell::text(count.to_string()),
-            };
-            std::iter::once(Cell::text(label))
-                .chain(counts.iter().map(count))
-                .collect()
+            let counts = counts.iter().map(|count| none_as_dot(*count));
+            std::iter::once(label).chain(counts).collect()
         });
         let mut legend = "Rows: what was hidden. Columns: the first name of the answer, by the numbers of the rows".to_owned();
         for (k, column) in columns.iter().enumerate() {
@@ -174,52 +159,33 @@ impl Discovery {
             }
         }
         legend.push('.');
-        Section {
-            heading: "Who is taken for whom".to_owned(),
-            tables: vec![table(&legend, "confusion", head, body.collect())],
-            ..Section::default()
-        }
+        Section::new("Who is taken for whom").grid("confusion", legend, head, body)
     }
 
     /// A group beside the single effects, by what is hidden and by excitation.
     fn beside(&self, group: Group, name: &str, about: (&str, &str)) -> Section {
         let answers = self.of(|a| a.group == group);
-        let mut classes: Vec<String> = Vec::new();
-        for answer in &answers {
-            let class = if group == Group::Null {
-                answer.excitation.to_owned()
-            } else {
-                answer.class.clone()
-            };
-            if !classes.contains(&class) {
-                classes.push(class);
-            }
-        }
-        let rows = classes.into_iter().map(|class| {
-            let of_class = answers
-                .iter()
-                .copied()
-                .filter(|a| a.class == class || (group == Group::Null && a.excitation == class));
-            let of_class: Vec<&Answer> = of_class.collect();
-            tally_row_of(class, &of_class)
+        let class = |answer: &Answer| match group {
+            Group::Null => answer.excitation.to_owned(),
+            _ => answer.class.clone(),
+        };
+        let classes = distinct(answers.iter().map(|answer| class(answer))).into_iter();
+        let rows = classes.map(|of| {
+            let of_class = self.of(|a| {
+                a.group == group && (a.class == of || (group == Group::Null && a.excitation == of))
+            });
+            tallied(of, &of_class)
         });
-        let mut rows: Vec<Vec<Cell>> = rows.collect();
+        let mut rows: Vec<Tallied> = rows.collect();
         if rows.len() > 1 {
-            rows.push(tally_row_of("all".to_owned(), &answers));
+            rows.push(tallied("all", &answers));
         }
-        Section {
-            heading: about.0.to_owned(),
-            tables: vec![table(about.1, name, tally_head("hidden"), rows)],
-            ..Section::default()
-        }
+        Section::new(about.0).table(name, about.1, rows, &tally_columns("hidden"))
     }
 
     fn background(&self) -> Section {
         let rich = Excitation::Rich.name();
-        let mut rows = vec![tally_row_of(
-            "0".to_owned(),
-            &self.of(|a| a.group == Group::Single && a.excitation == rich),
-        )];
+        let mut rows = vec![tallied("0", &self.single(|a| a.excitation == rich))];
         let mut levels: Vec<f64> = Vec::new();
         for answer in &self.answers {
             if let Group::Background { level } = answer.group
@@ -228,47 +194,41 @@ impl Discovery {
                 levels.push(level);
             }
         }
-        for level in levels {
+        rows.extend(levels.into_iter().map(|level| {
             let answers = self.of(|a| a.group == Group::Background { level });
-            rows.push(tally_row_of(format!("{level}"), &answers));
-        }
-        let harder = [Group::Harsh, Group::Small];
-        let harder = harder.into_iter().flat_map(|group| {
+            tallied(level.to_string(), &answers)
+        }));
+        let harder = [Group::Harsh, Group::Small].into_iter().flat_map(|group| {
             self.excitations_of(group).into_iter().map(move |name| {
                 let answers = self.of(|a| a.group == group && a.excitation == name);
-                tally_row_of(format!("{}, {name}", group.name()), &answers)
+                tallied(format!("{}, {name}", group.name()), &answers)
             })
         });
-        Section {
-            heading: "Backgrounds".to_owned(),
-            paragraphs: vec![BACKGROUND.to_owned(), HARDER.to_owned()],
-            tables: vec![
-                table(
-                    "One hidden effect each, every effect of the catalogue, excitation: rich.",
-                    "background",
-                    tally_head("level"),
-                    rows,
-                ),
-                table(
-                    "Harsh backgrounds, and backgrounds alone, by excitation.",
-                    "harsh-background",
-                    tally_head("group"),
-                    harder.collect(),
-                ),
-            ],
-            ..Section::default()
-        }
+        Section::new("Backgrounds")
+            .say(BACKGROUND)
+            .say(HARDER)
+            .table(
+                "background",
+                "One hidden effect each, every effect of the catalogue, excitation: rich.",
+                rows,
+                &tally_columns("level"),
+            )
+            .table(
+                "harsh-background",
+                "Harsh backgrounds, and backgrounds alone, by excitation.",
+                harder,
+                &tally_columns("group"),
+            )
     }
 
     /// Excitations of a group, in their order.
     fn excitations_of(&self, group: Group) -> Vec<&'static str> {
+        let has = |name: &&str| {
+            let mut answers = self.answers.iter();
+            answers.any(|a| a.group == group && a.excitation == *name)
+        };
         let all = Excitation::ALL.iter().map(|excitation| excitation.name());
-        all.filter(|name| {
-            !self
-                .of(|a| a.group == group && a.excitation == *name)
-                .is_empty()
-        })
-        .collect()
+        all.filter(has).collect()
     }
 
     /// A group beside the machines that it shares with the single effects and the nulls, by excitation; none where the
@@ -285,7 +245,7 @@ impl Discovery {
             for (answers, label) in [(&plain, "as they are"), (&harder, &*group.name())] {
                 let answers = answers.iter().filter(|a| a.excitation == excitation);
                 let answers: Vec<&Answer> = answers.copied().collect();
-                rows.push(tally_row_of(format!("{excitation}, {label}"), &answers));
+                rows.push(tallied(format!("{excitation}, {label}"), &answers));
             }
         }
         let [before, after] = [&plain, &harder].map(|all| Tally::of(all.iter().copied()));
@@ -293,72 +253,42 @@ impl Discovery {
             "Of {} machines {} are right as they are and {} so; {} and {} are given a wrong name.",
             after.sets, before.right, after.right, before.wrong, after.wrong
         );
-        Some(Section {
-            heading: about.0.to_owned(),
-            paragraphs: vec![about.1.to_owned(), compared],
-            tables: vec![table(
-                "By excitation.",
-                name,
-                tally_head("excitation"),
-                rows,
-            )],
-            ..Section::default()
-        })
+        let section = Section::new(about.0).say(about.1).say(compared);
+        Some(section.table(name, "By excitation.", rows, &tally_columns("excitation")))
     }
 
     fn real_machines(&self) -> Section {
-        let error = |value: Option<f64>| {
-            let known = value.map(|value| significant(value, 3));
-            known.unwrap_or_else(|| "-".to_owned())
-        };
-        let rows = self.records.iter().map(|own| {
-            cells([
-                own.machine.to_owned(),
-                own.source.to_owned(),
-                error(own.holdout_before),
-                error(own.holdout_after),
-                own.sentence.clone(),
-            ])
-        });
-        Section {
-            heading: "Real machines".to_owned(),
-            paragraphs: vec![REAL.to_owned()],
-            tables: vec![table(
-                "What each record shows.",
-                "records",
-                vec!["machine", "record", "error before", "after", "answer"],
-                rows.collect(),
-            )],
-            ..Section::default()
-        }
+        Section::new("Real machines").say(REAL).table(
+            "records",
+            "What each record shows.",
+            &self.records,
+            &[
+                ("machine", &|own| own.machine.to_owned()),
+                ("record", &|own| own.source.to_owned()),
+                ("error before", &|own| number(own.holdout_before, 3)),
+                ("after", &|own| number(own.holdout_after, 3)),
+                ("answer", &|own| own.sentence.clone()),
+            ],
+        )
     }
 
     fn failures(&self) -> Section {
         let not_right = self.of(|a| matches!(a.outcome, Outcome::Wrong | Outcome::Failed));
-        let rows = not_right.iter().map(|answer| {
-            cells([
-                answer.group.name(),
-                answer.excitation.to_owned(),
-                answer.class.clone(),
-                answer.sentence.clone(),
-            ])
-        });
-        let rows: Vec<Vec<Cell>> = rows.collect();
-        Section {
-            heading: "Every wrong name".to_owned(),
-            paragraphs: if rows.is_empty() {
-                vec!["There is none in this study.".to_owned()]
-            } else {
-                vec![]
-            },
-            tables: vec![table(
-                "In the words of the diagnosis.",
-                "wrong",
-                vec!["group", "excitation", "hidden", "what was said"],
-                rows,
-            )],
-            ..Section::default()
+        let mut section = Section::new("Every wrong name");
+        if not_right.is_empty() {
+            section = section.say("There is none in this study.");
         }
+        section.table(
+            "wrong",
+            "In the words of the diagnosis.",
+            not_right,
+            &[
+                ("group", &|answer| answer.group.name()),
+                ("excitation", &|answer| answer.excitation.to_owned()),
+                ("hidden", &|answer| answer.class.clone()),
+                ("what was said", &|answer| answer.sentence.clone()),
+            ],
+        )
     }
 }
 
@@ -393,93 +323,52 @@ const LOST_ROWS: (&str, &str) = (
 const REAL: &str = "Records that others have published, each diagnosed from one run, whose last part is held out, and from the model of its publishers. Nobody knows the whole truth of these machines: what is said of them stands here as it was printed. Errors are in units of the floor of each record.";
 
 fn what_is_claimed() -> Section {
-    Section {
-        heading: "What is claimed, and what is not".to_owned(),
-        paragraphs: vec![
-            "Claimed: on machines like these, excited like these, with sensors like these, the diagnosis gives the answers counted below. A count of no wrong names does not mean that there are none: the bound beside it says how many the count still allows.".to_owned(),
-            "A name is an equation, not a cause. \"Behaves like viscous friction\" covers grease, iron loss and eddy currents alike; direction-dependent Coulomb friction and a constant load torque are the same equation below breakaway and count as one. The card of each effect (`drivebench effects ID`) lists the causes and how to tell them apart on the machine.".to_owned(),
-            "Not claimed: that a real bench gives the first table. All data here are simulated. The emulator's effects have other mathematical forms than the catalogue's (a bristle for the Stribeck curve, a shear-thinning fluid for the drag, two thermal bodies for the winding, ...), and its integrator, its friction logic and its sensors are other code than the model's, but both were written by people who read the same books. There is no commutation, no PWM ripple, no temperature of the magnets, one class of motor, and white sensor noise. On a real machine several small effects are always there: look at the table of backgrounds, and record a repeated run and a confirming run.".to_owned(),
-        ],
-        ..Section::default()
-    }
+    Section::new("What is claimed, and what is not")
+        .say("Claimed: on machines like these, excited like these, with sensors like these, the diagnosis gives the answers counted below. A count of no wrong names does not mean that there are none: the bound beside it says how many the count still allows.")
+        .say("A name is an equation, not a cause. \"Behaves like viscous friction\" covers grease, iron loss and eddy currents alike; direction-dependent Coulomb friction and a constant load torque are the same equation below breakaway and count as one. The card of each effect (`drivebench effects ID`) lists the causes and how to tell them apart on the machine.")
+        .say("Not claimed: that a real bench gives the first table. All data here are simulated. The emulator's effects have other mathematical forms than the catalogue's (a bristle for the Stribeck curve, a shear-thinning fluid for the drag, two thermal bodies for the winding, ...), and its integrator, its friction logic and its sensors are other code than the model's, but both were written by people who read the same books. There is no commutation, no PWM ripple, no temperature of the magnets, one class of motor, and white sensor noise. On a real machine several small effects are always there: look at the table of backgrounds, and record a repeated run and a confirming run.")
 }
 
 fn how_it_is_done() -> Section {
-    Section {
-        heading: "How it is done".to_owned(),
-        paragraphs: vec![
-            "Each set is a specimen of a 110 V, 5.7 A motor (R, L, Ke, J and Mc each within 15 % of the nameplate) with a hidden effect of drawn size, about 3 to 15 % of what the motor is rated for. The software drive is excited in virtual time, twice from rest and cold, with other seeds of excitation and noise: 12 s to fit and 12 s held out. Sensors: 0.15 rad/s and 30 mA of noise, steps of 1 r/min and 10 mA; the shaft angle is measured. The diagnosis starts from the nameplate, refits it, and gets nothing but the rows of the two runs.".to_owned(),
-            "Everything follows from the seed: the same program with the same --sets and --seed writes this page to the bit.".to_owned(),
-        ],
-        ..Section::default()
-    }
+    Section::new("How it is done")
+        .say("Each set is a specimen of a 110 V, 5.7 A motor (R, L, Ke, J and Mc each within 15 % of the nameplate) with a hidden effect of drawn size, about 3 to 15 % of what the motor is rated for. The software drive is excited in virtual time, twice from rest and cold, with other seeds of excitation and noise: 12 s to fit and 12 s held out. Sensors: 0.15 rad/s and 30 mA of noise, steps of 1 r/min and 10 mA; the shaft angle is measured. The diagnosis starts from the nameplate, refits it, and gets nothing but the rows of the two runs.")
+        .say("Everything follows from the seed: the same program with the same --sets and --seed writes this page to the bit.")
 }
 
-pub(super) fn table(
-    sentence: &str,
-    name: &str,
-    head: Vec<&'static str>,
-    rows: Vec<Vec<Cell>>,
-) -> (String, NamedTable) {
-    (
-        sentence.to_owned(),
-        NamedTable {
-            name: name.to_owned(),
-            table: Table { head, rows },
-        },
-    )
+/// Label, counts, median errors before and after.
+type Tallied = (String, Tally, Option<(f64, f64)>);
+
+fn tallied(label: impl Into<String>, answers: &[&Answer]) -> Tallied {
+    let errors = answers.iter().filter_map(|answer| answer.errors());
+    let tally = Tally::of(answers.iter().copied());
+    (label.into(), tally, median_errors(errors))
 }
 
-pub(super) fn tally_head(first: &'static str) -> Vec<&'static str> {
-    vec![
-        first,
-        "sets",
-        "right",
-        "twin",
-        "set",
-        "partial",
-        "not excited",
-        "silent",
-        "wrong",
-        "at most",
-        "failed",
-        "error before",
-        "after",
+fn tally_columns(first: &'static str) -> [Column<'static, Tallied>; 13] {
+    [
+        (first, &|row| row.0.clone()),
+        ("sets", &|row| row.1.sets.to_string()),
+        ("right", &|row| none_as_dot(row.1.right)),
+        ("twin", &|row| none_as_dot(row.1.twin)),
+        ("set", &|row| none_as_dot(row.1.ambiguous)),
+        ("partial", &|row| none_as_dot(row.1.partial)),
+        ("not excited", &|row| none_as_dot(row.1.not_excited)),
+        ("silent", &|row| none_as_dot(row.1.abstained)),
+        ("wrong", &|row| none_as_dot(row.1.wrong)),
+        ("at most", &|row| {
+            format!("{} %", fixed(row.1.wrong_share().upper_percent, 1))
+        }),
+        ("failed", &|row| none_as_dot(row.1.failed)),
+        ("error before", &|row| number(row.2.map(|e| e.0), 3)),
+        ("after", &|row| number(row.2.map(|e| e.1), 3)),
     ]
 }
 
-fn tally_row_of(label: String, answers: &[&Answer]) -> Vec<Cell> {
-    let errors = answers.iter().filter_map(|answer| answer.errors());
-    tally_row(
-        label,
-        Tally::of(answers.iter().copied()),
-        median_errors(errors),
-    )
-}
-
-pub(super) fn tally_row(label: String, tally: Tally, errors: Option<(f64, f64)>) -> Vec<Cell> {
-    let error = |of: fn((f64, f64)) -> f64| {
-        errors.map_or_else(|| "-".to_owned(), |e| significant(of(e), 3))
-    };
-    let count = |count: usize| match count {
+pub(super) fn none_as_dot(count: usize) -> String {
+    match count {
         0 => ".".to_owned(),
         count => count.to_string(),
-    };
-    cells([
-        label,
-        tally.sets.to_string(),
-        count(tally.right),
-        count(tally.twin),
-        count(tally.ambiguous),
-        count(tally.partial),
-        count(tally.not_excited),
-        count(tally.abstained),
-        count(tally.wrong),
-        format!("{} %", fixed(tally.wrong_share().upper_percent, 1)),
-        count(tally.failed),
-        error(|(before, _)| before),
-        error(|(_, after)| after),
-    ])
+    }
 }
 
 fn percent(count: usize, of: usize) -> String {
@@ -496,4 +385,132 @@ fn at_most(share: Bounded) -> String {
         percent(share.count, share.of),
         fixed(share.upper_percent, 1)
     )
+}
+
+const HOW: &str = "Each seed draws what a software drive hides: one effect of the catalogue with a random size, sometimes nothing, sometimes an effect that no catalogue has. For each seed the program itself is started: `drivebench commission --headless --port sim: --mystery SEED --json` (checks, four runs at 100 Hz in virtual time, identification, diagnosis), and its answer is marked as `drivebench reveal` does.";
+
+impl Outcome {
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Right => "right",
+            Self::Twin => "twin",
+            Self::Ambiguous => "set",
+            Self::Partial => "partial",
+            Self::NotExcited => "not excited",
+            Self::Abstained => "silent",
+            Self::Wrong => "WRONG",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// One sentence on mysteries for the head of the page; none where no mystery was given.
+fn mysteries_in_short(answers: &[MysteryAnswer]) -> Option<String> {
+    let tally = Tally::of_outcomes(answers.iter().map(|answer| answer.outcome));
+    (tally.sets > 0).then(|| {
+        format!(
+            " Of {} mystery drives, through the whole program, {} were answered rightly ({} of them that the run cannot show the effect), {} were given a wrong name.",
+            tally.sets,
+            tally.right + tally.not_excited,
+            tally.not_excited,
+            tally.wrong
+        )
+    })
+}
+
+/// Counts, intervals of the motor's parameters, and every answer that is not simply right.
+fn mysteries(answers: &[MysteryAnswer]) -> Section {
+    let named = answers.iter().filter(|answer| !answer.effects.is_empty());
+    let errors = named.filter_map(|answer| Some((answer.holdout_before?, answer.holdout_after?)));
+    let counts = (
+        "all".to_owned(),
+        Tally::of_outcomes(answers.iter().map(|answer| answer.outcome)),
+        median_errors(errors),
+    );
+    let parameters = answers.iter().flat_map(|answer| &answer.parameters);
+    let parameters: Vec<&ParameterFinding> = parameters.collect();
+    let others = answers
+        .iter()
+        .filter(|answer| answer.outcome != Outcome::Right);
+    let section = Section::new("Mystery drives, through the whole program")
+        .say(HOW)
+        .table(
+            "mysteries",
+            "Counts. The errors are over the drives on which an effect was named.",
+            [counts],
+            &tally_columns("mysteries"),
+        );
+    let section = calibration::intervals(
+        section,
+        "Whatever was hidden and found",
+        "mystery-parameters",
+        &coverage_of(&parameters),
+    );
+    section
+        .table(
+            "mystery-confusion",
+            "Who is taken for whom.",
+            pairs(answers),
+            &[
+                ("hidden", &|pair| pair.0.to_owned()),
+                ("answer", &|pair| pair.1.clone()),
+                ("drives", &|pair| pair.2.to_string()),
+            ],
+        )
+        .table(
+            "mystery-drives",
+            "Drives that were not simply answered rightly. Errors are held out, in units of the sensors' noise; of the sizes the largest error is given.",
+            others,
+            &[
+                ("seed", &|answer| answer.seed.to_string()),
+                ("hidden", &|answer| answer.hidden.clone()),
+                ("answer", &|answer| match answer.outcome {
+                    Outcome::Failed => without_paths(&answer.reason),
+                    _ => answer.column(),
+                }),
+                ("", &|answer| answer.outcome.word().to_owned()),
+                ("error before", &|answer| number(answer.holdout_before, 3)),
+                ("after", &|answer| number(answer.holdout_after, 3)),
+                ("size off by", &|answer| {
+                    or_dash(answer.size_error_percent, |e| format!("{} %", significant(e, 2)))
+                }),
+            ],
+        )
+}
+
+/// What was hidden, what was answered, how often.
+fn pairs(answers: &[MysteryAnswer]) -> Vec<(&str, String, usize)> {
+    let mut pairs: Vec<(&str, String, usize)> = Vec::new();
+    for answer in answers {
+        let column = answer.column();
+        let same = |pair: &&mut (&str, String, usize)| pair.0 == answer.hidden && pair.1 == column;
+        match pairs.iter_mut().find(same) {
+            Some(pair) => pair.2 += 1,
+            None => pairs.push((&answer.hidden, column, 1)),
+        }
+    }
+    pairs.sort();
+    pairs
+}
+
+/// A reason without the paths of the machine on which it came about: the page is read elsewhere.
+fn without_paths(reason: &str) -> String {
+    let words = reason.split(' ').map(|word| match word.strip_prefix('/') {
+        Some(path) if path.ends_with(':') => "port:",
+        Some(_) => "port",
+        None => word,
+    });
+    words.collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_reason_names_no_path_and_keeps_everything_else() {
+        let reason = "error: /dev/pts/7: no reply within 42 ms, 3 of /dev/pts/7 at 5 m/s";
+        assert_eq!(
+            super::without_paths(reason),
+            "error: port: no reply within 42 ms, 3 of port at 5 m/s"
+        );
+    }
 }

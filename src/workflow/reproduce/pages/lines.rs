@@ -1,11 +1,8 @@
 //! What a line does to a measurement, on the page.
 
-use super::cells;
-use super::discovery::table;
 use crate::report::number::{fixed, significant};
-use crate::report::page::Cell;
 use crate::report::reproduce::{Reproduction, Section};
-use crate::workflow::reproduce::lines::{LineRow, LineStudy};
+use crate::workflow::reproduce::lines::{LineRow, LineStudy, ParameterRow};
 
 const HEADING: &str = "What a line does to a measurement";
 
@@ -37,66 +34,58 @@ impl LineStudy {
     }
 
     pub(super) fn section(&self) -> Section {
-        Section {
-            heading: HEADING.to_owned(),
-            paragraphs: vec![
-                format!(
-                    "{} records of each kind by the default method of `identify`, without a first guess: each with a motor of its own (R, L, Ke, J and Mc within a factor of 1.5 of the ZK-22FC's) under voltage steps of its own over 7 s. The drive samples and applies within its own cycle; where it has no clock that can be read, the host stamps a sample in the middle of request out and first byte in, and a command when it is sent, which is the least that a host can know of it. Profiled drives show 0.1 V, 0.01 A and 1 r/min. The share behind a line's name is that of its replies that are late by 12 to 60 ms, as many lost (given up after 80 ms) and as many doubled.",
-                    self.runs
-                ),
-                "A cell holds the median size of the error and, behind it, the share of the 95 % intervals that hold the truth; a dash is a parameter that was refused. Stamps that are believed are those of a record without its column `time_half_width_s`, as they were used before there was one.".to_owned(),
-            ],
-            tables: vec![
-                table(
-                    "Lines.",
-                    "lines",
-                    vec!["line; late, lost, doubled each", "rate, Hz", "half-width, ms", "R", "L", "Ke", "J", "Mc"],
-                    self.lines.iter().map(line).collect(),
-                ),
-                table(
-                    "Causes: a profiled drive without a clock at 50 Hz. The median of the signed error stands in the place of its size.",
-                    "line-causes",
-                    vec!["record", "R", "L", "Ke", "J", "Mc"],
-                    self.causes.iter().map(cause).collect(),
-                ),
-            ],
-            ..Section::default()
-        }
+        let size = |row: &LineRow, key: usize| cell(&row.parameters[key], |p| p.error_percent);
+        let bias = |row: &LineRow, key: usize| cell(&row.parameters[key], |p| p.bias_percent);
+        Section::new(HEADING)
+            .say(format!(
+                "{} records of each kind by the default method of `identify`, without a first guess: each with a motor of its own (R, L, Ke, J and Mc within a factor of 1.5 of the ZK-22FC's) under voltage steps of its own over 7 s. The drive samples and applies within its own cycle; where it has no clock that can be read, the host stamps a sample in the middle of request out and first byte in, and a command when it is sent, which is the least that a host can know of it. Profiled drives show 0.1 V, 0.01 A and 1 r/min. The share behind a line's name is that of its replies that are late by 12 to 60 ms, as many lost (given up after 80 ms) and as many doubled.",
+                self.runs
+            ))
+            .say("A cell holds the median size of the error and, behind it, the share of the 95 % intervals that hold the truth; a dash is a parameter that was refused. Stamps that are believed are those of a record without its column `time_half_width_s`, as they were used before there was one.")
+            .table(
+                "lines",
+                "Lines.",
+                &self.lines,
+                &[
+                    ("line; late, lost, doubled each", &|row| row.name.clone()),
+                    ("rate, Hz", &|row| fixed(row.rate_hz, 0)),
+                    ("half-width, ms", &|row| half_width(row)),
+                    ("R", &|row| size(row, 0)),
+                    ("L", &|row| size(row, 1)),
+                    ("Ke", &|row| size(row, 2)),
+                    ("J", &|row| size(row, 3)),
+                    ("Mc", &|row| size(row, 4)),
+                ],
+            )
+            .table(
+                "line-causes",
+                "Causes: a profiled drive without a clock at 50 Hz. The median of the signed error stands in the place of its size.",
+                &self.causes,
+                &[
+                    ("record", &|row| row.name.clone()),
+                    ("R", &|row| bias(row, 0)),
+                    ("L", &|row| bias(row, 1)),
+                    ("Ke", &|row| bias(row, 2)),
+                    ("J", &|row| bias(row, 3)),
+                    ("Mc", &|row| bias(row, 4)),
+                ],
+            )
     }
 }
 
-fn line(row: &LineRow) -> Vec<Cell> {
+fn half_width(row: &LineRow) -> String {
     let [median, tail] = row.half_width_s.map(|width_s| fixed(1e3 * width_s, 1));
-    let width = if row.half_width_s[1] > 0.0 {
+    if row.half_width_s[1] > 0.0 {
         format!("{median}, 99 % below {tail}")
     } else {
         "the drive's clock".to_owned()
-    };
-    let mut out = cells([row.name.clone(), fixed(row.rate_hz, 0), width]);
-    out.extend(parameters(row, false));
-    out
+    }
 }
 
-fn cause(row: &LineRow) -> Vec<Cell> {
-    let mut out = cells([row.name.clone()]);
-    out.extend(parameters(row, true));
-    out
-}
-
-fn parameters(row: &LineRow, signed: bool) -> impl Iterator<Item = Cell> + '_ {
-    row.parameters.iter().map(move |parameter| {
-        if parameter.valued == 0 {
-            return Cell::text("-".to_owned());
-        }
-        let error = if signed {
-            parameter.bias_percent
-        } else {
-            parameter.error_percent
-        };
-        Cell::text(format!(
-            "{} %, {} %",
-            significant(error, 2),
-            fixed(100.0 * parameter.coverage(), 0)
-        ))
-    })
+fn cell(parameter: &ParameterRow, error: fn(&ParameterRow) -> f64) -> String {
+    if parameter.valued == 0 {
+        return "-".to_owned();
+    }
+    let coverage = fixed(100.0 * parameter.coverage(), 0);
+    format!("{} %, {coverage} %", significant(error(parameter), 2))
 }

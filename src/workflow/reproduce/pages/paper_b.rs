@@ -1,12 +1,17 @@
-//! Paper B on the page: its figures.
+//! Paper B on the page: its figures, its design (where the iterations stop, what Q/R does, what K3 and mu do), and what it
+//! does not show (variance by kind of noise, speed from Hall edges, the back-EMF that it leaves out).
 
-use super::{cells, comparison, csv, named, of, paper_b_beyond, paper_b_design, seconds, times};
+use super::{
+    choices, comparison, csv, of, outputs, panel, references, seconds, speeds, stacked, times, yes,
+};
 use crate::control::TrialPoint;
 use crate::report::number::{fixed, significant};
-use crate::report::plot::{Panel, PanelPlot, Series, Style};
-use crate::report::reproduce::{Picture, Reproduction, Section};
+use crate::report::plot::{CurveChart, CurvePanel, Panel, Series, Style};
+use crate::report::reproduce::{Reproduction, Section};
 use crate::workflow::reproduce::PaperB;
-use crate::workflow::reproduce::paper_b::{Disturbance, Figure4, Figure5, Followed};
+use crate::workflow::reproduce::paper_b::{
+    BackEmf, Design, Disturbance, Figure4, Figure5, Hall, Noise,
+};
 
 impl PaperB {
     /// The page with its pictures and tables.
@@ -16,20 +21,16 @@ impl PaperB {
             subtitle: self.title.to_owned(),
             lead: ("In short".to_owned(), self.in_short()),
             sections: vec![
-                Section {
-                    heading: "What the paper leaves open, and what was chosen".to_owned(),
-                    paragraphs: self.chosen.clone(),
-                    ..Section::default()
-                },
+                choices(&self.chosen),
                 figure_4(&self.figure_4),
                 figure_5(&self.figure_5),
-                paper_b_design::convergence(&self.design),
-                paper_b_design::ratio(&self.design),
-                paper_b_design::radii(&self.design),
-                paper_b_beyond::noise(&self.noise),
-                paper_b_beyond::hall(&self.hall),
-                paper_b_beyond::back_emf(&self.back_emf),
-                comparison::section(&self.comparison),
+                convergence(&self.design),
+                ratio(&self.design),
+                radii(&self.design),
+                noise(&self.noise),
+                hall(&self.hall),
+                back_emf(&self.back_emf),
+                comparison(&self.comparison),
             ],
         }
     }
@@ -63,178 +64,331 @@ impl PaperB {
     }
 }
 
-fn figure_4(figure: &Figure4) -> Section {
-    let [without, with] = &figure.courses;
-    let t = times(&without.trace);
-    let speed = |course: &Followed| of(&course.trace, |p| p.speed_rad_s);
-    let error = |course: &Followed| of(&course.trace, |p| p.reference_rad_s - p.speed_rad_s);
-    let reference = of(&with.trace, |p| p.reference_rad_s);
-    let response = Panel::new("(a) speed", "rad/s")
-        .with_height(220.0)
-        .with(Series::sampled("reference", Style::Command, &t, &reference))
-        .with(Series::sampled(
-            "without compensation",
-            Style::Before,
-            &t,
-            &speed(without),
-        ))
-        .with(Series::sampled("with", Style::After, &t, &speed(with)));
-    let errors = Panel::new("(b) error", "rad/s")
-        .with_height(180.0)
-        .with(Series::sampled(
-            "without compensation",
-            Style::Before,
-            &t,
-            &error(without),
-        ))
-        .with(Series::sampled("with", Style::After, &t, &error(with)));
-    let rows = figure.courses.iter().map(|course| {
-        cells([
-            yes(course.compensated),
-            significant(course.absolute_error_rad, 3),
-            fixed(course.largest_error_rad_s, 2),
-            fixed(course.slope_error_rad_s, 3),
-            fixed(course.flat_error_rad_s, 3),
-            fixed(course.flat_mean_rad_s, 3),
-            fixed(course.overshoot_rad_s, 2),
-            significant(course.effort_v, 3),
-        ])
-    });
-    let columns = [
-        ("reference_rad_s", reference.clone()),
-        ("speed_without_rad_s", speed(without)),
-        ("speed_with_rad_s", speed(with)),
-        ("output_without_v", of(&without.trace, |p| p.output_v)),
-        ("output_with_v", of(&with.trace, |p| p.output_v)),
-    ];
-    let columns: Vec<(String, &[f64])> = columns
-        .iter()
-        .map(|(name, values)| ((*name).to_owned(), &values[..]))
-        .collect();
-    Section {
-        heading: "Figure 4: polyline reference, with and without adaptive compensation".to_owned(),
-        paragraphs: vec!["The paper's plant with friction and noise. On a slope both lag: the feedback needs an error to accelerate, and the compensation answers what the model does not foresee, not what it does. Friction is not in the model: without compensation it leaves an error on the flat parts, with it none stays. On the way down friction brakes along, and there the bare regulator has the smaller error.".to_owned()],
-        pictures: vec![Picture {
-            name: "figure-4",
-            svg: PanelPlot::default().with(response).with(errors).svg("speed and error to a polyline reference with and without compensation"),
-            caption: "(a) response, (b) error.".to_owned(),
-        }],
-        tables: vec![(
-            "Errors over the whole course; slope and flat: root mean square, the flat parts from 0.2 s after their corner on.".to_owned(),
-            named(
-                "figure-4",
-                vec![
-                    "compensation", "IAE, rad", "largest, rad/s", "slope, rad/s", "flat, rad/s",
-                    "flat mean, rad/s", "overshoot, rad/s", "effort, V",
-                ],
-                rows.collect(),
-            ),
-        )],
-        data: vec![("figure-4-series.csv".to_owned(), csv("time_s", &t, &columns))],
-    }
+/// The same quantity without compensation and with it.
+fn both(
+    [without, with]: [&[TrialPoint]; 2],
+    column: fn(&[TrialPoint]) -> Vec<f64>,
+) -> [(&'static str, Style, Vec<f64>); 2] {
+    [
+        ("without compensation", Style::Before, column(without)),
+        ("with", Style::After, column(with)),
+    ]
 }
 
-fn yes(is_so: bool) -> String {
-    if is_so { "yes" } else { "no" }.to_owned()
+fn figure_4(figure: &Figure4) -> Section {
+    let [without, with] = &figure.courses;
+    let (without, with) = (&without.trace[..], &with.trace[..]);
+    let t = times(without);
+    let reference = [("reference", Style::Command, references(with))];
+    let error = |trace: &[TrialPoint]| of(trace, |p| p.reference_rad_s - p.speed_rad_s);
+    let speed = reference.into_iter().chain(both([without, with], speeds));
+    let plot = stacked([
+        panel("(a) speed", "rad/s", &t, speed).with_height(220.0),
+        panel("(b) error", "rad/s", &t, both([without, with], error)).with_height(180.0),
+    ]);
+    let columns = [
+        ("reference_rad_s", references(with)),
+        ("speed_without_rad_s", speeds(without)),
+        ("speed_with_rad_s", speeds(with)),
+        ("output_without_v", outputs(without)),
+        ("output_with_v", outputs(with)),
+    ];
+    Section::new("Figure 4: polyline reference, with and without adaptive compensation")
+        .say("The paper's plant with friction and noise. On a slope both lag: the feedback needs an error to accelerate, and the compensation answers what the model does not foresee, not what it does. Friction is not in the model: without compensation it leaves an error on the flat parts, with it none stays. On the way down friction brakes along, and there the bare regulator has the smaller error.")
+        .picture(
+            "figure-4",
+            plot.svg("speed and error to a polyline reference with and without compensation"),
+            "(a) response, (b) error.",
+        )
+        .table(
+            "figure-4",
+            "Errors over the whole course; slope and flat: root mean square, the flat parts from 0.2 s after their corner on.",
+            &figure.courses,
+            &[
+                ("compensation", &|course| yes(course.compensated)),
+                ("IAE, rad", &|course| significant(course.absolute_error_rad, 3)),
+                ("largest, rad/s", &|course| fixed(course.largest_error_rad_s, 2)),
+                ("slope, rad/s", &|course| fixed(course.slope_error_rad_s, 3)),
+                ("flat, rad/s", &|course| fixed(course.flat_error_rad_s, 3)),
+                ("flat mean, rad/s", &|course| fixed(course.flat_mean_rad_s, 3)),
+                ("overshoot, rad/s", &|course| fixed(course.overshoot_rad_s, 2)),
+                ("effort, V", &|course| significant(course.effort_v, 3)),
+            ],
+        )
+        .series("figure-4", csv("time_s", &t, &columns))
 }
 
 fn figure_5(figure: &Figure5) -> Section {
-    let [without, with] = &figure.courses;
-    let from = |trace: &[TrialPoint]| {
-        let begin = trace.partition_point(|point| point.time_s < 0.6);
-        trace[begin..].to_vec()
-    };
-    let (bare, compensated) = (from(&without.trace), from(&with.trace));
-    let t = times(&bare);
-    let speed = Panel::new("speed", "rad/s")
-        .with_height(200.0)
-        .with(Series::sampled(
-            "reference",
-            Style::Command,
-            &t,
-            &of(&bare, |p| p.reference_rad_s),
-        ))
-        .with(Series::sampled(
-            "without compensation",
-            Style::Before,
-            &t,
-            &of(&bare, |p| p.speed_rad_s),
-        ))
-        .with(Series::sampled(
-            "with",
-            Style::After,
-            &t,
-            &of(&compensated, |p| p.speed_rad_s),
-        ));
-    let output = Panel::new("voltage", "V")
-        .with_height(110.0)
-        .with(Series::sampled(
-            "without compensation",
-            Style::Before,
-            &t,
-            &of(&bare, |p| p.output_v),
-        ))
-        .with(Series::sampled(
-            "with",
-            Style::After,
-            &t,
-            &of(&compensated, |p| p.output_v),
-        ));
+    let [without, with] = figure.courses.each_ref().map(|course| {
+        let begin = course.trace.partition_point(|point| point.time_s < 0.6);
+        &course.trace[begin..]
+    });
+    let t = times(without);
+    let reference = [("reference", Style::Command, references(without))];
+    let speed = reference.into_iter().chain(both([without, with], speeds));
+    let plot = stacked([
+        panel("speed", "rad/s", &t, speed).with_height(200.0),
+        panel("voltage", "V", &t, both([without, with], outputs)).with_height(110.0),
+    ]);
     let rows = figure.courses.iter().flat_map(|course| {
-        [("applied", &course.applied), ("removed", &course.removed)].map(|(what, change)| {
-            cells([
-                yes(course.compensated),
-                what.to_owned(),
-                fixed(change.dip_rad_s, 2),
-                seconds(change.recovery_s),
-                fixed(change.lasting_rad_s, 3),
-                significant(course.effort_v, 3),
-            ])
-        })
+        [
+            ("applied", course, &course.applied),
+            ("removed", course, &course.removed),
+        ]
     });
     let columns = [
-        ("speed_without_rad_s", of(&bare, |p| p.speed_rad_s)),
-        ("speed_with_rad_s", of(&compensated, |p| p.speed_rad_s)),
-        ("output_without_v", of(&bare, |p| p.output_v)),
-        ("output_with_v", of(&compensated, |p| p.output_v)),
+        ("speed_without_rad_s", speeds(without)),
+        ("speed_with_rad_s", speeds(with)),
+        ("output_without_v", outputs(without)),
+        ("output_with_v", outputs(with)),
     ];
-    let columns: Vec<(String, &[f64])> = columns
-        .iter()
-        .map(|(name, values)| ((*name).to_owned(), &values[..]))
-        .collect();
-    Section {
-        heading: "Figure 5: a load applied and removed".to_owned(),
-        paragraphs: vec![format!(
+    Section::new("Figure 5: a load applied and removed")
+        .say(format!(
             "{} N.m at {} rad/s. Friction is there all the time, so that the bare feedback stands below its reference before the load comes.",
             figure.load_n_m, figure.speed_rad_s
-        )],
-        pictures: vec![Picture {
-            name: "figure-5",
-            svg: PanelPlot::default()
-                .with(speed)
-                .with(output)
-                .svg("speed and voltage while a load comes on and goes off"),
-            caption: "The load is on from 0.8 to 1.4 s.".to_owned(),
+        ))
+        .picture(
+            "figure-5",
+            plot.svg("speed and voltage while a load comes on and goes off"),
+            "The load is on from 0.8 to 1.4 s.",
+        )
+        .table(
+            "figure-5",
+            "Dip: largest error; recovery: to 0.5 % of the speed; lasting: mean error at the end.",
+            rows,
+            &[
+                ("compensation", &|(_, course, _)| yes(course.compensated)),
+                ("load", &|(what, _, _)| (*what).to_owned()),
+                ("dip, rad/s", &|(_, _, change)| fixed(change.dip_rad_s, 2)),
+                ("recovery, s", &|(_, _, change)| seconds(change.recovery_s)),
+                ("lasting, rad/s", &|(_, _, change)| fixed(change.lasting_rad_s, 3)),
+                ("effort, V", &|(_, course, _)| significant(course.effort_v, 3)),
+            ],
+        )
+        .series("figure-5", csv("time_s", &t, &columns))
+}
+
+fn convergence(design: &Design) -> Section {
+    let (filter, feedback) = (&design.filter_changes, &design.feedback_changes);
+    let iterations = (1..=filter.len().max(feedback.len())).map(|n| n as f64);
+    let iterations: Vec<f64> = iterations.collect();
+    let curve = |changes: &[f64]| {
+        iterations
+            .iter()
+            .copied()
+            .zip(changes.iter().copied())
+            .collect()
+    };
+    let chart = CurveChart {
+        axis: "iteration".to_owned(),
+        labels: vec![
+            "K (Kalman filter)".to_owned(),
+            "gamma (feedback)".to_owned(),
+        ],
+        panels: vec![CurvePanel {
+            title: "relative change of the gain".to_owned(),
+            curves: vec![curve(filter), curve(feedback)],
         }],
-        tables: vec![(
-            "Dip: largest error; recovery: to 0.5 % of the speed; lasting: mean error at the end."
-                .to_owned(),
-            named(
-                "figure-5",
-                vec![
-                    "compensation",
-                    "load",
-                    "dip, rad/s",
-                    "recovery, s",
-                    "lasting, rad/s",
-                    "effort, V",
-                ],
-                rows.collect(),
-            ),
-        )],
-        data: vec![(
-            "figure-5-series.csv".to_owned(),
-            csv("time_s", &t, &columns),
-        )],
-    }
+        decades: (-9, 0),
+    };
+    let columns = [("filter_change", filter), ("feedback_change", feedback)];
+    Section::new("Where the iterations of K and gamma stop")
+        .say(format!(
+            "Steady gains: K = {}, {}; gamma G = {}, {} V per rad/s. The loop's largest eigenvalue with them and the compensation is {}.",
+            significant(design.filter_gain[0], 4),
+            significant(design.filter_gain[1], 4),
+            significant(design.feedback_gain[0], 4),
+            significant(design.feedback_gain[1], 4),
+            fixed(design.radius, 4)
+        ))
+        .picture(
+            "convergence",
+            chart.svg("relative change of both gains over the iterations"),
+            "From P(0) = 1 and V alone.",
+        )
+        .table(
+            "convergence",
+            "Iterations until the relative change is below the set value.",
+            &design.stops,
+            &[
+                ("set value", &|stop| format!("{:.0e}", stop.tolerance)),
+                ("K", &|stop| stop.filter_iterations.to_string()),
+                ("gamma", &|stop| stop.feedback_iterations.to_string()),
+            ],
+        )
+        .series("convergence", csv("iteration", &iterations, &columns))
+}
+
+fn ratio(design: &Design) -> Section {
+    Section::new("What Q/R does")
+        .say("Q is changed, R stays what the sensor has; without compensation. A small Q trusts the model: the voltage is quiet, and what the model does not know (friction) is hardly believed, so that it leaves a larger error. A large Q believes the sensor, and its noise goes to the motor. A step without noise and friction does not depend on Q: the filter knows the model exactly there, and the gains of filter and feedback are designed apart.")
+        .table(
+            "q-over-r",
+            "Factor 1 is what was chosen. Overshoot and settling: a step from 50 to 51 rad/s without noise; deviation and effort: 100 rad/s with both noises and friction.",
+            &design.ratios,
+            &[
+                ("factor", &|row| significant(row.factor, 1)),
+                ("Q, V^2", &|row| significant(row.process_noise, 2)),
+                ("K1", &|row| significant(row.filter_gain[0], 3)),
+                ("K2", &|row| significant(row.filter_gain[1], 3)),
+                ("iterations", &|row| row.iterations.to_string()),
+                ("overshoot, %", &|row| fixed(row.overshoot_percent, 1)),
+                ("settling, s", &|row| seconds(row.settling_s)),
+                ("speed deviation, rad/s", &|row| significant(row.speed_std_rad_s, 3)),
+                ("effort, V", &|row| significant(row.effort_v, 3)),
+                ("lasting error, rad/s", &|row| fixed(row.lasting_rad_s, 2)),
+            ],
+        )
+}
+
+fn radii(design: &Design) -> Section {
+    let head = || vec!["share of K3", "mu = 0.02", "0.05", "0.1", "0.2", "1"];
+    let rows = |values: &[Vec<f64>], decimals| -> Vec<Vec<String>> {
+        let row = |(share, values): (&f64, &Vec<f64>)| {
+            let values = values.iter().map(|value| fixed(*value, decimals));
+            std::iter::once(share.to_string()).chain(values).collect()
+        };
+        design.radii.shares.iter().zip(values).map(row).collect()
+    };
+    Section::new("K3 and mu")
+        .say("The predictor works on measured speeds and is fed u*: so the compensation is a loop of its own beside filter and feedback, an integrator behind the smoothing. The slower the smoothing, the less of K3 it bears before it swings: with the whole K3 and mu = 0.1 its damping is a tenth.")
+        .grid(
+            "k3-and-mu-damping",
+            "Damping ratio of the compensation. Rows: share of K3 = 1/(A+B); columns: mu. 1: it does not swing.",
+            head(),
+            rows(&design.radii.damping, 2),
+        )
+        .grid(
+            "k3-and-mu-radius",
+            "Largest eigenvalue of the whole loop on its own plant: below 1 it is stable.",
+            head(),
+            rows(&design.radii.radius, 4),
+        )
+}
+
+fn noise(noise: &Noise) -> Section {
+    Section::new("Variance of the speed, with and without compensation")
+        .say(format!(
+            "True speed at 100 rad/s on the paper's plant without friction, from 0.5 s to 4 s, mean of {} seeds. The paper calls its compensation one of white noise. White noise has no past that tells its future: what takes a slow load must answer to noise as well. The measured ratio says what each costs.",
+            noise.seeds
+        ))
+        .table(
+            "variance",
+            "Below a ratio of 1 the compensation helps.",
+            &noise.variances,
+            &[
+                ("disturbance", &|row| row.disturbance.text().to_owned()),
+                ("variance without, (rad/s)^2", &|row| significant(row.speed_variance[0], 3)),
+                ("with", &|row| significant(row.speed_variance[1], 3)),
+                ("ratio", &|row| fixed(row.speed_variance[1] / row.speed_variance[0], 2)),
+                ("effort without, V", &|row| significant(row.effort_v[0], 3)),
+                ("with", &|row| significant(row.effort_v[1], 3)),
+            ],
+        )
+}
+
+fn hall(hall: &Hall) -> Section {
+    let plot = stacked(hall.shown.iter().map(|run| {
+        let lines = [
+            ("reference", Style::Command, references(&run.trace)),
+            ("seen", Style::Before, of(&run.trace, |p| p.seen_rad_s)),
+            ("true", Style::After, speeds(&run.trace)),
+        ];
+        panel(
+            format!("{}: speed", run.name),
+            "rad/s",
+            &times(&run.trace),
+            lines,
+        )
+        .with_height(120.0)
+    }));
+    let ways = ["true speed", "Hall edges", "Hall edges, slower design"];
+    let rows = hall
+        .speeds
+        .iter()
+        .flat_map(|at| [0, 1, 2].map(|way: usize| (at, way)));
+    let [exact, edges, slower] = hall.polyline_error_rad_s;
+    Section::new("Speed from Hall edges")
+        .say(format!(
+            "{} edges per turn at p = 2. The speed is the angle between two edges over the time between them, held until the next one; where that is late, the reading falls as one edge in the time waited. It is a mean over the last interval, old by half an interval at the edge and by one and a half before the next: a dead time that grows as the shaft slows down. No other noise; friction is there. On a slope a reading that is late is too low while the shaft accelerates, and the regulator pushes more: the lag to the reference gets smaller by it, not larger. What suffers is slow speed.",
+            hall.edges_per_turn
+        ))
+        .say(format!(
+            "Root mean square error over the polyline of Figure 4: {} rad/s on the true speed, {} rad/s on Hall edges, {} rad/s on Hall edges with a slower design (W = {}).",
+            fixed(exact, 2), fixed(edges, 2), fixed(slower, 2), hall.slower_voltage_cost
+        ))
+        .picture(
+            "hall",
+            plot.svg("speed seen through Hall edges and true speed over the polyline"),
+            "The same regulator on the true speed, on Hall edges, and a slower design on Hall edges.",
+        )
+        .table(
+            "hall",
+            "Constant speeds: deviation of the true speed, mean error, effort.",
+            rows,
+            &[
+                ("speed, rad/s", &|(at, _)| fixed(at.speed_rad_s, 0)),
+                ("periods per edge", &|(at, _)| fixed(at.interval_periods, 1)),
+                ("seen", &|(_, way)| ways[*way].to_owned()),
+                ("deviation, rad/s", &|(at, way)| fixed(at.std_rad_s[*way], 3)),
+                ("mean error, rad/s", &|(at, way)| fixed(at.mean_error_rad_s[*way], 3)),
+                ("effort, V", &|(at, way)| fixed(at.effort_v[*way], 3)),
+            ],
+        )
+}
+
+fn back_emf(found: &BackEmf) -> Section {
+    let [paper, full] = found.open_end_rad_s;
+    let speed = |name: &str, style, trace: &[TrialPoint]| {
+        Series::sampled(name, style, &times(trace), &speeds(trace))
+    };
+    let open = Panel::new(
+        format!("open loop at {} V: speed", found.open_voltage_v),
+        "rad/s",
+    );
+    let runs = found.open.iter().zip([Style::Before, Style::After]);
+    let open = runs.fold(open, |open, (run, style)| {
+        open.with(speed(&run.name, style, &run.trace))
+    });
+    let closed = Panel::new("closed over the motor with back-EMF: speed", "rad/s");
+    let on_motor = found.closed.iter().filter(|row| row.full_motor);
+    let lines = [
+        ("without compensation", Style::Before),
+        ("with", Style::After),
+        ("fed forward", Style::Measured),
+    ];
+    let closed = on_motor
+        .zip(lines)
+        .fold(closed, |closed, (row, (name, style))| {
+            closed.with(speed(name, style, &row.trace))
+        });
+    Section::new("Worked example: the back-EMF that the model leaves out")
+        .say(format!(
+            "Eq. (6) to (9) are an open-loop transfer function: the back-EMF does not feed back. At a constant {} V the paper's plant accelerates without end ({} rad/s after 0.3 s), the motor comes to rest at a speed ({} rad/s there); they are 5 % apart after {} s.",
+            found.open_voltage_v, fixed(paper, 1), fixed(full, 1), seconds(found.apart_after_s)
+        ))
+        .say("Closed over the motor, the same feedback leaves an error that stays: the missing effect is a load that grows with the speed. The compensation takes it as it takes a load, but only after it has shown; the back-EMF of the reference, fed forward, takes it before. To name what is missing is worth more than to adapt to it.")
+        .picture(
+            "back-emf",
+            stacked([open]).svg("speed under a constant voltage with and without back-EMF"),
+            "Without friction, load and noise.",
+        )
+        .picture(
+            "back-emf-closed",
+            stacked([closed]).svg("closed loop over the motor with back-EMF: bare, with compensation, with the back-EMF fed forward"),
+            "From standstill to 100 rad/s, paper B's feedback on the motor with its back-EMF.",
+        )
+        .table(
+            "back-emf",
+            "From standstill to 100 rad/s in the current limit; lasting: mean error from 1.2 to 1.5 s.",
+            &found.closed,
+            &[
+                ("plant", &|row| if row.full_motor { "with back-EMF" } else { "paper B" }.to_owned()),
+                ("compensation", &|row| yes(row.compensated)),
+                ("fed forward", &|row| yes(row.fed_forward)),
+                ("overshoot, %", &|row| fixed(row.overshoot_percent, 1)),
+                ("settling, s", &|row| seconds(row.settling_s)),
+                ("lasting, rad/s", &|row| fixed(row.lasting_rad_s, 3)),
+            ],
+        )
 }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::{SETTINGS, SPEED_RAD_S, paper_machine, run, without};
-use crate::control::{Measured, SpeedController, TrialMachine, TrialPoint};
+use crate::control::{Direct, Measured, SpeedController, TrialMachine, TrialPoint};
 use crate::plant::MotorKey;
 use crate::workflow::reproduce::loops::{Bench, Named, WithBackEmf, steps};
 
@@ -70,14 +70,8 @@ pub(super) fn back_emf(bench: &Bench) -> BackEmf {
     };
     let plants = [quiet(paper_machine(bench)), quiet(bench.machine())];
     let open = plants.map(|machine| {
-        run(
-            bench,
-            &machine,
-            &mut Held(OPEN_V),
-            &|_| 0.0,
-            &|_| 0.0,
-            OPEN_S,
-        )
+        let (sensor, held) = (&mut Direct, &mut Held(OPEN_V));
+        run(bench, sensor, &machine, held, &|_| 0.0, &|_| 0.0, OPEN_S)
     });
     let apart = open[0].iter().zip(&open[1]).find(|(paper, full)| {
         full.speed_rad_s > 0.0
@@ -105,12 +99,13 @@ pub(super) fn back_emf(bench: &Bench) -> BackEmf {
             0.0
         };
         let mut controller = WithBackEmf::new(bench.paper_b(settings), ke);
-        let reference = |_| SPEED_RAD_S;
+        let (sensor, made) = (&mut Direct, &mut controller);
         let trace = run(
             bench,
+            sensor,
             machine,
-            &mut controller,
-            &reference,
+            made,
+            &|_| SPEED_RAD_S,
             &|_| 0.0,
             CLOSED_S,
         );

@@ -2,13 +2,10 @@
 
 use serde::Serialize;
 
-use super::figure_4::{length_s, polyline};
+use super::figures::{length_s, polyline};
 use super::{POLE_PAIRS, SETTINGS, paper_machine};
-use crate::control::{
-    Course, Direct, HallSensor, PaperBSettings, SpeedSensor, TrialMachine, TrialPoint,
-    trial_seen_by,
-};
-use crate::workflow::reproduce::loops::{Bench, Named, cycles, effort_v, rms, std};
+use crate::control::{Direct, HallSensor, PaperBSettings, SpeedSensor, TrialMachine, TrialPoint};
+use crate::workflow::reproduce::loops::{Bench, Named, effort_v, rms, std};
 
 /// Edges per electrical turn.
 const STATES: f64 = 6.0;
@@ -117,23 +114,14 @@ fn run(
         Seen::True => Box::new(Direct),
         Seen::Edges => Box::new(HallSensor::new(edges())),
     };
-    let course = Course {
-        reference_rad_s,
-        inertia_kg_m2: &|_| bench.inertia(),
-        load_n_m: &|_| 0.0,
-    };
-    let mut limiter = bench.limiter();
-    if let Some(limit) = &mut limiter.current {
-        limit.back_emf_v_s_per_rad = 0.0;
-    }
-    let mut controller = bench.paper_b(settings);
-    trial_seen_by(
+    let mut made = bench.paper_b(settings);
+    super::run(
+        bench,
         &mut *sensor,
         &machine,
-        &course,
-        &mut controller,
-        &limiter,
-        cycles(seconds, machine.period_s),
-        super::SEED,
+        &mut made,
+        reference_rad_s,
+        &|_| 0.0,
+        seconds,
     )
 }

@@ -1,7 +1,7 @@
 //! Paper B, computed again: Kalman filter, optimal state feedback, adaptive compensation of a brushless motor's speed.
 //!
 //! ```text
-//! bench (T1, Tm, ke of the paper; with and without back-EMF) -> figure_4, figure_5: compensation on and off
+//! bench (T1, Tm, ke of the paper; with and without back-EMF) -> figures: compensation on and off
 //!     design: convergence of K and gamma, Q/R, K3 and mu -> noise: speed variance
 //!     hall: speed from edges     back_emf: what the paper leaves out     comparison: every regulator on the same cases
 //! ```
@@ -10,8 +10,7 @@
 
 mod back_emf;
 mod design;
-mod figure_4;
-mod figure_5;
+mod figures;
 mod hall;
 mod noise;
 #[cfg(test)]
@@ -21,16 +20,15 @@ use serde::Serialize;
 
 pub use back_emf::{BackEmf, Closed};
 pub use design::{Design, Radii, Stop, WithRatio};
-pub use figure_4::{Figure4, Followed};
-pub use figure_5::{Figure5, Loaded};
+pub use figures::{Figure4, Figure5, Followed, Loaded};
 pub use hall::{AtSpeed, Hall};
 pub use noise::{Disturbance, Noise, Variance};
 
 use super::adaptive::FORGETTING;
 use super::loops::{Bench, Comparison, Sizes, comparison, motor};
 use crate::control::{
-    Course, LoadObservingSettings, LoopTiming, PaperBSettings, SpeedController, TrialMachine,
-    TrialPoint, trial,
+    Course, Direct, LoadObservingSettings, LoopTiming, PaperBSettings, SpeedController,
+    SpeedSensor, TrialMachine, TrialPoint, trial_seen_by,
 };
 use crate::plant::MotorKey;
 use crate::units::rad_s_from_rpm;
@@ -86,7 +84,7 @@ pub struct PaperB {
 pub fn paper_b(mut begins: impl FnMut(&str)) -> PaperB {
     let bench = bench();
     begins("Figures 4 and 5");
-    let (figure_4, figure_5) = (figure_4::figure_4(&bench), figure_5::figure_5(&bench));
+    let (figure_4, figure_5) = (figures::figure_4(&bench), figures::figure_5(&bench));
     begins("convergence and weights");
     let design = design::design(&bench);
     begins("speed variance");
@@ -169,11 +167,13 @@ fn on_paper(
     load_n_m: &dyn Fn(f64) -> f64,
     seconds: f64,
 ) -> Vec<TrialPoint> {
-    let mut controller = bench.paper_b(settings);
+    let mut made = bench.paper_b(settings);
+    let sensor = &mut Direct;
     run(
         bench,
+        sensor,
         machine,
-        &mut controller,
+        &mut made,
         reference_rad_s,
         load_n_m,
         seconds,
@@ -182,6 +182,7 @@ fn on_paper(
 
 fn run(
     bench: &Bench,
+    sensor: &mut dyn SpeedSensor,
     machine: &TrialMachine,
     controller: &mut dyn SpeedController,
     reference_rad_s: &dyn Fn(f64) -> f64,
@@ -201,7 +202,7 @@ fn run(
         }
     }
     let cycles = super::loops::cycles(seconds, PERIOD_S);
-    trial(machine, &course, controller, &limiter, cycles, SEED)
+    trial_seen_by(sensor, machine, &course, controller, &limiter, cycles, SEED)
 }
 
 /// White noise on the input with the variance Q, as the load torque that does the same; held over each period.

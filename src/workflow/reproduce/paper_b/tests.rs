@@ -6,7 +6,7 @@ use crate::workflow::reproduce::loops::{Case, Kind};
 
 #[test]
 fn figure_4_the_compensation_takes_the_error_that_friction_leaves() {
-    let figure = figure_4::figure_4(&bench());
+    let figure = figures::figure_4(&bench());
     let [without, with] = &figure.courses;
     assert!(without.flat_mean_rad_s > 0.5);
     assert!(with.flat_mean_rad_s.abs() < 0.1 * without.flat_mean_rad_s);
@@ -15,7 +15,7 @@ fn figure_4_the_compensation_takes_the_error_that_friction_leaves() {
 
 #[test]
 fn figure_5_the_compensation_takes_a_load_that_the_feedback_alone_leaves() {
-    let figure = figure_5::figure_5(&bench());
+    let figure = figures::figure_5(&bench());
     let [without, with] = &figure.courses;
     assert!(without.applied.lasting_rad_s > 1.0 && without.applied.recovery_s.is_none());
     assert!(

@@ -1,4 +1,5 @@
-//! Figure 6: TM jumps from 0.2 to 0.05 to 1 s under a square reference, with and without adaptation.
+//! Figures 5 and 6: steps of the reference with fixed gains and with adaptation. In Figure 5, of which the text gives no
+//! data, the adaptation joins in the middle; in Figure 6 TM jumps from 0.2 to 0.05 to 1 s.
 
 use serde::Serialize;
 
@@ -6,6 +7,73 @@ use super::{FORGETTING, HALF_S, LEVELS_RAD_S, MECHANICAL_S, PERIOD_S, SEED};
 use crate::control::{Course, TrialPoint, trial};
 use crate::numerics::count::whole;
 use crate::workflow::reproduce::loops::{Bench, Joining, Step, cycles, square, steps};
+
+/// Steps of the reference before the adaptation joins, and in all.
+const FIXED_STEPS: usize = 4;
+const ALL_STEPS: usize = 8;
+
+/// A PI regulator tuned for another inertia; in the middle the adaptation joins.
+#[derive(Clone, Debug, Serialize)]
+pub struct Figure5 {
+    pub tuned_for_s: f64,
+    pub mechanical_s: f64,
+    pub joins_at_s: f64,
+    pub before: Vec<Step>,
+    pub after: Vec<Step>,
+    #[serde(skip)]
+    pub trace: Vec<TrialPoint>,
+    /// TM as estimated, s; none before the adaptation joins or where the estimate is not settled.
+    #[serde(skip)]
+    pub estimate_s: Vec<f64>,
+    #[serde(skip)]
+    pub proportional: Vec<f64>,
+}
+
+pub(super) fn figure_5(bench: &Bench) -> Figure5 {
+    let joins_at_s = FIXED_STEPS as f64 * HALF_S;
+    let joins_at = cycles(joins_at_s, PERIOD_S);
+    let length_s = ALL_STEPS as f64 * HALF_S;
+    let (trace, controller) = joined(bench, joins_at, length_s, &|_| MECHANICAL_S[1]);
+    let mut before = steps(&trace);
+    let after = before.split_off(FIXED_STEPS);
+    Figure5 {
+        tuned_for_s: MECHANICAL_S[0],
+        mechanical_s: MECHANICAL_S[1],
+        joins_at_s,
+        // The first is the start from standstill.
+        before: before.split_off(1),
+        after,
+        trace,
+        estimate_s: estimates_s(&controller),
+        proportional: controller.proportional,
+    }
+}
+
+/// The square wave over a shaft of this TM under a regulator to which the adaptation joins, and what became of it.
+fn joined(
+    bench: &Bench,
+    joins_at: usize,
+    length_s: f64,
+    mechanical_s: &dyn Fn(f64) -> f64,
+) -> (Vec<TrialPoint>, Joining) {
+    let mut controller = Joining::new(bench.pi(), bench.addc(), joins_at);
+    let [low, high] = LEVELS_RAD_S;
+    let course = Course {
+        reference_rad_s: &square(HALF_S, high, low),
+        inertia_kg_m2: &|t| mechanical_s(t) / MECHANICAL_S[0] * bench.inertia(),
+        load_n_m: &|_| 0.0,
+    };
+    let length = cycles(length_s, PERIOD_S);
+    let (machine, limiter) = (bench.machine(), bench.limiter());
+    let trace = trial(&machine, &course, &mut controller, &limiter, length, SEED);
+    (trace, controller)
+}
+
+/// TM after each cycle as it was estimated, s.
+fn estimates_s(controller: &Joining) -> Vec<f64> {
+    let ratios = controller.ratios.iter();
+    ratios.map(|ratio| ratio * MECHANICAL_S[0]).collect()
+}
 
 /// Steps of the reference with each TM.
 const STEPS_EACH: usize = 6;
@@ -61,26 +129,10 @@ pub(super) fn figure_6(bench: &Bench) -> Figure6 {
         let section = MECHANICAL_S.len().min(1 + whole(t / each_s + 1e-9)) - 1;
         MECHANICAL_S[section]
     };
-    let length = cycles(3.0 * each_s, PERIOD_S);
-    let run = |joins_at| {
-        let mut controller = Joining::new(bench.pi(), bench.addc(), joins_at);
-        let [low, high] = LEVELS_RAD_S;
-        let course = Course {
-            reference_rad_s: &square(HALF_S, high, low),
-            inertia_kg_m2: &|t| mechanical(t) / MECHANICAL_S[0] * bench.inertia(),
-            load_n_m: &|_| 0.0,
-        };
-        let (machine, limiter) = (bench.machine(), bench.limiter());
-        let trace = trial(&machine, &course, &mut controller, &limiter, length, SEED);
-        (trace, controller)
-    };
+    let run = |joins_at| joined(bench, joins_at, 3.0 * each_s, &mechanical);
     let (fixed, fixed_pi) = run(usize::MAX);
     let (adaptive, adapted) = run(0);
-    let estimate_s: Vec<f64> = adapted
-        .ratios
-        .iter()
-        .map(|ratio| ratio * MECHANICAL_S[0])
-        .collect();
+    let estimate_s = estimates_s(&adapted);
     let rows = cycles(HALF_S, PERIOD_S);
     let pairs = steps(&fixed).into_iter().zip(steps(&adaptive));
     let stepped = pairs.enumerate().map(|(n, (fixed, adaptive))| {
