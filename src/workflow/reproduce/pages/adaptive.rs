@@ -1,9 +1,9 @@
 //! Figures 5 and 6 of paper A on the page.
 
 use super::{cells, csv, inside, named, of, rivals, seconds, times};
-use crate::report::number::{fixed, significant};
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{Picture, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::AdaptiveLoop;
 use crate::workflow::reproduce::adaptive::{Figure5, Figure6, MECHANICAL_S, Saturated, SteppedBy};
 use crate::workflow::reproduce::loops::{Kind, Step};

@@ -1,10 +1,10 @@
 //! What the paper does not show, on the page: errors against the period and against the noise.
 
 use super::{cells, percent};
-use crate::report::number::significant;
 use crate::report::page::{Cell, Table};
 use crate::report::plot::{CurveChart, CurvePanel};
 use crate::report::reproduce::{NamedTable, Picture, Section};
+use crate::text::number::significant;
 use crate::workflow::reproduce::{Curve, NAMES, NoiseSweep, Sampling, Sweep};
 
 /// Which errors are drawn and tabled: Ta, TM, Ke, J (Mc is in the JSON).

@@ -2,10 +2,10 @@
 
 use super::cells;
 use super::discovery::table;
-use crate::report::number::{fixed, significant};
 use crate::report::page::Cell;
 use crate::report::plot::{Claims, ReliabilityChart};
 use crate::report::reproduce::{NamedTable, Picture, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::discovery::{
     Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, sizes,
 };

@@ -1,9 +1,9 @@
 //! Every regulator on the same cases, as one table.
 
 use super::{cells, named, seconds};
-use crate::report::number::{fixed, significant};
 use crate::report::page::Cell;
 use crate::report::reproduce::Section;
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::loops::{Case, CaseRow, Comparison};
 
 pub(super) fn section(comparison: &Comparison) -> Section {

@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 
 use super::{calibration, cells, mysteries};
-use crate::report::number::{fixed, significant};
 use crate::report::page::{Cell, Table};
 use crate::report::reproduce::{NamedTable, Reproduction, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::discovery::{
     Answer, Bounded, Discovery, Excitation, Group, Matrix, Outcome, Tally, median_errors,
 };

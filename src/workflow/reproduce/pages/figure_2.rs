@@ -1,10 +1,10 @@
 //! Figure 2 on the page.
 
 use super::{cells, csv, inside, percent, range, samples};
-use crate::report::number::fixed;
 use crate::report::page::Table;
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{NamedTable, Picture, Section};
+use crate::text::number::fixed;
 use crate::workflow::reproduce::figure_2::{ByParameter, Case, Figure2, Method};
 use crate::workflow::reproduce::{NoiseModel, RatioOf, Spread, Trace};
 

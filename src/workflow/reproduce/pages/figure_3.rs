@@ -1,10 +1,10 @@
 //! Figure 3 on the page.
 
 use super::{cells, csv, inside, percent, range, samples};
-use crate::report::number::significant;
 use crate::report::page::Table;
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{NamedTable, Picture, Section};
+use crate::text::number::significant;
 use crate::workflow::reproduce::{Figure3, Trace};
 
 pub(super) fn section(figure: &Figure3) -> Section {

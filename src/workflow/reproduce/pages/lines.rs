@@ -2,9 +2,9 @@
 
 use super::cells;
 use super::discovery::table;
-use crate::report::number::{fixed, significant};
 use crate::report::page::Cell;
 use crate::report::reproduce::{Reproduction, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::lines::{LineRow, LineStudy};
 
 const HEADING: &str = "What a line does to a measurement";

@@ -26,10 +26,10 @@ use std::fmt::Write as _;
 
 use super::{Method, NoiseModel, PaperA, RatioOf, Spread};
 use crate::control::TrialPoint;
-use crate::report::number::{fixed, significant};
 use crate::report::page::{Cell, Table};
 use crate::report::plot::{Panel, Series, Style};
 use crate::report::reproduce::{NamedTable, Reproduction, Section};
+use crate::text::number::{fixed, significant};
 
 impl PaperA {
     /// The page with its pictures and tables.

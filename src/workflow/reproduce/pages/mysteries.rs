@@ -2,9 +2,9 @@
 
 use super::discovery::{table, tally_head, tally_row};
 use super::{calibration, cells};
-use crate::report::number::significant;
 use crate::report::page::Cell;
 use crate::report::reproduce::{NamedTable, Section};
+use crate::text::number::significant;
 use crate::workflow::reproduce::discovery::{
     MysteryAnswer, Outcome, ParameterFinding, Tally, coverage_of, median_errors,
 };

@@ -2,9 +2,9 @@
 
 use super::{cells, comparison, csv, named, of, paper_b_beyond, paper_b_design, seconds, times};
 use crate::control::TrialPoint;
-use crate::report::number::{fixed, significant};
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{Picture, Reproduction, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::PaperB;
 use crate::workflow::reproduce::paper_b::{Disturbance, Figure4, Figure5, Followed};
 

@@ -1,9 +1,9 @@
 //! What paper B does not show: variance by kind of noise, speed from Hall edges, the back-EMF that it leaves out.
 
 use super::{cells, named, of, seconds, times};
-use crate::report::number::{fixed, significant};
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{Picture, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::paper_b::{BackEmf, Hall, Noise};
 
 pub(super) fn noise(noise: &Noise) -> Section {

@@ -1,10 +1,10 @@
 //! Paper B's design on the page: where the iterations stop, what Q/R does, what K3 and mu do.
 
 use super::{cells, csv, named, seconds};
-use crate::report::number::{fixed, significant};
 use crate::report::page::Cell;
 use crate::report::plot::{CurveChart, CurvePanel};
 use crate::report::reproduce::{Picture, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::paper_b::Design;
 
 pub(super) fn convergence(design: &Design) -> Section {

@@ -1,10 +1,10 @@
 //! Figure 7 of paper A on the page: ADDC and MRAC, in saturation and out of it.
 
 use super::{cells, named, seconds, speed_panel};
-use crate::report::number::{fixed, significant};
 use crate::report::page::Cell;
 use crate::report::plot::PanelPlot;
 use crate::report::reproduce::{Picture, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::adaptive::{Adaptation, Cycle, Figure7, Slower};
 
 /// Who adapts sooner, as measured.

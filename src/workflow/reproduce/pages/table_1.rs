@@ -1,10 +1,10 @@
 //! Figure 4, the transient, and Table 1 on the page.
 
 use super::{cells, csv, milli, percent};
-use crate::report::number::{fixed, significant};
 use crate::report::page::Table;
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{NamedTable, Picture, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::{Figure4, Table1};
 
 pub(super) fn transient(figure: &Figure4) -> Section {
