@@ -91,8 +91,8 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
 
 /// The sentence as comment lines.
 fn comment(sentence: &str) -> String {
-    let rows = wrapped(sentence, COMMENT_WIDTH - 2).into_iter();
-    rows.map(|row| format!("# {row}\n")).collect()
+    let rows = wrapped(sentence, COMMENT_WIDTH - 2);
+    format!("# {}\n", rows.join("\n# "))
 }
 
 #[cfg(test)]

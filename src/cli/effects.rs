@@ -91,9 +91,9 @@ const WIDTH: usize = 96;
 
 /// `text` under `title`, whose column is `room` wide, broken between words.
 fn block(title: &str, room: usize, text: &str) -> String {
-    let rows = wrapped(text, WIDTH - room).into_iter().enumerate();
-    rows.map(|(row, text)| format!("{:<room$}{text}\n", if row == 0 { title } else { "" }))
-        .collect()
+    let rows = wrapped(text, WIDTH - room);
+    let indent = format!("\n{:room$}", "");
+    format!("{title:<room$}{}\n", rows.join(indent.as_str()))
 }
 
 fn list_text(entries: &[Entry]) -> String {
