@@ -26,7 +26,7 @@ pub(crate) fn rung(rung: &Rung, floor: FloorSource) -> String {
         rung.effects.join(" + ")
     };
     format!(
-        "{effects}: held-out error {:.3} {}",
+        "{effects}: held-out error {:.2} {}",
         rung.holdout_rmse,
         floor.times()
     )

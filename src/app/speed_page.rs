@@ -2,8 +2,8 @@
 
 use crate::bench::{LoopDelay, SpeedReport};
 use crate::report::SpeedLoop;
-use crate::report::number::{fixed, significant};
 use crate::report::page::{Cell, Table};
+use crate::text::number::{fixed, significant};
 
 pub(crate) fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
     let cycles = |delay: Option<&LoopDelay>| match delay {

@@ -3,6 +3,7 @@
 use super::bench_file::{BenchFile, Protocol};
 use crate::diagnosis::{ExperimentLimits, Recipe};
 use crate::plant::{Model, MotorKey};
+use crate::text::lines::wrapped;
 
 /// Currents in rated currents up to which a run is recommended: what the drive of such a motor gives, whatever the
 /// bench would let pass.
@@ -90,20 +91,8 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
 
 /// The sentence as comment lines.
 fn comment(sentence: &str) -> String {
-    let mut lines = vec![String::from("#")];
-    for word in sentence.split_whitespace() {
-        let full = lines
-            .last()
-            .is_some_and(|line| line.len() + 1 + word.len() > COMMENT_WIDTH);
-        if full {
-            lines.push(String::from("#"));
-        }
-        if let Some(line) = lines.last_mut() {
-            line.push(' ');
-            line.push_str(word);
-        }
-    }
-    lines.join("\n") + "\n"
+    let rows = wrapped(sentence, COMMENT_WIDTH - 2);
+    format!("# {}\n", rows.join("\n# "))
 }
 
 #[cfg(test)]

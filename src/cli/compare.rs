@@ -8,6 +8,7 @@ use super::failure::{Failure, REFUSED, USAGE};
 use super::sanity_report::Judging;
 use super::{output, pages, progress, signals};
 use crate::diagnosis::{Comparison, ErrorOf, ResidualLights, SignalComparison, compare};
+use crate::text::number::{fixed, percent, significant};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]
@@ -119,17 +120,18 @@ pub(super) fn text(comparison: &Comparison) -> String {
                    rmse: f64,
                    floor: Option<f64>,
                    one_step: Option<f64>| {
-        let known = |value: Option<f64>, digits: usize, otherwise: &str| {
-            value.map_or_else(|| otherwise.to_owned(), |value| format!("{value:.digits$}"))
+        let known = |value: Option<f64>, otherwise: &str| {
+            value.map_or_else(|| otherwise.to_owned(), |value| significant(value, 3))
         };
         let _ = writeln!(
             text,
-            "{name:<width$} {:>11.2} %  {rmse:>8.3} {unit:<5} {:>13} {:>13} | {:>10.2} % {:>15}",
-            fits[0],
-            known(floor, 3, "unknown"),
-            known(floor.map(|floor| rmse / floor), 2, "unknown"),
-            fits[1],
-            known(one_step, 3, "-")
+            "{name:<width$} {:>13}  {:>8} {unit:<5} {:>13} {:>13} | {:>12} {:>15}",
+            percent(fits[0]),
+            significant(rmse, 3),
+            known(floor, "unknown"),
+            floor.map_or_else(|| "unknown".to_owned(), |floor| fixed(rmse / floor, 2)),
+            percent(fits[1]),
+            known(one_step, "-")
         );
     };
     for (name, unit, signal) in [
@@ -242,8 +244,10 @@ fn map(comparison: &Comparison) -> String {
         return String::new();
     }
     let mut text = format!(
-        "\n{} error over speed and current: 9 is {largest:.3} {}, a dot where the run never was\n",
-        worst.equation, worst.unit
+        "\n{} error over speed and current: 9 is {} {}, a dot where the run never was\n",
+        worst.equation,
+        significant(largest, 3),
+        worst.unit
     );
     for (row, values) in cells.iter().enumerate().rev() {
         let middle = 0.5 * (map.speed_edges_rad_s[row] + map.speed_edges_rad_s[row + 1]);

@@ -10,9 +10,8 @@ use super::failure::{Failure, INTERRUPTED, USAGE};
 use super::next_experiment::NextArguments;
 use super::sanity_report::Judging;
 use super::{output, pages, progress, signals};
-use crate::diagnosis::{Candidate, Diagnosis, Peak, Reached, Status, diagnose_with};
+use crate::diagnosis::{Candidate, Diagnosis, Reached, diagnose_with};
 use crate::plant::effect::Axis;
-use crate::report::number::{significant, with_std};
 use crate::sample::ParameterEstimate;
 use crate::workflow::Discovery;
 
@@ -158,13 +157,13 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
             text,
             "{:>2} {:<12} {}",
             candidate.rank,
-            status(candidate.status),
+            candidate.status.name(),
             candidate.evidence
         );
         if !candidate.parameters.is_empty() {
             let _ = writeln!(text, "   {:<12} {}", "", sizes(candidate));
             for peak in candidate.reached.iter().flat_map(Reached::peaks) {
-                let _ = writeln!(text, "   {:<12} {}", "", peak_text(&peak));
+                let _ = writeln!(text, "   {:<12} {}", "", peak.text(1.0));
             }
         }
     }
@@ -195,15 +194,6 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
     text
 }
 
-const fn status(status: Status) -> &'static str {
-    match status {
-        Status::Supported => "supported",
-        Status::Possible => "possible",
-        Status::RuledOut => "ruled out",
-        Status::NotExcited => "not excited",
-    }
-}
-
 fn sizes(candidate: &Candidate) -> String {
     candidate
         .parameters
@@ -213,40 +203,20 @@ fn sizes(candidate: &Candidate) -> String {
         .join(", ")
 }
 
-fn peak_text(peak: &Peak) -> String {
-    let size = number(peak.value, peak.std);
-    let share = peak.percent_of_largest;
-    let share = share.map_or_else(String::new, |percent| {
-        format!(", {} % of the largest", significant(percent, 2))
-    });
-    format!("up to {size} {} in this run{share}", peak.unit)
-}
-
-/// `value ± std` with the digits that the uncertainty carries; the value alone where it is not known.
-fn number(value: f64, std: Option<f64>) -> String {
-    std.map_or_else(|| significant(value, 4), |std| with_std(value, std))
-}
-
 /// `key = value ± std unit`, or why there is no value.
 pub(super) fn parameter_text(parameter: &ParameterEstimate) -> String {
     let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-    let Some(value) = parameter.value else {
+    if parameter.value.is_none() {
         let reason = parameter.reason.as_deref().unwrap_or("not observable");
         return format!("{key}: {reason}");
-    };
-    let mut text = format!("{key} = {}", number(value, parameter.std));
-    if parameter.unit != "-" {
-        text = format!("{text} {}", parameter.unit);
     }
-    if parameter.std.is_none() {
-        text.push_str(" (uncertainty unknown)");
-    }
-    text
+    format!("{key} = {}", parameter.text(1.0))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::Peak;
     use crate::sample::Verdict;
 
     fn estimate(key: &str, value: Option<f64>, std: Option<f64>, unit: &'static str) -> String {
@@ -276,7 +246,7 @@ mod tests {
                 0.009_042,
                 None,
                 "H",
-                "inductance_h = 0.009042 H (uncertainty unknown)",
+                "inductance_h = 0.00904 ± unknown H",
             ),
         ] {
             assert_eq!(estimate(key, Some(value), std, unit), text);
@@ -290,7 +260,7 @@ mod tests {
             percent_of_largest: Some(2.31),
         };
         assert_eq!(
-            peak_text(&peak),
+            peak.text(1.0),
             "up to 2.205 ± 0.013 V in this run, 2.3 % of the largest"
         );
     }

@@ -8,6 +8,7 @@ use super::failure::{Failure, USAGE};
 use super::output;
 use crate::config_text::help_for_unknown;
 use crate::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
+use crate::text::lines::wrapped;
 
 /// List the physical effects the program can name, or show one effect's card
 #[derive(clap::Args)]
@@ -90,23 +91,9 @@ const WIDTH: usize = 96;
 
 /// `text` under `title`, whose column is `room` wide, broken between words.
 fn block(title: &str, room: usize, text: &str) -> String {
-    let mut lines = String::new();
-    let mut line = format!("{title:<room$}");
-    let mut has_words = false;
-    for word in text.split(' ') {
-        if has_words && line.chars().count() + 1 + word.chars().count() > WIDTH {
-            let _ = writeln!(lines, "{line}");
-            line = " ".repeat(room);
-            has_words = false;
-        }
-        if has_words {
-            line.push(' ');
-        }
-        line.push_str(word);
-        has_words = true;
-    }
-    let _ = writeln!(lines, "{line}");
-    lines
+    let rows = wrapped(text, WIDTH - room);
+    let indent = format!("\n{:room$}", "");
+    format!("{title:<room$}{}\n", rows.join(indent.as_str()))
 }
 
 fn list_text(entries: &[Entry]) -> String {

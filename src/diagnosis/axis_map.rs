@@ -25,6 +25,7 @@ use crate::identification::weak_form;
 use crate::numerics::least_squares;
 use crate::plant::effect::Axis;
 use crate::plant::{Balance, Input, Model, MotorKey, Scenario};
+use crate::text::number::significant;
 
 /// Hat functions over speed, current or voltage, and over time.
 const KNOTS: usize = 14;
@@ -297,28 +298,13 @@ fn sentence(equation: Balance, axis: Axis, scenario: &Scenario, curve: &Curve) -
     match curve.peak() {
         Some(peak) => format!(
             "{share}; it is largest near {} {}: {} {}",
-            rounded(curve.knots[peak]),
+            significant(curve.knots[peak], 3),
             axis.unit(),
-            rounded(curve.values[peak]),
+            significant(curve.values[peak], 3),
             unit(equation)
         ),
         None => share,
     }
-}
-
-/// Three significant digits.
-fn rounded(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return format!("{value}");
-    }
-    let digits = (2.0 - value.abs().log10().floor()).clamp(0.0, 9.0);
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "clamped to 0..9"
-    )]
-    let digits = digits as usize;
-    format!("{value:.digits$}")
 }
 
 #[cfg(test)]

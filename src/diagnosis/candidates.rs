@@ -24,6 +24,16 @@ pub enum Status {
 }
 
 impl Status {
+    /// As a person reads it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Supported => "supported",
+            Self::Possible => "possible",
+            Self::RuledOut => "ruled out",
+            Self::NotExcited => "not excited",
+        }
+    }
+
     /// The word for a probability.
     pub fn of(probability: f64, excited: bool) -> Self {
         if probability >= SUPPORTED {

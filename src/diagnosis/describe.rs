@@ -8,7 +8,8 @@ use super::joint::answer::{Inference, Inferred};
 use super::reached;
 use crate::identification::noise::FloorSource;
 use crate::plant::{Effect, effect};
-use crate::sample::{ParameterEstimate, Verdict};
+use crate::sample::{ParameterEstimate, TWO_SIDED_95, Verdict};
+use crate::text::number::{probability, significant};
 
 /// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
 /// held-out error on its own rung of the ladder and its size beside the others.
@@ -114,7 +115,7 @@ fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
             let (value, std) = if spec.is_coefficient() {
                 (onset.size, onset.size_std)
             } else {
-                (onset.time_s, (high - low) / (2.0 * INTERVAL))
+                (onset.time_s, (high - low) / (2.0 * TWO_SIDED_95))
             };
             ParameterEstimate {
                 key: format!("{id}.{}", spec.key),
@@ -127,9 +128,6 @@ fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
         })
         .collect()
 }
-
-/// Standard deviations on either side of a value: its 95 % interval.
-const INTERVAL: f64 = 1.96;
 
 /// What an event changes, in words that can stand before a signed size.
 const CHANGES: &[(&str, &str)] = &[
@@ -172,8 +170,8 @@ fn evidence_sentence(
 ) -> String {
     let card = inferred.effect.card();
     let unit = unit_of_size(inferred.effect);
-    let percent = percent(inferred.probability);
-    let size = |size: f64| format!("{size:.2e} {unit}");
+    let percent = probability(inferred.probability);
+    let size = |size: f64| format!("{} {unit}", significant(size, 2));
     let most = inferred
         .upper_bound
         .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
@@ -197,15 +195,6 @@ fn evidence_sentence(
         ),
         (Status::RuledOut, None) => format!("{} is there with {percent}{most}{shown}", card.name),
         (_, None) => format!("{} may be there, with {percent}{most}", card.name),
-    }
-}
-
-/// A probability in words that promise no more than it does.
-pub(super) fn percent(probability: f64) -> String {
-    match 100.0 * probability {
-        p if p > 99.0 => "more than 99 %".to_owned(),
-        p if p < 1.0 => "less than 1 %".to_owned(),
-        p => format!("{p:.0} %"),
     }
 }
 
@@ -303,7 +292,13 @@ fn unseen(diagnosis: &Diagnosis) -> String {
         candidates.filter(move |candidate| candidate.status == status)
     };
     let possible: Vec<String> = with(Status::Possible)
-        .map(|candidate| format!("{} ({})", candidate.effect, percent(candidate.probability)))
+        .map(|candidate| {
+            format!(
+                "{} ({})",
+                candidate.effect,
+                probability(candidate.probability)
+            )
+        })
         .collect();
     let mut said = String::new();
     if !possible.is_empty() {

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::bench::{Bench, beside};
 use super::candidates::by_key;
 use super::compare::Comparison;
-use super::describe::{percent, superfluous};
+use super::describe::superfluous;
 use super::diagnose::Standing;
 use super::evidence::Evidence;
 use super::fitted::Fitted;
@@ -16,6 +16,7 @@ use crate::identification::output_error::FitError;
 use crate::identification::torque_rows::Method;
 use crate::plant::{Effect, Model};
 use crate::sample::ParameterEstimate;
+use crate::text::number::probability;
 
 /// One model on the ladder and its held-out error in units of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -171,7 +172,7 @@ fn fall([before, after]: &[Score; 2], times: &str) -> String {
 fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) -> String {
     let card = effect.card();
     let found = inference.of(card.id);
-    let likely = percent(found.map_or(0.0, |found| found.probability));
+    let likely = probability(found.map_or(0.0, |found| found.probability));
     let name = card.name;
     if !adding {
         let word = if inference.names(card.id) {

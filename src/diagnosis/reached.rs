@@ -10,9 +10,8 @@ use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, Plant, Scenario, ShaftAngle, State,
     Trajectory,
 };
-
-/// Standard deviations on either side of a value: its 95 % interval.
-const INTERVAL: f64 = 1.96;
+use crate::sample::TWO_SIDED_95;
+use crate::text::number::{significant, with_std};
 
 /// Share of the largest of its kind below which a size is the simulation's rounding: a filter of the current does not
 /// move the shaft.
@@ -28,6 +27,17 @@ pub struct Peak {
     pub unit: &'static str,
     /// Share of the largest torque, voltage, speed or current of the run.
     pub percent_of_largest: Option<f64>,
+}
+
+impl Peak {
+    /// As a sentence, with so many standard deviations on either side.
+    pub fn text(&self, deviations: f64) -> String {
+        let size = with_std(self.value, self.std.map(|std| deviations * std));
+        let share = self.percent_of_largest.map_or_else(String::new, |percent| {
+            format!(", {} % of the largest", significant(percent, 2))
+        });
+        format!("up to {size} {} in this run{share}", self.unit)
+    }
 }
 
 /// What an effect reached on the training run: a torque, a voltage, both, or only what it changes in the signals.
@@ -98,7 +108,12 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
         is_there.then(|| Peak {
             value,
             std,
-            interval_95: std.map(|std| [(value - INTERVAL * std).max(0.0), value + INTERVAL * std]),
+            interval_95: std.map(|std| {
+                [
+                    (value - TWO_SIDED_95 * std).max(0.0),
+                    value + TWO_SIDED_95 * std,
+                ]
+            }),
             unit: UNITS[index],
             percent_of_largest: (largest[index] > 0.0).then(|| 100.0 * value / largest[index]),
         })

@@ -66,7 +66,7 @@ pub use open::{
 };
 pub use probe::{
     ProbeDepth, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, probe,
-    probe_stream, six_digits,
+    probe_stream,
 };
 pub use profile::{
     Capabilities, DriveLimits, DriveProfile, Framing, KickedBy, LinkSettings, ProfileError,

@@ -9,9 +9,9 @@ use std::f64::consts::PI;
 
 use serde::Serialize;
 
-use crate::numerics::count::whole;
 use crate::plant::{Motor, MotorKey};
 use crate::sample::{ParameterEstimate, Verdict};
+use crate::text::number::{significant, with_std};
 
 /// What catalogues allow themselves, and a load or a warm winding adds.
 pub const CATALOGUE_TOLERANCE: f64 = 0.3;
@@ -116,26 +116,6 @@ pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
     }
 }
 
-/// Four significant digits, plain as long as that can be read.
-pub(super) fn significant(value: f64) -> String {
-    let size = value.abs();
-    if size > 0.0 && !(1e-3..1e5).contains(&size) {
-        return format!("{value:.3e}");
-    }
-    let decimals = whole((3.0 - size.max(1e-3).log10().floor()).clamp(0.0, 6.0));
-    format!("{value:.decimals$}")
-}
-
-/// A relative deviation as a percentage.
-pub(super) fn share(relative: f64) -> String {
-    let percent = 100.0 * relative.abs();
-    if percent < 0.1 {
-        "less than 0.1 %".to_owned()
-    } else {
-        format!("{percent:.1} %")
-    }
-}
-
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
     let estimate = found.iter().find(|estimate| estimate.key == key.key());
     let value = estimate
@@ -168,16 +148,15 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     let name = key.key();
     let sentence = match (nameplate, value) {
         (Some(plate), Some(value)) => {
-            let spread = std.map_or_else(String::new, |std| format!(" +- {}", share(std / value)));
             let times = ratio.map_or_else(String::new, |ratio| match ratio {
                 ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),
                 ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
                 ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
             });
             format!(
-                "{name}: found {}{spread} {unit}, nameplate {} {unit}{times}{}",
-                significant(value),
-                significant(plate),
+                "{name}: found {} {unit}, nameplate {} {unit}{times}{}",
+                with_std(value, std),
+                significant(plate, 4),
                 if fits == Fits::No {
                     ", does not fit"
                 } else {
@@ -189,13 +168,13 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
             let reason = estimate.and_then(|estimate| estimate.reason.as_deref());
             format!(
                 "{name}: nameplate {} {unit}, not told from the data ({})",
-                significant(plate),
+                significant(plate, 4),
                 reason.unwrap_or("not estimated")
             )
         }
         (None, value) => format!(
             "{name}: found {} {unit}, not on the nameplate",
-            significant(value.unwrap_or(f64::NAN))
+            with_std(value.unwrap_or(f64::NAN), std)
         ),
     };
     Some(Row {

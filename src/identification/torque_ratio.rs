@@ -2,6 +2,7 @@
 
 use crate::plant::{Input, Model, MotorKey, Scenario};
 use crate::sample::ParameterEstimate;
+use crate::text::number::with_std;
 
 /// Whether current is all that drives this run, with nothing to turn it into torque.
 pub(super) fn lacks_torque_constant(model: &Model, scenario: &Scenario) -> bool {
@@ -21,8 +22,9 @@ pub(super) fn told(found: ParameterEstimate) -> ParameterEstimate {
         return found;
     };
     let reason = format!(
-        "known only relative to the torque constant: {value:.6e} +- {std:.1e} {} per N.m/A; give torque_n_m_per_a or \
+        "known only relative to the torque constant: {} {} per N.m/A; give torque_n_m_per_a or \
          back_emf_v_s_per_rad, or run once more with a known added inertia",
+        with_std(value, std),
         found.unit
     );
     ParameterEstimate::not_observable(&found.key, found.unit, reason)

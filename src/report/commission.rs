@@ -1,7 +1,5 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
-use super::findings::capitalised;
-use super::number::{percent, significant};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::{Band, Bar, BarChart, Panel, PanelPlot, Series, Style};
 use super::{Context, Target, compared, findings, tables};
@@ -9,6 +7,8 @@ use crate::diagnosis::{Comparison, Diagnosis, DiagnosisVerdict, HoldoutFrom, Run
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::plant::{Input, Model, Scenario, Trajectory};
 use crate::sample::ParameterEstimate;
+use crate::text::lines::capitalised;
+use crate::text::number::{fixed, percent};
 use crate::units::rpm_from_rad_s;
 
 /// Standard deviations within which 99 of 100 normal residuals lie.
@@ -120,10 +120,7 @@ impl CommissionReport<'_> {
     fn headline(&self) -> String {
         let mut sentence = capitalised(&self.diagnosis.sentence);
         if let Some([before, after]) = self.confirm {
-            let (old, new) = (
-                significant(before.holdout_rmse, 3),
-                significant(after.holdout_rmse, 3),
-            );
+            let (old, new) = (fixed(before.holdout_rmse, 2), fixed(after.holdout_rmse, 2));
             let unit = self.unit_of_error();
             let confirmed = if self.after.is_some() {
                 format!(
@@ -195,7 +192,7 @@ impl CommissionReport<'_> {
             vec![
                 Cell::text(rung.to_string()),
                 Cell::text(rung_name(model)),
-                Cell::text(significant(model.holdout_rmse, 3)),
+                Cell::text(fixed(model.holdout_rmse, 2)),
                 Cell::text(change),
             ]
         });

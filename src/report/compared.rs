@@ -1,10 +1,10 @@
 //! Models beside a measurement as blocks of a page: figures of each signal, lights, places where they fail.
 
 use super::failing;
-use super::findings::capitalised;
-use super::number::{fixed, percent, significant};
 use super::page::{Cell, Page, Table};
 use crate::diagnosis::{Comparison, FailureLocation, SignalComparison};
+use crate::text::lines::capitalised;
+use crate::text::number::{percent, r_min, share, significant};
 use crate::units::rpm_from_rad_s;
 
 /// Places that are worth a line each.
@@ -28,7 +28,7 @@ fn signal_row(name: &str, unit: &str, label: &str, signal: &SignalComparison) ->
     let figure = |value: f64| {
         let cell = Cell::text(format!("{} {unit}", significant(value, 3)));
         if unit == "rad/s" && value.is_finite() {
-            cell.with_note(format!("{} r/min", significant(rpm_from_rad_s(value), 3)))
+            cell.with_note(r_min(value))
         } else {
             cell
         }
@@ -104,9 +104,9 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>]) {
             "there is more than noise in it"
         };
         format!(
-            "Residual of the {label}: {white} ({:.0} % of the autocorrelation lags lie outside their 99 % band; 1 % is \
+            "Residual of the {label}: {white} ({} of the autocorrelation lags lie outside their 99 % band; 1 % is \
              chance).",
-            100.0 * residual.autocorrelation_outside_99_percent
+            share(residual.autocorrelation_outside_99_percent)
         )
     };
     page.list(known.iter().map(residual).collect());
@@ -147,9 +147,9 @@ fn place(location: &FailureLocation) -> String {
     let sentence = capitalised(&location.sentence);
     if location.variable == "speed_rad_s" {
         format!(
-            "{sentence} [{} to {} r/min]",
-            fixed(rpm_from_rad_s(location.from), 0),
-            fixed(rpm_from_rad_s(location.to), 0)
+            "{sentence} [{} to {}]",
+            significant(rpm_from_rad_s(location.from), 3),
+            r_min(location.to)
         )
     } else {
         sentence

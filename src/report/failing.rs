@@ -1,10 +1,10 @@
 //! Where a model fails, as blocks of a page: lights with their bands, balances, shares, the map.
 
-use super::findings::capitalised;
-use super::number::significant;
 use super::page::{Cell, Page, Table};
 use super::plot::MapChart;
 use crate::diagnosis::{Comparison, ResidualLights};
+use crate::text::lines::capitalised;
+use crate::text::number::{share, significant};
 
 /// The residual lights of each model, in multiples of their 99 % band.
 pub(super) fn lights(page: &mut Page, models: &[(&str, &ResidualLights)]) {
@@ -55,9 +55,7 @@ pub(super) fn balances(page: &mut Page, comparison: &Comparison) {
         let figure = |value: Option<f64>| {
             value.map_or_else(|| "not known".to_owned(), |value| significant(value, 3))
         };
-        let percent = |share: Option<f64>| {
-            share.map_or_else(|| "-".to_owned(), |share| format!("{:.0} %", 100.0 * share))
-        };
+        let percent = |part: Option<f64>| part.map_or_else(|| "-".to_owned(), share);
         vec![
             Cell::text(balance.equation).with_note(capitalised(&balance.sentence)),
             Cell::text(format!("{} {}", significant(balance.rms, 3), balance.unit)),

@@ -1,24 +1,16 @@
 //! What a diagnosis found, as blocks of a page: cards, curves, candidates, the next run.
 
-use super::number::{self, significant};
 use super::page::{Cell, Page, Table};
 use super::plot::AxisChart;
-use crate::diagnosis::{AxisMap, Candidate, Diagnosis, Peak, Reached, Status};
+use crate::diagnosis::{AxisMap, Candidate, Diagnosis, Reached, Status};
 use crate::plant::effect;
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, TWO_SIDED_95};
+use crate::text::lines::capitalised;
+use crate::text::number::{fixed, probability, share, significant, with_unit};
 
-/// Standard deviations on either side of a value: its 95 % interval.
-const INTERVAL: f64 = 1.96;
 /// Share of an error from which on the curve that it follows is worth a picture, and pictures at most.
 const FOLLOWS: f64 = 0.1;
 const MOST_CURVES: usize = 3;
-
-pub(super) fn capitalised(sentence: &str) -> String {
-    let mut characters = sentence.chars();
-    characters.next().map_or_else(String::new, |first| {
-        first.to_uppercase().chain(characters).collect()
-    })
-}
 
 /// Card of each effect that was named, and what it cannot be told from.
 pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis) {
@@ -142,12 +134,6 @@ const fn has_paid(candidate: &Candidate) -> bool {
 }
 
 fn row(candidate: &Candidate) -> Vec<Cell> {
-    let status = match candidate.status {
-        Status::Supported => "supported",
-        Status::Possible => "possible",
-        Status::RuledOut => "ruled out",
-        Status::NotExcited => "not excited",
-    };
     let dash = || "-".to_owned();
     // A size is worth showing only where the effect pays; else the evidence says what would have been seen.
     let sizes: Vec<String> = candidate
@@ -161,28 +147,28 @@ fn row(candidate: &Candidate) -> Vec<Cell> {
                 .iter()
                 .filter(|_| has_paid(candidate))
                 .flat_map(Reached::peaks)
-                .map(|peak| reached(&peak)),
+                .map(|peak| peak.text(TWO_SIDED_95)),
         )
         .collect();
     vec![
         Cell::text(candidate.rank.to_string()),
         Cell::code(candidate.effect),
-        Cell::text(status),
+        Cell::text(candidate.status.name()),
         Cell::text(candidate.holdout_after.map_or_else(dash, |after| {
             format!(
                 "{} -> {}",
-                significant(candidate.holdout_before, 3),
-                significant(after, 3)
+                fixed(candidate.holdout_before, 2),
+                fixed(after, 2)
             )
         })),
         Cell::text(
             candidate
                 .explained_percent
-                .map_or_else(dash, |percent| format!("{} %", number::fixed(percent, 0))),
+                .map_or_else(dash, |percent| share(percent / 100.0)),
         ),
         Cell::text(match candidate.status {
             Status::NotExcited => dash(),
-            _ => format!("{:.0} %", 100.0 * candidate.probability),
+            _ => probability(candidate.probability),
         }),
         Cell::text(if sizes.is_empty() {
             at_most(candidate).unwrap_or_else(dash)
@@ -196,33 +182,14 @@ fn row(candidate: &Candidate) -> Vec<Cell> {
 /// What the size of an effect that is not named is below.
 fn at_most(candidate: &Candidate) -> Option<String> {
     let spec = effect::find(candidate.effect)?.parameters().first()?;
-    let unit = if spec.unit == "-" { "" } else { spec.unit };
-    let bound = significant(candidate.upper_bound?, 2);
-    Some(format!("at most {bound} {unit}").trim_end().to_owned())
+    let bound = with_unit(&significant(candidate.upper_bound?, 2), spec.unit);
+    Some(format!("at most {bound}"))
 }
 
 /// Key, value with its 95 % interval, unit.
 fn size(parameter: &ParameterEstimate) -> String {
     let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-    let unit = if parameter.unit == "-" {
-        ""
-    } else {
-        parameter.unit
-    };
-    let text = match (parameter.value, parameter.std) {
-        (Some(value), Some(std)) => number::with_std(value, INTERVAL * std),
-        _ => number::estimate(parameter),
-    };
-    format!("{key} {text} {unit}").trim_end().to_owned()
-}
-
-fn reached(peak: &Peak) -> String {
-    let value = number::with_std(peak.value, peak.std.map_or(f64::NAN, |std| INTERVAL * std));
-    let share = peak.percent_of_largest;
-    let share = share.map_or_else(String::new, |percent| {
-        format!(" ({} % of the largest)", significant(percent, 2))
-    });
-    format!("up to {value} {} in this run{share}", peak.unit)
+    format!("{key} {}", parameter.text(TWO_SIDED_95))
 }
 
 /// The run that would tell more.
@@ -244,8 +211,8 @@ pub(super) fn next_run(page: &mut Page, diagnosis: &Diagnosis) {
     let rows = next.menu.iter().map(|entry| {
         vec![
             Cell::code(entry.program),
-            Cell::text(significant(entry.expected_separation, 3)),
-            Cell::text(significant(entry.needed, 3)),
+            Cell::text(significant(entry.expected_separation, 2)),
+            Cell::text(significant(entry.needed, 2)),
             Cell::text(if entry.is_told() { "tells" } else { "does not" }),
         ]
     });

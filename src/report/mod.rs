@@ -8,7 +8,8 @@
 //! ```
 //!
 //! Both forms come from the same [`page::Page`], so they cannot say different things. No estimate is printed without its
-//! standard deviation and verdict ([`number`]); a value that is missing is a gap or a word, never a zero and never NaN.
+//! standard deviation and verdict ([`crate::text::number`]); a value that is missing is a gap or a word, never a zero and
+//! never NaN.
 
 pub mod commission;
 mod compared;
@@ -17,7 +18,6 @@ pub mod conventions;
 mod escape;
 mod failing;
 mod findings;
-pub mod number;
 pub mod page;
 pub mod plot;
 pub mod reproduce;

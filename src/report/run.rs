@@ -1,11 +1,11 @@
 //! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
 
-use super::number::{fixed, significant};
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::{Panel, PanelPlot, Series, Style};
 use super::{Context, Facts, tables};
 use crate::plant::Model;
 use crate::sample::{Channel, Origin, ParameterEstimate, Run};
+use crate::text::number::{r_min, significant};
 use crate::units::rpm_from_rad_s;
 
 /// Everything that the page of a run is made of.
@@ -114,7 +114,7 @@ fn signals(run: &Run) -> Table {
         let range = |value: f64| {
             let text = significant(value, 4);
             if channel.unit() == "rad/s" && value.is_finite() {
-                Cell::text(text).with_note(format!("{} r/min", fixed(rpm_from_rad_s(value), 0)))
+                Cell::text(text).with_note(r_min(value))
             } else {
                 Cell::text(text)
             }

@@ -1,10 +1,10 @@
 //! Tables and lines that the reports share.
 
-use super::number;
 use super::page::{Cell, Page, Table};
 use super::{Context, Facts, SAFETY_NOTICE};
 use crate::plant::Model;
 use crate::sample::ParameterEstimate;
+use crate::text::number;
 
 /// Parameters side by side, keyed by `after`'s order; `before` may be empty.
 fn parameters(
@@ -61,7 +61,7 @@ fn estimate(parameter: Option<&ParameterEstimate>, nameplate: Option<f64>) -> [C
     let Some(parameter) = parameter else {
         return [Cell::text("-"), Cell::text("not in this model")];
     };
-    let mut value = Cell::text(number::estimate(parameter));
+    let mut value = Cell::text(parameter.number(1.0));
     if let (Some(found), Some(given)) = (parameter.value, nameplate)
         && given.abs() > 0.0
         && found.is_finite()
@@ -89,7 +89,7 @@ pub(super) fn parameter_section(
         } else {
             String::new()
         };
-        let verdict = number::verdict(parameter);
+        let verdict = parameter.verdict_text();
         parameter
             .reason
             .as_ref()

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::text::number::{self, significant, with_std, with_unit};
+
 /// What the data allow to be said about a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -29,7 +31,7 @@ impl Verdict {
 }
 
 /// Standard deviations that hold 95 % of a normal distribution on either side of its mean.
-const TWO_SIDED_95: f64 = 1.959_964;
+pub const TWO_SIDED_95: f64 = 1.959_964;
 
 /// One estimated parameter. Serialises to the contract of `identify --json`, with the 95 % interval beside.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -77,6 +79,28 @@ impl ParameterEstimate {
         Some([value - half, value + half])
     }
 
+    /// `value ± std` with so many standard deviations, without the unit; says so where the data do not carry it.
+    pub fn number(&self, deviations: f64) -> String {
+        match (self.verdict, self.value) {
+            (Verdict::NotObservable, _) | (_, None) => number::MISSING.to_owned(),
+            (Verdict::Fixed, Some(value)) => significant(value, 5),
+            (_, Some(value)) => with_std(value, self.std.map(|std| deviations * std)),
+        }
+    }
+
+    /// The number with its unit.
+    pub fn text(&self, deviations: f64) -> String {
+        with_unit(&self.number(deviations), self.unit)
+    }
+
+    /// Verdict with its reason.
+    pub fn verdict_text(&self) -> String {
+        match &self.reason {
+            Some(reason) => format!("{}: {reason}", self.verdict.name()),
+            None => self.verdict.name().to_owned(),
+        }
+    }
+
     /// A parameter that the data do not carry.
     pub fn not_observable(key: &str, unit: &'static str, reason: impl Into<String>) -> Self {
         Self {
@@ -87,5 +111,22 @@ impl ParameterEstimate {
             verdict: Verdict::NotObservable,
             reason: Some(reason.into()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_data_do_not_carry_has_no_number() {
+        let mut parameter = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
+        assert_eq!(parameter.text(1.0), "n/a");
+        assert_eq!(parameter.verdict_text(), "not observable: sample faster");
+        parameter.value = Some(0.01);
+        parameter.verdict = Verdict::Searching;
+        assert_eq!(parameter.text(1.0), "0.0100 ± unknown H");
+        parameter.std = Some(0.001);
+        assert_eq!(parameter.text(2.0), "0.0100 ± 0.0020 H");
     }
 }

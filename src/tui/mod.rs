@@ -24,7 +24,6 @@ mod model;
 mod screen;
 mod show;
 mod terminal;
-mod text;
 mod theme;
 mod update;
 mod view;

@@ -10,9 +10,9 @@ use super::named_estimate::NamedEstimate;
 use crate::diagnosis::{Diagnosis, Evidence, Status, diagnose};
 use crate::identification::output_error::FitError;
 use crate::identification::{start, weak_form};
-use crate::numerics::count::whole;
 use crate::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
+use crate::text::number::with_std;
 
 /// What one burst said.
 #[derive(Clone, Debug, Serialize)]
@@ -94,12 +94,8 @@ impl BurstResult {
             .iter()
             .filter_map(|named| {
                 let (value, std) = (named.estimate.value?, named.estimate.std?);
-                // Two digits of the uncertainty.
-                let digits = whole((1.0 - std.log10()).ceil().clamp(0.0, 9.0));
-                Some(format!(
-                    "{} {value:.digits$} +- {std:.digits$} {}; ",
-                    named.key, named.estimate.unit
-                ))
+                let text = with_std(value, std);
+                Some(format!("{} {text} {}; ", named.key, named.estimate.unit))
             })
             .collect();
         format!(

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 /// Lowest first; rooms on one floor don't see each other.
 const FLOORS: &[&[&str]] = &[
     &["units", "config_text"],
+    &["text"],
     &["sample"],
     &["numerics"],
     &["plant", "excitation", "drive", "recording"],

@@ -6,6 +6,7 @@ use crate::bench::limits::Limits;
 use crate::bench::timing::quantile;
 use crate::drive::LinkError;
 use crate::sample::{Channel, Demand, DriveState, Sample};
+use crate::text::number::with_std;
 
 /// Exchanges of the link probe, all with the output disabled.
 const PROBES: u64 = 50;
@@ -205,10 +206,9 @@ impl Checker<'_> {
             .filter(|floor| wanted.contains(&floor.channel))
             .map(|floor| {
                 format!(
-                    "{} {:.4} +- {:.4} {}",
+                    "{} {} {}",
                     floor.channel.name(),
-                    floor.mean,
-                    floor.std,
+                    with_std(floor.mean, floor.std),
                     floor.channel.unit()
                 )
             })

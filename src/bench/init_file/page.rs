@@ -8,6 +8,7 @@ use crate::bench::plan::Plan;
 use crate::bench::speed::ReferencePart;
 use crate::drive::KickedBy;
 use crate::excitation::Segment;
+use crate::text::lines::{capitalised, wrapped};
 
 /// Longest line.
 const WIDTH: usize = 118;
@@ -18,16 +19,9 @@ struct Page(String);
 
 impl Page {
     fn comment(&mut self, text: &str) {
-        let mut line = String::from("#");
-        for word in text.split_whitespace() {
-            if line.len() + 1 + word.len() > WIDTH && line.len() > 1 {
-                let _ = writeln!(self.0, "{line}");
-                line = String::from("#");
-            }
-            line.push(' ');
-            line.push_str(word);
+        for row in wrapped(text, WIDTH - 2) {
+            self.line(&format!("# {row}"));
         }
-        let _ = writeln!(self.0, "{line}");
     }
 
     fn line(&mut self, text: &str) {
@@ -47,15 +41,8 @@ impl Page {
 
     /// A key that is left out, and why.
     fn left_out(&mut self, key: &str, reason: &str) {
-        self.comment(&format!("{key}: none. {}", capital(reason)));
+        self.comment(&format!("{key}: none. {}", capitalised(reason)));
     }
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| {
-        first.to_uppercase().chain(letters).collect()
-    })
 }
 
 /// The whole file.

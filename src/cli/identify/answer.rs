@@ -7,8 +7,9 @@ use serde_json::{Map, Value, json};
 
 use super::super::provenance;
 use super::{Answer, OneRun};
-use crate::report::{conventions, number};
+use crate::report::conventions;
 use crate::sample::{Channel, ParameterEstimate};
+use crate::text::number::with_std;
 
 impl Answer {
     pub(super) fn json(&self) -> Value {
@@ -124,10 +125,7 @@ impl Answer {
         }
         text.push_str("in other units\n");
         for c in converted {
-            let number = c.std.map_or_else(
-                || number::significant(c.value, 5),
-                |std| number::with_std(c.value, std),
-            );
+            let number = with_std(c.value, c.std);
             let _ = writeln!(text, "  {:<42} {number} {}", c.key, c.unit);
         }
         let _ = writeln!(text, "  {}", conventions::RELATION);
@@ -157,21 +155,11 @@ fn keyed<'a, T: Serialize + 'a>(
 }
 
 fn line(text: &mut String, parameter: &ParameterEstimate, spread: &str) {
-    let number = match (parameter.value, parameter.std) {
-        (Some(value), Some(std)) => {
-            format!("{} {}", number::with_std(value, std), parameter.unit)
-        }
-        (Some(value), None) => format!("{} {}", number::significant(value, 5), parameter.unit),
-        (None, _) => number::MISSING.to_owned(),
-    };
-    let reason = parameter
-        .reason
-        .as_deref()
-        .map_or_else(String::new, |reason| format!(": {reason}"));
     let _ = writeln!(
         text,
-        "  {:<42} {number:<32}{spread} {}{reason}",
+        "  {:<42} {:<32}{spread} {}",
         parameter.key,
-        parameter.verdict.name()
+        parameter.text(1.0),
+        parameter.verdict_text()
     );
 }

@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use super::survey::Survey;
-use crate::drive::{ProbeReport, ProbedSignal, six_digits};
+use crate::drive::{ProbeReport, ProbedSignal};
+use crate::text::number::{reading, with_unit};
 
 /// Candidates on the screen; all are in the JSON.
 const SHOWN: usize = 4;
@@ -63,7 +64,7 @@ pub(super) fn report(report: &ProbeReport) -> String {
     }
     if let Some(watchdog_s) = report.watchdog_s {
         let off = if watchdog_s > 0.0 { "" } else { ": it is off" };
-        line("watchdog", format!("{} s{off}", six_digits(watchdog_s)));
+        line("watchdog", format!("{} s{off}", reading(watchdog_s)));
     }
     let _ = writeln!(text);
     for signal in &report.signals {
@@ -101,7 +102,7 @@ fn signal_text(signal: &ProbedSignal) -> String {
         (Some(true), None, _) if signal.confirms => "plausible".to_owned(),
         (Some(true), None, _) => "plausible at rest".to_owned(),
         (Some(false), None, Some([low, high])) => {
-            let (low, high) = (six_digits(low), six_digits(high));
+            let (low, high) = (reading(low), reading(high));
             format!("not plausible: {low} to {high} {} at rest", signal.unit)
         }
         _ => "not judged".to_owned(),
@@ -134,26 +135,7 @@ fn signal_text(signal: &ProbedSignal) -> String {
 
 /// A value with its unit, short.
 fn quantity(value: f64, unit: &str) -> String {
-    let number = if unit.is_empty() && value.fract().abs() <= 0.0 {
-        format!("{value:.0}")
-    } else if value.abs() < 1e5 {
-        let short = format!("{value:.3}");
-        let short = short.trim_end_matches('0');
-        let short = if short.ends_with('.') {
-            format!("{short}0")
-        } else {
-            short.to_owned()
-        };
-        // A reading that is zero has no sign.
-        if short == "-0.0" {
-            "0.0".to_owned()
-        } else {
-            short
-        }
-    } else {
-        format!("{value:.3e}")
-    };
-    format!("{number} {unit}").trim_end().to_owned()
+    with_unit(&reading(value), unit)
 }
 
 pub(super) fn survey(survey: &Survey) -> String {
@@ -183,15 +165,6 @@ mod tests {
     use crate::drive::register_map::Candidate;
 
     #[test]
-    fn numbers_are_short_and_zero_has_no_sign() {
-        assert_eq!(quantity(120.0, "V"), "120.0 V");
-        assert_eq!(quantity(-0.0001, "rpm"), "0.0 rpm");
-        assert_eq!(quantity(0.125, ""), "0.125");
-        assert_eq!(quantity(256.0, ""), "256");
-        assert_eq!(quantity(-7_864_320.0, "V"), "-7.864e6 V");
-    }
-
-    #[test]
     fn an_implausible_signal_is_followed_by_the_other_ways_of_reading_it() {
         let signal = ProbedSignal {
             name: "speed".to_owned(),
@@ -216,7 +189,7 @@ mod tests {
             "{text}"
         );
         assert!(
-            text.contains("with word_order = \"low_first\" speed would be 0.0 rpm, plausible: is the profile right?"),
+            text.contains("with word_order = \"low_first\" speed would be 0 rpm, plausible: is the profile right?"),
             "{text}"
         );
     }

@@ -5,10 +5,11 @@ use std::f64::consts::TAU;
 use nalgebra::{DMatrix, DVector};
 
 use super::weak_balance::error_over_noise;
-use super::{AxisMap, FOLLOWS, explain, rounded};
+use super::{AxisMap, FOLLOWS, explain};
 use crate::identification::weak_form::Regression;
 use crate::numerics::count::whole;
 use crate::plant::{Balance, Scenario};
+use crate::text::number::significant;
 
 /// Windows of a run that are looked at: enough to resolve a line to a part in a thousand of the highest frequency.
 const MOST_WINDOWS: usize = 2000;
@@ -76,8 +77,8 @@ pub(super) fn strongest(regression: &Regression, scenario: &Scenario) -> Option<
         format!(
             "{:.0} % of the torque error is a line at {} Hz with an amplitude of {} N.m",
             100.0 * r2,
-            rounded(frequency_hz),
-            rounded(amplitude)
+            significant(frequency_hz, 3),
+            significant(amplitude, 3)
         )
     };
     Some(AxisMap {

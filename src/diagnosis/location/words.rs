@@ -3,31 +3,14 @@
 use super::axis::{Axis, Shape};
 use super::{Equation, EquationBalance};
 use crate::plant::MotorKey;
+use crate::text::number::{share, shortest};
 
 /// Share of the time above which a region is the whole range.
 const NEARLY_ALL: f64 = 0.75;
 
-fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
-}
-
-/// Three significant digits, without an exponent in the usual range.
+/// Three digits are what such a place or size carries.
 fn figure(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return format!("{value}");
-    }
-    let mut decimals = 0;
-    let mut size = value.abs();
-    while size < 99.5 && decimals < 6 {
-        size *= 10.0;
-        decimals += 1;
-    }
-    let text = format!("{value:.decimals$}");
-    if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.').to_owned()
-    } else {
-        text
-    }
+    shortest(value, 3)
 }
 
 fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
@@ -53,7 +36,7 @@ pub(super) fn name_of_variable(variable: &str) -> &'static str {
 pub(super) fn sentence(axis: &Axis) -> String {
     let equation = axis.equation.name();
     let unit = axis.equation.unit();
-    let follows = percent(axis.follows);
+    let follows = share(axis.follows);
     let (name, _) = name_and_unit(axis.variable);
     match &axis.shape {
         Shape::Curve => range(axis).unwrap_or_else(|| {
@@ -104,9 +87,9 @@ pub(super) fn sentence(axis: &Axis) -> String {
         ),
         Shape::OneWay { forward } => format!(
             "{} of the {equation} error falls in {} motion ({} of the time in motion)",
-            percent(axis.region.share_of_error),
+            share(axis.region.share_of_error),
             if *forward { "forward" } else { "reverse" },
-            percent(axis.region.share_of_time)
+            share(axis.region.share_of_time)
         ),
     }
 }
@@ -129,17 +112,17 @@ fn range(axis: &Axis) -> Option<String> {
     };
     Some(format!(
         "{} of the {} error lies {place} ({} of the time)",
-        percent(region.share_of_error),
+        share(region.share_of_error),
         axis.equation.name(),
-        percent(region.share_of_time)
+        share(region.share_of_time)
     ))
 }
 
-fn own(key: MotorKey, by: f64, share: f64) -> String {
+fn own(key: MotorKey, by: f64, part: f64) -> String {
     let name = name_of(key);
     format!(
         "as {name} {} too {} in the model would make it ({} {})",
-        percent(share.abs()),
+        share(part.abs()),
         if by > 0.0 { "low" } else { "high" },
         figure(by.abs()),
         key.unit()

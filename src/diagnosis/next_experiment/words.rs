@@ -3,6 +3,7 @@
 use super::PairEntry;
 use super::planned::Planned;
 use crate::plant::effect;
+use crate::text::number::significant;
 
 /// Names of a list that are said; the rest is counted.
 const MOST_NAMES: usize = 4;
@@ -99,9 +100,5 @@ fn name(id: &'static str) -> &'static str {
 
 /// Two figures are all that a prediction deserves.
 fn figure(value: f64) -> String {
-    if value < 10.0 {
-        return format!("{value:.1}");
-    }
-    let unit = 10_f64.powf(value.log10().floor() - 1.0);
-    format!("{:.0}", (value / unit).round() * unit)
+    significant(value, 2)
 }

@@ -4,7 +4,7 @@
 use std::sync::atomic::AtomicBool;
 
 use super::ProbeDepth;
-use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState, six_digits};
+use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
 use crate::drive::RegisterTable;
 use crate::drive::link::LinkError;
 use crate::drive::profile::DriveProfile;
@@ -13,6 +13,7 @@ use crate::drive::register_map::{
     Condition, IdentityCheck, IdentityTest, Picture, PollRate, Quantity, ReadBlock, Reading,
     RegisterMap, Signal, Window, plan_reads,
 };
+use crate::text::number;
 
 /// Times that the first question is asked of a unit that has never answered.
 const FIRST_ATTEMPTS: usize = 3;
@@ -160,7 +161,7 @@ fn signal(
             let [low, high] = signal.valid.unwrap_or_default();
             Some(format!(
                 "{} {unit} lies outside of the profile's {low} to {high}",
-                six_digits(value)
+                number::reading(value)
             ))
         }
         Reading::NotANumber => Some("the registers hold no number".to_owned()),
@@ -398,7 +399,7 @@ fn signal_check(picture: &Picture<'_>, name: &str, mask: u32, test: &IdentityTes
     };
     let found = match (test, bits, value) {
         (IdentityTest::OneOf(_), Some(bits), _) => format!("{:#06x}", bits & mask),
-        (IdentityTest::Within(_), _, Some(value)) => six_digits(value),
+        (IdentityTest::Within(_), _, Some(value)) => number::reading(value),
         _ => "nothing".to_owned(),
     };
     ProbedCheck {

@@ -11,7 +11,7 @@ mod mapped;
 mod own;
 mod report;
 
-pub use report::{ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, six_digits};
+pub use report::{ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState};
 
 use super::link::LinkError;
 use super::profile::DriveProfile;

@@ -98,14 +98,6 @@ pub struct ProbedState {
     pub holds: Option<bool>,
 }
 
-/// A number with the six digits that a register and its scale carry at most.
-pub fn six_digits(value: f64) -> String {
-    let rounded = format!("{value:.5e}").parse().unwrap_or(value);
-    // A zero has no sign.
-    let plain: f64 = if rounded == 0.0 { 0.0 } else { rounded };
-    plain.to_string()
-}
-
 impl ProbeReport {
     /// An empty report of this profile.
     pub(super) fn of(profile: &DriveProfile) -> Self {
@@ -264,19 +256,6 @@ mod tests {
         report.is_built_in = false;
         report.judge();
         assert_eq!(report.verdict, ProbeVerdict::Implausible);
-    }
-
-    #[test]
-    fn numbers_have_the_digits_that_they_carry() {
-        for (value, text) in [
-            (-13_107.300_000_000_001, "-13107.3"),
-            (-1.200_000_000_000_000_2, "-1.2"),
-            (0.0, "0"),
-            (-0.0, "0"),
-            (65_536.0, "65536"),
-        ] {
-            assert_eq!(six_digits(value), text);
-        }
     }
 
     #[test]

@@ -1,12 +1,12 @@
 //! The turning motor: five parameters by the output-error fit, and what follows from them for the next stage.
 
 use super::{RestWinding, relative};
-use crate::identification::nameplate::{share, significant};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error;
 use crate::identification::start;
 use crate::plant::{Model, Motor, MotorKey, Scenario};
 use crate::sample::{ParameterEstimate, Verdict};
+use crate::text::number::with_std;
 
 /// A motor as one round of turning shows it.
 #[derive(Clone, Debug)]
@@ -109,10 +109,7 @@ impl Turned {
         let of = |key: MotorKey| {
             let found = self.parameters.iter().find(|p| p.key == key.key());
             match found.and_then(|p| Some((p.value?, p.std?))) {
-                Some((value, std)) => {
-                    let spread = share(std / value);
-                    format!("{} {} +- {spread}", significant(value), key.unit())
-                }
+                Some((value, std)) => format!("{} {}", with_std(value, std), key.unit()),
                 None => "not told".to_owned(),
             }
         };

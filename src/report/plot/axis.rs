@@ -1,6 +1,6 @@
 //! Axes: the range that is shown, round tick values, and where a value falls in the picture.
 
-use crate::report::number::{exponent_of, places};
+use crate::text::number::{exponent_of, places};
 
 /// The range of values along an axis; always finite and wider than nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::axis::{Domain, Scale, labels, ticks};
 use super::draw::{line, px, rectangle, text};
 use crate::report::escape::escape;
+use crate::sample::TWO_SIDED_95;
 
 const WIDTH: f64 = 900.0;
 const LEFT: f64 = 66.0;
@@ -12,8 +13,6 @@ const RIGHT: f64 = 24.0;
 const HEAD: f64 = 26.0;
 const PANEL: f64 = 210.0;
 const FOOT: f64 = 44.0;
-/// Standard deviations of the band: its 95 % interval.
-const BAND: f64 = 1.96;
 
 /// A curve over one axis; values that are not finite are left out.
 #[derive(Clone, Debug)]
@@ -38,7 +37,7 @@ impl AxisChart<'_> {
             .filter(|(_, (knot, value))| knot.is_finite() && value.is_finite())
             .map(|(place, (knot, value))| {
                 let std = self.std.get(place).copied().filter(|std| std.is_finite());
-                (*knot, *value, BAND * std.unwrap_or(0.0))
+                (*knot, *value, TWO_SIDED_95 * std.unwrap_or(0.0))
             })
             .collect();
         let across = Domain::of(points.iter().map(|point| point.0));

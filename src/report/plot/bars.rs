@@ -3,7 +3,7 @@
 use super::axis::{Domain, Scale, labels, ticks};
 use super::draw::{line, px, rectangle, text, width};
 use crate::report::escape::escape;
-use crate::report::number::significant;
+use crate::text::number::significant;
 
 const WIDTH: f64 = 900.0;
 const LEFT: f64 = 16.0;

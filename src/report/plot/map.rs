@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::axis::{Domain, Scale, labels, ticks};
 use super::draw::{px, rectangle, text};
 use crate::report::escape::escape;
-use crate::report::number::significant;
+use crate::text::number::significant;
 
 const WIDTH: f64 = 900.0;
 const LEFT: f64 = 66.0;

@@ -2,6 +2,7 @@
 
 use crate::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
 use crate::plant::effect;
+use crate::text::number::probability;
 
 /// What a person may take to be missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,15 +102,15 @@ fn reason(candidate: &Candidate, times: &str) -> String {
     match candidate.status {
         Status::Supported => "supported".to_owned(),
         Status::Possible if candidate.holdout_after.is_none() => {
-            format!("possible, with {:.0} %", 100.0 * candidate.probability)
+            format!("possible, with {}", probability(candidate.probability))
         }
         Status::Possible => {
             format!("possible, but leaves more: {before:.2} -> {after} {times}")
         }
         Status::RuledOut if candidate.holdout_after.is_none() => {
             format!(
-                "ruled out: there with {:.0} %",
-                100.0 * candidate.probability
+                "ruled out: there with {}",
+                probability(candidate.probability)
             )
         }
         Status::RuledOut => {

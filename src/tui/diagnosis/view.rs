@@ -12,8 +12,9 @@ use super::guess::Guessing;
 use super::panel::{candidates, card, curve, failing, help, ladder, map, next};
 use super::state::{Over, State};
 use crate::diagnosis::{Diagnosis, DiagnosisVerdict};
-use crate::tui::text::{cut, keys_that_fit, wrapped};
+use crate::text::lines::{cut, wrapped};
 use crate::tui::theme;
+use crate::tui::widget::hints::keys_that_fit;
 
 /// The smallest screen that can be read.
 const SMALLEST: (u16, u16) = (30, 6);

@@ -6,6 +6,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget};
 
+use crate::text::lines::wrapped;
 use crate::tui::model::Model;
 use crate::tui::theme;
 use crate::workflow::{Progress, StepState};
@@ -40,29 +41,18 @@ fn lines(view: &Progress, width: u16) -> Vec<Line<'static>> {
     if !view.report.is_empty() {
         lines.push(Line::default());
         let room = usize::from(width).saturating_sub(2);
-        let wrapped = view.report.iter().flat_map(|text| wrapped(text, room));
-        lines.extend(wrapped.map(|text| Line::raw(format!(" {text}"))));
+        let rows = view.report.iter().flat_map(|text| rows(text, room));
+        lines.extend(rows.map(|text| Line::raw(format!(" {text}"))));
     }
     lines
 }
 
 /// Sentences go on in the next line; the row of a table is cut, so that columns stay columns.
-fn wrapped(text: &str, room: usize) -> Vec<String> {
+fn rows(text: &str, room: usize) -> Vec<String> {
     if text.starts_with('|') {
         return vec![text.to_owned()];
     }
-    let (mut lines, mut line) = (Vec::new(), String::new());
-    for word in text.split(' ') {
-        if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > room {
-            lines.push(std::mem::take(&mut line));
-        }
-        if !line.is_empty() {
-            line.push(' ');
-        }
-        line.push_str(word);
-    }
-    lines.push(line);
-    lines
+    wrapped(text, room)
 }
 
 const fn name(state: StepState) -> &'static str {

@@ -5,7 +5,7 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Clear, Paragraph, Widget};
 
-use crate::tui::text::wrapped;
+use crate::text::lines::wrapped;
 use crate::tui::theme;
 
 /// Widest box, with its frame.

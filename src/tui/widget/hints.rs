@@ -6,7 +6,6 @@ use ratatui::text::Line;
 use ratatui::widgets::Widget;
 
 use crate::tui::model::Model;
-use crate::tui::text::keys_that_fit;
 use crate::tui::theme;
 
 pub(crate) fn hints(model: &Model, area: Rect, buffer: &mut Buffer) {
@@ -31,4 +30,39 @@ pub(crate) fn hints(model: &Model, area: Rect, buffer: &mut Buffer) {
     };
     let keys = keys_that_fit(keys, "? help  q quit", usize::from(area.width));
     Line::styled(keys, theme::DIM).render(area, buffer);
+}
+
+/// The keys that fit into a row: `always` is kept, of the others as many as there is room for, the first first.
+pub(crate) fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
+    let length = |text: &str| text.chars().count();
+    let mut room = width.saturating_sub(1 + length(always));
+    let mut shown = String::from(" ");
+    for key in keys {
+        let needed = length(key) + 2;
+        if needed > room {
+            break;
+        }
+        room -= needed;
+        shown.push_str(key);
+        shown.push_str("  ");
+    }
+    shown + always
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_keys_that_matter_are_never_cut_off() {
+        let keys = ["a add", "r remove", "m map"];
+        for width in 16..60 {
+            let shown = keys_that_fit(&keys, "? help  q leave", width);
+            assert!(
+                shown.chars().count() <= width && shown.ends_with("q leave"),
+                "{shown}"
+            );
+        }
+        assert!(keys_that_fit(&keys, "q", 60).starts_with(" a add  r remove  m map  q"));
+    }
 }

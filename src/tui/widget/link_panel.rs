@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph, Widget};
 
 use crate::bench::Snapshot;
-use crate::tui::text::milliseconds;
+use crate::text::number::shortest;
 use crate::tui::theme;
 
 /// Rows with the frame.
@@ -36,9 +36,9 @@ pub(crate) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
             ("io", link.aborted, true),
         ]),
         Line::raw(format!(
-            "late p50 {} p99 {}",
-            milliseconds(timing.lateness_p50_s),
-            milliseconds(timing.lateness_p99_s)
+            "late p50 {} ms p99 {} ms",
+            shortest(1e3 * timing.lateness_p50_s, 3),
+            shortest(1e3 * timing.lateness_p99_s, 3)
         )),
     ];
     lines.push(match &snapshot.recorder_error {

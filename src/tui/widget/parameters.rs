@@ -9,7 +9,7 @@ use ratatui::widgets::{Block, Paragraph, Widget, Wrap};
 
 use crate::bench::Excitation;
 use crate::sample::{ParameterEstimate, Verdict};
-use crate::tui::text::{number, parameter, percent, with_std};
+use crate::text::lines::cut;
 use crate::tui::theme;
 
 /// From this width on names are written out.
@@ -160,14 +160,6 @@ fn bar(share: f64, length: usize) -> [Span<'static>; 3] {
     ]
 }
 
-fn value_text(estimate: &ParameterEstimate) -> String {
-    match estimate.value {
-        Some(value) if estimate.verdict == Verdict::Fixed => number(value),
-        Some(value) => with_std(value, estimate.std),
-        None => "-".to_owned(),
-    }
-}
-
 fn verdict_span(estimate: &ParameterEstimate) -> Span<'static> {
     Span::styled(estimate.verdict.name(), theme::verdict(estimate.verdict))
 }
@@ -183,7 +175,7 @@ fn value_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
     };
     Line::from(vec![
         Span::styled(head, theme::BOLD),
-        Span::raw(value_text(estimate)),
+        Span::raw(estimate.number(1.0)),
         Span::styled(format!(" {}", estimate.unit), theme::DIM),
     ])
 }
@@ -198,7 +190,7 @@ fn verdict_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
     let room = usize::from(width).saturating_sub(INDENT + verdict.width() + 1);
     let mut spans = vec![Span::raw(" ".repeat(INDENT)), verdict, Span::raw(" ")];
     match (&estimate.reason, relative_std(estimate)) {
-        (Some(reason), _) => spans.push(Span::styled(shortened(reason, room), theme::DIM)),
+        (Some(reason), _) => spans.push(Span::styled(cut(reason, room), theme::DIM)),
         (None, Some(share)) => {
             const PERCENT: usize = 7;
             let length = room.saturating_sub(PERCENT).min(20);
@@ -218,7 +210,7 @@ fn verdict_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
 fn short_line(estimate: &ParameterEstimate) -> Line<'static> {
     Line::from(vec![
         Span::styled(format!("{:<3}", parameter(&estimate.key).0), theme::BOLD),
-        Span::raw(format!("{} {} ", value_text(estimate), estimate.unit)),
+        Span::raw(format!("{} {} ", estimate.number(1.0), estimate.unit)),
         verdict_span(estimate),
     ])
 }
@@ -234,12 +226,38 @@ fn uncertainty(share: f64) -> f64 {
     ((share / NARROWEST).log10() / (WIDEST / NARROWEST).log10()).clamp(0.0, 1.0)
 }
 
-fn shortened(text: &str, room: usize) -> String {
-    if text.chars().count() <= room {
-        return text.to_owned();
+/// Symbol and name of a parameter by its key; an effect's parameter goes by its own key without the unit.
+pub(crate) fn parameter(key: &str) -> (String, String) {
+    let known = match key {
+        "resistance_ohm" => ("R", "resistance"),
+        "inductance_h" => ("L", "inductance"),
+        "back_emf_v_s_per_rad" => ("Ke", "back-EMF"),
+        "torque_n_m_per_a" => ("Kt", "torque constant"),
+        "inertia_kg_m2" => ("J", "inertia"),
+        "load_torque_n_m" => ("Tl", "load torque"),
+        _ => ("", ""),
+    };
+    if !known.0.is_empty() {
+        return (known.0.to_owned(), known.1.to_owned());
     }
-    let kept: String = text.chars().take(room.saturating_sub(1)).collect();
-    format!("{kept}…")
+    let own = key.rsplit('.').next().unwrap_or(key);
+    let mut words = own.split('_');
+    let first = words.next().unwrap_or(own);
+    (first.to_owned(), own.replace('_', " "))
+}
+
+/// A relative deviation as a percentage.
+fn percent(share: f64) -> String {
+    let percent = share * 100.0;
+    if percent >= 1000.0 {
+        ">999 %".to_owned()
+    } else if percent >= 10.0 {
+        format!("{percent:.0} %")
+    } else if percent >= 0.1 {
+        format!("{percent:.1} %")
+    } else {
+        "<0.1 %".to_owned()
+    }
 }
 
 #[cfg(test)]
@@ -257,5 +275,14 @@ mod tests {
         ] {
             assert!((uncertainty(share) - expected).abs() < 1e-12, "{share}");
         }
+    }
+
+    #[test]
+    fn a_parameter_has_a_symbol_and_a_name() {
+        assert_eq!(parameter("inertia_kg_m2").0, "J");
+        assert_eq!(
+            parameter("stribeck_friction.stribeck_n_m"),
+            ("stribeck".to_owned(), "stribeck n m".to_owned())
+        );
     }
 }

@@ -9,7 +9,7 @@ use ratatui::widgets::Widget;
 use super::plot::{self, Bounds, Trace};
 use crate::bench::{Snapshot, TracePoint};
 use crate::sample::Channel;
-use crate::tui::text::{number, tick};
+use crate::text::number::{MISSING, shortest, significant};
 use crate::tui::theme;
 use crate::units::rpm_from_rad_s;
 
@@ -187,7 +187,7 @@ fn title(
         spans.push(Span::raw(if rpm.is_finite() && rpm.abs() < 1e6 {
             format!(", {rpm:.0} r/min")
         } else {
-            ", - r/min".to_owned()
+            format!(", {MISSING} r/min")
         }));
         if width < WIDE {
             spans.push(Span::styled(" ⣀⣀meas", chart.style()));
@@ -215,7 +215,7 @@ fn reading(value: f64) -> String {
     if value.abs() < 1e5 {
         format!("{value:.2}")
     } else {
-        number(value)
+        significant(value, 4)
     }
 }
 
@@ -319,6 +319,16 @@ fn seconds(time_s: f64) -> String {
         format!("{time_s:.1}")
     } else {
         tick(time_s)
+    }
+}
+
+/// A round number in the width of the axis.
+fn tick(value: f64) -> String {
+    let text = shortest(value, 3);
+    if text.len() < usize::from(LABELS) {
+        text
+    } else {
+        format!("{value:.0e}")
     }
 }
 

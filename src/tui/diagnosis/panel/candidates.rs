@@ -9,11 +9,12 @@ use ratatui::widgets::{Paragraph, Widget};
 use super::{bar, titled_with};
 use crate::diagnosis::{Candidate, Status};
 use crate::plant::Effect;
-use crate::sample::ParameterEstimate;
+use crate::sample::{ParameterEstimate, TWO_SIDED_95};
+use crate::text::number::{significant, with_unit};
 use crate::tui::diagnosis::guess::Guessing;
 use crate::tui::diagnosis::state::{Row, State};
-use crate::tui::text::{parameter as parameter_name, with_std};
 use crate::tui::theme;
+use crate::tui::widget::parameters::parameter as parameter_name;
 
 const BAR: usize = 8;
 const NARROW_BAR: usize = 4;
@@ -22,8 +23,6 @@ const NARROW: usize = 86;
 const SLIM: usize = 70;
 /// From this width on there is room for the name of the size, and for what would have been seen.
 const WIDE: usize = 110;
-/// Standard deviations on either side of a value: its 95 % interval.
-pub(super) const INTERVAL: f64 = 1.96;
 
 pub(in crate::tui::diagnosis) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
@@ -177,12 +176,7 @@ fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
     } else {
         String::new()
     };
-    Some(format!("{name}{}", interval(parameter)))
-}
-
-/// A ratio has no unit to show.
-fn shown_unit(unit: &str) -> &str {
-    if unit == "-" { "" } else { unit }
+    Some(format!("{name}{}", parameter.text(TWO_SIDED_95)))
 }
 
 fn size_key(effect: &dyn Effect) -> &'static str {
@@ -193,17 +187,6 @@ fn size_key(effect: &dyn Effect) -> &'static str {
         .map_or("", |spec| spec.key)
 }
 
-/// Value and 95 % interval of a parameter.
-pub(super) fn interval(estimate: &ParameterEstimate) -> String {
-    let Some(value) = estimate.value else {
-        return "-".to_owned();
-    };
-    let value = with_std(value, estimate.std.map(|std| INTERVAL * std));
-    format!("{value} {}", shown_unit(estimate.unit))
-        .trim_end()
-        .to_owned()
-}
-
 /// A size in the unit of the parameter that gives the effect its size.
 fn in_words(candidate: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
     let effect = crate::plant::effect::find(candidate.effect)?;
@@ -211,11 +194,8 @@ fn in_words(candidate: &Candidate, lead: &str, size: Option<f64>) -> Option<Stri
     let specs = effect.parameters().iter();
     let unit = specs.clone().find(|spec| spec.key == key)?.unit;
     let size = size.filter(|size| size.is_finite())?;
-    Some(
-        format!("{lead} {size:.1e} {}", shown_unit(unit))
-            .trim_end()
-            .to_owned(),
-    )
+    let size = with_unit(&significant(size, 2), unit);
+    Some(format!("{lead} {size}"))
 }
 
 /// What its size is below.

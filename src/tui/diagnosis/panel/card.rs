@@ -3,12 +3,13 @@
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
-use super::candidates::{INTERVAL, at_most, detectable, interval, status};
+use super::candidates::{at_most, detectable, status};
 use super::{block, page, titled};
 use crate::diagnosis::Reached;
+use crate::sample::TWO_SIDED_95;
+use crate::text::number::probability;
 use crate::tui::diagnosis::guess::Guessing;
 use crate::tui::diagnosis::state::{Row, State};
-use crate::tui::text::with_std;
 
 pub(in crate::tui::diagnosis) fn card(
     state: &State,
@@ -36,19 +37,13 @@ pub(in crate::tui::diagnosis) fn card(
             let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
             let reason = parameter.reason.as_deref();
             let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
-            let text = format!("{}{reason}, 95 % interval", interval(parameter));
+            let text = format!("{}{reason}, 95 % interval", parameter.text(TWO_SIDED_95));
             lines.push(block(key, text));
         }
         lines.extend(at_most(candidate).map(|text| block("size", text)));
         lines.extend(detectable(candidate).map(|text| block("visible", text)));
         for peak in candidate.reached.iter().flat_map(Reached::peaks) {
-            let std = peak.std.map(|std| INTERVAL * std);
-            let share = peak.percent_of_largest;
-            let share = share.map_or_else(String::new, |percent| {
-                format!(", {percent:.1} % of the largest there")
-            });
-            let text = format!("up to {} {}{share}", with_std(peak.value, std), peak.unit);
-            lines.push(block("in this run", text));
+            lines.push(block("reached", peak.text(TWO_SIDED_95)));
         }
         if let Some(text) = candidate
             .widened()
@@ -63,9 +58,9 @@ pub(in crate::tui::diagnosis) fn card(
             )
         });
         let text = format!(
-            "{}; there with {:.0} %{error}",
+            "{}; there with {}{error}",
             candidate.rank,
-            100.0 * candidate.probability,
+            probability(candidate.probability),
         );
         lines.push(block("rank", text));
     }

@@ -6,8 +6,9 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget};
 
 use super::titled_with;
+use crate::text::lines::wrapped;
+use crate::text::number::{significant, with_std};
 use crate::tui::diagnosis::state::State;
-use crate::tui::text::{number, with_std, wrapped};
 use crate::tui::theme;
 
 /// Longest half of a bar.
@@ -67,7 +68,7 @@ pub(in crate::tui::diagnosis) fn curve(
         lines.push(Line::from(vec![
             Span::raw(format!(
                 " {:>9} {:>20} ",
-                number(map.knots[knot]),
+                significant(map.knots[knot], 3),
                 with_std(value, std)
             )),
             Span::styled(left, style),

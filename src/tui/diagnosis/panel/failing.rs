@@ -8,8 +8,9 @@ use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::titled;
 use crate::diagnosis::{Comparison, ResidualLights};
+use crate::text::lines::wrapped;
+use crate::text::number::{fixed, percent, share, significant};
 use crate::tui::diagnosis::state::State;
-use crate::tui::text::{number, wrapped};
 use crate::tui::theme;
 
 /// Places that are told.
@@ -37,11 +38,12 @@ fn lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
     let signals = &comparison.signals;
     let mut figure = |name: &str, unit: &str, fit: f64, rmse: f64, floor: Option<f64>| {
         let times = floor.map_or_else(String::new, |floor| {
-            format!(" = {:.2} x noise", rmse / floor)
+            format!(" = {} x noise", fixed(rmse / floor, 2))
         });
         let text = format!(
-            " {name} fit {fit:.1} %, error {} {unit}{times} ",
-            number(rmse)
+            " {name} fit {}, error {} {unit}{times} ",
+            percent(fit),
+            significant(rmse, 3)
         );
         figures.push(Span::styled(text, theme::BOLD));
     };
@@ -132,8 +134,8 @@ fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
         ),
     ]);
     let lags = format!(
-        "({:.0} % of lags outside)",
-        100.0 * residual.autocorrelation_outside_99_percent
+        "({} of lags outside)",
+        share(residual.autocorrelation_outside_99_percent)
     );
     // Not on a row of its own.
     if line.width() + lags.len() <= usize::from(width) {

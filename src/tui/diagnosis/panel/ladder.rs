@@ -7,8 +7,9 @@ use ratatui::widgets::{Paragraph, Widget};
 
 use super::titled;
 use crate::diagnosis::{AddResult, Comparison};
+use crate::text::lines::{cut, wrapped};
+use crate::text::number::significant;
 use crate::tui::diagnosis::state::{State, Step};
-use crate::tui::text::{cut, number, wrapped};
 use crate::tui::theme;
 
 /// Longest bar.
@@ -48,7 +49,10 @@ fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
         return Vec::new();
     };
     let line = change(*added, result);
-    let rows = wrapped(&line.to_string(), usize::from(width).saturating_sub(1));
+    let rows = wrapped(
+        line.to_string().trim_start(),
+        usize::from(width).saturating_sub(1),
+    );
     let most = rows.len().min(MOST_ROWS_OF_A_CHANGE);
     let rows = rows.into_iter().take(most);
     rows.map(|row| Line::styled(format!(" {row}"), line.style))
@@ -110,7 +114,8 @@ fn change(added: bool, result: &AddResult) -> Line<'static> {
         .into_iter()
         .zip(of(&result.after))
         .filter_map(|((before, unit), (after, _))| {
-            Some(format!("{} -> {} {unit}", number(before?), number(after?)))
+            let (before, after) = (significant(before?, 3), significant(after?, 3));
+            Some(format!("{before} -> {after} {unit}"))
         })
         .collect();
     let confirmed = result

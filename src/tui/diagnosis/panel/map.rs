@@ -7,8 +7,8 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget};
 
 use super::titled;
+use crate::text::number::{shortest, significant};
 use crate::tui::diagnosis::state::State;
-use crate::tui::text::{number, tick};
 use crate::tui::theme;
 
 /// Digit of the largest error.
@@ -40,7 +40,7 @@ pub(in crate::tui::diagnosis) fn map(state: &State, index: usize, area: Rect, bu
         .fold(0.0, f64::max);
     let title = format!(
         "{equation} error over speed x current: 9 is {} {unit}, · never there",
-        number(largest)
+        significant(largest, 3)
     );
     let inner = titled(&title, area, buffer);
     let room = usize::from(inner.height).saturating_sub(1);
@@ -71,7 +71,7 @@ pub(in crate::tui::diagnosis) fn map(state: &State, index: usize, area: Rect, bu
     }
     lines.truncate(room);
     if let (Some(from), Some(to)) = (map.current_edges_a.first(), map.current_edges_a.last()) {
-        let (from, to) = (format!("{} A", tick(*from)), format!("{} A", tick(*to)));
+        let [from, to] = [from, to].map(|edge| format!("{} A", shortest(*edge, 3)));
         let gap = (columns * cell_width).saturating_sub(from.chars().count());
         lines.push(Line::styled(
             format!("{:13}{from}{to:>gap$}", ""),

@@ -14,7 +14,7 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Paragraph, Widget, Wrap};
 
-use crate::tui::text::cut;
+use crate::text::lines::cut;
 use crate::tui::theme;
 
 /// A rule with a title above a panel; returns what is left below it.

@@ -5,8 +5,8 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 
 use super::{block, page, titled};
+use crate::text::number::significant;
 use crate::tui::diagnosis::state::State;
-use crate::tui::text::number;
 use crate::tui::theme;
 
 pub(in crate::tui::diagnosis) fn next(
@@ -47,8 +47,8 @@ pub(in crate::tui::diagnosis) fn next(
             let text = format!(
                 "{mark} {:<20} {:>10} of {}",
                 entry.program,
-                number(entry.expected_separation),
-                number(entry.needed)
+                significant(entry.expected_separation, 2),
+                significant(entry.needed, 2)
             );
             lines.push(Line::styled(text, style));
         }

@@ -2,7 +2,7 @@
 
 use super::discovery::none_as_dot;
 use super::{number, or_dash};
-use crate::report::number::{fixed, significant};
+use crate::text::number::{fixed, significant};
 use crate::report::plot::{Claims, ReliabilityChart};
 use crate::report::reproduce::Section;
 use crate::workflow::reproduce::discovery::{

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::{calibration, number, or_dash};
-use crate::report::number::{fixed, significant};
+use crate::text::number::{fixed, significant};
 use crate::report::reproduce::{Column, Reproduction, Section};
 use crate::workflow::reproduce::discovery::{
     Answer, Bounded, Discovery, Excitation, Group, Matrix, MysteryAnswer, Outcome,

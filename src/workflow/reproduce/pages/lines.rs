@@ -1,6 +1,6 @@
 //! What a line does to a measurement, on the page.
 
-use crate::report::number::{fixed, significant};
+use crate::text::number::{fixed, significant};
 use crate::report::reproduce::{Reproduction, Section};
 use crate::workflow::reproduce::lines::{LineRow, LineStudy, ParameterRow};
 

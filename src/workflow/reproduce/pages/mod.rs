@@ -15,7 +15,7 @@ use std::fmt::{Display, Write as _};
 
 use super::loops::{Case, Comparison};
 use crate::control::TrialPoint;
-use crate::report::number::{fixed, significant};
+use crate::text::number::{fixed, significant};
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::Section;
 

@@ -5,7 +5,7 @@ use super::{
     choices, comparison, csv, inside, or_dash, outputs, panel, references, seconds, speeds,
     stacked, times, yes,
 };
-use crate::report::number::{fixed, significant};
+use crate::text::number::{fixed, significant};
 use crate::report::plot::{CurveChart, CurvePanel, Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{Reproduction, Section};
 use crate::workflow::reproduce::adaptive::{

@@ -5,7 +5,7 @@ use super::{
     choices, comparison, csv, of, outputs, panel, references, seconds, speeds, stacked, times, yes,
 };
 use crate::control::TrialPoint;
-use crate::report::number::{fixed, significant};
+use crate::text::number::{fixed, significant};
 use crate::report::plot::{CurveChart, CurvePanel, Panel, Series, Style};
 use crate::report::reproduce::{Reproduction, Section};
 use crate::workflow::reproduce::PaperB;

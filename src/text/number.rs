@@ -1,6 +1,5 @@
 //! Numbers as a person reads them: as many digits as their uncertainty carries, SI, r/min beside rad/s.
 
-use crate::sample::{ParameterEstimate, Verdict};
 use crate::units::rpm_from_rad_s;
 
 /// Stands for a value that is not there.
@@ -30,10 +29,11 @@ pub fn significant(value: f64, digits: usize) -> String {
 }
 
 /// `value ± std`, the standard deviation with two significant digits and the value to the same decimal.
-pub fn with_std(value: f64, std: f64) -> String {
+pub fn with_std(value: f64, std: impl Into<Option<f64>>) -> String {
     if !value.is_finite() {
         return MISSING.to_owned();
     }
+    let std = std.into().unwrap_or(f64::NAN);
     if !std.is_finite() || std < 0.0 {
         return format!("{} ± unknown", significant(value, 3));
     }
@@ -73,17 +73,35 @@ pub fn fixed(value: f64, decimals: usize) -> String {
         .map_or_else(|| text.clone(), str::to_owned)
 }
 
-/// A speed in both units.
-pub fn speed(speed_rad_s: f64) -> String {
-    if speed_rad_s.is_finite() {
-        format!(
-            "{} rad/s ({} r/min)",
-            significant(speed_rad_s, 3),
-            fixed(rpm_from_rad_s(speed_rad_s), 0)
-        )
+/// At most `digits` significant digits: zeros behind the point, which say nothing, are left out.
+pub fn shortest(value: f64, digits: usize) -> String {
+    let text = significant(value, digits);
+    let (number, power) = text.split_at(text.find('e').unwrap_or(text.len()));
+    if number.contains('.') {
+        let number = number.trim_end_matches('0').trim_end_matches('.');
+        format!("{number}{power}")
     } else {
-        MISSING.to_owned()
+        text
     }
+}
+
+/// What a register reads: the six digits that it and its scale carry at most.
+pub fn reading(value: f64) -> String {
+    shortest(value, 6)
+}
+
+/// A number and its unit; a ratio, whose unit is `-`, has none to show.
+pub fn with_unit(number: &str, unit: &str) -> String {
+    if number == MISSING || matches!(unit, "" | "-") {
+        number.to_owned()
+    } else {
+        format!("{number} {unit}")
+    }
+}
+
+/// A speed in the unit of nameplates, to stand beside the one in rad/s.
+pub fn r_min(speed_rad_s: f64) -> String {
+    format!("{} r/min", significant(rpm_from_rad_s(speed_rad_s), 3))
 }
 
 /// A percentage with one decimal.
@@ -95,30 +113,27 @@ pub fn percent(value: f64) -> String {
     }
 }
 
-/// Value and uncertainty of an estimate without its unit; says so where the data do not carry it.
-pub fn estimate(parameter: &ParameterEstimate) -> String {
-    match (parameter.verdict, parameter.value, parameter.std) {
-        (Verdict::NotObservable, ..) | (_, None, _) => MISSING.to_owned(),
-        (Verdict::Fixed, Some(value), _) => significant(value, 5),
-        (_, Some(value), std) => with_std(value, std.unwrap_or(f64::NAN)),
-    }
+/// A share as a percentage without decimals.
+pub fn share(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
 }
 
-/// Verdict with its reason.
-pub fn verdict(parameter: &ParameterEstimate) -> String {
-    match &parameter.reason {
-        Some(reason) => format!("{}: {reason}", parameter.verdict.name()),
-        None => parameter.verdict.name().to_owned(),
+/// A probability in words that promise no more than it does.
+pub fn probability(probability: f64) -> String {
+    match 100.0 * probability {
+        p if p > 99.0 => "more than 99 %".to_owned(),
+        p if p < 1.0 => "less than 1 %".to_owned(),
+        _ => share(probability),
     }
 }
 
 /// Decimals to write; none where the last digit stands left of the point.
-pub(super) fn places(decimals: i32) -> usize {
+pub(crate) fn places(decimals: i32) -> usize {
     usize::try_from(decimals).unwrap_or(0)
 }
 
 /// Power of ten of the first digit after rounding to `digits`; 0 for zero.
-pub(super) fn exponent_of(value: f64, digits: usize) -> i32 {
+pub(crate) fn exponent_of(value: f64, digits: usize) -> i32 {
     format!("{value:.*e}", digits - 1)
         .rsplit_once('e')
         .and_then(|(_, exponent)| exponent.parse().ok())
@@ -174,18 +189,18 @@ mod tests {
             (fixed(-0.04, 1).as_str(), fixed(-0.06, 1).as_str()),
             ("0.0", "-0.1")
         );
-        assert_eq!(speed(-12.0), "-12.0 rad/s (-115 r/min)");
-    }
-
-    #[test]
-    fn what_the_data_do_not_carry_has_no_number() {
-        let mut parameter = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
-        assert_eq!(estimate(&parameter), "n/a");
-        assert_eq!(verdict(&parameter), "not observable: sample faster");
-        parameter.value = Some(0.01);
-        parameter.std = Some(0.001);
-        parameter.verdict = Verdict::Searching;
-        assert_eq!(estimate(&parameter), "0.0100 ± 0.0010");
+        for (value, text) in [
+            (-13_107.300_000_000_001, "-13107.3"),
+            (-1.200_000_000_000_000_2, "-1.2"),
+            (-0.0, "0"),
+            (65_536.0, "65536"),
+            (2.5e6, "2.5e6"),
+            (-5e-4, "-5e-4"),
+        ] {
+            assert_eq!(reading(value), text);
+        }
+        assert_eq!(with_unit(&significant(0.2, 2), "-"), "0.20");
+        assert_eq!(r_min(-12.0), "-115 r/min");
     }
 
     proptest! {

@@ -1,0 +1,11 @@
+//! How a value and a sentence look to a person: the same on the screen, on the page, in the terminal and in notes.
+//!
+//! ```text
+//! value, standard deviation, unit --> number --> "12.35 ± 0.10 V"   digits as the uncertainty carries them
+//! sentence, width ------------------> lines ---> rows that fit      screen, card in the terminal, row of a table
+//! ```
+//!
+//! What a program reads back (CSV, JSON numbers, model files) is written to the last bit by the room that owns the file.
+
+pub mod lines;
+pub mod number;
