@@ -2,9 +2,9 @@
 
 use super::discovery::none_as_dot;
 use super::{number, or_dash};
-use crate::text::number::{fixed, significant};
 use crate::report::plot::{Claims, ReliabilityChart};
 use crate::report::reproduce::Section;
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::discovery::{
     Answer, Bin, Bounded, Calibration, Coverage, Discovery, coverage, distinct, sizes,
 };

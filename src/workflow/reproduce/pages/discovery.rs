@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use super::{calibration, number, or_dash};
-use crate::text::number::{fixed, significant};
 use crate::report::reproduce::{Column, Reproduction, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::discovery::{
     Answer, Bounded, Discovery, Excitation, Group, Matrix, MysteryAnswer, Outcome,
     ParameterFinding, Tally, coverage_of, distinct, median_errors,

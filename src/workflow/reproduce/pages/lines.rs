@@ -1,7 +1,7 @@
 //! What a line does to a measurement, on the page.
 
-use crate::text::number::{fixed, significant};
 use crate::report::reproduce::{Reproduction, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::lines::{LineRow, LineStudy, ParameterRow};
 
 const HEADING: &str = "What a line does to a measurement";

@@ -15,9 +15,9 @@ use std::fmt::{Display, Write as _};
 
 use super::loops::{Case, Comparison};
 use crate::control::TrialPoint;
-use crate::text::number::{fixed, significant};
 use crate::report::plot::{Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::Section;
+use crate::text::number::{fixed, significant};
 
 /// What the paper leaves open, and what was chosen.
 fn choices(chosen: &[String]) -> Section {

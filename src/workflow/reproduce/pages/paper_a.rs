@@ -5,9 +5,9 @@ use super::{
     choices, comparison, csv, inside, or_dash, outputs, panel, references, seconds, speeds,
     stacked, times, yes,
 };
-use crate::text::number::{fixed, significant};
 use crate::report::plot::{CurveChart, CurvePanel, Panel, PanelPlot, Series, Style};
 use crate::report::reproduce::{Reproduction, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::adaptive::{
     Figure5, Figure6, Figure7, MECHANICAL_S, Saturated, Slower, SteppedBy,
 };

@@ -5,9 +5,9 @@ use super::{
     choices, comparison, csv, of, outputs, panel, references, seconds, speeds, stacked, times, yes,
 };
 use crate::control::TrialPoint;
-use crate::text::number::{fixed, significant};
 use crate::report::plot::{CurveChart, CurvePanel, Panel, Series, Style};
 use crate::report::reproduce::{Reproduction, Section};
+use crate::text::number::{fixed, significant};
 use crate::workflow::reproduce::PaperB;
 use crate::workflow::reproduce::paper_b::{
     BackEmf, Design, Disturbance, Figure4, Figure5, Hall, Noise,
