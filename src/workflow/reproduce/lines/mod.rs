@@ -100,11 +100,19 @@ pub fn line_study(runs: usize, seed: u64) -> LineStudy {
         drive_cycle_s,
     };
     let all = ALL_ERRORS;
-    #[rustfmt::skip]
     let (clocked, prompt, fine) = (
-        Errors { stamps: false, ..all },
-        Errors { jitter: false, ..all },
-        Errors { quantised: false, ..all },
+        Errors {
+            stamps: false,
+            ..all
+        },
+        Errors {
+            jitter: false,
+            ..all
+        },
+        Errors {
+            quantised: false,
+            ..all
+        },
     );
     let own = Errors {
         quantised: false,

@@ -216,10 +216,21 @@ fn figure_2_plot(figure: &Figure2) -> PanelPlot {
     use RatioOf::{Amplitude, Power};
     type Pick = for<'a> fn(&'a ByParameter<Trace>) -> &'a Trace;
     let by_instruments = Method::InstrumentalVariables;
-    #[rustfmt::skip]
     let equation_error: &[Line] = &[
-        ("S/N 10 of power", Style::Before, EquationError, Power, Method::Printed),
-        ("S/N 10 of amplitude", Style::After, EquationError, Amplitude, Method::Printed),
+        (
+            "S/N 10 of power",
+            Style::Before,
+            EquationError,
+            Power,
+            Method::Printed,
+        ),
+        (
+            "S/N 10 of amplitude",
+            Style::After,
+            EquationError,
+            Amplitude,
+            Method::Printed,
+        ),
     ];
     let sensor_noise: &[Line] = &[
         (
