@@ -289,12 +289,12 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
     let (holdout, fitted) = row("torque ");
     assert_eq!(
         holdout[2..],
-        [format!("{floor:.3}"), format!("{:.2}", rmse / floor)],
+        [format!("{floor:.4}"), format!("{:.2}", rmse / floor)],
         "{shown}"
     );
     assert_eq!(
         fitted,
-        [format!("{training:.2}"), "-".to_owned()],
+        [format!("{training:.1}"), "-".to_owned()],
         "{shown}"
     );
     assert_eq!(
