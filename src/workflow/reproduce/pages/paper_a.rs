@@ -263,7 +263,7 @@ fn figure_2_plot(figure: &Figure2) -> PanelPlot {
                     let case = figure.case(noise, of, method)?;
                     Some((label, style, inside(&pick(&case.trace).0, frame)))
                 });
-            let set = [("set value", Style::Command, truth.to_vec())];
+            let set = [("set value", Style::Command, (*truth).clone())];
             panel(format!("{noise}: {name}"), unit, &k, found.chain(set)).with_height(130.0)
         };
     let equation_error = [&tm, &ta, &ke, &mc].map(|of| under("equation error", equation_error, of));
