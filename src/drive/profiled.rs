@@ -19,15 +19,16 @@ use std::sync::Arc;
 
 use self::clock::Clock;
 use self::points::Points;
-use self::readings::{Readings, Span};
+use self::readings::Readings;
 use self::sequence::{Next, Sequence};
-use super::budget::{READ_WRITE_BYTES, joint_point};
+use super::budget::cycle_frames;
 use super::clock_map::ClockMap;
 use super::command_times::CommandTimes;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
-use super::register_bus::RegisterBus;
+use super::register_bus::{RegisterBus, Span};
 use super::register_map::{Quantity, RegisterMap, Step};
+use super::settings::KickedBy;
 use super::tally::RoundTrips;
 use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
@@ -37,9 +38,6 @@ const MISMATCHES: u32 = 3;
 /// A drive that refuses a step of its enable command for so long, because it is busy, will not take it, s: less than what a
 /// session waits beyond the steps, so that the refusal is what is told.
 const REFUSALS_S: f64 = 0.5;
-/// Bytes of a read request and of a reply beside its registers, RTU.
-const READ_BYTES: usize = 8;
-const REPLY_BYTES: usize = 5;
 
 /// What the link is about.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,7 +88,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Self {
             readings: Readings::new(Arc::clone(&map)),
             points: Points::new(Arc::clone(&map)),
-            watchdog_s: map.watchdog.default_s.filter(|time| *time > 0.0),
+            watchdog_s: map.watchdog.default_s().filter(|time| *time > 0.0),
             clock: Clock::of(&map),
             in_fault_since_s: None,
             map,
@@ -222,7 +220,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if due_s.is_none_or(|due_s| due_s - read_s > 2.0 * request_s) {
             self.readings.read_slow(&mut self.bus)?;
         }
-        if self.map.watchdog.kicked_by == super::KickedBy::Any {
+        if self.map.watchdog.keys.kicked_by == KickedBy::Any {
             self.kicked_s = read_s;
         }
         held_back(&mut refused, self.advance())?;
@@ -344,11 +342,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// Every reference at zero, before the enable command.
     fn all_to_zero(&self) -> Vec<Step> {
-        let references = self
-            .map
-            .set_points
-            .iter()
-            .filter(|p| !p.is_word() && !p.nvm);
+        let references = self.map.set_points.iter().filter(|p| p.is_reference());
         references
             .map(|point| Step::Write {
                 set_point: point.name.clone(),
@@ -406,7 +400,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             let readings = &self.readings;
             let status = |name: &str| {
                 let reading = readings.get(name)?;
-                Some((reading.pattern?, reading.read_s))
+                Some((reading.pattern?, reading.span.asked_s))
             };
             let next = sequence.next(self.bus.now_s(), status);
             let mut written = Ok(());
@@ -542,10 +536,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     fn refused(&self, reason: String) -> LinkError {
-        LinkError::Refused {
-            link: self.bus.name().0,
-            reason,
-        }
+        LinkError::Refused(self.bus.name().0, reason)
     }
 }
 
@@ -740,22 +731,10 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// Fast signals and one set-point.
     fn shortest_cycle_s(&self) -> Option<f64> {
-        let joined = self.readings.joinable().zip(joint_point(&self.map));
-        let mut cycle_s = match joined {
-            Some(_) => 0.0,
-            None => self.bus.wire_s(READ_BYTES, READ_BYTES)?,
-        };
-        for (at, block) in self.readings.fast().iter().enumerate() {
-            let request = match joined {
-                Some((with, point)) if with == at => {
-                    READ_WRITE_BYTES + 2 * usize::from(point.location.layout.registers())
-                }
-                _ => READ_BYTES,
-            };
-            let reply = REPLY_BYTES + 2 * usize::from(block.count);
-            cycle_s += self.bus.wire_s(request, reply)?;
-        }
-        Some(cycle_s)
+        let frames = cycle_frames(&self.map).into_iter();
+        frames
+            .map(|(request, reply)| self.bus.wire_s(request, reply))
+            .sum()
     }
 
     fn clock_map(&self) -> Option<&ClockMap> {

@@ -81,15 +81,15 @@ impl Line {
         let began = now();
         let mut all = true;
         for address in [100, 200] {
-            let Ok(read) = self.bus.read(RegisterTable::Holding, address, 3) else {
+            let Ok(read) = self.bus.read(ReadRequest::holding(address, 3)) else {
                 all = false;
                 continue;
             };
             assert_eq!(read.words[0] >> 8, address & 0xFF);
             let served = *self.device.lock().unwrap().at.last().unwrap();
             let served_s = served.duration_since(self.epoch).as_secs_f64();
-            let middle_s = 0.5 * (read.asked_s + read.answered_s);
-            let half_s = 0.5 * (read.answered_s - read.asked_s);
+            let middle_s = read.span.middle_s();
+            let half_s = read.span.half_width_s();
             assert!((middle_s - served_s).abs() <= half_s + 1e-9);
             // The virtual line delivers by the whole millisecond.
             assert!(half_s < 0.0016, "{half_s}");
@@ -150,7 +150,7 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
     for _ in 0..10 {
         let began = now();
         line.bus.bound(0.08);
-        let error = line.bus.read(RegisterTable::Holding, 100, 3).unwrap_err();
+        let error = line.bus.read(ReadRequest::holding(100, 3)).unwrap_err();
         assert!(error.is_transient(), "{error}");
         let took = now().duration_since(began);
         assert!(took <= Duration::from_millis(81), "{took:?}");
@@ -162,7 +162,7 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
     line.device.lock().unwrap().dead_from = u64::MAX;
     let read = (0..6).find_map(|_| {
         line.bus.bound(0.08);
-        line.bus.read(RegisterTable::Holding, 100, 3).ok()
+        line.bus.read(ReadRequest::holding(100, 3)).ok()
     });
     assert!(read.is_some());
 }
@@ -181,7 +181,7 @@ fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
             tokio::time::sleep_until(raised.into()).await;
             raise.store(true, Ordering::Release);
         });
-        assert!(line.bus.read(RegisterTable::Holding, 100, 3).is_err());
+        assert!(line.bus.read(ReadRequest::holding(100, 3)).is_err());
         let after = now().saturating_duration_since(raised);
         assert!(
             flag.load(Ordering::Acquire),

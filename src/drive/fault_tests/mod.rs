@@ -20,7 +20,8 @@ use stranger::{Language, Stranger, current_a, register};
 use super::fake::raw_pty;
 use super::guard::now;
 use super::link::{DriveLink, LinkError, LinkStatistics};
-use super::modbus::{ModbusLink, RegisterTable};
+use super::modbus::ModbusLink;
+use super::register_bus::{ReadRequest, RegisterTable};
 use super::reply::FrameKind;
 use super::stream::StreamLink;
 use super::timing::LineTiming;
@@ -309,10 +310,10 @@ fn over_a_real_pseudo_terminal_mixed_faults_never_give_a_wrong_value() {
         let served = Served::start(device);
         let mut line = match language {
             Language::Rtu => Line::Modbus(Box::new(
-                open_modbus(&served.target, &profile, now()).unwrap(),
+                open_modbus(&served.target, &profile, now(), None).unwrap(),
             )),
             Language::Stream => Line::Stream(Box::new(
-                open_stream(&served.target, &profile, now()).unwrap(),
+                open_stream(&served.target, &profile, now(), None).unwrap(),
             )),
         };
         let outcome = exchanges(&mut line, &served.device, count, false);

@@ -49,7 +49,7 @@ fn on_a_bus(resync: &str, faults: &[Fault], count: u64, seed: u64) -> Outcome {
             bus.write(6, 0x1026, &[u16::try_from(turn % 3000).unwrap()])
                 .err()
         } else {
-            match bus.read(RegisterTable::Holding, address, words) {
+            match bus.read(ReadRequest::holding(address, words)) {
                 Ok(read) => {
                     let heard = device.lock().unwrap().heard;
                     let first = usize::from(address);

@@ -23,10 +23,9 @@ pub(super) struct Clock {
 
 impl Clock {
     pub(super) fn of(map: &RegisterMap) -> Option<Self> {
-        let is_clock = |signal: &&crate::drive::register_map::Signal| {
-            signal.quantity == Quantity::Clock && signal.poll == PollRate::Fast
-        };
-        let signal = map.signals.iter().position(|signal| is_clock(&signal))?;
+        let signal = map.signals.iter().position(|signal| {
+            signal.keys.quantity == Quantity::Clock && signal.keys.poll == PollRate::Fast
+        })?;
         let resolution_s = map.signals[signal].clock_count_s()?;
         let shift = BITS - 16 * map.signals[signal].location.layout.registers();
         Some(Self {
@@ -42,12 +41,12 @@ impl Clock {
     /// Drive time of the counter as it was read last, s since the first one.
     pub(super) fn follow(&mut self, readings: &Readings) -> f64 {
         let reading = readings.at(self.signal);
-        let host_s = f64::midpoint(reading.read_s, reading.answered_s);
+        let span = reading.span;
         // The link ended before it was read for the first time.
         let raw = reading.pattern.unwrap_or_default() << self.shift;
         let counts = self.count_s / COUNT_S;
-        let time_s = self.counter.follow(raw, host_s / counts) * counts;
-        self.map.observe(reading.read_s, reading.answered_s, time_s);
+        let time_s = self.counter.follow(raw, span.middle_s() / counts) * counts;
+        self.map.observe(span, time_s);
         time_s
     }
 

@@ -3,7 +3,7 @@
 use super::ProfiledLink;
 use crate::drive::link::{DriveLink, LinkError};
 use crate::drive::register_bus::RegisterBus;
-use crate::drive::register_map::{IdentityCheck, IdentityTest, Layout, Location};
+use crate::drive::register_map::{IdentityCheck, IdentityTest};
 use crate::sample::DriveState;
 
 impl<B: RegisterBus> ProfiledLink<B> {
@@ -32,10 +32,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 }
             };
             if let Some(reason) = wrong {
-                return Err(LinkError::Identity {
-                    link: self.name().0,
-                    reason: format!("this is not {}: {reason}", self.map.device.name),
-                });
+                return Err(LinkError::Identity(
+                    self.name().0,
+                    format!("this is not {}: {reason}", self.map.device.name),
+                ));
             }
         }
         Ok(())
@@ -46,37 +46,29 @@ impl<B: RegisterBus> ProfiledLink<B> {
     pub(super) fn supervision(&mut self) -> Result<Option<f64>, LinkError> {
         let runs = self.state() == DriveState::Running;
         let watchdog = &self.map.watchdog;
-        let set_s = watchdog.set_s.filter(|_| !runs);
+        let set_s = watchdog.set_s().filter(|_| !runs);
         let Some((location, unit_s)) = watchdog.time else {
-            return Ok(watchdog.default_s);
+            return Ok(watchdog.default_s());
         };
-        let Location {
-            table,
-            address,
-            layout: Layout { kind, .. },
-        } = location;
         if let Some(set_s) = set_s {
-            let function = if self.map.functions.contains(&6) {
-                6
-            } else {
-                16
-            };
-            let registers = Layout::plain(kind).encode(set_s / unit_s);
+            let has_single = self.map.functions.contains(&6);
+            let function = if has_single { 6 } else { 16 };
+            let registers = location.layout.encode(set_s / unit_s);
             let registers = registers.ok_or_else(|| {
                 self.refused(format!("watchdog time {set_s} s does not fit its register"))
             })?;
-            self.bus.write(function, address, &registers)?;
+            self.bus.write(function, location.address, &registers)?;
         }
-        let registers = self.bus.read(table, address, 1)?.words;
+        let registers = self.bus.read(location.request())?.words;
         let raw = location.layout.pattern(&registers).unwrap_or_default();
         let time_s = location.layout.number(raw) * unit_s;
         if let Some(set_s) = set_s
             && (time_s - set_s).abs() > 0.5 * unit_s
         {
-            return Err(LinkError::Identity {
-                link: self.name().0,
-                reason: format!("the watchdog was set to {set_s} s and reads back as {time_s} s"),
-            });
+            return Err(LinkError::Identity(
+                self.name().0,
+                format!("the watchdog was set to {set_s} s and reads back as {time_s} s"),
+            ));
         }
         Ok(Some(time_s))
     }

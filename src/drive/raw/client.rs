@@ -5,18 +5,42 @@ use std::time::{Duration, Instant};
 
 use firmware_protocol::modbus::{rtu, tcp};
 
+use serde::Serialize;
+
 use super::super::guard::now;
-use super::super::link::LinkError;
+use super::super::link::{LinkError, LinkStatistics};
+use super::super::register_bus::{ReadRequest, exception_name, registers};
 use super::super::reply::FrameKind;
 use super::super::tap::Tap;
 use super::super::timing::wait_until;
-use super::super::transaction::{End, Policy, Proof, Reception, Step, out_of_step, restless};
-use super::counters::RawCounters;
-use super::request::{ReadRequest, WriteFunction, exception_name, registers, values, write_pdu};
+use super::super::transaction::{
+    End, LineCounts, Policy, Proof, Reception, Step, out_of_step, restless,
+};
 use super::wire::Wire;
 
 /// Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
 const QUIET: Duration = Duration::from_millis(20);
+
+/// Every request ends in exactly one class of the statistics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct RawCounters {
+    #[serde(flatten)]
+    pub requests: LinkStatistics,
+    /// Requests among `sent` that only proved that the line is in step.
+    pub probes: u64,
+    pub resynchronisations: u64,
+    #[serde(flatten)]
+    pub line: LineCounts,
+}
+
+/// How a write is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WriteFunction {
+    /// Function code 6: one register.
+    Single,
+    /// Function code 16: any number.
+    Multiple,
+}
 
 /// A blocking Modbus client for raw registers.
 pub struct RawClient {
@@ -109,16 +133,9 @@ impl RawClient {
     /// Reads registers, once. Whether the reply is that to this very request and not to an equal one before it, only
     /// [`RawClient::is_vouched`] and [`RawClient::vouch`] can say.
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
-        let what = || {
-            format!(
-                "read {} at {}",
-                registers(request.count.into()),
-                request.address
-            )
-        };
         let pdu = request.pdu();
         self.in_step(&pdu)?;
-        self.transact(&pdu, false, what)?;
+        self.transact(&pdu, false, || request.text())?;
         self.proof.known(request);
         Ok(values(self.response()))
     }
@@ -268,43 +285,40 @@ impl RawClient {
             }
             self.last_round_trip = ended.saturating_duration_since(begun);
             match *self.response() {
-                [function, code] if function & 0x80 != 0 => Err(self.refusal(code, what())),
+                [function, code] if function & 0x80 != 0 => Err(LinkError::Exception {
+                    link: self.name.clone(),
+                    request: what(),
+                    code,
+                    name: exception_name(code),
+                }),
                 _ => Ok(()),
             }
         });
         self.counters.requests.settle(&result);
-        let end = match &result {
-            Ok(()) => End::Data,
-            Err(LinkError::Exception { .. }) => End::Refused,
-            Err(_) => End::Missing,
-        };
+        let end = End::of(&result);
         if end == End::Missing {
             self.reception.retire();
         } else {
             self.reception.expected.retire();
         }
-        let strays = self.reception.take_anomaly();
-        let heard = self.reception.take_heard();
-        self.proof.ended(end, &heard, strays, false, ended);
+        self.proof.settle(end, &mut self.reception, false, ended);
         result
     }
 
     fn frame(&mut self, pdu: &[u8]) {
-        let request = &mut self.reception.expected.request;
-        request.clear();
-        match self.reception.kind {
+        let (mut short, mut long) = ([0; rtu::MAX_FRAME], [0; tcp::MAX_FRAME]);
+        let frame = match self.reception.kind {
             FrameKind::Rtu => {
-                let mut frame = [0; rtu::MAX_FRAME];
-                let length = rtu::encode_frame(self.unit, pdu, &mut frame);
-                request.extend_from_slice(&frame[..length]);
+                let length = rtu::encode_frame(self.unit, pdu, &mut short);
+                &short[..length]
             }
             FrameKind::Tcp => {
                 self.transaction = self.transaction.wrapping_add(1);
-                let mut frame = [0; tcp::MAX_FRAME];
-                let length = tcp::encode_frame(self.transaction, self.unit, pdu, &mut frame);
-                request.extend_from_slice(&frame[..length]);
+                let length = tcp::encode_frame(self.transaction, self.unit, pdu, &mut long);
+                &long[..length]
             }
-        }
+        };
+        frame.clone_into(&mut self.reception.expected.request);
     }
 
     /// What does not get out in time ends as a timeout of the reply.
@@ -356,24 +370,55 @@ impl RawClient {
         Ok(count)
     }
 
-    fn refusal(&self, code: u8, request: String) -> LinkError {
-        LinkError::Exception {
-            link: self.name.clone(),
-            request,
-            code,
-            name: exception_name(code),
-        }
-    }
-
     fn lost(&mut self, error: &io::Error) -> LinkError {
         self.gone = true;
         self.broken(&error.to_string())
     }
 
     fn broken(&self, reason: &str) -> LinkError {
-        LinkError::Gone {
-            link: self.name.clone(),
-            reason: reason.to_owned(),
+        LinkError::Gone(self.name.clone(), reason.to_owned())
+    }
+}
+
+/// Values of a reply to a read whose length was checked.
+fn values(response: &[u8]) -> Vec<u16> {
+    let words = response.get(2..).unwrap_or_default().as_chunks().0;
+    words.iter().map(|word| u16::from_be_bytes(*word)).collect()
+}
+
+fn write_pdu(function: WriteFunction, address: u16, values: &[u16]) -> Vec<u8> {
+    let [a, b] = address.to_be_bytes();
+    let mut pdu = match function {
+        WriteFunction::Single => vec![6, a, b],
+        WriteFunction::Multiple => {
+            // At most MOST_WRITTEN, which the caller has checked.
+            let count = u8::try_from(values.len()).unwrap_or(u8::MAX);
+            vec![16, a, b, 0, count, count.saturating_mul(2)]
         }
+    };
+    pdu.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+    pdu
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::register_bus::RegisterTable;
+    use super::*;
+
+    #[test]
+    fn requests_are_the_bytes_of_the_standard() {
+        let read = ReadRequest {
+            table: RegisterTable::Input,
+            address: 0x0108,
+            count: 3,
+        };
+        assert_eq!(read.pdu(), [4, 1, 8, 0, 3]);
+        let one = write_pdu(WriteFunction::Single, 1, &[0x0203]);
+        assert_eq!(one, [6, 0, 1, 2, 3]);
+        let two = write_pdu(WriteFunction::Multiple, 1, &[0x000A, 0x0102]);
+        assert_eq!(two, [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
+        assert_eq!(values(&[3, 4, 0, 6, 0xFF, 5]), [6, 0xFF05]);
+        assert_eq!(values(&[]), [0_u16; 0]);
+        assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
     }
 }

@@ -4,16 +4,13 @@
 //! batch.rs  reads, again and again -> values that are vouched for
 //!    |
 //! client.rs  drain -> steps of transaction/proof.rs -> gap -> write -> ppoll, read until the one reply is there
-//!    |                                                    |
-//! wire.rs   serial port or TCP, non-blocking           counters.rs   every request in exactly one class
-//!                                                      request.rs    bytes of the PDU
+//!    |
+//! wire.rs   serial port or TCP, non-blocking
 //! who.rs    what a unit says about itself
 //! ```
 
 mod batch;
 mod client;
-mod counters;
-mod request;
 #[cfg(test)]
 mod tests;
 mod who;
@@ -22,16 +19,13 @@ mod wire;
 use std::time::Duration;
 
 pub use batch::{Batch, Read, read_batch};
-pub use client::RawClient;
-pub use counters::RawCounters;
-pub(super) use request::exception_name;
-pub use request::{MOST_READ, MOST_WRITTEN, ReadRequest, WriteFunction, registers};
+pub use client::{RawClient, RawCounters, WriteFunction};
 
 use super::link::{Identity, LinkError};
-use super::modbus::RegisterTable;
 use super::open::Target;
-use super::profile::Framing;
+use super::register_bus::{MOST_READ, ReadRequest};
 use super::reply::FrameKind;
+use super::settings::Framing;
 use super::tap::TapFile;
 use super::timeline::identity;
 use super::timing::standard_gap_s;
@@ -96,12 +90,8 @@ impl RawClient {
 
     /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.
     pub fn identify(&mut self) -> Result<Option<Identity>, LinkError> {
-        let request = ReadRequest {
-            table: RegisterTable::Holding,
-            address: IDENTITY_ADDRESS,
-            count: u16::try_from(IDENTITY_WORDS).unwrap_or(MOST_READ),
-        };
-        let block = match self.read(request) {
+        let words = u16::try_from(IDENTITY_WORDS).unwrap_or(MOST_READ);
+        let block = match self.read(ReadRequest::holding(IDENTITY_ADDRESS, words)) {
             Ok(block) => block,
             Err(LinkError::Exception { .. }) => return Ok(None),
             Err(error) => return Err(error),

@@ -13,8 +13,6 @@ use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::super::modbus::RegisterTable;
-use super::super::profile::Framing;
 use super::*;
 
 /// What the device does wrong with one request.
@@ -198,11 +196,7 @@ fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>)
 }
 
 fn reads(addresses: &[u16], count: u16) -> Vec<ReadRequest> {
-    let of = |address: &u16| ReadRequest {
-        table: RegisterTable::Holding,
-        address: *address,
-        count,
-    };
+    let of = |address: &u16| ReadRequest::holding(*address, count);
     addresses.iter().map(of).collect()
 }
 

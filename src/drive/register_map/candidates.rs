@@ -426,7 +426,7 @@ impl Picture<'_> {
         let Some(pattern) = layout.pattern(registers) else {
             return Reading::Unread;
         };
-        if signal.invalid.contains(&pattern) {
+        if signal.keys.invalid.contains(&pattern) {
             return Reading::NotAvailable;
         }
         let Some(factor) = self.factor(signal, of_factors, depth) else {
@@ -436,7 +436,7 @@ impl Picture<'_> {
         if !value.is_finite() {
             return Reading::NotANumber;
         }
-        match signal.valid {
+        match signal.keys.valid {
             Some([low, high]) if !(low..=high).contains(&value) => Reading::Outside(value),
             _ => Reading::Value(value),
         }

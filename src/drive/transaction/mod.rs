@@ -24,15 +24,15 @@ pub(super) use reception::Reception;
 use super::link::LinkError;
 
 pub(super) fn restless(link: &str) -> LinkError {
-    LinkError::Corrupt {
-        link: link.to_owned(),
-        reason: "the line is never silent: something talks all the time".to_owned(),
-    }
+    LinkError::Corrupt(
+        link.to_owned(),
+        "the line is never silent: something talks all the time".to_owned(),
+    )
 }
 
 pub(super) fn out_of_step(link: &str) -> LinkError {
-    LinkError::Corrupt {
-        link: link.to_owned(),
-        reason: "the line is out of step: no probe came back without older replies".to_owned(),
-    }
+    LinkError::Corrupt(
+        link.to_owned(),
+        "the line is out of step: no probe came back without older replies".to_owned(),
+    )
 }

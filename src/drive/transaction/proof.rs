@@ -12,9 +12,9 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use super::reception::Heard;
-use crate::drive::modbus::RegisterTable;
-use crate::drive::raw::{MOST_READ, ReadRequest};
+use super::reception::{Heard, Reception};
+use crate::drive::link::LinkError;
+use crate::drive::register_bus::{MOST_READ, ReadRequest, RegisterTable};
 use crate::drive::reply::Code;
 
 /// Probes of one resynchronisation.
@@ -80,6 +80,16 @@ pub(in crate::drive) enum End {
     Data,
     Refused,
     Missing,
+}
+
+impl End {
+    pub(in crate::drive) const fn of<T>(result: &Result<T, LinkError>) -> Self {
+        match result {
+            Ok(_) => Self::Data,
+            Err(LinkError::Exception { .. }) => Self::Refused,
+            Err(_) => Self::Missing,
+        }
+    }
 }
 
 /// A request that went out since the line was last proven to be in step.
@@ -398,15 +408,20 @@ impl Proof {
         });
     }
 
-    /// The exchange is over. `strays`: something beside the reply came. `numbered`: the reply carries its own number.
-    pub(in crate::drive) fn ended(
+    /// The exchange is over: judges what came beside the reply. `numbered`: the reply carries its own number.
+    pub(in crate::drive) fn settle(
         &mut self,
         end: End,
-        heard: &[Heard],
-        strays: bool,
+        reception: &mut Reception,
         numbered: bool,
         now: Instant,
     ) {
+        let strays = reception.take_anomaly();
+        self.ended(end, &reception.take_heard(), strays, numbered, now);
+    }
+
+    /// The exchange is over. `strays`: something beside the reply came. `numbered`: the reply carries its own number.
+    fn ended(&mut self, end: End, heard: &[Heard], strays: bool, numbered: bool, now: Instant) {
         let was_proven = self.proven;
         self.heard |= end != End::Missing;
         self.vouched = self.policy == Policy::Numbered;
@@ -529,26 +544,25 @@ impl Proof {
 
     fn probe(&mut self, before: &[u8]) -> Option<[u8; 5]> {
         let spared = Code::answering(before);
+        let is_free = |read: &ReadRequest| {
+            let code = Code::answering(&read.pdu());
+            code != spared && self.asked.iter().all(|asked| asked.code != code)
+        };
         match self.method {
             Method::Length => {
                 let (place, most) = self.place?;
                 let shorter = (1..place.count).rev();
                 let counts = || shorter.clone().chain(place.count..=most);
-                let with = |count| ReadRequest { count, ..place }.pdu();
-                let is_free = |count: &u16| {
-                    let code = Code::answering(&with(*count));
-                    code != spared && self.asked.iter().all(|asked| asked.code != code)
-                };
+                let reads = || counts().map(|count| ReadRequest { count, ..place });
                 // As the profile has it a reply comes once: what has been answered, and silent since, is over.
-                let is_over = |count: &u16| {
-                    let code = Code::answering(&with(*count));
+                let is_over = |read: &ReadRequest| {
+                    let code = Code::answering(&read.pdu());
                     let mut alike = self.asked.iter().filter(|asked| asked.code == code);
                     alike.all(|asked| asked.is_answered)
                 };
                 let is_told = matches!(self.policy, Policy::Fixed(_));
-                let free = counts().find(is_free);
-                free.or_else(|| counts().filter(|_| is_told).find(is_over))
-                    .map(with)
+                let over = || reads().filter(|_| is_told).find(is_over);
+                reads().find(is_free).or_else(over).map(ReadRequest::pdu)
             }
             Method::OtherTable => {
                 let place = self.place.map(|(place, _)| place);
@@ -563,19 +577,12 @@ impl Proof {
                     _ => RegisterTable::Input,
                 };
                 let address = place.map_or(0, |place| place.address);
-                let of = |count| {
-                    ReadRequest {
-                        table,
-                        address,
-                        count,
-                    }
-                    .pdu()
-                };
-                let is_free = |pdu: &[u8; 5]| {
-                    let code = Code::answering(pdu);
-                    code != spared && self.asked.iter().all(|asked| asked.code != code)
-                };
-                (1..=4).map(of).find(is_free)
+                let mut reads = (1..=4).map(|count| ReadRequest {
+                    table,
+                    address,
+                    count,
+                });
+                reads.find(is_free).map(ReadRequest::pdu)
             }
             Method::Nonce => {
                 self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
@@ -625,13 +632,7 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     fn read(address: u16, count: u16) -> [u8; 5] {
-        let table = RegisterTable::Holding;
-        ReadRequest {
-            table,
-            address,
-            count,
-        }
-        .pdu()
+        ReadRequest::holding(address, count).pdu()
     }
 
     fn late(pdu: &[u8]) -> [Heard; 1] {
@@ -657,19 +658,12 @@ mod tests {
         let mut at = now();
         let mut proof = Proof::new(Policy::Trial(50 * MS), QUIET, at);
         let (first, wanted) = (read(10, 1), read(20, 1));
-        proof.known(ReadRequest {
-            table: RegisterTable::Holding,
-            address: 10,
-            count: 1,
-        });
+        proof.known(ReadRequest::holding(10, 1));
         // Its reply comes with the next request, which it fits as well.
         for pdu in [&first, &wanted] {
             proof.asked(pdu, false, at);
-            let end = if *pdu == first {
-                End::Missing
-            } else {
-                End::Data
-            };
+            let is_first = *pdu == first;
+            let end = if is_first { End::Missing } else { End::Data };
             proof.ended(end, &[], false, false, at);
         }
         assert!(!proof.is_vouched(), "it may be the reply to the first");

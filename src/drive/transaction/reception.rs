@@ -64,18 +64,17 @@ impl Leftover {
                 deadline_ms: u64::try_from(deadline.as_millis()).unwrap_or(u64::MAX),
                 request,
             },
-            Self::Stale => LinkError::Stale {
+            Self::Stale => {
+                LinkError::Stale(link, format!("only late answers came after {request}"))
+            }
+            Self::Foreign => LinkError::Mismatch(
                 link,
-                reason: format!("only late answers came after {request}"),
-            },
-            Self::Foreign => LinkError::Mismatch {
+                format!("only frames that do not answer {request} came"),
+            ),
+            Self::Damaged(bytes) => LinkError::Corrupt(
                 link,
-                reason: format!("only frames that do not answer {request} came"),
-            },
-            Self::Damaged(bytes) => LinkError::Corrupt {
-                link,
-                reason: format!("{bytes} bytes without a valid frame came in reply to {request}"),
-            },
+                format!("{bytes} bytes without a valid frame came in reply to {request}"),
+            ),
         }
     }
 }
