@@ -2,11 +2,10 @@
 
 use std::time::Duration;
 
-use firmware_protocol::modbus::rtu::{MAX_FRAME, encode_frame};
 use firmware_protocol::stream::{ErrorCode, Message, Refusal};
 use firmware_protocol::{DriveCommand, Telemetry};
 
-use super::fake::{Asked, Fake, Language, Say, identity_block, stream_frame};
+use super::fake::{Asked, Fake, Language, Say, identity_block, rtu_frame, stream_frame};
 use super::guard::now;
 use super::register_bus::RegisterTable;
 use super::{DriveLink, DriveProfile, LinkError, ModbusLink, open_modbus, open_stream, stream};
@@ -330,12 +329,6 @@ fn copies_garbage_and_pieces_cost_nothing() {
     }
 }
 
-fn reframe(unit: u8, pdu: &[u8]) -> Vec<u8> {
-    let mut out = [0; MAX_FRAME];
-    let length = encode_frame(unit, pdu, &mut out);
-    out[..length].to_vec()
-}
-
 /// What becomes of a reply, and the class of the error that it costs.
 type Damage = (&'static str, fn(Vec<u8>) -> Vec<u8>, fn(&LinkError) -> bool);
 
@@ -369,12 +362,12 @@ fn damage_and_foreign_frames_cost_their_cycle_and_have_their_class() {
         ("bit flipped", flipped, is_corrupt),
         (
             "other unit",
-            |r| reframe(2, &r[1..r.len() - 2]),
+            |r| rtu_frame(2, &r[1..r.len() - 2]),
             is_mismatch,
         ),
         (
             "other function",
-            |r| reframe(1, &[&[3], &r[2..r.len() - 2]].concat()),
+            |r| rtu_frame(1, &[&[3], &r[2..r.len() - 2]].concat()),
             is_mismatch,
         ),
     ];
@@ -419,7 +412,9 @@ fn damage_garbage_and_foreign_answers_of_the_stream_have_their_class() {
 
 #[test]
 fn a_refusal_has_its_name_and_the_link_lives_on() {
-    let fake = rtu(at_command(4, |_| vec![Say::Bytes(reframe(1, &[0x97, 6]))]));
+    let fake = rtu(at_command(4, |_| {
+        vec![Say::Bytes(rtu_frame(1, &[0x97, 6]))]
+    }));
     let refusal = Refusal {
         kind: 2,
         code: ErrorCode::NotSupported,

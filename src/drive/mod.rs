@@ -55,9 +55,7 @@ pub mod timeline;
 mod timing;
 mod transaction;
 #[cfg(test)]
-pub(crate) mod virtual_drive;
-#[cfg(test)]
-mod virtual_line;
+pub(crate) mod virtual_line;
 
 pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};

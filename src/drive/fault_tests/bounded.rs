@@ -1,10 +1,9 @@
 //! Times on a bus that is late once, or dead: true stamps, silences that end, exchanges that keep their bound.
 
 use super::*;
+use crate::drive::fake::rtu_frame;
 use crate::drive::modbus::ModbusBus;
 use crate::drive::register_bus::RegisterBus;
-use crate::drive::register_map::RegisterMap;
-use crate::drive::reply::FrameKind;
 use crate::drive::transaction::CutIn;
 
 const TURNAROUND: Duration = Duration::from_micros(700);
@@ -35,14 +34,9 @@ impl Device for Punctual {
             }
             _ => request[1..6].to_vec(),
         };
-        let mut frame = [0; firmware_protocol::modbus::rtu::MAX_FRAME];
-        let length = firmware_protocol::modbus::rtu::encode_frame(1, &pdu, &mut frame);
-        let delay = if self.heard == self.late {
-            LATE
-        } else {
-            TURNAROUND
-        };
-        vec![(delay, frame[..length].to_vec())]
+        let is_late = self.heard == self.late;
+        let delay = if is_late { LATE } else { TURNAROUND };
+        vec![(delay, rtu_frame(1, &pdu))]
     }
 }
 
@@ -52,30 +46,32 @@ struct Line {
     epoch: std::time::Instant,
 }
 
-impl Line {
-    fn new(runtime: tokio::runtime::Runtime, late: u64, dead_from: u64) -> Self {
-        let profile = DriveProfile::named("epulse50-dc").unwrap();
-        let mut settings = profile.link;
+/// Works on a line in virtual time.
+fn on_a_line(late: u64, dead_from: u64, work: impl FnOnce(Line)) {
+    paused(|runtime| {
+        let mut settings = DriveProfile::named("epulse50-dc").unwrap().link;
         settings.deadline_ms = Some(50.0);
-        let timing = LineTiming::serial(&settings, settings.baud, true);
         let device = Arc::new(Mutex::new(Punctual {
             heard: 0,
             late,
             dead_from,
             at: Vec::new(),
         }));
-        let port = Box::new(VirtualPort::new(Arc::clone(&device)));
-        let (kind, epoch) = (FrameKind::Rtu, now());
-        let link = ModbusLink::new("virtual".to_owned(), runtime, port, kind, 1, timing, epoch);
-        let text = DriveProfile::text("epulse50-dc").unwrap();
-        let map = RegisterMap::parse("epulse50-dc", text).unwrap();
-        Self {
+        let epoch = now();
+        let link = modbus_link(runtime, &settings, &device);
+        let map = DriveProfile::named("epulse50-dc")
+            .unwrap()
+            .registers
+            .unwrap();
+        work(Line {
             bus: ModbusBus::new(link, &map),
             device,
             epoch,
-        }
-    }
+        });
+    });
+}
 
+impl Line {
     /// Two reads that look alike; how long they took, and whether they gave values with true stamps.
     fn cycle(&mut self) -> (Duration, bool) {
         let began = now();
@@ -106,17 +102,13 @@ impl Line {
     }
 }
 
-fn line(late: u64, dead_from: u64) -> (Line, tokio::runtime::EnterGuard<'static>) {
-    let runtime = paused_runtime();
-    let handle: &'static tokio::runtime::Handle = Box::leak(Box::new(runtime.handle().clone()));
-    let entered = handle.enter();
-    (Line::new(runtime, late, dead_from), entered)
-}
-
 /// Before, the silence behind one late reply was kept for the rest of the connection.
 #[test]
 fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
-    let (mut line, _entered) = line(401, u64::MAX);
+    on_a_line(401, u64::MAX, stamps_around_one_late_reply);
+}
+
+fn stamps_around_one_late_reply(mut line: Line) {
     let clean = Duration::from_millis(8);
     let mut slow = Vec::new();
     for k in 0..1000_u32 {
@@ -141,7 +133,10 @@ fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
 
 #[test]
 fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
-    let (mut line, _entered) = line(0, 11);
+    on_a_line(0, 11, dies_and_comes_back);
+}
+
+fn dies_and_comes_back(mut line: Line) {
     for _ in 0..3 {
         line.cycle();
     }
@@ -169,7 +164,10 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
 
 #[test]
 fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
-    let (mut line, _entered) = line(0, 0);
+    on_a_line(0, 0, is_cut_in_on);
+}
+
+fn is_cut_in_on(mut line: Line) {
     // Which the cut is to meet: the silence before the first probe, and the probes.
     for after_ms in [5, 15, 40, 60] {
         let flag = Arc::new(AtomicBool::new(false));

@@ -99,54 +99,49 @@ pub(super) fn inflict(
 ) -> Vec<(Duration, Vec<u8>)> {
     let soon = times.turnaround;
     let mut out: Vec<_> = held.0.drain(..).map(|late| (soon, late)).collect();
-    let honest = reply.honest;
+    let mut honest = reply.honest;
     let length = honest.len();
+    let Some(fault) = fault else {
+        out.push((soon, honest));
+        return out;
+    };
     match fault {
-        None => out.push((soon, honest)),
-        Some(Fault::ByteLost) => {
-            let mut bytes = honest;
-            bytes.remove(dice.below(length));
-            out.push((soon, bytes));
+        Fault::ByteLost => {
+            honest.remove(dice.below(length));
         }
-        Some(Fault::ByteInserted) => {
-            let mut bytes = honest;
+        Fault::ByteInserted => {
             let byte = dice.bytes(1)[0];
-            bytes.insert(dice.below(length + 1), byte);
-            out.push((soon, bytes));
+            honest.insert(dice.below(length + 1), byte);
         }
-        Some(Fault::BitsFlipped) => {
-            let mut bytes = honest;
+        Fault::BitsFlipped => {
             for _ in 0..=dice.below(3) {
-                bytes[dice.below(length)] ^= 1 << dice.below(8);
+                honest[dice.below(length)] ^= 1 << dice.below(8);
             }
-            out.push((soon, bytes));
         }
-        Some(Fault::Doubled) => {
+        Fault::CutOff => honest.truncate(dice.below(length)),
+        _ => {}
+    }
+    match fault {
+        Fault::ByteLost | Fault::ByteInserted | Fault::BitsFlipped | Fault::CutOff => {
+            out.push((soon, honest));
+        }
+        Fault::Doubled => {
             // At once, in the gap, or long after.
             let again = soon + Duration::from_micros([0, 300, 2500, 9000][dice.below(4)]);
             out.extend([(soon, honest.clone()), (again, honest)]);
         }
-        Some(Fault::Late) => {
-            if dice.below(2) == 0 {
-                held.0.push(honest);
-            } else {
-                let after = Duration::from_micros(dice.below(20_000) as u64);
-                out.push((times.deadline + after, honest));
-            }
+        Fault::Late if dice.below(2) == 0 => held.0.push(honest),
+        Fault::Late => {
+            let after = Duration::from_micros(dice.below(20_000) as u64);
+            out.push((times.deadline + after, honest));
         }
-        Some(Fault::LateTwoDeep) => {
-            // The copy makes the next request find two of them.
-            held.0.extend([honest.clone(), honest]);
-        }
-        Some(Fault::OtherUnit) => out.push((soon, reply.other_unit)),
-        Some(Fault::OtherRequest) => out.push((soon, reply.other_request)),
-        Some(Fault::Refused) => out.push((soon, reply.refusal)),
-        Some(Fault::Busy) => out.push((soon, reply.busy)),
-        Some(Fault::CutOff) => {
-            let kept = honest[..dice.below(length)].to_vec();
-            out.push((soon, kept));
-        }
-        Some(Fault::GarbageBetween) => {
+        // The copy makes the next request find two of them.
+        Fault::LateTwoDeep => held.0.extend([honest.clone(), honest]),
+        Fault::OtherUnit => out.push((soon, reply.other_unit)),
+        Fault::OtherRequest => out.push((soon, reply.other_request)),
+        Fault::Refused => out.push((soon, reply.refusal)),
+        Fault::Busy => out.push((soon, reply.busy)),
+        Fault::GarbageBetween => {
             let count = [3, 40, 1500, 1 << 16][dice.below(4)];
             let garbage = dice.bytes(count);
             // Before the reply it must not be taken for it, behind it not for the next.
@@ -154,24 +149,21 @@ pub(super) fn inflict(
             out.push((soon, honest));
             out.insert(if before { 0 } else { out.len() }, (soon, garbage));
         }
-        Some(Fault::Babble) => {
+        Fault::Babble => {
             let mut at = soon;
             while at < times.deadline {
                 out.push((at, dice.bytes(24)));
                 at += Duration::from_millis(2);
             }
         }
-        Some(Fault::InChunks) => {
-            let (a, b) = honest.split_at(dice.below(length));
-            out.push((soon, a.to_vec()));
-            out.push((soon + Duration::from_millis(16), b.to_vec()));
+        Fault::InChunks => {
+            let rest = honest.split_off(dice.below(length));
+            let later = soon + Duration::from_millis(16);
+            out.extend([(soon, honest), (later, rest)]);
         }
-        Some(Fault::OwnEcho) => {
-            out.push((Duration::ZERO, reply.request));
-            out.push((soon, honest));
-        }
-        Some(Fault::WrongBaud) => out.push((soon, dice.bytes(length))),
-        Some(Fault::Silent) => {}
+        Fault::OwnEcho => out.extend([(Duration::ZERO, reply.request), (soon, honest)]),
+        Fault::WrongBaud => out.push((soon, dice.bytes(length))),
+        Fault::Silent => {}
     }
     out
 }

@@ -3,12 +3,13 @@
 use std::time::{Duration, Instant};
 
 use firmware_protocol::registers::TELEMETRY_WORDS;
-use firmware_protocol::stream::{Decoder, Frame, MAX_FRAME, Message, encode};
+use firmware_protocol::stream::{CaptureStatus, Decoder, ErrorCode, Message, Refusal};
 use firmware_protocol::{Control, DriveCommand, State, Status, Telemetry};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use super::fault::{Dice, Fault, Held, Reply, Times, inflict};
+use crate::drive::fake::stream_frame;
 use crate::drive::guard::now;
 use crate::drive::virtual_line::Device;
 
@@ -39,7 +40,7 @@ pub(super) struct Stranger {
 
 /// What the register at address `index` holds for the request with this number.
 #[expect(clippy::cast_possible_truncation, reason = "any sixteen bits will do")]
-pub(super) fn register(heard: u32, index: usize) -> u16 {
+fn register(heard: u32, index: usize) -> u16 {
     (heard
         .wrapping_mul(2_654_435_761)
         .wrapping_add(index as u32 * 40_503)
@@ -73,6 +74,12 @@ impl Stranger {
             tampered: 0,
             last_fault: None,
         }
+    }
+
+    /// What was meant by the reply to the last read, of these registers.
+    pub(super) fn meant(&self, first: u16, count: u16) -> Vec<u16> {
+        let indices = (usize::from(first)..).take(count.into());
+        indices.map(|index| register(self.heard, index)).collect()
     }
 
     fn answer(&mut self, reply: Reply) -> Vec<(Duration, Vec<u8>)> {
@@ -130,12 +137,7 @@ impl Stranger {
             }
             _ => {
                 self.heard += 1;
-                let count = usize::from(word(4));
-                let first = usize::from(word(2));
-                let words: Vec<_> = (first..first + count)
-                    .map(|index| register(self.heard, index))
-                    .collect();
-                counted(&words)
+                counted(&self.meant(word(2), word(4)))
             }
         };
         let honest = frame(1, request[1], &content);
@@ -178,33 +180,18 @@ impl Stranger {
         };
         self.heard += 1;
         let told = telemetry(command, self.heard);
-        let say = |seq, message| {
-            let mut out = [0; MAX_FRAME];
-            let frame = Frame {
-                seq,
-                time_us: told.time_us,
-                message,
-            };
-            let length = encode(&frame, &mut out);
-            out[..length].to_vec()
-        };
+        let seq = question.seq;
+        let say = |seq, message| stream_frame(seq, told.time_us, message);
         let refused = |code| {
             let kind = question.message.kind().code();
-            Message::Error(firmware_protocol::stream::Refusal { kind, code })
+            say(seq, Message::Error(Refusal { kind, code }))
         };
-        let other = Message::CaptureStatus(firmware_protocol::stream::CaptureStatus::default());
         self.answer(Reply {
-            other_unit: say(question.seq, other),
-            other_request: say(question.seq.wrapping_sub(1), Message::Telemetry(told)),
-            refusal: say(
-                question.seq,
-                refused(firmware_protocol::stream::ErrorCode::OutOfRange),
-            ),
-            busy: say(
-                question.seq,
-                refused(firmware_protocol::stream::ErrorCode::DeviceFailure),
-            ),
-            honest: say(question.seq, Message::Telemetry(told)),
+            other_unit: say(seq, Message::CaptureStatus(CaptureStatus::default())),
+            other_request: say(seq.wrapping_sub(1), Message::Telemetry(told)),
+            refusal: refused(ErrorCode::OutOfRange),
+            busy: refused(ErrorCode::DeviceFailure),
+            honest: say(seq, Message::Telemetry(told)),
             request,
         })
     }
