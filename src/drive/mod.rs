@@ -41,6 +41,7 @@ mod port;
 mod probe;
 mod profile;
 mod profiled;
+mod proof;
 mod raw;
 mod register_bus;
 pub mod register_map;

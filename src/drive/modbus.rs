@@ -32,6 +32,7 @@ use super::clock_map::{ClockMap, signed_difference};
 use super::guard::{Guard, Port, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
+use super::proof::{End, Method, PATIENCE, Policy, Proof, Step};
 use super::register_bus::{
     READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, ReadRequest, RegisterTable, WRITE_BYTES,
     WRITTEN_BYTES, exception_name, registers,
@@ -40,9 +41,7 @@ use super::reply::{Echo, FrameKind};
 use super::tally::RoundTrips;
 use super::timeline::{identity, identity_error};
 use super::timing::{LineTiming, wait_until};
-use super::transaction::{
-    CutIn, End, LineCounts, Method, PATIENCE, Policy, Proof, Step, out_of_step, restless,
-};
+use super::transaction::{CutIn, LineCounts, out_of_step, restless};
 use crate::sample::{Command, Sample};
 
 pub use bus::ModbusBus;

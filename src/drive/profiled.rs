@@ -7,8 +7,6 @@
 //!
 //! Enabling is never repeated by itself: after a fault, a stop or a failed step somebody has to ask for zero first.
 
-mod clock;
-mod connect;
 mod halt;
 mod points;
 mod readings;
@@ -17,9 +15,8 @@ mod state;
 
 use std::sync::Arc;
 
-use self::clock::Clock;
 use self::points::Points;
-use self::readings::Readings;
+use self::readings::{Clock, Readings};
 use self::sequence::{Next, Sequence};
 use super::budget::cycle_frames;
 use super::clock_map::ClockMap;
@@ -27,7 +24,7 @@ use super::command_times::CommandTimes;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
 use super::register_bus::{RegisterBus, Span};
-use super::register_map::{Quantity, RegisterMap, Step};
+use super::register_map::{IdentityCheck, IdentityTest, Quantity, RegisterMap, Step};
 use super::settings::KickedBy;
 use super::tally::RoundTrips;
 use super::transaction::{CutIn, LineCounts};
@@ -533,6 +530,72 @@ impl<B: RegisterBus> ProfiledLink<B> {
             return gone(self.advance());
         }
         Ok(())
+    }
+
+    fn check_identity(&mut self) -> Result<(), LinkError> {
+        for check in self.map.identity.clone() {
+            let wrong = match check {
+                IdentityCheck::Object { object, contains } => {
+                    let found = self.bus.object(object)?;
+                    let fits = found.as_ref().is_some_and(|text| text.contains(&contains));
+                    (!fits).then(|| {
+                        format!("identification object {object} is {found:?} (expected {contains:?} in it)")
+                    })
+                }
+                IdentityCheck::Signal { signal, mask, test } => {
+                    let reading = self.readings.get(&signal).unwrap_or_default();
+                    let fits = match &test {
+                        IdentityTest::OneOf(patterns) => reading
+                            .pattern
+                            .is_some_and(|pattern| patterns.contains(&(pattern & mask))),
+                        IdentityTest::Within([low, high]) => reading
+                            .value
+                            .is_some_and(|value| (*low..=*high).contains(&value)),
+                    };
+                    (!fits)
+                        .then(|| format!("{signal} is {:?} (expected {test:?})", reading.pattern))
+                }
+            };
+            if let Some(reason) = wrong {
+                return Err(LinkError::Identity(
+                    self.name().0,
+                    format!("this is not {}: {reason}", self.map.device.name),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// The watchdog's time: written where the profile says so, and read back. The drive of somebody else, which runs, is
+    /// left as it is: with a watchdog that nobody refreshes it would stop once this host has gone.
+    fn supervision(&mut self) -> Result<Option<f64>, LinkError> {
+        let runs = self.state() == DriveState::Running;
+        let watchdog = &self.map.watchdog;
+        let set_s = watchdog.set_s().filter(|_| !runs);
+        let Some((location, unit_s)) = watchdog.time else {
+            return Ok(watchdog.default_s());
+        };
+        if let Some(set_s) = set_s {
+            let has_single = self.map.functions.contains(&6);
+            let function = if has_single { 6 } else { 16 };
+            let registers = location.layout.encode(set_s / unit_s);
+            let registers = registers.ok_or_else(|| {
+                self.refused(format!("watchdog time {set_s} s does not fit its register"))
+            })?;
+            self.bus.write(function, location.address, &registers)?;
+        }
+        let registers = self.bus.read(location.request())?.words;
+        let raw = location.layout.pattern(&registers).unwrap_or_default();
+        let time_s = location.layout.number(raw) * unit_s;
+        if let Some(set_s) = set_s
+            && (time_s - set_s).abs() > 0.5 * unit_s
+        {
+            return Err(LinkError::Identity(
+                self.name().0,
+                format!("the watchdog was set to {set_s} s and reads back as {time_s} s"),
+            ));
+        }
+        Ok(Some(time_s))
     }
 
     fn refused(&self, reason: String) -> LinkError {

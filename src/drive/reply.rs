@@ -189,7 +189,7 @@ fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
 }
 
 /// Length of a whole frame at the start of `bytes`, if there is one with a right checksum.
-fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
+pub(super) fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
     let Length::Known(pdu) = pdu_len(bytes.get(1..)?) else {
         return None;
     };

@@ -4,7 +4,6 @@
 //! pseudo-terminal two thousand, or a hundred thousand.
 
 mod bounded;
-mod fault;
 mod profiled;
 mod stranger;
 
@@ -14,8 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use fault::{Fault, Times};
-use stranger::{Language, Stranger, current_a};
+use stranger::{Fault, Language, Stranger, Times, current_a};
 
 use super::fake::raw_pty;
 use super::guard::now;

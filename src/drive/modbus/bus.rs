@@ -20,6 +20,7 @@ use super::{
     words,
 };
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
+use crate::drive::proof::Method;
 use crate::drive::register_bus::{
     READ_BYTES, READ_WRITE_BYTES, ReadRequest, RegisterBus, RegistersRead, Span, WRITE_BYTES,
     WRITTEN_BYTES, registers,
@@ -28,7 +29,7 @@ use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_
 use crate::drive::reply::FrameKind;
 use crate::drive::tally::RoundTrips;
 use crate::drive::timing::wait_until;
-use crate::drive::transaction::{CutIn, LineCounts, Method};
+use crate::drive::transaction::{CutIn, LineCounts};
 
 /// Round trips that tell how long replies usually take, and how many of them a busy host may have made too long.
 const REMEMBERED: usize = 32;

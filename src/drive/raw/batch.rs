@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::super::link::LinkError;
 use super::super::register_bus::ReadRequest;
-use super::client::RawClient;
+use super::RawClient;
 
 /// Times that doubtful values are asked for again, each between two proofs.
 const CAREFUL_ATTEMPTS: usize = 3;

@@ -12,6 +12,7 @@ use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::super::fake::{pty, rtu_frame as frame};
+use super::super::register_bus::RegisterTable;
 use super::*;
 
 /// What the device does wrong with one request.
@@ -363,4 +364,29 @@ fn a_peer_that_closes_ends_the_batch() {
         "{none:?}"
     );
     assert!(client.counters().requests.balances());
+}
+
+#[test]
+fn requests_are_the_bytes_of_the_standard() {
+    let read = ReadRequest {
+        table: RegisterTable::Input,
+        address: 0x0108,
+        count: 3,
+    };
+    assert_eq!(read.pdu(), [4, 1, 8, 0, 3]);
+    let one = write_pdu(WriteFunction::Single, 1, &[0x0203]);
+    assert_eq!(one, [6, 0, 1, 2, 3]);
+    let two = write_pdu(WriteFunction::Multiple, 1, &[0x000A, 0x0102]);
+    assert_eq!(two, [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
+    assert_eq!(values(&[3, 4, 0, 6, 0xFF, 5]), [6, 0xFF05]);
+    assert_eq!(values(&[]), [0_u16; 0]);
+    assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
+}
+
+#[test]
+fn names_are_taken_as_far_as_they_fit() {
+    let pdu = [&[43, 14, 1, 1, 0, 0, 2, 0, 2][..], b"Ab", &[1, 1], b"C"].concat();
+    assert_eq!(object_texts(&pdu), ["Ab", "C"]);
+    assert_eq!(object_texts(&pdu[..10]), [""; 0]);
+    assert_eq!(object_texts(&[]), [""; 0]);
 }

@@ -1,22 +1,39 @@
-//! One request, one reply, one absolute deadline: the steps of the transaction layer on a bare descriptor.
+//! Raw registers of any Modbus unit: the everyday tool beside the drive links, in as few system calls as can be.
+//!
+//! ```text
+//! batch.rs  reads, again and again -> values that are vouched for
+//!    |
+//! RawClient drain -> steps of proof.rs -> gap -> write -> ppoll, read until the one reply is there
+//!    |
+//! wire.rs   serial port or TCP, non-blocking
+//! ```
+
+mod batch;
+#[cfg(test)]
+mod tests;
+mod wire;
 
 use std::io;
 use std::time::{Duration, Instant};
 
 use firmware_protocol::modbus::{rtu, tcp};
-
+use firmware_protocol::registers::{IDENTITY_ADDRESS, IDENTITY_WORDS};
 use serde::Serialize;
 
-use super::super::guard::now;
-use super::super::link::{LinkError, LinkStatistics};
-use super::super::register_bus::{ReadRequest, exception_name, registers};
-use super::super::reply::FrameKind;
-use super::super::tap::Tap;
-use super::super::timing::wait_until;
-use super::super::transaction::{
-    End, LineCounts, Policy, Proof, Reception, Step, out_of_step, restless,
-};
-use super::wire::Wire;
+use super::guard::now;
+use super::link::{Identity, LinkError, LinkStatistics};
+use super::open::Target;
+use super::proof::{End, Policy, Proof, Step};
+use super::register_bus::{MOST_READ, ReadRequest, exception_name, registers};
+use super::reply::FrameKind;
+use super::settings::Framing;
+use super::tap::{Tap, TapFile};
+use super::timeline::identity;
+use super::timing::{standard_gap_s, wait_until};
+use super::transaction::{LineCounts, Reception, out_of_step, restless};
+use wire::Wire;
+
+pub use batch::{Batch, Read, read_batch};
 
 /// Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
 const QUIET: Duration = Duration::from_millis(20);
@@ -44,9 +61,9 @@ pub enum WriteFunction {
 
 /// A blocking Modbus client for raw registers.
 pub struct RawClient {
-    pub(super) name: String,
+    name: String,
     /// Settings of a serial line, for messages; empty over a network.
-    pub(super) line: String,
+    line: String,
     wire: Wire,
     unit: u8,
     timeout: Duration,
@@ -62,7 +79,7 @@ pub struct RawClient {
 }
 
 impl RawClient {
-    pub(super) fn new(
+    fn new(
         name: String,
         wire: Wire,
         kind: FrameKind,
@@ -400,25 +417,141 @@ fn write_pdu(function: WriteFunction, address: u16, values: &[u16]) -> Vec<u8> {
     pdu
 }
 
-#[cfg(test)]
-mod tests {
-    use super::super::super::register_bus::RegisterTable;
-    use super::*;
+/// How a unit is asked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RawSettings {
+    /// Baud rate of a serial port for which the target names none.
+    pub baud: u32,
+    pub framing: Framing,
+    /// Unit for which the target names none.
+    pub unit: u8,
+    /// Time for one exchange, from the request to the whole reply.
+    pub timeout: Duration,
+    /// Silence before a request; `None`: as the standard says for the baud rate.
+    pub gap: Option<Duration>,
+}
 
-    #[test]
-    fn requests_are_the_bytes_of_the_standard() {
-        let read = ReadRequest {
-            table: RegisterTable::Input,
-            address: 0x0108,
-            count: 3,
+impl RawClient {
+    /// Opens the port or connects; nothing is sent yet.
+    ///
+    /// # Errors
+    /// [`LinkError::Open`], with what to do about it.
+    pub fn open(
+        target: &Target,
+        settings: &RawSettings,
+        tap: Option<&TapFile>,
+    ) -> Result<Self, LinkError> {
+        let name = target.to_string();
+        // The kernel may put off the end of a sleep by 50 us to save wake-ups; where it refuses, gaps are a little longer.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+        let mut line = String::new();
+        let (wire, kind, unit, gap) = match target {
+            Target::Serial { path, baud, unit } => {
+                let baud = baud.unwrap_or(settings.baud);
+                let wire = Wire::serial(path, baud, settings.framing)?;
+                line = format!(" at {baud} {}", settings.framing.name());
+                let standard = standard_gap_s(baud, settings.framing);
+                let gap = settings
+                    .gap
+                    .unwrap_or_else(|| Duration::try_from_secs_f64(standard).unwrap_or_default());
+                (wire, FrameKind::Rtu, unit, gap)
+            }
+            Target::Tcp { host, port, unit } => {
+                let wire = Wire::tcp(&name, host, *port)?;
+                // A network has no silences; one that is asked for is kept.
+                (wire, FrameKind::Tcp, unit, settings.gap.unwrap_or_default())
+            }
         };
-        assert_eq!(read.pdu(), [4, 1, 8, 0, 3]);
-        let one = write_pdu(WriteFunction::Single, 1, &[0x0203]);
-        assert_eq!(one, [6, 0, 1, 2, 3]);
-        let two = write_pdu(WriteFunction::Multiple, 1, &[0x000A, 0x0102]);
-        assert_eq!(two, [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
-        assert_eq!(values(&[3, 4, 0, 6, 0xFF, 5]), [6, 0xFF05]);
-        assert_eq!(values(&[]), [0_u16; 0]);
-        assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
+        let tap = tap.map(|file| match wire.ends {
+            Some((ours, peer)) => file.tcp(ours, peer),
+            None => file.rtu(),
+        });
+        let unit = unit.unwrap_or(settings.unit);
+        let mut client = Self::new(name, wire, kind, unit, settings.timeout, gap, tap);
+        client.line = line;
+        Ok(client)
     }
+
+    /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.
+    pub fn identify(&mut self) -> Result<Option<Identity>, LinkError> {
+        let words = u16::try_from(IDENTITY_WORDS).unwrap_or(MOST_READ);
+        let block = match self.read(ReadRequest::holding(IDENTITY_ADDRESS, words)) {
+            Ok(block) => block,
+            Err(LinkError::Exception { .. }) => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        if !self.vouch()? {
+            return Ok(None);
+        }
+        let block = block.as_slice().try_into().ok();
+        let block = block.and_then(|b| firmware_protocol::Identity::from_registers(b).ok());
+        Ok(block.map(|block| identity(&block)))
+    }
+}
+
+/// Silence after which a server that took an unknown request for the start of another one listens again (libmodbus:
+/// one second).
+const RECOVERY: Duration = Duration::from_millis(1200);
+
+impl RawClient {
+    /// Vendor, product and revision as the unit gives them; empty where it does not.
+    ///
+    /// # Errors
+    /// [`LinkError::Gone`] only: a unit that has no names is no fault.
+    pub fn names(&mut self) -> Result<Vec<String>, LinkError> {
+        // Read device identification, basic objects, from the first.
+        let objects = self.optional(&[43, 14, 1, 0], "the device identification")?;
+        Ok(objects.map_or_else(Vec::new, |pdu| object_texts(&pdu)))
+    }
+
+    /// One object of the identification; `None` where the unit does not have it.
+    ///
+    /// # Errors
+    /// [`LinkError::Gone`] only.
+    pub fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+        let objects = self.optional(&[43, 14, 4, object], "an object of the identification")?;
+        Ok(objects.and_then(|pdu| object_texts(&pdu).into_iter().next()))
+    }
+
+    /// Whether the unit sends a number back; `None` where it has never answered anything.
+    ///
+    /// # Errors
+    /// [`LinkError::Gone`] only.
+    pub fn sends_back(&mut self) -> Result<Option<bool>, LinkError> {
+        if !self.is_heard() {
+            return Ok(None);
+        }
+        let echo = self.optional(&[8, 0, 0, 0x5A, 0xC3], "the diagnostic echo")?;
+        Ok(Some(echo.is_some()))
+    }
+
+    /// The answer to a question that not every unit knows.
+    fn optional(&mut self, pdu: &[u8], what: &str) -> Result<Option<Vec<u8>>, LinkError> {
+        if !self.is_heard() {
+            return Ok(None);
+        }
+        match self.ask(pdu, what) {
+            Ok(answer) => Ok(Some(answer.to_vec())),
+            Err(error @ LinkError::Gone { .. }) => Err(error),
+            Err(LinkError::Exception { .. }) => Ok(None),
+            Err(_) => {
+                std::thread::sleep(RECOVERY);
+                Ok(None)
+            }
+        }
+    }
+}
+
+/// The texts of the objects of a device identification; what does not fit its own lengths ends the list.
+fn object_texts(pdu: &[u8]) -> Vec<String> {
+    let mut rest = pdu.get(7..).unwrap_or_default();
+    let mut texts = Vec::new();
+    while let [_, length, tail @ ..] = rest
+        && let Some((text, after)) = tail.split_at_checked(usize::from(*length))
+    {
+        texts.push(String::from_utf8_lossy(text).into_owned());
+        rest = after;
+    }
+    texts
 }

@@ -12,17 +12,17 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use super::reception::{Heard, Reception};
-use crate::drive::link::LinkError;
-use crate::drive::register_bus::{MOST_READ, ReadRequest, RegisterTable};
-use crate::drive::reply::Code;
+use super::link::LinkError;
+use super::register_bus::{MOST_READ, ReadRequest, RegisterTable};
+use super::reply::Code;
+use super::transaction::{Heard, Reception};
 
 /// Probes of one resynchronisation.
 const PROBES: usize = 6;
 /// Requests remembered since the last proof.
 const REMEMBERED: usize = 32;
 /// A line that talks for so many times the silence that is waited for is given up.
-pub(in crate::drive) const PATIENCE: u32 = 4;
+pub(super) const PATIENCE: u32 = 4;
 /// Clean reads after which it is known that a line brings no old replies.
 const KNOWN_AFTER: u32 = 32;
 /// A clean stretch so many times longer than the longest delay that was seen ends the silences that are kept for it: where
@@ -37,7 +37,7 @@ const LONGEST_STRETCH: Duration = Duration::from_secs(30);
 /// What makes a probe unmistakable. The order is that of trial: a read can harm nobody, but function code 08 makes some
 /// servers deaf (libmodbus 3.1 takes its data for the next request), so it comes last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum Method {
+pub(super) enum Method {
     /// A read of so many registers as no request since the last proof has asked for.
     Length,
     /// A read of the other table: whatever is answered carries the other function code.
@@ -50,7 +50,7 @@ pub(in crate::drive) enum Method {
 
 /// How a line is proven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum Policy {
+pub(super) enum Policy {
     /// Every reply carries the number of its request (TCP): there is nothing to prove.
     Numbered,
     /// As the drive's profile says. Anything unexpected is a doubt.
@@ -61,7 +61,7 @@ pub(in crate::drive) enum Policy {
 
 /// What is to be done before a request may go out.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum Step {
+pub(super) enum Step {
     /// In step: the request may go out.
     Go,
     /// Nothing may come before this instant.
@@ -76,14 +76,14 @@ pub(in crate::drive) enum Step {
 
 /// How an exchange ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum End {
+pub(super) enum End {
     Data,
     Refused,
     Missing,
 }
 
 impl End {
-    pub(in crate::drive) const fn of<T>(result: &Result<T, LinkError>) -> Self {
+    pub(super) const fn of<T>(result: &Result<T, LinkError>) -> Self {
         match result {
             Ok(_) => Self::Data,
             Err(LinkError::Exception { .. }) => Self::Refused,
@@ -118,7 +118,7 @@ impl Asked {
     clippy::struct_excessive_bools,
     reason = "independent facts, each set and cleared by its own event"
 )]
-pub(in crate::drive) struct Proof {
+pub(super) struct Proof {
     policy: Policy,
     quiet: Duration,
     /// Reads that look alike are kept apart by silence on every line: they are rare.
@@ -157,7 +157,7 @@ pub(in crate::drive) struct Proof {
 }
 
 impl Proof {
-    pub(in crate::drive) fn new(policy: Policy, quiet: Duration, now: Instant) -> Self {
+    pub(super) fn new(policy: Policy, quiet: Duration, now: Instant) -> Self {
         let [.., high, low] = std::process::id().to_be_bytes();
         let (method, is_fixed) = match policy {
             Policy::Fixed(method) => (method, true),
@@ -192,17 +192,13 @@ impl Proof {
     }
 
     /// For a link whose plain reads are rare: those that look alike are always kept apart.
-    pub(in crate::drive) const fn always_apart(mut self) -> Self {
+    pub(super) const fn always_apart(mut self) -> Self {
         self.always_apart = true;
         self
     }
 
     /// Another way of proving, and registers for the length code that can be read in any number up to this.
-    pub(in crate::drive) fn set_policy(
-        &mut self,
-        method: Method,
-        place: Option<(ReadRequest, u16)>,
-    ) {
+    pub(super) fn set_policy(&mut self, method: Method, place: Option<(ReadRequest, u16)>) {
         if self.policy != Policy::Numbered {
             self.policy = Policy::Fixed(method);
         }
@@ -212,65 +208,65 @@ impl Proof {
     }
 
     /// Silence after which nothing old comes any more, as it was measured.
-    pub(in crate::drive) const fn set_quiet(&mut self, quiet: Duration) {
+    pub(super) const fn set_quiet(&mut self, quiet: Duration) {
         self.quiet = quiet;
     }
 
     /// From here on another unit of the line is asked.
-    pub(in crate::drive) fn forget_unit(&mut self) {
+    pub(super) fn forget_unit(&mut self) {
         self.heard = false;
         self.place = None;
         self.worked = None;
         self.method = Method::Length;
     }
 
-    pub(in crate::drive) const fn is_heard(&self) -> bool {
+    pub(super) const fn is_heard(&self) -> bool {
         self.heard
     }
 
     /// Times that something was wrong on the line; as long as it stays the same nothing was.
-    pub(in crate::drive) const fn anomalies(&self) -> u64 {
+    pub(super) const fn anomalies(&self) -> u64 {
         self.anomalies
     }
 
-    pub(in crate::drive) const fn is_suspect(&self) -> bool {
+    pub(super) const fn is_suspect(&self) -> bool {
         self.suspect
     }
 
     /// Whether the last answer cannot be that to another request.
-    pub(in crate::drive) const fn is_vouched(&self) -> bool {
+    pub(super) const fn is_vouched(&self) -> bool {
         self.vouched
     }
 
     /// Whether anything was wrong since the last proof.
-    pub(in crate::drive) const fn is_dirty(&self) -> bool {
+    pub(super) const fn is_dirty(&self) -> bool {
         self.dirty
     }
 
     /// Whether there is a request before which everything is over.
-    pub(in crate::drive) const fn is_proven(&self) -> bool {
+    pub(super) const fn is_proven(&self) -> bool {
         self.proven
     }
 
     /// The line is to be proven before anything else is asked.
-    pub(in crate::drive) fn doubt(&mut self) {
+    pub(super) fn doubt(&mut self) {
         self.suspect = self.policy != Policy::Numbered;
     }
 
     /// A read that was answered: a probe may ask for the same place.
-    pub(in crate::drive) fn known(&mut self, read: ReadRequest) {
+    pub(super) fn known(&mut self, read: ReadRequest) {
         self.place = Some((read, MOST_READ.min(u16::MAX - read.address)));
     }
 
     /// Whether a reply to another request since the last proof could be taken for the one to this.
-    pub(in crate::drive) fn could_confuse(&self, pdu: &[u8]) -> bool {
+    pub(super) fn could_confuse(&self, pdu: &[u8]) -> bool {
         let (head, code) = (head(pdu), Code::answering(pdu));
         let mut asked = self.asked.iter();
         self.policy != Policy::Numbered && asked.any(|other| other.looks_like(code, head))
     }
 
     /// What is to be done before this request.
-    pub(in crate::drive) fn next(&mut self, pdu: &[u8], now: Instant) -> Step {
+    pub(super) fn next(&mut self, pdu: &[u8], now: Instant) -> Step {
         if self.policy == Policy::Numbered {
             return Step::Go;
         }
@@ -354,7 +350,7 @@ impl Proof {
     }
 
     /// Something came, or was found, while nothing was outstanding.
-    pub(in crate::drive) fn disturbed(&mut self, heard: &[Heard], now: Instant) {
+    pub(super) fn disturbed(&mut self, heard: &[Heard], now: Instant) {
         if self.policy == Policy::Numbered {
             self.anomalies += 1;
             return;
@@ -392,7 +388,7 @@ impl Proof {
     }
 
     /// A request goes out.
-    pub(in crate::drive) fn asked(&mut self, pdu: &[u8], is_probe: bool, now: Instant) {
+    pub(super) fn asked(&mut self, pdu: &[u8], is_probe: bool, now: Instant) {
         if self.policy == Policy::Numbered {
             return;
         }
@@ -409,7 +405,7 @@ impl Proof {
     }
 
     /// The exchange is over: judges what came beside the reply. `numbered`: the reply carries its own number.
-    pub(in crate::drive) fn settle(
+    pub(super) fn settle(
         &mut self,
         end: End,
         reception: &mut Reception,
