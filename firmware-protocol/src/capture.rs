@@ -2,74 +2,34 @@
 //!
 //! Arm (or start), wait for `Complete`, then read windows: one FC23 writes the window index and reads count and window.
 
+use crate::codes::coded;
 use crate::registers as r;
 
-/// What the host asks of the capture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CaptureControl {
-    /// Drop what is recorded or armed.
-    Abort,
-    /// Start when the next command is applied.
-    Arm,
-    /// Start now.
-    Start,
-}
-
-impl CaptureControl {
-    /// Code in the register.
-    pub const fn code(self) -> u16 {
-        match self {
-            Self::Abort => 0,
-            Self::Arm => 1,
-            Self::Start => 2,
-        }
-    }
-
-    /// The request of a code, if there is one.
-    pub const fn from_code(code: u16) -> Option<Self> {
-        match code {
-            0 => Some(Self::Abort),
-            1 => Some(Self::Arm),
-            2 => Some(Self::Start),
-            _ => None,
-        }
+coded! {
+    /// What the host asks of the capture.
+    CaptureControl: u16 {
+        /// Drop what is recorded or armed.
+        Abort = 0,
+        /// Start when the next command is applied.
+        Arm = 1,
+        /// Start now.
+        Start = 2,
     }
 }
 
-/// Where the capture is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum CaptureState {
-    /// Nothing recorded.
-    #[default]
-    Empty,
-    /// Waits for the next command.
-    Armed,
-    /// Records.
-    Recording,
-    /// All samples are there.
-    Complete,
-}
-
-impl CaptureState {
-    /// Code in the register.
-    pub const fn code(self) -> u16 {
-        match self {
-            Self::Empty => 0,
-            Self::Armed => 1,
-            Self::Recording => 2,
-            Self::Complete => 3,
-        }
-    }
-
-    /// The state of a code, if there is one.
-    pub const fn from_code(code: u16) -> Option<Self> {
-        match code {
-            0 => Some(Self::Empty),
-            1 => Some(Self::Armed),
-            2 => Some(Self::Recording),
-            3 => Some(Self::Complete),
-            _ => None,
-        }
+coded! {
+    /// Where the capture is.
+    #[derive(Default)]
+    CaptureState: u16 {
+        /// Nothing recorded.
+        #[default]
+        Empty = 0,
+        /// Waits for the next command.
+        Armed = 1,
+        /// Records.
+        Recording = 2,
+        /// All samples are there.
+        Complete = 3,
     }
 }
 

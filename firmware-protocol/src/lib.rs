@@ -18,6 +18,7 @@
 extern crate std;
 
 pub mod capture;
+mod codes;
 pub mod command;
 pub mod identity;
 pub mod modbus;

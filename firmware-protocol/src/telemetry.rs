@@ -1,32 +1,23 @@
 //! The telemetry block: one measured instant of the drive.
 
+use crate::codes::coded;
 use crate::registers as r;
 use crate::registers::{TELEMETRY_ADDRESS, TELEMETRY_WORDS};
 use crate::wire::{Sink, Source, Words, WordsMut};
 
-/// The drive's state machine.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum State {
-    /// Output off; so after power-up, after `Disable` and after a fault was reset.
-    #[default]
-    Disabled,
-    /// Output off after `Stop`.
-    Ready,
-    /// Output on, watchdog armed.
-    Running,
-    /// Output off, latched until `ResetFault`.
-    Fault,
-}
-
-impl State {
-    /// Code in the status word.
-    pub const fn code(self) -> u16 {
-        match self {
-            Self::Disabled => 0,
-            Self::Ready => 1,
-            Self::Running => 2,
-            Self::Fault => 3,
-        }
+coded! {
+    /// The drive's state machine.
+    #[derive(Default)]
+    State: u16 {
+        /// Output off; so after power-up, after `Disable` and after a fault was reset.
+        #[default]
+        Disabled = 0,
+        /// Output off after `Stop`.
+        Ready = 1,
+        /// Output on, watchdog armed.
+        Running = 2,
+        /// Output off, latched until `ResetFault`.
+        Fault = 3,
     }
 }
 
@@ -54,13 +45,7 @@ impl Status {
 
     /// The state; `None` for a reserved code, to be treated as a fault.
     pub const fn state(self) -> Option<State> {
-        match self.0 & Self::STATE_MASK {
-            0 => Some(State::Disabled),
-            1 => Some(State::Ready),
-            2 => Some(State::Running),
-            3 => Some(State::Fault),
-            _ => None,
-        }
+        State::from_code(self.0 & Self::STATE_MASK)
     }
 
     /// Sets a flag if `on`.
@@ -113,77 +98,84 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Every named fault, at the position of its code.
-    pub const ALL: [Self; 10] = [
-        Self::None,
-        Self::Watchdog,
-        Self::OverCurrent,
-        Self::OverVoltage,
-        Self::UnderVoltage,
-        Self::OverTemperature,
-        Self::OverSpeed,
-        Self::BadCommand,
-        Self::Sensor,
-        Self::Internal,
+    /// Every named fault at the position of its code, with a name and what has happened.
+    const TABLE: [(Self, &'static str, &'static str); 10] = [
+        (Self::None, "none", "no fault"),
+        (
+            Self::Watchdog,
+            "watchdog",
+            "no command came within the watchdog time",
+        ),
+        (
+            Self::OverCurrent,
+            "over-current",
+            "current above the trip level",
+        ),
+        (
+            Self::OverVoltage,
+            "over-voltage",
+            "intermediate circuit: voltage too high",
+        ),
+        (
+            Self::UnderVoltage,
+            "under-voltage",
+            "intermediate circuit: voltage too low",
+        ),
+        (
+            Self::OverTemperature,
+            "over-temperature",
+            "output stage or motor too hot",
+        ),
+        (Self::OverSpeed, "over-speed", "speed above the speed limit"),
+        (
+            Self::BadCommand,
+            "bad command",
+            "a command block that means nothing",
+        ),
+        (
+            Self::Sensor,
+            "sensor",
+            "current, speed or angle sensor failed",
+        ),
+        (Self::Internal, "internal", "internal fault"),
     ];
 
+    /// Every named fault, by rising code.
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::TABLE.into_iter().map(|(fault, ..)| fault)
+    }
+
     /// Code in the fault register.
-    pub const fn code(self) -> u16 {
+    pub fn code(self) -> u16 {
         match self {
-            Self::None => 0,
-            Self::Watchdog => 1,
-            Self::OverCurrent => 2,
-            Self::OverVoltage => 3,
-            Self::UnderVoltage => 4,
-            Self::OverTemperature => 5,
-            Self::OverSpeed => 6,
-            Self::BadCommand => 7,
-            Self::Sensor => 8,
-            Self::Internal => 9,
             Self::Other(code) => code,
+            named => (0..)
+                .zip(Self::all())
+                .find(|(_, fault)| *fault == named)
+                .map_or(0, |(code, _)| code),
         }
     }
 
     /// What has happened, in words.
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::None => "no fault",
-            Self::Watchdog => "no command came within the watchdog time",
-            Self::OverCurrent => "current above the trip level",
-            Self::OverVoltage => "intermediate circuit: voltage too high",
-            Self::UnderVoltage => "intermediate circuit: voltage too low",
-            Self::OverTemperature => "output stage or motor too hot",
-            Self::OverSpeed => "speed above the speed limit",
-            Self::BadCommand => "a command block that means nothing",
-            Self::Sensor => "current, speed or angle sensor failed",
-            Self::Internal => "internal fault",
-            Self::Other(_) => "a code that this version does not know",
-        }
+    pub fn text(self) -> &'static str {
+        self.row()
+            .map_or("a code that this version does not know", |(_, _, text)| {
+                text
+            })
+    }
+
+    /// Words for a person.
+    pub fn name(self) -> &'static str {
+        self.row().map_or("unknown", |(_, name, _)| name)
     }
 
     /// The fault of a code.
     pub fn from_code(code: u16) -> Self {
-        Self::ALL
-            .get(usize::from(code))
-            .copied()
-            .unwrap_or(Self::Other(code))
+        Self::all().nth(code.into()).unwrap_or(Self::Other(code))
     }
 
-    /// Words for a person.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Watchdog => "watchdog",
-            Self::OverCurrent => "over-current",
-            Self::OverVoltage => "over-voltage",
-            Self::UnderVoltage => "under-voltage",
-            Self::OverTemperature => "over-temperature",
-            Self::OverSpeed => "over-speed",
-            Self::BadCommand => "bad command",
-            Self::Sensor => "sensor",
-            Self::Internal => "internal",
-            Self::Other(_) => "unknown",
-        }
+    fn row(self) -> Option<(Self, &'static str, &'static str)> {
+        Self::TABLE.into_iter().find(|(fault, ..)| *fault == self)
     }
 }
 

@@ -32,10 +32,7 @@ impl Reopener {
             limit_s,
             open: Box::new(move |profile, tap| {
                 if let Some(reason) = anchor.stranger(Path::new("/")) {
-                    return Err(LinkError::Identity {
-                        link: anchor.target().to_string(),
-                        reason,
-                    });
+                    return Err(LinkError::Identity(anchor.target().to_string(), reason));
                 }
                 open_tapped(anchor.target(), profile, epoch, tap)
             }),
@@ -116,7 +113,7 @@ impl Rig {
     /// What was found, with what the profile says of a drive that has just been switched on.
     fn told(&self, reopened: &Reopened) -> String {
         let registers = self.profile.registers.as_ref();
-        let blind_s = registers.map_or(0.0, |map| map.watchdog.boot_delay_s);
+        let blind_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
         let blind = if blind_s > 0.0 && reopened.identity.is_some() {
             format!("; if it was switched off, its watchdog is blind for {blind_s} s")
         } else {

@@ -222,7 +222,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
 /// What is to be expected of the proof of the watchdog.
 fn unproven_watchdog(request: &InitRequest<'_>) -> Option<String> {
     let map = request.profile.registers.as_ref();
-    let set_s = map.and_then(|map| map.watchdog.set_s);
+    let set_s = map.and_then(|map| map.watchdog.set_s());
     let delivered_s = request.profile.watchdog.default_ms.map(|ms| 1e-3 * ms);
     let time_s = set_s.or(request.told.watchdog_s).or(delivered_s);
     let found = match time_s {

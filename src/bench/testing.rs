@@ -167,10 +167,7 @@ impl DriveLink for ScriptedDrive {
         }
         if outcome.1 {
             self.statistics.aborted += 1;
-            return Err(LinkError::Gone {
-                link,
-                reason: "unplugged".to_owned(),
-            });
+            return Err(LinkError::Gone(link, "unplugged".to_owned()));
         }
         self.statistics.ok += 1;
         self.voltage_v = command.demand.voltage_v().unwrap_or(0.0);

@@ -8,7 +8,7 @@ use super::wire::Tap;
 use crate::bench::{MonotonicClock, Port};
 use crate::drive::{
     DriveProfile, ProbeDepth, ProbeReport, Protocol, RawClient, RawSettings, Target, TargetError,
-    open_stream_tapped, probe, probe_stream,
+    open_stream, probe, probe_stream,
 };
 use crate::emulator::{EmulatorConfig, Endpoint, Guise, LinkKind, ServerHandle, spawn_as};
 
@@ -110,7 +110,7 @@ pub(super) fn look(
         profile.link.baud = settings.baud;
         profile.link.framing = settings.framing;
         let epoch = MonotonicClock::start().origin();
-        let mut link = open_stream_tapped(&far_end.target, &profile, epoch, tap.file())?;
+        let mut link = open_stream(&far_end.target, &profile, epoch, tap.file())?;
         return Ok(probe_stream(&mut link, &profile)?);
     }
     let mut client = RawClient::open(&far_end.target, &settings, tap.file())?;

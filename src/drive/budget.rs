@@ -2,10 +2,13 @@
 
 use serde::Serialize;
 
-use super::RegisterTable;
 use super::modbus::{COMMAND_BYTES, TELEMETRY_BYTES};
-use super::profile::{DriveProfile, Framing, LinkSettings, Protocol};
+use super::profile::DriveProfile;
+use super::register_bus::{
+    READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, RegisterTable, WRITE_BYTES, WRITTEN_BYTES,
+};
 use super::register_map::{PollRate, ReadBlock, RegisterMap, SetPoint, plan_reads};
+use super::settings::{Framing, LinkSettings, Protocol};
 use super::stream;
 use super::timing::{LineTiming, char_s};
 
@@ -21,14 +24,9 @@ const ADAPTERS: [(&str, f64); 3] = [
 const READ: f64 = 10.0;
 const WRITTEN: f64 = 2.0;
 
-/// Frames of a read beside its registers, and of a write of one or of several registers, bytes.
-const READ_BYTES: usize = 8;
-const REPLY_BYTES: usize = 5;
-const WRITE_BYTES: usize = 8;
-/// Function code that writes and reads in one transaction, its request beside the registers that it writes, bytes, and how
-/// many of those it takes (Modbus Application Protocol 1.1b3, 6.17).
+/// Function code that writes and reads in one transaction, and how many registers it writes (Modbus Application Protocol
+/// 1.1b3, 6.17).
 const READ_WRITE: u8 = 23;
-pub(super) const READ_WRITE_BYTES: usize = 13;
 const JOINT_REGISTERS: u16 = 121;
 /// Share of a cycle from which on the time to answer is explained, %.
 const REPLY_SHARE_PERCENT: f64 = 15.0;
@@ -63,15 +61,17 @@ impl MeasuredLine {
 
     /// Time of a read of so many registers, s: function code 3, 8 bytes asked and 5 + 2 n answered.
     pub fn read_s(&self, registers: u16) -> f64 {
-        self.exchange_s(8.0, 5.0 + 2.0 * f64::from(registers))
+        let reply = REPLY_BYTES as f64 + 2.0 * f64::from(registers);
+        self.exchange_s(READ_BYTES as f64, reply)
     }
 
     pub fn rates(&self) -> LoopRates {
-        let both = self.exchange_s(13.0 + 2.0 * WRITTEN, 5.0 + 2.0 * READ);
-        let write = self.exchange_s(9.0 + 8.0, 8.0);
+        let reply = REPLY_BYTES as f64 + 2.0 * READ;
+        let both = self.exchange_s(READ_WRITE_BYTES as f64 + 2.0 * WRITTEN, reply);
+        let write = self.exchange_s(WRITE_BYTES as f64 + 8.0, WRITTEN_BYTES as f64);
         LoopRates {
             read_write_hz: both.recip(),
-            write_then_read_hz: (write + self.exchange_s(8.0, 5.0 + 2.0 * READ)).recip(),
+            write_then_read_hz: (write + self.exchange_s(READ_BYTES as f64, reply)).recip(),
         }
     }
 }
@@ -108,7 +108,7 @@ impl LineBudget {
     pub fn of(profile: &DriveProfile) -> Option<Self> {
         let frames = match (profile.link.protocol, &profile.registers) {
             (Protocol::ModbusTcp, _) => return None,
-            (_, Some(map)) => frames(map),
+            (_, Some(map)) => cycle_frames(map),
             (Protocol::ModbusRtu, None) => vec![(COMMAND_BYTES, TELEMETRY_BYTES)],
             (Protocol::Stream, None) => vec![(stream::COMMAND_BYTES, stream::TELEMETRY_BYTES)],
         };
@@ -210,7 +210,9 @@ impl LostReply {
     pub fn of(profile: &DriveProfile) -> Option<Self> {
         let map = profile.registers.as_ref()?;
         let budget = LineBudget::of(profile)?;
-        let (request, reply) = frames(map).into_iter().max_by_key(|(_, reply)| *reply)?;
+        let (request, reply) = cycle_frames(map)
+            .into_iter()
+            .max_by_key(|(_, reply)| *reply)?;
         let line = LineTiming::serial(&profile.link, profile.link.baud, true);
         let once_s = line.brief(request, reply).as_secs_f64();
         Some(Self {
@@ -241,45 +243,41 @@ impl LostReply {
 
 /// Bytes of the requests and replies of one cycle: every fast block, and one set-point; both in one where the drive knows
 /// function code 23.
-fn frames(map: &RegisterMap) -> Vec<(usize, usize)> {
+pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let blocks = plan_reads(map, PollRate::Fast);
     let joined = joint_point(map).zip(joint_block(map, &blocks));
+    let bytes = |point: &SetPoint| 2 * usize::from(point.location.layout.registers());
     let reads = blocks.iter().enumerate().map(|(at, block)| {
         let request = match joined {
-            Some((point, with)) if with == at => {
-                READ_WRITE_BYTES + 2 * usize::from(point.location.layout.registers())
-            }
+            Some((point, with)) if with == at => READ_WRITE_BYTES + bytes(point),
             _ => READ_BYTES,
         };
-        (request, REPLY_BYTES + 2 * usize::from(block.count))
+        (request, block.read.reply_bytes())
     });
     let reference = map.set_points.iter().find(|point| !point.is_word());
     let alone = reference.filter(|_| joined.is_none());
     let write = alone.map(|point| match point.function {
-        6 => (WRITE_BYTES, WRITE_BYTES),
-        _ => (
-            WRITE_BYTES + 1 + 2 * usize::from(point.location.layout.registers()),
-            WRITE_BYTES,
-        ),
+        6 => (WRITTEN_BYTES, WRITTEN_BYTES),
+        _ => (WRITE_BYTES + bytes(point), WRITTEN_BYTES),
     });
     reads.chain(write).collect()
 }
 
 /// The first reference that may go out together with a read.
-pub(super) fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
+fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
     map.set_points.iter().find(|point| may_join(map, point))
 }
 
 /// Whether one transaction may write it beside what it reads.
 pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
     let fits = point.location.layout.registers() <= map.max_write.min(JOINT_REGISTERS);
-    fits && !point.is_word() && !point.readback && !point.nvm
+    fits && point.is_reference() && !point.keys.readback
 }
 
 /// Position of the block that function code 23 can read: it has holding registers only.
 pub(super) fn joint_block(map: &RegisterMap, fast: &[ReadBlock]) -> Option<usize> {
     let can = map.functions.contains(&READ_WRITE);
-    let is_holding = |block: &ReadBlock| block.table == RegisterTable::Holding;
+    let is_holding = |block: &ReadBlock| block.read.table == RegisterTable::Holding;
     can.then(|| fast.iter().position(is_holding)).flatten()
 }
 

@@ -27,6 +27,25 @@ pub struct Capture {
 }
 
 impl Capture {
+    /// Puts a burst together from blocks of samples, each asked for by the index of its first.
+    pub(super) fn collect(
+        first_s: f64,
+        period_s: f64,
+        count: u16,
+        mut block: impl FnMut(u16) -> Result<Vec<CaptureSample>, LinkError>,
+    ) -> Result<Self, LinkError> {
+        let mut samples = Vec::with_capacity(count.into());
+        while samples.len() < usize::from(count) {
+            let index = u16::try_from(samples.len()).unwrap_or(u16::MAX);
+            samples.extend(block(index)?);
+        }
+        Ok(Self {
+            first_s,
+            period_s,
+            samples,
+        })
+    }
+
     /// The burst as a run: `voltage_v`, `current_a` and `speed_rad_s`, those that the drive has. A captured voltage is
     /// the mean over the period that ends with its sample, and in a run a voltage holds from its row on: each row has
     /// the voltage of the sample after it, and the last sample has no row.

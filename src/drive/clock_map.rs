@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use super::register_bus::Span;
+
 /// Microseconds until the drive's counter comes round.
 const TURN_US: f64 = 4_294_967_296.0;
 /// The best exchange of each window is kept, s.
@@ -66,26 +68,21 @@ struct Mark {
 
 impl ClockMap {
     /// Takes an exchange: host times of request and reply, drive time of the sample between them.
-    pub fn observe(&mut self, sent_s: f64, received_s: f64, drive_s: f64) {
-        let host_s = 0.5 * (sent_s + received_s);
+    pub fn observe(&mut self, span: Span, drive_s: f64) {
+        let host_s = 0.5 * (span.asked_s + span.answered_s);
         let mark = Mark {
             window: (host_s / WINDOW_S).floor(),
             host_s,
             offset_s: drive_s - host_s,
-            delay_s: received_s - sent_s,
+            delay_s: span.answered_s - span.asked_s,
         };
         match self.marks.back_mut() {
-            Some(last) if last.window >= mark.window => {
-                if mark.delay_s < last.delay_s {
-                    *last = mark;
-                }
-            }
-            _ => {
-                self.marks.push_back(mark);
-                if self.marks.len() > WINDOWS {
-                    self.marks.pop_front();
-                }
-            }
+            Some(last) if last.window >= mark.window && mark.delay_s >= last.delay_s => {}
+            Some(last) if last.window >= mark.window => *last = mark,
+            _ => self.marks.push_back(mark),
+        }
+        if self.marks.len() > WINDOWS {
+            self.marks.pop_front();
         }
     }
 
@@ -105,16 +102,10 @@ impl ClockMap {
 
     /// Centre of the marks in host time, offset there, slope.
     fn line(&self) -> Option<(f64, f64, f64)> {
-        let smallest = self
-            .marks
-            .iter()
-            .map(|mark| mark.delay_s)
-            .min_by(f64::total_cmp)?;
-        let good = || {
-            self.marks
-                .iter()
-                .filter(move |mark| mark.delay_s <= 1.5 * smallest)
-        };
+        let delays_s = self.marks.iter().map(|mark| mark.delay_s);
+        let smallest = delays_s.min_by(f64::total_cmp)?;
+        let is_good = move |mark: &&Mark| mark.delay_s <= 1.5 * smallest;
+        let good = || self.marks.iter().filter(is_good);
         let count = good().count() as f64;
         let centre_s = good().map(|mark| mark.host_s).sum::<f64>() / count;
         let offset_s = good().map(|mark| mark.offset_s).sum::<f64>() / count;
@@ -178,7 +169,11 @@ mod tests {
                 f64::from(k % 20) * 1e-3
             };
             let sampled_s = sent_s + 0.002;
-            map.observe(sent_s, sent_s + 0.004 + late_s, sampled_s * 1.000_05 - 7.0);
+            let span = Span {
+                asked_s: sent_s,
+                answered_s: sent_s + 0.004 + late_s,
+            };
+            map.observe(span, sampled_s * 1.000_05 - 7.0);
         }
         assert!((map.drift_ppm().unwrap() - 50.0).abs() < 2.0);
         assert!((map.offset_s(30.0).unwrap() - (-7.0 + 30.0 * 5e-5)).abs() < 1e-4);

@@ -20,10 +20,21 @@ use nix::fcntl::OFlag;
 use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 
+/// An RTU frame around a PDU.
+pub(super) fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+    let mut out = [0; rtu::MAX_FRAME];
+    let length = rtu::encode_frame(unit, pdu, &mut out);
+    out[..length].to_vec()
+}
+
 /// The drive's end of a fresh pseudo-terminal that changes no byte and never blocks, and where its other end is.
 pub(super) fn raw_pty() -> (File, super::Target) {
-    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;
-    let master = posix_openpt(flags).unwrap();
+    pty(OFlag::O_NONBLOCK)
+}
+
+/// The same with a choice of flags.
+pub(super) fn pty(flags: OFlag) -> (File, super::Target) {
+    let master = posix_openpt(flags | OFlag::O_RDWR | OFlag::O_NOCTTY).unwrap();
     grantpt(&master).unwrap();
     unlockpt(&master).unwrap();
     let mut termios = tcgetattr(&master).unwrap();

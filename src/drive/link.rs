@@ -95,26 +95,26 @@ impl LinkStatistics {
     }
 }
 
-/// Why an exchange gave no sample. Transient classes cost one cycle; `Gone` ends the session.
-#[derive(Debug, Error)]
+/// Why an exchange gave no sample. Transient classes cost one cycle; `Gone` ends the session. A pair is link and reason.
+#[derive(Clone, Debug, Error)]
 pub enum LinkError {
-    #[error("{}: cannot open: {reason}", whom(link))]
-    Open { link: String, reason: String },
+    #[error("{}: cannot open: {}", whom(.0), .1)]
+    Open(String, String),
     #[error("{}: no reply within {deadline_ms} ms to {request}", whom(link))]
     Timeout {
         link: String,
         deadline_ms: u64,
         request: String,
     },
-    #[error("{}: {reason}", whom(link))]
-    Corrupt { link: String, reason: String },
-    #[error("{}: the reply belongs to an earlier request: {reason}", whom(link))]
-    Stale { link: String, reason: String },
+    #[error("{}: {}", whom(.0), .1)]
+    Corrupt(String, String),
+    #[error("{}: the reply belongs to an earlier request: {}", whom(.0), .1)]
+    Stale(String, String),
     /// Nothing was asked: what comes next might have been the reply to something older.
-    #[error("{}: not asked: {reason}", whom(link))]
-    Unproven { link: String, reason: String },
-    #[error("{}: the reply belongs to another request: {reason}", whom(link))]
-    Mismatch { link: String, reason: String },
+    #[error("{}: not asked: {}", whom(.0), .1)]
+    Unproven(String, String),
+    #[error("{}: the reply belongs to another request: {}", whom(.0), .1)]
+    Mismatch(String, String),
     #[error(
         "{}: the drive refused {request}: exception {code:#04x} {name}",
         whom(link)
@@ -125,8 +125,8 @@ pub enum LinkError {
         code: u8,
         name: &'static str,
     },
-    #[error("{}: the link is gone: {reason}", whom(link))]
-    Gone { link: String, reason: String },
+    #[error("{}: the link is gone: {}", whom(.0), .1)]
+    Gone(String, String),
     #[error(
         "{}: drive protocol version {found} is not {expected}, which this program speaks",
         whom(link)
@@ -136,11 +136,11 @@ pub enum LinkError {
         found: u16,
         expected: u16,
     },
-    #[error("{}: {reason}", whom(link))]
-    Identity { link: String, reason: String },
+    #[error("{}: {}", whom(.0), .1)]
+    Identity(String, String),
     /// Nothing was sent: the profile or its limits forbid it.
-    #[error("{}: not sent: {reason}", whom(link))]
-    Refused { link: String, reason: String },
+    #[error("{}: not sent: {}", whom(.0), .1)]
+    Refused(String, String),
     /// The drive did not do what a step of a command waits for.
     #[error("{}: {command}, step {step} of {steps}: {reason}", whom(link))]
     Sequence {
@@ -161,7 +161,7 @@ impl LinkError {
     /// The next step for the person at the bench.
     pub const fn help(&self) -> &'static str {
         match self {
-            Self::Open { link, .. } if matches!(link.as_bytes(), [b't', b'c', b'p', b':', ..]) => {
+            Self::Open(link, _) if matches!(link.as_bytes(), [b't', b'c', b'p', b':', ..]) => {
                 "check address and port, and that the unit is on; some units take one connection at a time"
             }
             Self::Open { .. } => "check that the port exists and that no other program holds it",
@@ -333,10 +333,7 @@ mod tests {
 
     #[test]
     fn the_drive_in_memory_is_named_with_one_colon() {
-        let error = LinkError::Refused {
-            link: "sim:".to_owned(),
-            reason: "no".to_owned(),
-        };
+        let error = LinkError::Refused("sim:".to_owned(), "no".to_owned());
         assert_eq!(error.to_string(), "sim: not sent: no");
     }
 }

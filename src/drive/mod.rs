@@ -30,6 +30,9 @@ mod fake;
 mod fault_tests;
 mod guard;
 mod link;
+mod link_core;
+#[cfg(test)]
+mod link_tests;
 mod modbus;
 pub mod offer;
 mod open;
@@ -38,12 +41,14 @@ mod port;
 mod probe;
 mod profile;
 mod profiled;
+mod proof;
 mod raw;
 mod register_bus;
 pub mod register_map;
 mod reopen;
 mod reply;
 pub mod serial_ports;
+mod settings;
 mod stream;
 mod tally;
 mod tap;
@@ -51,34 +56,28 @@ pub mod timeline;
 mod timing;
 mod transaction;
 #[cfg(test)]
-pub(crate) mod virtual_drive;
-#[cfg(test)]
-mod virtual_line;
+pub(crate) mod virtual_line;
 
 pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use clock_map::{ClockMap, DriveClock, signed_difference};
 pub use command_times::CommandTimes;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-pub use modbus::{ModbusBus, ModbusLink, RegisterTable};
-pub use open::{
-    Target, TargetError, open, open_modbus, open_stream, open_stream_tapped, open_tapped,
-};
+pub use modbus::{ModbusBus, ModbusLink};
+pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
 pub use probe::{
     ProbeDepth, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, probe,
     probe_stream,
 };
-pub use profile::{
-    Capabilities, DriveLimits, DriveProfile, Framing, KickedBy, LinkSettings, ProfileError,
-    Protocol, SignalOrigins, Trust, Watchdog,
-};
+pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, SignalSides, Watchdog};
 pub use profiled::ProfiledLink;
-pub use raw::{
-    Batch, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, RawSettings, Read, ReadRequest,
-    WriteFunction, read_batch, registers,
+pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
+pub use register_bus::{
+    MOST_READ, MOST_WRITTEN, ReadRequest, RegisterBus, RegisterTable, RegistersRead, Span,
+    registers,
 };
-pub use register_bus::{Carried, RegisterBus, RegistersRead};
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
+pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};
 pub use stream::StreamLink;
 pub use tally::RoundTrips;
 pub use tap::TapFile;

@@ -6,7 +6,8 @@
 //! ```
 //!
 //! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read says neither
-//! what was read nor when: only function, unit and length.
+//! what was read nor when: only function, unit and length. Windows of a burst carry their own index in front, so no late
+//! window can be taken for another.
 //!
 //! This file owns the clock of the exchanges.
 //! bus.rs shows the link as registers, for drives with a map of their own.
@@ -17,93 +18,72 @@ use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use firmware_protocol::registers::{
-    COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS, IDENTITY_WORDS, SEQUENCE_ECHO,
-    TELEMETRY_ADDRESS, TELEMETRY_WORDS,
+    CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS,
+    IDENTITY_WORDS, SEQUENCE_ECHO, TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
-use firmware_protocol::{DriveCommand, Telemetry};
+use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 use tokio::runtime::Runtime;
 use tokio_modbus::client::{Client, Context, rtu, tcp};
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, Request, Response, Slave};
 
-use super::burst::Burst;
-use super::clock_map::ClockMap;
+use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
+use super::clock_map::{ClockMap, signed_difference};
 use super::guard::{Guard, Port, now};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::raw::{ReadRequest, exception_name, registers};
-use super::reply::{Echo, FrameKind};
-use super::tally::{RoundTrips, Tally};
-use super::timeline::{Timeline, control, identity, identity_error, low_word};
-use super::timing::{LineTiming, wait_until};
-use super::transaction::{
-    Bound, CutIn, End, LineCounts, Method, PATIENCE, Policy, Proof, Step, out_of_step, restless,
+use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
+use super::proof::{End, Method, PATIENCE, Policy, Proof, Step};
+use super::register_bus::{
+    READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, ReadRequest, RegisterTable, WRITE_BYTES,
+    WRITTEN_BYTES, exception_name, registers,
 };
-use crate::sample::{Command, Demand, DriveState, Sample};
+use super::reply::{Echo, FrameKind};
+use super::tally::RoundTrips;
+use super::timeline::{identity, identity_error};
+use super::timing::{LineTiming, wait_until};
+use super::transaction::{CutIn, LineCounts, out_of_step, restless};
+use crate::sample::{Command, Sample};
 
 pub use bus::ModbusBus;
 
-/// Times that a question without effect is asked before it counts as failed.
-const READ_ATTEMPTS: usize = 3;
 /// Probes of one bounded exchange, which has other things to do.
 const MOST_PROBES: usize = 3;
-/// Times that a stop is asked for.
-const STOP_ATTEMPTS: usize = 5;
 /// Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
 const FAILURES_BEFORE_SILENCE: u32 = 2;
-/// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it.
+/// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it; and the
+/// index of a window, which stands first.
 const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
+const INDEX_AT: usize = 2;
 /// With less time left nothing is asked any more.
 const SHORTEST_EXCHANGE: Duration = Duration::from_millis(1);
+/// Frames of the device identification, bytes: its request, and the longest reply.
+const NAMES_BYTES: (usize, usize) = (7, 256);
 const NAMES: &str = "the device identification";
+/// State, count and the drive time of the first sample of a burst.
+const BURST_HEAD_WORDS: u16 = 4;
 /// RTU frames of a command and of its reply.
-pub(super) const COMMAND_BYTES: usize = 13 + 2 * COMMAND_WORDS;
-pub(super) const TELEMETRY_BYTES: usize = 5 + 2 * TELEMETRY_WORDS;
-
-/// Which of the two register tables.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RegisterTable {
-    Holding,
-    Input,
-}
+pub(super) const COMMAND_BYTES: usize = READ_WRITE_BYTES + 2 * COMMAND_WORDS;
+pub(super) const TELEMETRY_BYTES: usize = REPLY_BYTES + 2 * TELEMETRY_WORDS;
 
 /// A drive behind Modbus RTU or TCP.
 pub struct ModbusLink {
-    name: String,
+    core: LinkCore,
     // The order matters: what uses the runtime goes before it.
     context: Context,
     guard: Guard,
     runtime: Runtime,
     kind: FrameKind,
     unit: u8,
-    timing: LineTiming,
-    tally: Tally,
-    timeline: Timeline,
-    epoch: Instant,
-    last_seq: u64,
     proof: Proof,
-    bound: Bound,
-    /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
-    capture_period_s: f64,
     retries: u64,
     /// Time spent in silences and probes.
     resync: Duration,
     /// Commands without a sample since the last one that had one.
     failed_in_a_row: u32,
-    gone: bool,
-}
-
-/// What an exchange gave, with its host times, s since the epoch.
-struct Answer<T> {
-    value: T,
-    /// First byte of the request out.
-    asked_s: f64,
-    /// First byte of its reply in.
-    answered_s: f64,
-    /// The reply was complete.
-    complete_s: f64,
 }
 
 /// What goes out, as tokio-modbus and as the proof want it.
+#[derive(Clone)]
 struct Question<'a> {
     request: Request<'a>,
     pdu: [u8; 5],
@@ -126,6 +106,20 @@ impl<'a> Question<'a> {
             is_numbered: false,
         }
     }
+
+    /// The question for registers.
+    fn read(read: ReadRequest, what: &'a str, allowed: Duration) -> Self {
+        let request = match read.table {
+            RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
+            RegisterTable::Input => Request::ReadInputRegisters(read.address, read.count),
+        };
+        Self::plain(request, read.pdu(), what, allowed)
+    }
+
+    const fn numbered(mut self) -> Self {
+        self.is_numbered = true;
+        self
+    }
 }
 
 impl ModbusLink {
@@ -145,24 +139,16 @@ impl ModbusLink {
             FrameKind::Tcp => Policy::Numbered,
         };
         Self {
+            proof: Proof::new(policy, timing.quiet(), now()).always_apart(),
+            core: LinkCore::new(name, timing, epoch),
             context: attach(&guard, kind, unit),
-            name,
             guard,
             runtime,
             kind,
             unit,
-            timing,
-            tally: Tally::default(),
-            timeline: Timeline::default(),
-            epoch,
-            last_seq: 0,
-            proof: Proof::new(policy, timing.quiet(), now()).always_apart(),
-            bound: Bound::default(),
-            capture_period_s: 0.0,
             retries: 0,
             resync: Duration::ZERO,
             failed_in_a_row: 0,
-            gone: false,
         }
     }
 
@@ -173,129 +159,138 @@ impl ModbusLink {
         address: u16,
         count: u16,
     ) -> Result<Vec<u16>, LinkError> {
-        let what = format!("read {} at {address}", registers(count.into()));
         let read = ReadRequest {
             table,
             address,
             count,
         };
-        let allowed = self.timing.allowed(8, read.reply_bytes());
-        let answer = self.read_with_retries(|| question(read, &what, allowed), words(read))?;
-        Ok(answer.value)
+        Ok(self.read_checked(read, &read.text())?.value)
+    }
+
+    fn read_checked(
+        &mut self,
+        read: ReadRequest,
+        what: &str,
+    ) -> Result<Answer<Vec<u16>>, LinkError> {
+        let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
+        self.read_with_retries(
+            &Question::read(read, what, allowed),
+            words(read.count.into()),
+        )
     }
 
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
         let what = format!("write {} at {address}", registers(values.len()));
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
-        let allowed = self.timing.allowed(9 + 2 * values.len(), 8);
+        let bytes = WRITE_BYTES + 2 * values.len();
+        let allowed = self.core.timing.allowed(bytes, WRITTEN_BYTES);
         let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
         self.in_step(&question.pdu)?;
-        self.call(question, |response| match response {
-            Response::WriteMultipleRegisters(..) => Ok(()),
-            other => Err(format!("{other:?}")),
-        })
-        .map(|answer| answer.value)
+        self.call(question, acknowledged).map(|answer| answer.value)
     }
 
     /// One command on the wire. Only a reply that carries its number is its sample.
     fn command(&mut self, command: Command) -> Result<Sample, LinkError> {
-        let seq = low_word(command.seq);
+        let travels = self.core.command(command);
         self.guard.expect(Echo {
             at: ECHO_AT,
-            bytes: seq.to_be_bytes(),
+            bytes: travels.seq.to_be_bytes(),
         });
-        let words: [u16; COMMAND_WORDS] = DriveCommand {
-            seq,
-            control: control(command.demand),
-        }
-        .to_registers();
-        self.last_seq = command.seq;
+        let sent: [u16; COMMAND_WORDS] = travels.to_registers();
+        let read = telemetry_request();
         let request = Request::ReadWriteMultipleRegisters(
-            TELEMETRY_ADDRESS,
-            quantity(TELEMETRY_WORDS),
+            read.address,
+            read.count,
             COMMAND_ADDRESS,
-            Cow::Borrowed(&words),
+            Cow::Borrowed(&sent),
         );
-        let [a, b] = TELEMETRY_ADDRESS.to_be_bytes();
-        let [c, d] = quantity(TELEMETRY_WORDS).to_be_bytes();
-        let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
-        let question = Question {
-            is_numbered: true,
-            ..Question::plain(request, [23, a, b, c, d], "the command", allowed)
-        };
-        let answer = self.call(question, |response| match response {
-            Response::ReadWriteMultipleRegisters(values) => telemetry(&values),
-            other => Err(format!("{other:?}")),
-        });
+        let [_, pdu @ ..] = read.pdu();
+        let [a, b, c, d] = pdu;
+        let allowed = self.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
+        let question = Question::plain(request, [23, a, b, c, d], "the command", allowed);
+        let answer = self.call(question.numbered(), telemetry);
         self.failed_in_a_row = match &answer {
             Ok(_) => 0,
             Err(_) => self.failed_in_a_row.saturating_add(1),
         };
-        let answer = answer?;
-        let mut sample = self.timeline.sample(
-            &answer.value,
-            command.seq,
-            answer.asked_s,
-            answer.answered_s,
-        );
-        sample.host_time_s = Some(answer.complete_s);
-        Ok(sample)
+        Ok(self.core.sample(command, &answer?))
     }
 
     /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
     fn note_clock(&mut self) -> Result<(u32, f64), LinkError> {
-        let read = ReadRequest {
-            table: RegisterTable::Holding,
-            address: TELEMETRY_ADDRESS,
-            count: quantity(TELEMETRY_WORDS),
-        };
-        let allowed = self.timing.allowed(8, read.reply_bytes());
-        let ask = || question(read, "the telemetry", allowed);
-        let values = words(read);
-        let answer = self.read_with_retries(ask, |response| telemetry(&values(response)?))?;
+        let read = telemetry_request();
+        let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
+        let question = Question::read(read, "the telemetry", allowed);
+        let answer = self.read_with_retries(&question, telemetry)?;
         let time_us = answer.value.time_us;
-        let time_s = self
-            .timeline
-            .note(time_us, answer.asked_s, answer.answered_s);
-        Ok((time_us, time_s))
+        Ok((time_us, self.core.timeline.note(time_us, answer.span)))
+    }
+
+    /// One window of captured samples.
+    fn window(&mut self, index: u16) -> Result<Vec<u16>, LinkError> {
+        let sent = [index];
+        let bytes = (READ_WRITE_BYTES + 2, REPLY_BYTES + 2 * WINDOW_WORDS);
+        let allowed = self.core.timing.unhurried(bytes.0, bytes.1);
+        let request = Request::ReadWriteMultipleRegisters(
+            WINDOW_ADDRESS,
+            quantity(WINDOW_WORDS),
+            WINDOW_ADDRESS,
+            Cow::Borrowed(&sent),
+        );
+        let question = Question::plain(request, [23, 0, 0, 0, 0], "captured samples", allowed);
+        self.with_retries(|link| {
+            link.listen()?;
+            link.guard.expect(Echo {
+                at: INDEX_AT,
+                bytes: index.to_be_bytes(),
+            });
+            let answer = link.call(question.clone().numbered(), words(WINDOW_WORDS))?;
+            Ok(answer.value)
+        })
     }
 
     /// A question without effect on the drive may be asked again.
-    fn read_with_retries<'a, T>(
+    fn read_with_retries<T>(
         &mut self,
-        question: impl Fn() -> Question<'a>,
+        question: &Question<'_>,
         check: impl Fn(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
+        self.with_retries(|link| {
+            link.in_step(&question.pdu)?;
+            link.call(question.clone(), &check)
+        })
+    }
+
+    /// Within the time of the exchange, and of nobody who wants a stop.
+    fn with_retries<T>(
+        &mut self,
+        mut ask: impl FnMut(&mut Self) -> Result<T, LinkError>,
+    ) -> Result<T, LinkError> {
         let mut attempt = 1;
         loop {
-            let question = question();
-            let result = self
-                .in_step(&question.pdu)
-                .and_then(|()| self.call(question, &check));
-            match result {
+            match ask(self) {
                 Err(error) if self.may_retry(&error, attempt) => attempt += 1,
                 result => return result,
             }
         }
     }
 
-    /// Whether a question that ended so is asked once more: within the time of the exchange, and of nobody who wants a stop.
     fn may_retry(&mut self, error: &LinkError, attempt: usize) -> bool {
         let may = error.is_transient()
             && !matches!(error, LinkError::Unproven { .. })
             && attempt < READ_ATTEMPTS
-            && !self.bound.is_over(now());
+            && !self.core.bound.is_over(now());
         self.retries += u64::from(may);
         may
     }
 
     /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
     fn listen(&mut self) -> Result<(), LinkError> {
-        self.live()?;
+        self.core.live()?;
         if self.kind == FrameKind::Rtu {
             let last = self.guard.inner().reception.last_activity;
-            wait_until(last + self.timing.gap());
+            wait_until(last + self.core.timing.gap());
         }
         let strays = self.runtime.block_on(self.guard.begin());
         self.judge(strays).map(drop)
@@ -318,11 +313,11 @@ impl ModbusLink {
             if now >= until {
                 return Ok(true);
             }
-            if self.bound.is_over(now) {
+            if self.core.bound.is_over(now) {
                 return Err(self.unproven());
             }
-            let look = self.guard.listen_until(self.bound.next_look(now, until));
-            let came = self.runtime.block_on(look);
+            let look = self.core.bound.next_look(now, until);
+            let came = self.runtime.block_on(self.guard.listen_until(look));
             if self.judge(came)? > 0 {
                 return Ok(false);
             }
@@ -342,15 +337,13 @@ impl ModbusLink {
         self.listen()?;
         let mut probes = 0;
         loop {
+            let is_late = |bound: &super::transaction::Bound| {
+                bound.is_set() && (probes == MOST_PROBES || bound.is_over(now()))
+            };
             match self.proof.next(pdu, now()) {
                 Step::Go => return Ok(()),
                 Step::Silence(until) => drop(self.keep_silent(until)?),
-                Step::Probe(_)
-                    if self.bound.is_set()
-                        && (probes == MOST_PROBES || self.bound.is_over(now())) =>
-                {
-                    return Err(self.unproven());
-                }
+                Step::Probe(_) if is_late(&self.core.bound) => return Err(self.unproven()),
                 Step::Probe(pdu) => {
                     probes += 1;
                     self.listen()?;
@@ -360,8 +353,8 @@ impl ModbusLink {
                         _ => self.listen()?,
                     }
                 }
-                Step::Restless => return Err(restless(&self.name)),
-                Step::GiveUp => return Err(out_of_step(&self.name)),
+                Step::Restless => return Err(restless(&self.core.name)),
+                Step::GiveUp => return Err(out_of_step(&self.core.name)),
             }
         }
     }
@@ -376,7 +369,8 @@ impl ModbusLink {
             4 => (Request::ReadInputRegisters(address, count), count),
             _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
         };
-        let allowed = self.timing.hurried(8, 5 + 2 * usize::from(words));
+        let reply = REPLY_BYTES + 2 * usize::from(words);
+        let allowed = self.core.timing.hurried(READ_BYTES, reply);
         let question = Question {
             is_probe: true,
             ..Question::plain(request, pdu, "the probe", allowed)
@@ -392,7 +386,7 @@ impl ModbusLink {
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Answer<T>, LinkError> {
         let sent = now();
-        let deadline = self.bound.earlier(sent + question.allowed);
+        let deadline = self.core.bound.earlier(sent + question.allowed);
         if deadline < sent + SHORTEST_EXCHANGE {
             return Err(self.unproven());
         }
@@ -405,7 +399,7 @@ impl ModbusLink {
             is_probe,
             ..
         } = question;
-        let (context, bound) = (&mut self.context, &self.bound);
+        let (context, bound) = (&mut self.context, &self.core.bound);
         let reply = self.runtime.block_on(async {
             let mut call = std::pin::pin!(context.call(request));
             loop {
@@ -425,29 +419,28 @@ impl ModbusLink {
         let waited = received.saturating_duration_since(sent);
         let result = match reply {
             Ok(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
-            Ok(Ok(Err(code))) => Err(self.exception(what, code.into())),
+            Ok(Ok(Err(code))) => Err(LinkError::Exception {
+                link: self.core.name.clone(),
+                request: what.to_owned(),
+                code: code.into(),
+                name: exception_name(code.into()),
+            }),
             Ok(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
             Ok(Err(Error::Transport(error))) => Err(self.broken(&error)),
             // No reply in time: what came instead tells the class.
             Err(_) => {
                 let left = self.guard.inner().reception.leftover();
-                Err(left.error(&self.name, what, waited))
+                Err(left.error(&self.core.name, what, waited))
             }
         };
-        let end = match &result {
-            Ok(_) => End::Data,
-            Err(LinkError::Exception { .. }) => End::Refused,
-            Err(_) => End::Missing,
-        };
+        let end = End::of(&result);
         let (asked, answered) = {
             let reception = &mut self.guard.inner().reception;
             if end == End::Missing {
                 reception.retire();
             }
-            let strays = reception.take_anomaly();
-            let heard = reception.take_heard();
-            let is_numbered = question.is_numbered;
-            self.proof.ended(end, &heard, strays, is_numbered, received);
+            self.proof
+                .settle(end, reception, question.is_numbered, received);
             (reception.asked, reception.answered)
         };
         if result.is_err() && self.kind == FrameKind::Rtu {
@@ -455,82 +448,39 @@ impl ModbusLink {
             // transaction number, and the guard drops replies to older ones.
             self.context = attach(&self.guard, self.kind, self.unit);
         }
-        self.tally.settle(&result, waited.as_secs_f64());
+        let core = &mut self.core;
+        core.tally.settle(&result, waited.as_secs_f64());
         result.map(|value| Answer {
             value,
-            asked_s: self.host_s(asked.unwrap_or(sent)),
-            answered_s: self.host_s(answered.unwrap_or(received)),
-            complete_s: self.host_s(received),
+            span: core.span(asked.unwrap_or(sent), answered.unwrap_or(received)),
+            complete_s: core.host_s(received),
         })
-    }
-
-    fn host_s(&self, at: Instant) -> f64 {
-        at.saturating_duration_since(self.epoch).as_secs_f64()
-    }
-
-    fn live(&self) -> Result<(), LinkError> {
-        if self.gone {
-            return Err(LinkError::Gone {
-                link: self.name.clone(),
-                reason: "it broke before".to_owned(),
-            });
-        }
-        Ok(())
     }
 
     fn lost(&mut self, error: &std::io::Error) -> LinkError {
         self.close();
-        LinkError::Gone {
-            link: self.name.clone(),
-            reason: error.to_string(),
-        }
+        self.core.gone(error)
     }
 
     fn broken(&mut self, error: &std::io::Error) -> LinkError {
         if error.kind() == std::io::ErrorKind::InvalidData {
-            LinkError::Corrupt {
-                link: self.name.clone(),
-                reason: error.to_string(),
-            }
+            LinkError::Corrupt(self.core.name.clone(), error.to_string())
         } else {
             self.lost(error)
         }
     }
 
     fn mismatch(&self, reason: String) -> LinkError {
-        LinkError::Mismatch {
-            link: self.name.clone(),
-            reason,
-        }
-    }
-
-    fn exception(&self, what: &str, code: u8) -> LinkError {
-        LinkError::Exception {
-            link: self.name.clone(),
-            request: what.to_owned(),
-            code,
-            name: exception_name(code),
-        }
+        LinkError::Mismatch(self.core.name.clone(), reason)
     }
 
     /// The time of the exchange is over, or a stop is wanted, before the line was in step.
     fn unproven(&self) -> LinkError {
-        LinkError::Unproven {
-            link: self.name.clone(),
-            reason:
-                "the line is not proven to be in step yet, and the time of this exchange is over"
-                    .to_owned(),
-        }
-    }
-
-    /// What goes out at once ends after this, s at the most: on a line in doubt nothing that is slower is waited for.
-    fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
-        let allowed = self.timing.allowed(request_bytes, reply_bytes);
-        if self.proof.is_suspect() {
-            allowed.min(self.timing.brief(request_bytes, reply_bytes))
-        } else {
-            allowed
-        }
+        LinkError::Unproven(
+            self.core.name.clone(),
+            "the line is not proven to be in step yet, and the time of this exchange is over"
+                .to_owned(),
+        )
     }
 
     fn line_counts(&self) -> LineCounts {
@@ -544,52 +494,34 @@ impl ModbusLink {
 
 impl DriveLink for ModbusLink {
     fn name(&self) -> LinkName {
-        LinkName(self.name.clone())
+        LinkName(self.core.name.clone())
     }
 
     fn identify(&mut self) -> Result<Identity, LinkError> {
-        let block = self.read_registers(
-            RegisterTable::Holding,
-            IDENTITY_ADDRESS,
-            quantity(IDENTITY_WORDS),
-        )?;
+        let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
+        let block = self.read_checked(read, &read.text())?.value;
         let block = block
             .as_slice()
             .try_into()
             .map_err(|_| self.mismatch(format!("{} registers of identity", block.len())))?;
         let block = firmware_protocol::Identity::from_registers(block)
-            .map_err(|error| identity_error(&self.name, error))?;
+            .map_err(|error| identity_error(&self.core.name, error))?;
         let mut identity = identity(&block);
         // Names are a comfort that a drive need not offer.
-        let allowed = self.timing.allowed(7, 256);
-        let ask = || {
-            let request = Request::ReadDeviceIdentification(ReadCode::Regular, 0);
-            Question::plain(request, [43, 14, 2, 0, 0], NAMES, allowed)
-        };
-        let names = self.read_with_retries(ask, |response| match response {
-            Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
-            other => Err(format!("{other:?}")),
-        });
-        match names {
+        let allowed = self.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
+        let request = Request::ReadDeviceIdentification(ReadCode::Regular, 0);
+        let question = Question::plain(request, [43, 14, 2, 0, 0], NAMES, allowed);
+        match self.read_with_retries(&question, objects) {
             Ok(names) => {
-                let text = |id| {
-                    names
-                        .value
-                        .iter()
-                        .find(|object| object.id == id)
-                        .and_then(|object| object.value_as_str())
-                };
-                text(0).unwrap_or_default().clone_into(&mut identity.vendor);
-                let product = text(4).or_else(|| text(1)).unwrap_or_default();
-                product.clone_into(&mut identity.product);
-                if let Some(revision) = text(2) {
-                    revision.clone_into(&mut identity.firmware);
-                }
+                let text = |id| object_text(&names.value, id);
+                identity.vendor = text(0).unwrap_or_default();
+                identity.product = text(4).or_else(|| text(1)).unwrap_or_default();
+                identity.firmware = text(2).unwrap_or(identity.firmware);
             }
             Err(LinkError::Exception { .. }) => {}
             Err(error) => return Err(error),
         }
-        self.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
+        self.core.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
         // The origin of the time axis.
         self.note_clock()?;
         Ok(identity)
@@ -600,11 +532,11 @@ impl DriveLink for ModbusLink {
         let waits = self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu;
         // A stop goes out at once, also where the line is never silent.
         if waits && command.demand.energises() {
-            let quiet = self.timing.quiet();
+            let quiet = self.core.timing.quiet();
             let patience = now() + PATIENCE * quiet;
             while !self.keep_silent(now() + quiet)? {
                 if now() >= patience {
-                    return Err(restless(&self.name));
+                    return Err(restless(&self.core.name));
                 }
             }
         }
@@ -613,42 +545,29 @@ impl DriveLink for ModbusLink {
 
     /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
     fn stop(&mut self) -> Result<(), LinkError> {
-        self.bound.set(f64::INFINITY, now());
-        let stop = Command {
-            seq: self.last_seq.wrapping_add(1),
-            demand: Demand::Stop,
-        };
-        let mut last = LinkError::Corrupt {
-            link: self.name.clone(),
-            reason: format!("the drive still runs after {STOP_ATTEMPTS} requests to stop"),
-        };
-        for _ in 0..STOP_ATTEMPTS {
+        let (stop, name) = (self.core.stop_command(), self.core.name.clone());
+        stop_confirmed(&name, || {
             self.listen()?;
-            match self.command(stop) {
-                Ok(sample) if sample.state != Some(DriveState::Running) => return Ok(()),
-                Ok(_) => {}
-                Err(error @ LinkError::Gone { .. }) => return Err(error),
-                Err(error) => last = error,
-            }
-        }
-        Err(last)
+            self.command(stop)
+        })
     }
 
     fn close(&mut self) {
-        self.gone = true;
+        self.core.gone = true;
         self.guard.close();
     }
 
     fn statistics(&self) -> LinkStatistics {
-        self.tally.statistics
+        self.core.tally.statistics
     }
 
     fn shortest_cycle_s(&self) -> Option<f64> {
-        self.timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
+        let timing = &self.core.timing;
+        timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {
-        Some(&self.tally.round_trips)
+        Some(&self.core.tally.round_trips)
     }
 
     fn line(&self) -> Option<LineCounts> {
@@ -656,19 +575,49 @@ impl DriveLink for ModbusLink {
     }
 
     fn bound(&mut self, left_s: f64) {
-        self.bound.set(left_s, now());
+        self.core.bound.set(left_s, now());
     }
 
     fn cut_in(&mut self) -> Option<&mut CutIn> {
-        Some(&mut self.bound.cut_in)
+        Some(&mut self.core.bound.cut_in)
     }
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
-        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+        (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
     }
 
     fn clock_map(&self) -> Option<&ClockMap> {
-        Some(&self.timeline.map)
+        Some(&self.core.timeline.map)
+    }
+}
+
+/// Over the registers a burst is armed by one write and read back window by window.
+impl Burst for ModbusLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        self.write_registers(CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()])
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        let table = RegisterTable::Holding;
+        let head = self.read_registers(table, CAPTURE_STATE.address, BURST_HEAD_WORDS)?;
+        let [state, count, high, low] = head[..] else {
+            return Err(self.mismatch(format!("{} registers of a capture", head.len())));
+        };
+        if state != CaptureState::Complete.code() {
+            return Ok(None);
+        }
+        let (time_us, now_s) = self.note_clock()?;
+        let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
+        let first_s = now_s - f64::from(age_us) * 1e-6;
+        let period_s = self.core.capture_period_s;
+        let capture = Capture::collect(first_s, period_s, count, |index| {
+            let samples = window_samples(index, &self.window(index)?);
+            if samples.is_empty() {
+                return Err(self.mismatch(format!("no captured samples from {index} on")));
+            }
+            Ok(samples)
+        });
+        capture.map(Some)
     }
 }
 
@@ -679,32 +628,28 @@ fn attach(guard: &Guard, kind: FrameKind, unit: u8) -> Context {
     }
 }
 
-fn telemetry(values: &[u16]) -> Result<Telemetry, String> {
-    let block: &[u16; TELEMETRY_WORDS] = values
-        .try_into()
-        .map_err(|_| format!("it has {} registers, not {TELEMETRY_WORDS}", values.len()))?;
-    Ok(Telemetry::from_registers(block))
-}
-
 /// A block of the register table as a quantity of a request.
 fn quantity(words: usize) -> u16 {
     u16::try_from(words).expect("blocks of the register table fit a request")
 }
 
-/// The question for registers.
-fn question(read: ReadRequest, what: &str, allowed: Duration) -> Question<'_> {
-    let request = match read.table {
-        RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
-        RegisterTable::Input => Request::ReadInputRegisters(read.address, read.count),
-    };
-    Question::plain(request, read.pdu(), what, allowed)
+fn telemetry_request() -> ReadRequest {
+    ReadRequest::holding(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS))
 }
 
-/// The registers that were asked for.
-fn words(read: ReadRequest) -> impl Fn(Response) -> Result<Vec<u16>, String> {
+fn telemetry(response: Response) -> Result<Telemetry, String> {
+    let block = words(TELEMETRY_WORDS)(response)?.try_into();
+    let block = block.map_err(|values| format!("{values:?}"))?;
+    Ok(Telemetry::from_registers(&block))
+}
+
+/// The registers that were asked for; that the function is that of the request the guard has seen to.
+fn words(count: usize) -> impl Fn(Response) -> Result<Vec<u16>, String> {
     move |response| match response {
-        Response::ReadHoldingRegisters(values) | Response::ReadInputRegisters(values)
-            if values.len() == usize::from(read.count) =>
+        Response::ReadHoldingRegisters(values)
+        | Response::ReadInputRegisters(values)
+        | Response::ReadWriteMultipleRegisters(values)
+            if values.len() == count =>
         {
             Ok(values)
         }
@@ -712,9 +657,28 @@ fn words(read: ReadRequest) -> impl Fn(Response) -> Result<Vec<u16>, String> {
     }
 }
 
-#[path = "modbus_burst.rs"]
-mod burst;
+fn acknowledged(response: Response) -> Result<(), String> {
+    match response {
+        Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
+        other => Err(format!("{other:?}")),
+    }
+}
 
-#[cfg(test)]
-#[path = "modbus_tests.rs"]
-mod tests;
+/// Number and text of each object of the device identification.
+type Names = Vec<(u8, Option<String>)>;
+
+fn objects(response: Response) -> Result<Names, String> {
+    let objects = match response {
+        Response::ReadDeviceIdentification(names) => names.device_id_objects,
+        other => return Err(format!("{other:?}")),
+    };
+    let texts = objects
+        .iter()
+        .map(|object| (object.id, object.value_as_str().map(str::to_owned)));
+    Ok(texts.collect())
+}
+
+fn object_text(names: &Names, id: u8) -> Option<String> {
+    let (_, text) = names.iter().find(|(found, _)| *found == id)?;
+    text.clone()
+}

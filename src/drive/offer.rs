@@ -1,7 +1,8 @@
 //! What a drive's signals can carry: a pure judgement over its profile, in sentences for the person at the bench.
 
-use super::profile::{DriveProfile, Trust};
+use super::profile::DriveProfile;
 use super::register_map::{DeviceKind, Quantity, RegisterMap, Signal, SupervisionKind};
+use super::settings::Trust;
 use crate::sample::{Channel, Origin};
 
 /// What somebody wants to do with a drive.
@@ -48,27 +49,34 @@ pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
 }
 
 fn stands_for(signal: &Signal) -> String {
-    let traits = &signal.traits;
-    let mut parts = vec![traits.origin.unwrap_or_default().name().to_owned()];
-    parts.push(if traits.signed { "signed" } else { "no sign" }.to_owned());
-    if let Some(side) = traits.side {
+    let keys = &signal.keys;
+    let mut parts = vec![keys.origin.unwrap_or_default().name().to_owned()];
+    parts.push(
+        if signal.is_signed() {
+            "signed"
+        } else {
+            "no sign"
+        }
+        .to_owned(),
+    );
+    if let Some(side) = keys.side {
         parts.push(format!("{} side", side.name()));
     }
-    if let Some(basis) = traits.basis {
+    if let Some(basis) = keys.basis {
         parts.push(basis.name().to_owned());
     }
-    if let Some(pairs) = traits.pole_pairs {
+    if let Some(pairs) = keys.pole_pairs {
         parts.push(format!("by {pairs} pole pairs"));
     }
-    parts.push(traits.filter_ms.map_or_else(
+    parts.push(keys.filter_ms.map_or_else(
         || "filter not told".to_owned(),
         |ms| format!("filter {ms} ms"),
     ));
-    parts.push(traits.update_ms.map_or_else(
+    parts.push(keys.update_ms.map_or_else(
         || "update not told".to_owned(),
         |ms| format!("update {ms} ms"),
     ));
-    if traits.trust == Some(Trust::Unverified) {
+    if keys.trust == Some(Trust::Unverified) {
         parts.push("unverified".to_owned());
     }
     format!("{} ({})", parts.join(", "), signal.name)
@@ -84,7 +92,7 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
         remarks.push(format!("{channel} is missing: {reason}"));
     }
     if let Some(speed) = map.of_channel(Channel::Speed)
-        && speed.quantity == Quantity::OutputSpeed
+        && speed.keys.quantity == Quantity::OutputSpeed
     {
         remarks.push(
             "speed_rad_s is what the drive puts out or computes; the shaft lags by the slip"
@@ -92,7 +100,7 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
         );
     }
     if let Some(current) = map.of_channel(Channel::Current)
-        && !current.traits.signed
+        && !current.is_signed()
     {
         remarks.push("current_a has no sign: driving and braking look alike".to_owned());
     }
@@ -116,12 +124,12 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
         });
     }
     let watchdog = &map.watchdog;
-    match (watchdog.kind, watchdog.default_s) {
+    match (watchdog.keys.kind, watchdog.default_s()) {
         (SupervisionKind::Unknown | SupervisionKind::Gateway, _) => {
             remarks.push("whether the drive stops when the host is silent is not known".to_owned());
         }
         (SupervisionKind::None, _) => remarks.push("the drive has no watchdog".to_owned()),
-        (_, Some(0.0)) if watchdog.set_s.is_none() => {
+        (_, Some(0.0)) if watchdog.keys.set_ms.is_none() => {
             remarks.push(match watchdog.time {
                 Some(_) => "its watchdog is off as delivered: give watchdog.set_ms in the profile, or set it at the drive".to_owned(),
                 None => "its watchdog is off as delivered: set it at the drive".to_owned(),
@@ -129,7 +137,7 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
         }
         _ => {}
     }
-    if watchdog.auto_resume {
+    if watchdog.keys.auto_resume {
         remarks.push(
             "after its watchdog has stopped it, the next command resumes the old one".to_owned(),
         );
@@ -142,10 +150,10 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
             "nothing is left to try where its stop command fails: it has no coast".to_owned(),
         );
     }
-    if watchdog.boot_delay_s > 0.0 {
+    if watchdog.keys.boot_delay_s > 0.0 {
         remarks.push(format!(
             "its watchdog is blind for {} s after power-up",
-            watchdog.boot_delay_s
+            watchdog.keys.boot_delay_s
         ));
     }
     remarks
@@ -157,7 +165,7 @@ fn no_voltage(profile: &DriveProfile) -> String {
         Some(DeviceKind::Ac) => "a frequency converter takes no armature voltage, so a sequence of voltages cannot be run on it".to_owned(),
         Some(DeviceKind::ThyristorDc) => "this converter takes a speed or a torque, no armature voltage; a sequence of voltages cannot be run on it".to_owned(),
         _ => {
-            let duty = registers.is_some_and(|map| map.set_points.iter().any(|p| p.quantity == Quantity::Duty));
+            let duty = registers.is_some_and(|map| map.set_points.iter().any(|p| p.keys.quantity == Quantity::Duty));
             if duty {
                 "it takes a share of its supply voltage, and the profile does not say what that supply is; give the setpoint quantity \"voltage\", unit V and the scale".to_owned()
             } else {
@@ -171,7 +179,7 @@ fn no_reference(profile: &DriveProfile) -> String {
     let point = profile.registers.as_deref().and_then(|map| {
         map.set_points
             .iter()
-            .find(|p| p.quantity == Quantity::Speed)
+            .find(|p| p.keys.quantity == Quantity::Speed)
     });
     match point {
         Some(point) => format!(
@@ -196,7 +204,7 @@ fn no_shaft_speed(profile: &DriveProfile) -> Option<String> {
             .then(|| "the drive gives no speed".to_owned());
     };
     let signal = map.of_channel(Channel::Speed);
-    match signal.map(|signal| (signal.quantity, origin)) {
+    match signal.map(|signal| (signal.keys.quantity, origin)) {
         Some((Quantity::ShaftSpeed, Some(Origin::Measured))) => None,
         Some(_) => Some(
             "its speed is an output frequency or computed by the drive, no speed of the shaft: slip and torsion cannot be seen in it".to_owned(),
@@ -212,10 +220,7 @@ fn no_signed_torque(profile: &DriveProfile) -> Option<String> {
             .is_none()
             .then(|| "the drive gives neither torque nor current".to_owned());
     };
-    let signed = |channel| {
-        map.of_channel(channel)
-            .is_some_and(|signal| signal.traits.signed)
-    };
+    let signed = |channel| map.of_channel(channel).is_some_and(Signal::is_signed);
     if signed(Channel::Current) || signed(Channel::Torque) {
         return None;
     }

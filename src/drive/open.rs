@@ -1,23 +1,24 @@
 //! From `PATH` or `tcp:HOST:PORT` and a profile to a link.
 
 use std::fmt;
-use std::net::TcpStream;
+use std::io;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Instant;
 
 use thiserror::Error;
-use tokio::runtime::{Builder, Runtime};
+use tokio::runtime::Builder;
 
 use super::guard::Port;
 use super::link::{DriveLink, LinkError};
 use super::modbus::{ModbusBus, ModbusLink};
 use super::port::{TimedPort, connect, serial, serial_error};
-use super::profile::{DriveProfile, Protocol};
+use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
 use super::reply::FrameKind;
+use super::settings::Protocol;
 use super::stream::StreamLink;
-use super::tap::{Tap, TapFile, TappedPort};
+use super::tap::{TapFile, TappedPort};
 use super::timing::LineTiming;
 
 /// Where the drive is.
@@ -123,16 +124,16 @@ pub fn open_tapped(
     epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<Box<dyn DriveLink>, LinkError> {
-    if let Some(map) = &profile.registers {
-        let bus = ModbusBus::new(modbus_with(target, profile, epoch, tap)?, map)
-            .emulated(profile.link.emulated);
-        return Ok(Box::new(ProfiledLink::new(Arc::clone(map), bus)));
+    if profile.registers.is_none() && profile.link.protocol == Protocol::Stream {
+        return Ok(Box::new(open_stream(target, profile, epoch, tap)?));
     }
-    Ok(match profile.link.protocol {
-        Protocol::ModbusRtu | Protocol::ModbusTcp => {
-            Box::new(modbus_with(target, profile, epoch, tap)?)
+    let link = open_modbus(target, profile, epoch, tap)?;
+    Ok(match &profile.registers {
+        Some(map) => {
+            let bus = ModbusBus::new(link, map).emulated(profile.link.emulated);
+            Box::new(ProfiledLink::new(Arc::clone(map), bus))
         }
-        Protocol::Stream => Box::new(stream_with(target, profile, epoch, tap)?),
+        None => Box::new(link),
     })
 }
 
@@ -141,19 +142,13 @@ pub fn open_modbus(
     target: &Target,
     profile: &DriveProfile,
     epoch: Instant,
-) -> Result<ModbusLink, LinkError> {
-    modbus_with(target, profile, epoch, None)
-}
-
-fn modbus_with(
-    target: &Target,
-    profile: &DriveProfile,
-    epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<ModbusLink, LinkError> {
     let name = target.to_string();
+    let cannot = |error: io::Error| LinkError::Open(target.to_string(), error.to_string());
     let settings = &profile.link;
-    let runtime = runtime(&name)?;
+    let runtime = Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(cannot)?;
     let (port, kind, unit, timing, tap): (Box<dyn Port>, _, _, _, _) = {
         let _within = runtime.enter();
         match target {
@@ -168,11 +163,20 @@ fn modbus_with(
             }
             Target::Tcp { host, port, unit } => {
                 let stream = connect(&name, host, *port)?;
-                let tap = tcp_tap(tap, &stream).map_err(|error| cannot(&name, &error))?;
+                let ends = stream
+                    .local_addr()
+                    .and_then(|ours| Ok((ours, stream.peer_addr()?)));
+                let tap = match tap {
+                    Some(tap) => {
+                        let (ours, peer) = ends.map_err(cannot)?;
+                        Some(tap.tcp(ours, peer))
+                    }
+                    None => None,
+                };
                 let stream = stream
                     .set_nonblocking(true)
                     .and_then(|()| tokio::net::TcpStream::from_std(stream))
-                    .map_err(|error| cannot(&name, &error))?;
+                    .map_err(cannot)?;
                 let timing = LineTiming::network(settings);
                 (Box::new(stream), FrameKind::Tcp, unit, timing, tap)
             }
@@ -193,24 +197,6 @@ pub fn open_stream(
     target: &Target,
     profile: &DriveProfile,
     epoch: Instant,
-) -> Result<StreamLink, LinkError> {
-    stream_with(target, profile, epoch, None)
-}
-
-/// Opens a stream link with a tap, as [`open_tapped`].
-pub fn open_stream_tapped(
-    target: &Target,
-    profile: &DriveProfile,
-    epoch: Instant,
-    tap: Option<&TapFile>,
-) -> Result<StreamLink, LinkError> {
-    stream_with(target, profile, epoch, tap)
-}
-
-fn stream_with(
-    target: &Target,
-    profile: &DriveProfile,
-    epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<StreamLink, LinkError> {
     let name = target.to_string();
@@ -218,9 +204,8 @@ fn stream_with(
     let (port, timing): (Box<dyn TimedPort>, _) = match target {
         Target::Serial { path, baud, .. } => {
             let baud = baud.unwrap_or(settings.baud);
-            let port = serial(path, baud, settings.framing)
-                .open()
-                .map_err(|error| serial_error(path, &error))?;
+            let port = serial(path, baud, settings.framing).open();
+            let port = port.map_err(|error| serial_error(path, &error))?;
             let timing = LineTiming::serial(settings, baud, false);
             (Box::new(port), timing)
         }
@@ -234,27 +219,6 @@ fn stream_with(
         None => port,
     };
     Ok(StreamLink::new(name, port, timing, epoch))
-}
-
-fn tcp_tap(tap: Option<&TapFile>, stream: &TcpStream) -> std::io::Result<Option<Tap>> {
-    let Some(tap) = tap else {
-        return Ok(None);
-    };
-    Ok(Some(tap.tcp(stream.local_addr()?, stream.peer_addr()?)))
-}
-
-fn runtime(name: &str) -> Result<Runtime, LinkError> {
-    Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .map_err(|error| cannot(name, &error))
-}
-
-fn cannot(name: &str, error: &std::io::Error) -> LinkError {
-    LinkError::Open {
-        link: name.to_owned(),
-        reason: error.to_string(),
-    }
 }
 
 #[cfg(test)]

@@ -15,23 +15,13 @@ pub(super) const fn is_busy(code: u8) -> bool {
 
 /// What the drive said last, and until when it is left alone.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Patience {
-    pause: Option<(Backoff, f64)>,
-    said: Option<(String, String, u8, &'static str)>,
-}
+pub(super) struct Patience(Option<(Backoff, f64, LinkError)>);
 
 impl Patience {
     /// Whether it may be asked at `now_s`; else what it said.
     pub(super) fn check(&self, now_s: f64) -> Result<(), LinkError> {
-        match (&self.pause, &self.said) {
-            (Some((_, until_s)), Some((link, request, code, name))) if now_s < *until_s => {
-                Err(LinkError::Exception {
-                    link: link.clone(),
-                    request: request.clone(),
-                    code: *code,
-                    name,
-                })
-            }
+        match &self.0 {
+            Some((_, until_s, said)) if now_s < *until_s => Err(said.clone()),
             _ => Ok(()),
         }
     }
@@ -39,20 +29,14 @@ impl Patience {
     /// What came of a question that ended at `now_s`.
     pub(super) fn note<T>(&mut self, now_s: f64, result: &Result<T, LinkError>) {
         match result {
-            Err(LinkError::Exception {
-                link,
-                request,
-                code,
-                name,
-            }) if is_busy(*code) => {
+            Err(error @ LinkError::Exception { code, .. }) if is_busy(*code) => {
                 let seed = u64::from(*code);
                 let fresh = || Backoff::between(FIRST_PAUSE_S, LONGEST_PAUSE_S, seed);
-                let (mut backoff, _) = self.pause.take().unwrap_or_else(|| (fresh(), now_s));
+                let mut backoff = self.0.take().map_or_else(fresh, |(backoff, ..)| backoff);
                 let until_s = now_s + backoff.pause_s();
-                self.pause = Some((backoff, until_s));
-                self.said = Some((link.clone(), request.clone(), *code, name));
+                self.0 = Some((backoff, until_s, error.clone()));
             }
-            Ok(_) => *self = Self::default(),
+            Ok(_) => self.0 = None,
             Err(_) => {}
         }
     }

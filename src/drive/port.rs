@@ -10,8 +10,8 @@ use std::time::Duration;
 use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, StopBits};
 
 use super::link::LinkError;
-use super::profile::Framing;
 use super::serial_ports::holders;
+use super::settings::Framing;
 
 /// How long a peer on the network may take to accept.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -34,10 +34,7 @@ pub(super) fn serial(path: &str, baud: u32, framing: Framing) -> SerialPortBuild
 }
 
 pub(super) fn connect(name: &str, host: &str, port: u16) -> Result<TcpStream, LinkError> {
-    let open = |error: io::Error| LinkError::Open {
-        link: name.to_owned(),
-        reason: error.to_string(),
-    };
+    let open = |error: io::Error| LinkError::Open(name.to_owned(), error.to_string());
     let mut last = io::Error::new(ErrorKind::NotFound, "the host has no address");
     for address in (host, port).to_socket_addrs().map_err(open)? {
         match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {
@@ -71,10 +68,7 @@ pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
         }
         _ => error.to_string(),
     };
-    LinkError::Open {
-        link: path.to_owned(),
-        reason,
-    }
+    LinkError::Open(path.to_owned(), reason)
 }
 
 /// Says in words why a device file cannot be opened: what is there instead, or which group it belongs to.
@@ -103,10 +97,7 @@ pub(super) fn open_error(path: &str, error: &io::Error) -> LinkError {
         },
         _ => error.to_string(),
     };
-    LinkError::Open {
-        link: path.to_owned(),
-        reason,
-    }
+    LinkError::Open(path.to_owned(), reason)
 }
 
 fn owning_group(path: &str) -> Option<String> {

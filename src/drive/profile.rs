@@ -5,7 +5,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::register_map::RegisterMap;
+use super::register_map::{Quantity, RegisterMap};
+use super::settings::{DriveLimits, KickedBy, LinkSettings, RangeError, Trust, check_ranges};
 use crate::config_text::{self, ConfigError, help_for_unknown};
 use crate::sample::{Channel, Origin, Side};
 
@@ -55,97 +56,6 @@ pub struct DriveProfile {
     /// The registers of a drive that speaks another language than ours.
     #[serde(skip)]
     pub registers: Option<Arc<RegisterMap>>,
-}
-
-/// How far the numbers of a profile may be believed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Trust {
-    Manual,
-    Code,
-    Unverified,
-}
-
-impl Trust {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Manual => "manual",
-            Self::Code => "code",
-            Self::Unverified => "unverified",
-        }
-    }
-}
-
-/// The language on the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Protocol {
-    ModbusRtu,
-    ModbusTcp,
-    Stream,
-}
-
-impl Protocol {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::ModbusRtu => "modbus-rtu",
-            Self::ModbusTcp => "modbus-tcp",
-            Self::Stream => "stream",
-        }
-    }
-}
-
-/// Data bits, parity, stop bits.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
-pub enum Framing {
-    #[default]
-    #[serde(rename = "8N1")]
-    EightNoneOne,
-    #[serde(rename = "8E1")]
-    EightEvenOne,
-    #[serde(rename = "8O1")]
-    EightOddOne,
-    #[serde(rename = "8N2")]
-    EightNoneTwo,
-}
-
-impl Framing {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::EightNoneOne => "8N1",
-            Self::EightEvenOne => "8E1",
-            Self::EightOddOne => "8O1",
-            Self::EightNoneTwo => "8N2",
-        }
-    }
-
-    /// Bits on the wire for one character, start bit included.
-    pub const fn bits_per_char(self) -> u8 {
-        match self {
-            Self::EightNoneOne => 10,
-            Self::EightEvenOne | Self::EightOddOne | Self::EightNoneTwo => 11,
-        }
-    }
-}
-
-/// How the drive is wired and how fast it answers.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct LinkSettings {
-    pub protocol: Protocol,
-    pub baud: u32,
-    pub unit: u8,
-    #[serde(default)]
-    pub framing: Framing,
-    /// Worst time from the end of a request to the start of its reply, ms.
-    pub reply_ms: f64,
-    /// Silence before a Modbus RTU request, us; `None`: as the standard says.
-    pub gap_us: Option<f64>,
-    /// Time for one exchange, ms; `None`: from wire and reply time.
-    pub deadline_ms: Option<f64>,
-    /// The far end is the software drive of this process, whatever guise it has; in no file.
-    #[serde(skip)]
-    pub emulated: bool,
 }
 
 /// What the drive can be told.
@@ -206,18 +116,6 @@ impl SignalSides {
     }
 }
 
-/// What keeps the drive's watchdog quiet.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum KickedBy {
-    /// Only a write of the command block.
-    Command,
-    /// Any write.
-    Write,
-    /// Any message, reading too.
-    Any,
-}
-
 /// The drive's own stop when the host is silent.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -227,15 +125,6 @@ pub struct Watchdog {
     pub default_ms: Option<f64>,
 }
 
-/// Bounds beside those that the drive reports.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct DriveLimits {
-    pub current_a: Option<f64>,
-    pub voltage_v: Option<f64>,
-    pub speed_rad_s: Option<f64>,
-}
-
 /// Why there is no profile.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ProfileError {
@@ -243,13 +132,8 @@ pub enum ProfileError {
     Unknown { name: String, known: String },
     #[error(transparent)]
     Text(#[from] ConfigError),
-    #[error("drive profile {profile:?}: {key} {value} is not allowed (expected {allowed})")]
-    Range {
-        profile: String,
-        key: &'static str,
-        value: f64,
-        allowed: &'static str,
-    },
+    #[error(transparent)]
+    Range(#[from] RangeError),
 }
 
 impl ProfileError {
@@ -258,7 +142,7 @@ impl ProfileError {
         match self {
             Self::Unknown { name, .. } => help_for_unknown(name, EMBEDDED.map(|(name, _)| name)),
             Self::Text(error) => error.help.clone(),
-            Self::Range { .. } => "see bench-configs/drives/own.toml".to_owned(),
+            Self::Range(_) => "see bench-configs/drives/own.toml".to_owned(),
         }
     }
 }
@@ -289,77 +173,75 @@ impl DriveProfile {
     /// Reads a profile; `file` names it in errors. A file with a register map says so with `schema`.
     pub fn parse(file: &str, text: &str) -> Result<Self, ProfileError> {
         if has_register_map(text) {
-            let (map, profile) = RegisterMap::with_profile(file, text)?;
-            return Ok(Self {
-                registers: Some(Arc::new(map)),
-                ..profile
-            });
+            let (map, link, limits) = RegisterMap::with_settings(file, text)?;
+            return Ok(Self::of(map, link, limits));
         }
         let profile: Self = config_text::parse(file, text)?;
-        profile.check()?;
+        let watchdog_ms = profile.watchdog.default_ms;
+        check_ranges(&profile.name, &profile.link, watchdog_ms, &profile.limits)?;
         Ok(profile)
+    }
+
+    /// What the bench sees of a drive with a register map of its own.
+    fn of(map: RegisterMap, link: LinkSettings, limits: DriveLimits) -> Self {
+        let keys = |channel| map.of_channel(channel).map(|signal| &signal.keys);
+        let origin = |channel| keys(channel).and_then(|keys| keys.origin);
+        let side = |channel| keys(channel).and_then(|keys| keys.side);
+        let able = |quantity| map.demand(quantity).is_some();
+        Self {
+            name: map.device.id.clone(),
+            source: map.device.source.clone(),
+            trust: map.device.trust,
+            link,
+            capabilities: Capabilities {
+                voltage_command: able(Quantity::Voltage),
+                current_command: able(Quantity::Current),
+                speed_command: able(Quantity::Speed),
+            },
+            signals: SignalOrigins {
+                voltage_cmd_v: None,
+                voltage_v: origin(Channel::Voltage),
+                current_a: origin(Channel::Current),
+                speed_rad_s: origin(Channel::Speed),
+                angle_rad: origin(Channel::Angle),
+                torque_n_m: origin(Channel::Torque),
+                bus_v: origin(Channel::Bus),
+                temperature_c: origin(Channel::Temperature),
+            },
+            sides: SignalSides {
+                voltage_v: side(Channel::Voltage),
+                current_a: side(Channel::Current),
+            },
+            watchdog: Watchdog {
+                kicked_by: map.watchdog.keys.kicked_by,
+                // Off as delivered is no time.
+                default_ms: map
+                    .watchdog
+                    .default_s()
+                    .filter(|s| *s > 0.0)
+                    .map(|s| s * 1e3),
+            },
+            limits,
+            registers: Some(Arc::new(map)),
+        }
     }
 
     /// One line for whoever uses it: which drive, and how far its numbers may be believed.
     pub fn provenance(&self) -> String {
-        let (title, note) = self
-            .registers
-            .as_ref()
-            .map_or((String::new(), String::new()), |map| {
-                let doubtful = map.unverified();
-                let doubt = if doubtful.is_empty() {
-                    String::new()
-                } else {
-                    format!("; unverified: {}", doubtful.join(", "))
-                };
-                (format!(" ({})", map.device.name), doubt)
-            });
+        let (mut title, mut note) = (String::new(), String::new());
+        if let Some(map) = &self.registers {
+            title = format!(" ({})", map.device.name);
+            let doubtful = map.unverified().join(", ");
+            if !doubtful.is_empty() {
+                note = format!("; unverified: {doubtful}");
+            }
+        }
         format!(
             "drive profile {}{title}: trust {}{note}; source: {}",
             self.name,
             self.trust.name(),
             self.source
         )
-    }
-
-    pub(super) fn check(&self) -> Result<(), ProfileError> {
-        let range = |key, value: f64, good: bool, allowed| {
-            if good {
-                Ok(())
-            } else {
-                Err(ProfileError::Range {
-                    profile: self.name.clone(),
-                    key,
-                    value,
-                    allowed,
-                })
-            }
-        };
-        let link = &self.link;
-        let baud = f64::from(link.baud);
-        range("link.baud", baud, link.baud > 0, "more than 0")?;
-        let unit = (1..=247).contains(&link.unit);
-        range("link.unit", link.unit.into(), unit, "1 to 247")?;
-        let reply = (0.0..=10_000.0).contains(&link.reply_ms);
-        range("link.reply_ms", link.reply_ms, reply, "0 to 10000")?;
-        let gap_us = link.gap_us.unwrap_or(0.0);
-        let gap = (0.0..=1e6).contains(&gap_us);
-        range("link.gap_us", gap_us, gap, "0 to 1000000")?;
-        let deadline_ms = link.deadline_ms.unwrap_or(1.0);
-        let deadline = (1.0..=60_000.0).contains(&deadline_ms);
-        range("link.deadline_ms", deadline_ms, deadline, "1 to 60000")?;
-        let watchdog_ms = self.watchdog.default_ms.unwrap_or(1.0);
-        let watchdog = watchdog_ms.is_finite() && watchdog_ms > 0.0;
-        range("watchdog.default_ms", watchdog_ms, watchdog, "more than 0")?;
-        for (key, limit) in [
-            ("limits.current_a", self.limits.current_a),
-            ("limits.voltage_v", self.limits.voltage_v),
-            ("limits.speed_rad_s", self.limits.speed_rad_s),
-        ] {
-            let value = limit.unwrap_or(1.0);
-            range(key, value, value.is_finite() && value > 0.0, "more than 0")?;
-        }
-        Ok(())
     }
 }
 

@@ -7,8 +7,6 @@
 //!
 //! Enabling is never repeated by itself: after a fault, a stop or a failed step somebody has to ask for zero first.
 
-mod clock;
-mod connect;
 mod halt;
 mod points;
 mod readings;
@@ -17,17 +15,17 @@ mod state;
 
 use std::sync::Arc;
 
-use self::clock::Clock;
 use self::points::Points;
-use self::readings::{Readings, Span};
+use self::readings::{Clock, Readings};
 use self::sequence::{Next, Sequence};
-use super::budget::{READ_WRITE_BYTES, joint_point};
+use super::budget::cycle_frames;
 use super::clock_map::ClockMap;
 use super::command_times::CommandTimes;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use super::patience::Patience;
-use super::register_bus::RegisterBus;
-use super::register_map::{Quantity, RegisterMap, Step};
+use super::register_bus::{RegisterBus, Span};
+use super::register_map::{IdentityCheck, IdentityTest, Quantity, RegisterMap, Step};
+use super::settings::KickedBy;
 use super::tally::RoundTrips;
 use super::transaction::{CutIn, LineCounts};
 use crate::sample::{Applied, Command, Demand, DriveState, Sample};
@@ -37,9 +35,6 @@ const MISMATCHES: u32 = 3;
 /// A drive that refuses a step of its enable command for so long, because it is busy, will not take it, s: less than what a
 /// session waits beyond the steps, so that the refusal is what is told.
 const REFUSALS_S: f64 = 0.5;
-/// Bytes of a read request and of a reply beside its registers, RTU.
-const READ_BYTES: usize = 8;
-const REPLY_BYTES: usize = 5;
 
 /// What the link is about.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,7 +85,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Self {
             readings: Readings::new(Arc::clone(&map)),
             points: Points::new(Arc::clone(&map)),
-            watchdog_s: map.watchdog.default_s.filter(|time| *time > 0.0),
+            watchdog_s: map.watchdog.default_s().filter(|time| *time > 0.0),
             clock: Clock::of(&map),
             in_fault_since_s: None,
             map,
@@ -222,7 +217,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if due_s.is_none_or(|due_s| due_s - read_s > 2.0 * request_s) {
             self.readings.read_slow(&mut self.bus)?;
         }
-        if self.map.watchdog.kicked_by == super::KickedBy::Any {
+        if self.map.watchdog.keys.kicked_by == KickedBy::Any {
             self.kicked_s = read_s;
         }
         held_back(&mut refused, self.advance())?;
@@ -344,11 +339,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// Every reference at zero, before the enable command.
     fn all_to_zero(&self) -> Vec<Step> {
-        let references = self
-            .map
-            .set_points
-            .iter()
-            .filter(|p| !p.is_word() && !p.nvm);
+        let references = self.map.set_points.iter().filter(|p| p.is_reference());
         references
             .map(|point| Step::Write {
                 set_point: point.name.clone(),
@@ -406,7 +397,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             let readings = &self.readings;
             let status = |name: &str| {
                 let reading = readings.get(name)?;
-                Some((reading.pattern?, reading.read_s))
+                Some((reading.pattern?, reading.span.asked_s))
             };
             let next = sequence.next(self.bus.now_s(), status);
             let mut written = Ok(());
@@ -541,11 +532,74 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Ok(())
     }
 
-    fn refused(&self, reason: String) -> LinkError {
-        LinkError::Refused {
-            link: self.bus.name().0,
-            reason,
+    fn check_identity(&mut self) -> Result<(), LinkError> {
+        for check in self.map.identity.clone() {
+            let wrong = match check {
+                IdentityCheck::Object { object, contains } => {
+                    let found = self.bus.object(object)?;
+                    let fits = found.as_ref().is_some_and(|text| text.contains(&contains));
+                    (!fits).then(|| {
+                        format!("identification object {object} is {found:?} (expected {contains:?} in it)")
+                    })
+                }
+                IdentityCheck::Signal { signal, mask, test } => {
+                    let reading = self.readings.get(&signal).unwrap_or_default();
+                    let fits = match &test {
+                        IdentityTest::OneOf(patterns) => reading
+                            .pattern
+                            .is_some_and(|pattern| patterns.contains(&(pattern & mask))),
+                        IdentityTest::Within([low, high]) => reading
+                            .value
+                            .is_some_and(|value| (*low..=*high).contains(&value)),
+                    };
+                    (!fits)
+                        .then(|| format!("{signal} is {:?} (expected {test:?})", reading.pattern))
+                }
+            };
+            if let Some(reason) = wrong {
+                return Err(LinkError::Identity(
+                    self.name().0,
+                    format!("this is not {}: {reason}", self.map.device.name),
+                ));
+            }
         }
+        Ok(())
+    }
+
+    /// The watchdog's time: written where the profile says so, and read back. The drive of somebody else, which runs, is
+    /// left as it is: with a watchdog that nobody refreshes it would stop once this host has gone.
+    fn supervision(&mut self) -> Result<Option<f64>, LinkError> {
+        let runs = self.state() == DriveState::Running;
+        let watchdog = &self.map.watchdog;
+        let set_s = watchdog.set_s().filter(|_| !runs);
+        let Some((location, unit_s)) = watchdog.time else {
+            return Ok(watchdog.default_s());
+        };
+        if let Some(set_s) = set_s {
+            let has_single = self.map.functions.contains(&6);
+            let function = if has_single { 6 } else { 16 };
+            let registers = location.layout.encode(set_s / unit_s);
+            let registers = registers.ok_or_else(|| {
+                self.refused(format!("watchdog time {set_s} s does not fit its register"))
+            })?;
+            self.bus.write(function, location.address, &registers)?;
+        }
+        let registers = self.bus.read(location.request())?.words;
+        let raw = location.layout.pattern(&registers).unwrap_or_default();
+        let time_s = location.layout.number(raw) * unit_s;
+        if let Some(set_s) = set_s
+            && (time_s - set_s).abs() > 0.5 * unit_s
+        {
+            return Err(LinkError::Identity(
+                self.name().0,
+                format!("the watchdog was set to {set_s} s and reads back as {time_s} s"),
+            ));
+        }
+        Ok(Some(time_s))
+    }
+
+    fn refused(&self, reason: String) -> LinkError {
+        LinkError::Refused(self.bus.name().0, reason)
     }
 }
 
@@ -740,22 +794,10 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
 
     /// Fast signals and one set-point.
     fn shortest_cycle_s(&self) -> Option<f64> {
-        let joined = self.readings.joinable().zip(joint_point(&self.map));
-        let mut cycle_s = match joined {
-            Some(_) => 0.0,
-            None => self.bus.wire_s(READ_BYTES, READ_BYTES)?,
-        };
-        for (at, block) in self.readings.fast().iter().enumerate() {
-            let request = match joined {
-                Some((with, point)) if with == at => {
-                    READ_WRITE_BYTES + 2 * usize::from(point.location.layout.registers())
-                }
-                _ => READ_BYTES,
-            };
-            let reply = REPLY_BYTES + 2 * usize::from(block.count);
-            cycle_s += self.bus.wire_s(request, reply)?;
-        }
-        Some(cycle_s)
+        let frames = cycle_frames(&self.map).into_iter();
+        frames
+            .map(|(request, reply)| self.bus.wire_s(request, reply))
+            .sum()
     }
 
     fn clock_map(&self) -> Option<&ClockMap> {

@@ -1,27 +1,117 @@
-//! Registers at the far end of something: all that a profiled drive needs of a link.
+//! Registers at the far end of something: how they are asked for, and all that a profiled drive needs of a link.
 
-use super::RegisterTable;
 use super::link::{LinkError, LinkName, LinkStatistics};
 use super::tally::RoundTrips;
 use super::transaction::{CutIn, LineCounts};
 
-/// Registers as they were read, and the host times between which the drive took their values.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RegistersRead {
-    pub words: Vec<u16>,
-    /// First byte of the accepted request out, s.
+/// Most registers of one request (MODBUS Application Protocol V1.1b3, 6.3 and 6.12).
+pub const MOST_READ: u16 = 125;
+pub const MOST_WRITTEN: usize = 123;
+
+/// RTU frames beside the registers that they carry, bytes: a read and its reply, a write of several registers, a request of
+/// function code 23, and the acknowledgement of a write, which is also the write of one register.
+pub(super) const READ_BYTES: usize = 8;
+pub(super) const REPLY_BYTES: usize = 5;
+pub(super) const WRITE_BYTES: usize = 9;
+pub(super) const READ_WRITE_BYTES: usize = 13;
+pub(super) const WRITTEN_BYTES: usize = 8;
+
+/// Which of the two register tables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RegisterTable {
+    Holding,
+    Input,
+}
+
+/// One question for registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReadRequest {
+    pub table: RegisterTable,
+    /// Protocol address, from 0.
+    pub address: u16,
+    /// 1 to [`MOST_READ`].
+    pub count: u16,
+}
+
+impl ReadRequest {
+    pub const fn holding(address: u16, count: u16) -> Self {
+        Self {
+            table: RegisterTable::Holding,
+            address,
+            count,
+        }
+    }
+
+    /// The address behind its last register.
+    pub(super) const fn end(self) -> u32 {
+        self.address as u32 + self.count as u32
+    }
+
+    /// RTU frame of the reply.
+    pub(super) const fn reply_bytes(self) -> usize {
+        REPLY_BYTES + 2 * self.count as usize
+    }
+
+    pub(super) const fn pdu(self) -> [u8; 5] {
+        let [a, b] = self.address.to_be_bytes();
+        let [c, d] = self.count.to_be_bytes();
+        let function = match self.table {
+            RegisterTable::Holding => 3,
+            RegisterTable::Input => 4,
+        };
+        [function, a, b, c, d]
+    }
+
+    /// `read 2 registers at 7`.
+    pub(super) fn text(self) -> String {
+        format!("read {} at {}", registers(self.count.into()), self.address)
+    }
+}
+
+/// `1 register`, `2 registers`.
+pub fn registers(count: usize) -> String {
+    format!("{count} register{}", if count == 1 { "" } else { "s" })
+}
+
+pub(super) const fn exception_name(code: u8) -> &'static str {
+    match code {
+        1 => "illegal function",
+        2 => "illegal data address",
+        3 => "illegal data value",
+        4 => "device failure",
+        5 => "acknowledge: it takes long",
+        6 => "device busy",
+        8 => "memory parity error",
+        10 => "gateway path unavailable",
+        11 => "the gateway's device does not answer",
+        _ => "a code of the maker",
+    }
+}
+
+/// The host times between which something was done at the far end, s.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Span {
+    /// First byte of the accepted request out.
     pub asked_s: f64,
-    /// First byte of its reply in, s.
+    /// First byte of its reply in.
     pub answered_s: f64,
 }
 
-/// The host times between which the far end carried out a write that it acknowledged.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Carried {
-    /// First byte of the request out, s.
-    pub asked_s: f64,
-    /// First byte of its acknowledgement in, s.
-    pub answered_s: f64,
+impl Span {
+    pub const fn middle_s(self) -> f64 {
+        f64::midpoint(self.asked_s, self.answered_s)
+    }
+
+    pub const fn half_width_s(self) -> f64 {
+        0.5 * (self.answered_s - self.asked_s)
+    }
+}
+
+/// Registers as they were read, and when the drive took their values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RegistersRead {
+    pub words: Vec<u16>,
+    pub span: Span,
 }
 
 /// Reads and writes registers, each call bounded by the bus's own deadline for it, and keeps the host's time.
@@ -34,16 +124,11 @@ pub trait RegisterBus: Send {
     /// Lets host time pass; a time that has passed changes nothing.
     fn pause_until_s(&mut self, time_s: f64);
 
-    /// Reads `count` registers; a question without effect, so it may be asked again within its deadline.
-    fn read(
-        &mut self,
-        table: RegisterTable,
-        address: u16,
-        count: u16,
-    ) -> Result<RegistersRead, LinkError>;
+    /// Reads registers; a question without effect, so it may be asked again within its deadline.
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError>;
 
-    /// Writes with function code 6 (one register) or 16; never repeated by itself.
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError>;
+    /// Writes with function code 6 (one register) or 16; never repeated by itself. When it was carried out.
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError>;
 
     /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
     ///
@@ -53,7 +138,7 @@ pub trait RegisterBus: Send {
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<Carried, LinkError> {
+    ) -> Result<Span, LinkError> {
         self.write(function, address, values)
     }
 
@@ -65,11 +150,9 @@ pub trait RegisterBus: Send {
         (from, count): (u16, u16),
     ) -> Result<RegistersRead, LinkError> {
         let written = self.write(16, to, values)?;
-        let read = self.read(RegisterTable::Holding, from, count)?;
-        Ok(RegistersRead {
-            asked_s: written.asked_s,
-            ..read
-        })
+        let mut read = self.read(ReadRequest::holding(from, count))?;
+        read.span.asked_s = written.asked_s;
+        Ok(read)
     }
 
     /// An object of function code 43; `None` where the drive does not have it.

@@ -189,7 +189,7 @@ fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
 }
 
 /// Length of a whole frame at the start of `bytes`, if there is one with a right checksum.
-fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
+pub(super) fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
     let Length::Known(pdu) = pdu_len(bytes.get(1..)?) else {
         return None;
     };
@@ -255,12 +255,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-
-    fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-        let mut out = [0; rtu::MAX_FRAME];
-        let length = rtu::encode_frame(unit, pdu, &mut out);
-        out[..length].to_vec()
-    }
+    use crate::drive::fake::rtu_frame as frame;
 
     #[test]
     fn a_write_to_the_asked_unit_that_is_not_ours_is_another_masters() {
@@ -336,43 +331,34 @@ mod tests {
             frame(1, &[6, 0, 0, 0, 2]),
         ] {
             let search = rtu(&request, &[&other], false);
-            assert_eq!(
-                (search.reply, search.foreign + search.old.len()),
-                (None, 1),
-                "{other:?}"
-            );
+            let found = (search.reply, search.foreign + search.old.len());
+            assert_eq!(found, (None, 1), "{other:?}");
             let search = rtu(&request, &[&other, &reply], false);
             assert_eq!(search.reply, Some((other.len(), other.len() + 9)));
         }
-        assert!(
-            rtu(&request, &[&frame(1, &[0x83, 2])], false)
-                .reply
-                .is_some()
-        );
         let mut damaged = reply.clone();
         damaged[4] ^= 1;
-        assert_eq!(rtu(&request, &[&damaged], false), Search::default());
-        assert_eq!(rtu(&request, &[&reply[..8]], false), Search::default());
+        for nothing in [&damaged[..], &reply[..8]] {
+            assert_eq!(rtu(&request, &[nothing], false), Search::default());
+        }
         let after_garbage = rtu(&request, &[&[1, 3, 4], &reply], false);
         assert_eq!(after_garbage.reply, Some((3, 12)));
     }
 
     #[test]
-    fn probes_and_writes_must_come_back_as_they_went_out() {
-        let probe = frame(1, &[8, 0, 0, 0x12, 0x34]);
-        assert!(rtu(&probe, &[&probe], false).reply.is_some());
-        let stale = frame(1, &[8, 0, 0, 0x12, 0x35]);
-        assert_eq!(rtu(&probe, &[&stale], false).reply, None);
-        let write = frame(1, &[16, 0, 32, 0, 1, 2, 0, 5]);
-        assert!(
-            rtu(&write, &[&frame(1, &[16, 0, 32, 0, 1])], false)
-                .reply
-                .is_some()
-        );
-        assert_eq!(
-            rtu(&write, &[&frame(1, &[16, 0, 33, 0, 1])], false).reply,
-            None
-        );
+    fn refusals_are_replies_and_probes_and_writes_must_come_back_as_they_went_out() {
+        let (read, probe) = ([3, 0, 0, 0, 2], [8, 0, 0, 0x12, 0x34]);
+        let write = [16, 0, 32, 0, 1, 2, 0, 5];
+        for (request, reply, is_taken) in [
+            (&read[..], &[0x83, 2][..], true),
+            (&probe, &probe, true),
+            (&probe, &[8, 0, 0, 0x12, 0x35], false),
+            (&write, &[16, 0, 32, 0, 1], true),
+            (&write, &[16, 0, 33, 0, 1], false),
+        ] {
+            let found = rtu(&frame(1, request), &[&frame(1, reply)], false);
+            assert_eq!(found.reply.is_some(), is_taken, "{request:?} {reply:?}");
+        }
     }
 
     #[test]

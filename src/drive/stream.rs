@@ -9,56 +9,41 @@ use std::time::{Duration, Instant};
 use firmware_protocol::stream::{
     CaptureStatus, Decoder, ErrorCode, Frame, FrameError, MAX_FRAME, Message, encode,
 };
-use firmware_protocol::{CaptureControl, CaptureState, DriveCommand, Telemetry};
+use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::burst::{Burst, Capture};
 use super::clock_map::{ClockMap, signed_difference};
 use super::guard::now;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
 use super::port::{Closed, TimedPort};
-use super::tally::{RoundTrips, Tally};
-use super::timeline::{Timeline, control, identity, low_word};
+use super::tally::RoundTrips;
+use super::timeline::identity;
 use super::timing::LineTiming;
-use super::transaction::{Bound, LineCounts};
-use crate::sample::{Command, Demand, DriveState, Sample};
+use super::transaction::LineCounts;
+use crate::sample::{Command, Sample};
 
 /// Bytes of a command and of its telemetry, with COBS and delimiters.
 pub(super) const COMMAND_BYTES: usize = 18;
 pub(super) const TELEMETRY_BYTES: usize = 52;
-const READ_ATTEMPTS: usize = 3;
-const STOP_ATTEMPTS: usize = 5;
 
 /// A drive behind the native stream.
 pub struct StreamLink {
-    name: String,
+    core: LinkCore,
     port: Box<dyn TimedPort>,
     decoder: Decoder,
     /// Bytes in the decoder: those since the last delimiter, and when the first of them came.
     pending: u64,
     pending_since: Instant,
-    bound: Bound,
     line: LineCounts,
-    timing: LineTiming,
-    tally: Tally,
-    timeline: Timeline,
-    epoch: Instant,
-    last_seq: u64,
     /// Number of the last question that is no command.
     question: u16,
-    capture_period_s: f64,
     /// What the drive sees next may be the rest of something broken: a delimiter goes first.
     suspect: bool,
-    gone: bool,
 }
 
-struct Answer<T> {
-    value: T,
-    drive_us: u32,
-    /// First byte of the question out, first byte of its answer in, the answer complete; s since the epoch.
-    asked_s: f64,
-    answered_s: f64,
-    complete_s: f64,
-}
+/// What a message is of a question's answer, with the drive's time when it was formed, us.
+type Timed<T> = (T, u32);
 
 /// What came that was no answer.
 #[derive(Default)]
@@ -77,46 +62,22 @@ impl StreamLink {
         epoch: Instant,
     ) -> Self {
         Self {
-            name,
+            core: LinkCore::new(name, timing, epoch),
             port,
             decoder: Decoder::new(),
             pending: 0,
             pending_since: now(),
-            bound: Bound::default(),
             line: LineCounts::default(),
-            timing,
-            tally: Tally::default(),
-            timeline: Timeline::default(),
-            epoch,
-            last_seq: 0,
             question: 0,
-            capture_period_s: 0.0,
             suspect: true,
-            gone: false,
         }
     }
 
     /// How the drive is, without a command: nothing changes by it, and its watchdog is not kicked.
     pub(super) fn telemetry(&mut self) -> Result<Telemetry, LinkError> {
-        let answer =
-            self.read_with_retries(&Message::TelemetryRequest, "the telemetry", |message| {
-                match message {
-                    Message::Telemetry(telemetry) => Some(*telemetry),
-                    _ => None,
-                }
-            })?;
-        Ok(answer.value)
-    }
-
-    fn capture_status(&mut self) -> Result<Answer<CaptureStatus>, LinkError> {
-        self.read_with_retries(
-            &Message::CaptureStatusRequest,
-            "the state of the capture",
-            |message| match message {
-                Message::CaptureStatus(status) => Some(*status),
-                _ => None,
-            },
-        )
+        let question = Message::TelemetryRequest;
+        let answer = self.read_with_retries(&question, "the telemetry", telemetry)?;
+        Ok(answer.value.0)
     }
 
     /// A question without effect on the drive may be asked again.
@@ -125,7 +86,7 @@ impl StreamLink {
         message: &Message,
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<Answer<T>, LinkError> {
+    ) -> Result<Answer<Timed<T>>, LinkError> {
         let mut attempt = 1;
         loop {
             match self.ask_numbered(message, what, &check) {
@@ -140,9 +101,9 @@ impl StreamLink {
         message: &Message,
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<Answer<T>, LinkError> {
+    ) -> Result<Answer<Timed<T>>, LinkError> {
         self.question = self.question.wrapping_add(1);
-        let allowed = self.timing.unhurried(COMMAND_BYTES, MAX_FRAME);
+        let allowed = self.core.timing.unhurried(COMMAND_BYTES, MAX_FRAME);
         self.ask(&Frame::ask(self.question, *message), what, allowed, check)
     }
 
@@ -153,16 +114,11 @@ impl StreamLink {
         what: &str,
         allowed: Duration,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<Answer<T>, LinkError> {
-        if self.gone {
-            return Err(LinkError::Gone {
-                link: self.name.clone(),
-                reason: "it broke before".to_owned(),
-            });
-        }
+    ) -> Result<Answer<Timed<T>>, LinkError> {
+        self.core.live()?;
         self.drop_leftovers()?;
         let sent = now();
-        let deadline = self.bound.earlier(sent + allowed);
+        let deadline = self.core.bound.earlier(sent + allowed);
         let mut wreckage = Wreckage::default();
         let result = self
             .send(question, deadline)
@@ -174,14 +130,13 @@ impl StreamLink {
             LinkError::Timeout { .. } => self.missing(&wreckage, what, allowed),
             other => other,
         });
-        self.tally
-            .settle(&result, received.duration_since(sent).as_secs_f64());
-        result.map(|(value, drive_us, answered)| Answer {
+        let core = &mut self.core;
+        let took_s = received.duration_since(sent).as_secs_f64();
+        core.tally.settle(&result, took_s);
+        result.map(|(value, answered)| Answer {
             value,
-            drive_us,
-            asked_s: self.host_s(sent),
-            answered_s: self.host_s(answered),
-            complete_s: self.host_s(received),
+            span: core.span(sent, answered),
+            complete_s: core.host_s(received),
         })
     }
 
@@ -246,13 +201,13 @@ impl StreamLink {
         deadline: Instant,
         wreckage: &mut Wreckage,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<(T, u32, Instant), LinkError> {
+    ) -> Result<(Timed<T>, Instant), LinkError> {
         let mut bytes = [0; 512];
         loop {
             let left = deadline.saturating_duration_since(now());
             if left.is_zero() {
                 return Err(LinkError::Timeout {
-                    link: self.name.clone(),
+                    link: self.core.name.clone(),
                     deadline_ms: 0,
                     request: what.to_owned(),
                 });
@@ -276,7 +231,7 @@ impl StreamLink {
                             answer = Some(Err(self.refused(what, refusal.code)));
                         } else if let Some(value) = check(&frame.message) {
                             self.line.bytes_accepted += length;
-                            answer = Some(Ok((value, frame.time_us, first)));
+                            answer = Some(Ok(((value, frame.time_us), first)));
                         } else {
                             self.line.foreign_frames += 1;
                             wreckage.foreign += 1;
@@ -288,7 +243,7 @@ impl StreamLink {
                     }
                     Err(FrameError::Version(found)) => {
                         answer.get_or_insert(Err(LinkError::Version {
-                            link: self.name.clone(),
+                            link: self.core.name.clone(),
                             found: found.into(),
                             expected: firmware_protocol::PROTOCOL_VERSION,
                         }));
@@ -307,33 +262,33 @@ impl StreamLink {
 
     /// No answer in time: what came instead tells the class.
     fn missing(&self, wreckage: &Wreckage, what: &str, allowed: Duration) -> LinkError {
-        let link = self.name.clone();
+        let link = self.core.name.clone();
         match *wreckage {
-            Wreckage { foreign: 1.., .. } => LinkError::Mismatch {
+            Wreckage { foreign: 1.., .. } => LinkError::Mismatch(
                 link,
-                reason: format!("only answers of another kind came after {what}"),
-            },
-            Wreckage { stale: 1.., .. } => LinkError::Stale {
+                format!("only answers of another kind came after {what}"),
+            ),
+            Wreckage { stale: 1.., .. } => LinkError::Stale(
                 link,
-                reason: format!("only answers to other questions came after {what}"),
-            },
+                format!("only answers to other questions came after {what}"),
+            ),
             Wreckage { bytes: 0, .. } => LinkError::Timeout {
                 link,
                 deadline_ms: u64::try_from(allowed.as_millis()).unwrap_or(u64::MAX),
                 request: what.to_owned(),
             },
-            Wreckage { bytes, damaged, .. } => LinkError::Corrupt {
+            Wreckage { bytes, damaged, .. } => LinkError::Corrupt(
                 link,
-                reason: format!(
+                format!(
                     "{bytes} bytes with {damaged} damaged frames and no valid one came in reply to {what}"
                 ),
-            },
+            ),
         }
     }
 
     fn refused(&self, what: &str, code: ErrorCode) -> LinkError {
         LinkError::Exception {
-            link: self.name.clone(),
+            link: self.core.name.clone(),
             request: what.to_owned(),
             code: code.code(),
             name: match code {
@@ -348,20 +303,27 @@ impl StreamLink {
 
     fn lost(&mut self, error: &io::Error) -> LinkError {
         self.close();
-        LinkError::Gone {
-            link: self.name.clone(),
-            reason: error.to_string(),
-        }
+        self.core.gone(error)
     }
+}
 
-    fn host_s(&self, at: Instant) -> f64 {
-        at.saturating_duration_since(self.epoch).as_secs_f64()
+fn telemetry(message: &Message) -> Option<Telemetry> {
+    match message {
+        Message::Telemetry(telemetry) => Some(*telemetry),
+        _ => None,
+    }
+}
+
+fn capture_status(message: &Message) -> Option<CaptureStatus> {
+    match message {
+        Message::CaptureStatus(status) => Some(*status),
+        _ => None,
     }
 }
 
 impl DriveLink for StreamLink {
     fn name(&self) -> LinkName {
-        LinkName(self.name.clone())
+        LinkName(self.core.name.clone())
     }
 
     fn identify(&mut self) -> Result<Identity, LinkError> {
@@ -370,77 +332,49 @@ impl DriveLink for StreamLink {
                 Message::Identity(identity) => Some(*identity),
                 _ => None,
             })?;
-        self.timeline
-            .note(answer.drive_us, answer.asked_s, answer.answered_s);
-        self.capture_period_s = f64::from(answer.value.capture_period_us) * 1e-6;
-        Ok(identity(&answer.value))
+        let (block, drive_us) = answer.value;
+        self.core.timeline.note(drive_us, answer.span);
+        self.core.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
+        Ok(identity(&block))
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
-        let question = Frame::command(DriveCommand {
-            seq: low_word(command.seq),
-            control: control(command.demand),
-        });
-        self.last_seq = command.seq;
-        let allowed = self.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
-        let answer = self.ask(&question, "the command", allowed, |message| match message {
-            Message::Telemetry(telemetry) => Some(*telemetry),
-            _ => None,
-        })?;
-        let mut sample = self.timeline.sample(
-            &answer.value,
-            command.seq,
-            answer.asked_s,
-            answer.answered_s,
-        );
-        sample.host_time_s = Some(answer.complete_s);
-        Ok(sample)
+        let question = Frame::command(self.core.command(command));
+        let allowed = self.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
+        let answer = self.ask(&question, "the command", allowed, telemetry)?;
+        let answer = Answer {
+            value: answer.value.0,
+            span: answer.span,
+            complete_s: answer.complete_s,
+        };
+        Ok(self.core.sample(command, &answer))
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
-        self.bound.set(f64::INFINITY, now());
-        let stop = Command {
-            seq: self.last_seq.wrapping_add(1),
-            demand: Demand::Stop,
-        };
-        let mut last = LinkError::Corrupt {
-            link: self.name.clone(),
-            reason: format!("the drive still runs after {STOP_ATTEMPTS} requests to stop"),
-        };
-        for _ in 0..STOP_ATTEMPTS {
-            match self.exchange(stop) {
-                Ok(sample)
-                    if sample.applied.is_some() && sample.state != Some(DriveState::Running) =>
-                {
-                    return Ok(());
-                }
-                Ok(_) => {}
-                Err(error @ LinkError::Gone { .. }) => return Err(error),
-                Err(error) => last = error,
-            }
-        }
-        Err(last)
+        let (stop, name) = (self.core.stop_command(), self.core.name.clone());
+        stop_confirmed(&name, || self.exchange(stop))
     }
 
     fn close(&mut self) {
-        self.gone = true;
+        self.core.gone = true;
         self.port = Box::new(Closed);
     }
 
     fn statistics(&self) -> LinkStatistics {
-        self.tally.statistics
+        self.core.tally.statistics
     }
 
     fn shortest_cycle_s(&self) -> Option<f64> {
-        self.timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
+        let timing = &self.core.timing;
+        timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {
-        Some(&self.tally.round_trips)
+        Some(&self.core.tally.round_trips)
     }
 
     fn bound(&mut self, left_s: f64) {
-        self.bound.set(left_s, now());
+        self.core.bound.set(left_s, now());
     }
 
     fn line(&self) -> Option<LineCounts> {
@@ -448,59 +382,46 @@ impl DriveLink for StreamLink {
     }
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
-        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+        (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
     }
 
     fn clock_map(&self) -> Option<&ClockMap> {
-        Some(&self.timeline.map)
+        Some(&self.core.timeline.map)
     }
 }
 
 impl Burst for StreamLink {
     fn arm(&mut self) -> Result<(), LinkError> {
-        self.ask_numbered(
-            &Message::CaptureArm(CaptureControl::Arm),
-            "start of a capture",
-            |message| matches!(message, Message::CaptureStatus(_)).then_some(()),
-        )
-        .map(drop)
+        let question = Message::CaptureArm(CaptureControl::Arm);
+        let answer = self.ask_numbered(&question, "start of a capture", capture_status);
+        answer.map(drop)
     }
 
     fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
-        let status = self.capture_status()?;
-        if status.value.state != CaptureState::Complete {
+        let question = Message::CaptureStatusRequest;
+        let what = "the state of the capture";
+        let answer = self.read_with_retries(&question, what, capture_status)?;
+        let (status, drive_us) = answer.value;
+        if status.state != CaptureState::Complete {
             return Ok(None);
         }
-        let (count, first_us) = (status.value.count, status.value.first_time_us);
-        let now_s = self
-            .timeline
-            .note(status.drive_us, status.asked_s, status.answered_s);
-        let age_us = signed_difference(status.drive_us, first_us);
-        let mut capture = Capture {
-            first_s: now_s - f64::from(age_us) * 1e-6,
-            period_s: self.capture_period_s,
-            samples: Vec::with_capacity(count.into()),
-        };
-        while capture.samples.len() < usize::from(count) {
-            let index = u16::try_from(capture.samples.len()).unwrap_or(u16::MAX);
-            let block = self.read_with_retries(
-                &Message::CaptureRequest(index),
-                "captured samples",
-                |message| match message {
+        let now_s = self.core.timeline.note(drive_us, answer.span);
+        let age_us = signed_difference(drive_us, status.first_time_us);
+        let first_s = now_s - f64::from(age_us) * 1e-6;
+        let period_s = self.core.capture_period_s;
+        let capture = Capture::collect(first_s, period_s, status.count, |index| {
+            let question = Message::CaptureRequest(index);
+            let block =
+                self.read_with_retries(&question, "captured samples", |message| match message {
                     Message::CaptureBlock(block)
                         if block.index == index && !block.samples().is_empty() =>
                     {
-                        Some(*block)
+                        Some(block.samples().to_vec())
                     }
                     _ => None,
-                },
-            )?;
-            capture.samples.extend_from_slice(block.value.samples());
-        }
-        Ok(Some(capture))
+                })?;
+            Ok(block.value.0)
+        });
+        capture.map(Some)
     }
 }
-
-#[cfg(test)]
-#[path = "stream_tests.rs"]
-mod tests;

@@ -157,28 +157,16 @@ mod tests {
                 deadline_ms: 1,
                 request: link(),
             }),
-            Err(LinkError::Corrupt {
-                link: link(),
-                reason: link(),
-            }),
-            Err(LinkError::Stale {
-                link: link(),
-                reason: link(),
-            }),
-            Err(LinkError::Mismatch {
-                link: link(),
-                reason: link(),
-            }),
+            Err(LinkError::Corrupt(link(), link())),
+            Err(LinkError::Stale(link(), link())),
+            Err(LinkError::Mismatch(link(), link())),
             Err(LinkError::Exception {
                 link: link(),
                 request: link(),
                 code: 2,
                 name: "x",
             }),
-            Err(LinkError::Gone {
-                link: link(),
-                reason: link(),
-            }),
+            Err(LinkError::Gone(link(), link())),
             Err(LinkError::Version {
                 link: link(),
                 found: 2,

@@ -5,6 +5,7 @@ use firmware_protocol::{Control, DeviceKind, Fault, IdentityError, State, Teleme
 
 use super::clock_map::{ClockMap, DriveClock, signed_difference};
 use super::link::{Identity, LinkError};
+use super::register_bus::Span;
 use crate::sample::{Applied, Channel, Demand, DriveState, Sample};
 
 /// The time axis of one connection. Drive time 0 is the first drive time that was seen, at `identify` where that
@@ -17,23 +18,17 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// Notes a drive time without a sample.
-    pub fn note(&mut self, time_us: u32, sent_s: f64, received_s: f64) -> f64 {
-        let time_s = self.clock.follow(time_us, received_s);
-        self.map.observe(sent_s, received_s, time_s);
+    /// Notes a drive time without a sample; returns it on the time axis, s.
+    pub fn note(&mut self, time_us: u32, span: Span) -> f64 {
+        let time_s = self.clock.follow(time_us, span.answered_s);
+        self.map.observe(span, time_s);
         time_s
     }
 
-    /// The sample of an exchange; host times of request and reply in s.
-    pub fn sample(
-        &mut self,
-        telemetry: &Telemetry,
-        seq: u64,
-        sent_s: f64,
-        received_s: f64,
-    ) -> Sample {
-        let mut sample = Sample::at(self.note(telemetry.time_us, sent_s, received_s));
-        sample.host_time_s = Some(received_s);
+    /// The sample of an exchange.
+    pub fn sample(&mut self, telemetry: &Telemetry, seq: u64, span: Span) -> Sample {
+        let mut sample = Sample::at(self.note(telemetry.time_us, span));
+        sample.host_time_s = Some(span.answered_s);
         sample.seq = Some(seq);
         sample.state = Some(match telemetry.status.state() {
             Some(State::Disabled) => DriveState::Disabled,
@@ -44,8 +39,9 @@ impl Timeline {
         });
         sample.status = Some(telemetry.status.0);
         sample.limited = telemetry.status.is_limited();
-        sample.fault = (telemetry.fault != Fault::None).then(|| telemetry.fault.code());
-        sample.fault_text = (telemetry.fault != Fault::None).then(|| telemetry.fault.text().into());
+        let fault = Some(telemetry.fault).filter(|fault| *fault != Fault::None);
+        sample.fault = fault.map(Fault::code);
+        sample.fault_text = fault.map(|fault| fault.text().into());
         sample.applied = (telemetry.seq == low_word(seq)).then(|| {
             let age_us = signed_difference(telemetry.time_us, telemetry.applied_us);
             Applied {
@@ -53,13 +49,17 @@ impl Timeline {
                 time_s: sample.time_s - f64::from(age_us) * 1e-6,
             }
         });
-        sample.set(Channel::VoltageCmd, telemetry.voltage_cmd_v);
-        sample.set(Channel::Voltage, telemetry.voltage_v);
-        sample.set(Channel::Current, telemetry.current_a);
-        sample.set(Channel::Speed, telemetry.speed_rad_s);
-        sample.set(Channel::Angle, self.unwrap_angle(telemetry.angle_rad));
-        sample.set(Channel::Bus, telemetry.bus_v);
-        sample.set(Channel::Temperature, telemetry.temperature_c);
+        for (channel, value) in [
+            (Channel::VoltageCmd, telemetry.voltage_cmd_v),
+            (Channel::Voltage, telemetry.voltage_v),
+            (Channel::Current, telemetry.current_a),
+            (Channel::Speed, telemetry.speed_rad_s),
+            (Channel::Angle, self.unwrap_angle(telemetry.angle_rad)),
+            (Channel::Bus, telemetry.bus_v),
+            (Channel::Temperature, telemetry.temperature_c),
+        ] {
+            sample.set(channel, value);
+        }
         sample
     }
 
@@ -116,18 +116,25 @@ pub fn identity_error(link: &str, error: IdentityError) -> LinkError {
             found,
             expected: PROTOCOL_VERSION,
         },
-        IdentityError::Magic(found) => LinkError::Identity {
+        IdentityError::Magic(found) => LinkError::Identity(
             link,
-            reason: format!(
+            format!(
                 "register 64 reads {found:#06x}, not 0x4442: this drive does not have drivebench's register map"
             ),
-        },
+        ),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn span(asked_s: f64, answered_s: f64) -> Span {
+        Span {
+            asked_s,
+            answered_s,
+        }
+    }
 
     fn telemetry(seq: u16, time_us: u32, applied_us: u32) -> Telemetry {
         Telemetry {
@@ -142,8 +149,9 @@ mod tests {
     #[test]
     fn the_applied_time_is_on_the_axis_of_the_sample_across_a_turn_of_the_counter() {
         let mut timeline = Timeline::default();
-        timeline.note(u32::MAX - 1499, 1.0, 1.001);
-        let sample = timeline.sample(&telemetry(5, 500, u32::MAX - 499), 65_541, 1.002, 1.003);
+        timeline.note(u32::MAX - 1499, span(1.0, 1.001));
+        let telemetry = telemetry(5, 500, u32::MAX - 499);
+        let sample = timeline.sample(&telemetry, 65_541, span(1.002, 1.003));
         assert!((sample.time_s - 0.002).abs() < 1e-12);
         let applied = sample.applied.unwrap();
         assert_eq!(applied.seq, 65_541);
@@ -154,7 +162,7 @@ mod tests {
 
     #[test]
     fn a_command_that_the_drive_does_not_report_has_no_applied_time() {
-        let sample = Timeline::default().sample(&telemetry(4, 10, 5), 5, 0.0, 0.0);
+        let sample = Timeline::default().sample(&telemetry(4, 10, 5), 5, span(0.0, 0.0));
         assert_eq!(sample.applied, None);
     }
 

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::guard::now;
-use super::profile::{Framing, LinkSettings};
+use super::settings::{Framing, LinkSettings};
 
 /// What adapter, kernel and host may add to an exchange.
 const HOST_ALLOWANCE: Duration = Duration::from_millis(40);

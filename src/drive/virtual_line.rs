@@ -1,4 +1,5 @@
-//! A line in memory on a clock that stands still while anything works and jumps when all wait.
+//! A line in memory on a clock that stands still while anything works and jumps when all wait; and a drive with a register
+//! map of its own at its far end, for the tests of whoever uses drives.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -12,20 +13,42 @@ use tokio::runtime::{Builder, Handle, Runtime};
 use tokio::time::Sleep;
 
 use super::guard::now;
+use super::link::DriveLink;
+use super::modbus::{ModbusBus, ModbusLink};
 use super::port::TimedPort;
+use super::profile::DriveProfile;
+use super::profiled::ProfiledLink;
+use super::reply::FrameKind;
+use super::settings::LinkSettings;
+use super::timing::LineTiming;
 
 std::thread_local! {
     static PAUSED: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
 }
 
-/// A runtime whose clock is paused, for the thread that has entered it.
-pub(super) fn paused_runtime() -> Runtime {
+/// Works on a clock that is paused, within the runtime that it gets.
+pub(super) fn paused<R>(work: impl FnOnce(Runtime) -> R) -> R {
     PAUSED.set(true);
-    Builder::new_current_thread()
+    let runtime = Builder::new_current_thread()
         .enable_time()
         .start_paused(true)
-        .build()
-        .unwrap()
+        .build();
+    let runtime = runtime.unwrap();
+    let handle = runtime.handle().clone();
+    let _entered = handle.enter();
+    work(runtime)
+}
+
+/// A Modbus link over a line in memory.
+pub(super) fn modbus_link<D: Device + 'static>(
+    runtime: Runtime,
+    settings: &LinkSettings,
+    device: &Arc<Mutex<D>>,
+) -> ModbusLink {
+    let timing = LineTiming::serial(settings, settings.baud, true);
+    let port = Box::new(VirtualPort::new(Arc::clone(device)));
+    let (name, kind) = ("virtual".to_owned(), FrameKind::Rtu);
+    ModbusLink::new(name, runtime, port, kind, settings.unit, timing, now())
 }
 
 /// On a thread with a paused clock: sets it forward.
@@ -151,4 +174,52 @@ impl<D: Device> TimedPort for VirtualPort<D> {
         self.send(bytes);
         Ok(bytes.len())
     }
+}
+
+/// What hears bytes at a time, s, and says which bytes come back at which times.
+pub(crate) trait FarEnd: Send {
+    fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)>;
+}
+
+/// Time of a line in memory.
+#[derive(Clone, Copy)]
+pub(crate) struct LineTime(Instant);
+
+impl LineTime {
+    pub(crate) fn now_s(self) -> f64 {
+        now().saturating_duration_since(self.0).as_secs_f64()
+    }
+
+    pub(crate) fn skip_to_s(self, time_s: f64) {
+        // A nanosecond more, so that a wait never ends early.
+        skip_to(self.0 + Duration::from_secs_f64(time_s) + Duration::from_nanos(1));
+    }
+}
+
+struct Far<F>(LineTime, Arc<Mutex<F>>);
+
+impl<F: FarEnd> Device for Far<F> {
+    fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
+        let now_s = self.0.now_s();
+        let sent = self.1.lock().unwrap().hear(now_s, bytes);
+        let sent = sent.into_iter();
+        sent.map(|(at_s, bytes)| (Duration::from_secs_f64((at_s - now_s).max(0.0)), bytes))
+            .collect()
+    }
+}
+
+/// Works with the drive of this profile; every wait of the calling thread is virtual meanwhile.
+pub(crate) fn on_a_line<F: FarEnd + 'static, R>(
+    profile: &DriveProfile,
+    far: Arc<Mutex<F>>,
+    work: impl FnOnce(&mut dyn DriveLink, LineTime) -> R,
+) -> R {
+    paused(|runtime| {
+        let time = LineTime(now());
+        let far = Arc::new(Mutex::new(Far(time, far)));
+        let link = modbus_link(runtime, &profile.link, &far);
+        let map = profile.registers.clone().unwrap();
+        let mut link = ProfiledLink::new(Arc::clone(&map), ModbusBus::new(link, &map));
+        work(&mut link, time)
+    })
 }

@@ -15,7 +15,9 @@ use super::config::LineConfig;
 use super::pace::Pace;
 use crate::drive::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use crate::drive::timeline::{self, Timeline};
-use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, signed_difference};
+use crate::drive::{
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, signed_difference,
+};
 use crate::sample::{Command, Demand, DriveState, Sample};
 
 /// Times that a stop is asked for before it counts as failed.
@@ -203,9 +205,11 @@ impl DriveLink for MemoryLink {
         )?;
         let telemetry = Telemetry::from_registers(&reply);
         let received_s = sent_s + self.latency.request_s + self.latency.reply_s;
-        Ok(self
-            .timeline
-            .sample(&telemetry, command.seq, sent_s, received_s))
+        let span = Span {
+            asked_s: sent_s,
+            answered_s: received_s,
+        };
+        Ok(self.timeline.sample(&telemetry, command.seq, span))
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
@@ -218,10 +222,10 @@ impl DriveLink for MemoryLink {
                 return Ok(());
             }
         }
-        Err(LinkError::Corrupt {
-            link: self.name().0,
-            reason: "the drive still runs after it was told to stop".to_owned(),
-        })
+        Err(LinkError::Corrupt(
+            self.name().0,
+            "the drive still runs after it was told to stop".to_owned(),
+        ))
     }
 
     fn statistics(&self) -> LinkStatistics {
@@ -257,7 +261,11 @@ impl Burst for MemoryLink {
         let block = self.ask(None, TELEMETRY_ADDRESS, "read the telemetry")?;
         let time_us = Telemetry::from_registers(&block).time_us;
         let now_s = self.clock.time_s();
-        let time_s = self.timeline.note(time_us, now_s, now_s);
+        let span = Span {
+            asked_s: now_s,
+            answered_s: now_s,
+        };
+        let time_s = self.timeline.note(time_us, span);
         let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
         let mut capture = Capture {
             first_s: time_s - f64::from(age_us) * 1e-6,

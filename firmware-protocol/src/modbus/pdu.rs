@@ -1,5 +1,7 @@
 //! The slave's side of the application protocol (MODBUS Application Protocol Specification V1.1b3, sections 6 and 7).
 
+use crate::codes::coded;
+
 /// Longest PDU, bytes.
 pub const MAX_PDU: usize = 253;
 
@@ -20,31 +22,19 @@ const CONFORMITY: u8 = 0x82;
 const LAST_BASIC_OBJECT: u8 = 2;
 const LAST_REGULAR_OBJECT: u8 = 6;
 
-/// Why a request is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exception {
-    /// 01: the function code is not served.
-    IllegalFunction,
-    /// 02: an address of the range has no register, or may not be written.
-    IllegalAddress,
-    /// 03: quantity, length or value is not allowed.
-    IllegalValue,
-    /// 04: the drive failed while it acted.
-    DeviceFailure,
-    /// 06: the drive is busy, ask again.
-    Busy,
-}
-
-impl Exception {
-    /// Code on the wire.
-    pub const fn code(self) -> u8 {
-        match self {
-            Self::IllegalFunction => 1,
-            Self::IllegalAddress => 2,
-            Self::IllegalValue => 3,
-            Self::DeviceFailure => 4,
-            Self::Busy => 6,
-        }
+coded! {
+    /// Why a request is refused.
+    Exception: u8 {
+        /// 01: the function code is not served.
+        IllegalFunction = 1,
+        /// 02: an address of the range has no register, or may not be written.
+        IllegalAddress = 2,
+        /// 03: quantity, length or value is not allowed.
+        IllegalValue = 3,
+        /// 04: the drive failed while it acted.
+        DeviceFailure = 4,
+        /// 06: the drive is busy, ask again.
+        Busy = 6,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::capture::{CaptureBlock, CaptureStatus};
 use crate::capture::CaptureControl;
+use crate::codes::coded;
 use crate::command::DriveCommand;
 use crate::identity::Identity;
 use crate::registers as r;
@@ -88,33 +89,9 @@ pub struct Refusal {
     pub code: ErrorCode,
 }
 
-/// Declares an enumeration with its codes on the wire.
-macro_rules! coded {
-    ($(#[$about:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $code:literal,)* }) => {
-        $(#[$about])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum $name { $($(#[$doc])* $variant,)* }
-
-        impl $name {
-            /// Every value, by rising code.
-            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
-
-            /// Code on the wire.
-            pub const fn code(self) -> u8 {
-                match self { $(Self::$variant => $code),* }
-            }
-
-            /// The value of a code, if there is one.
-            pub const fn from_code(code: u8) -> Option<Self> {
-                match code { $($code => Some(Self::$variant),)* _ => None }
-            }
-        }
-    };
-}
-
 coded! {
     /// Type byte; answers of the drive have bit 7 set.
-    MessageType {
+    MessageType: u8 {
         /// [`Message::Hello`].
         Hello = 0x01,
         /// [`Message::Command`].
@@ -144,7 +121,7 @@ coded! {
 
 coded! {
     /// Why a question is refused.
-    ErrorCode {
+    ErrorCode: u8 {
         /// The type is not known to this drive.
         UnknownMessage = 1,
         /// The payload has the wrong length or carries a code that does not exist.

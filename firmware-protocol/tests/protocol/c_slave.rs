@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::LazyLock;
 
-use firmware_protocol::modbus::{RegisterBank, RtuReceiver, rtu};
+use firmware_protocol::modbus::{RtuReceiver, rtu};
 use firmware_protocol::stream::{
     self, CaptureBlock, CaptureStatus, Decoder, ErrorCode, Frame, FrameError, Message, Refusal,
 };
@@ -15,8 +15,8 @@ use proptest::test_runner::TestRunner;
 use tempfile::TempDir;
 
 use crate::c_compiler;
-use crate::properties::{config, line, pdu, rtu_frame};
-use crate::support::{Bank, UNIT, file, hex};
+use crate::properties::{config, line, pdu};
+use crate::support::{Bank, UNIT, file, hex, noise, response, rtu_frame, serve, stream_frame};
 
 /// Built once for all tests of this process; `None` where it is left out.
 static REPLAY: LazyLock<Option<(TempDir, PathBuf)>> = LazyLock::new(|| {
@@ -207,33 +207,16 @@ fn any_rtu_dialogue_gets_the_same_answers_from_the_c_slave() {
     let turns = prop::collection::vec(turn, 1..20);
     compare("rtu", &turns, |turns| {
         let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
-        let mut said = Vec::new();
-        for turn in turns {
-            let mut answers = Vec::new();
-            let mut take = |receiver: &mut RtuReceiver| {
-                while let Some(frame) = receiver.take_frame() {
-                    let mut out = [0; rtu::MAX_FRAME];
-                    let length = frame.answer(&mut bank, &mut out);
-                    if length > 0 {
-                        answers.push(hex(&out[..length]));
-                    }
-                }
+        let said = turns.iter().map(|turn| {
+            let (bytes, gap) = match turn {
+                Turn::Bytes(bytes) => (&bytes[..], false),
+                Turn::Silence => (&[][..], true),
             };
-            match turn {
-                Turn::Bytes(bytes) => {
-                    for byte in bytes {
-                        receiver.push(*byte);
-                        take(&mut receiver);
-                    }
-                }
-                Turn::Silence => {
-                    receiver.idle();
-                    take(&mut receiver);
-                }
-            }
-            said.push(answers);
-        }
-        said
+            let mut answers = serve(&mut receiver, &mut bank, bytes, gap);
+            answers.retain(|answer| !answer.is_empty());
+            answers
+        });
+        said.collect()
     });
 }
 
@@ -268,22 +251,15 @@ fn any_stream_dialogue_gets_the_same_answers_from_the_c_slave() {
     let turns = prop::collection::vec(turn, 1..20);
     compare("stream", &turns, |turns| {
         let (mut decoder, mut bank) = (Decoder::new(), Bank::new());
-        let mut said = Vec::new();
-        for turn in turns {
-            let Turn::Bytes(bytes) = turn else { continue };
+        let said = turns.iter().map(|turn| {
+            let Turn::Bytes(bytes) = turn else {
+                return Vec::new();
+            };
             let received = bytes.iter().filter_map(|byte| decoder.push(*byte));
             let answers = received.filter_map(|received| answer(&mut bank, &received));
-            said.push(
-                answers
-                    .map(|frame| {
-                        let mut out = [0; stream::MAX_FRAME];
-                        let length = stream::encode(&frame, &mut out);
-                        hex(&out[..length])
-                    })
-                    .collect(),
-            );
-        }
-        said
+            answers.map(|frame| hex(&stream_frame(&frame))).collect()
+        });
+        said.collect()
     });
 }
 
@@ -300,55 +276,61 @@ fn stuffed(plain: &[u8]) -> Vec<u8> {
 
 /// The stream as SPEC.md tells it, over the same bank.
 fn answer(bank: &mut Bank, received: &Result<Frame, FrameError>) -> Option<Frame> {
-    let refuse = |seq, kind, code| Some((seq, Message::Error(Refusal { kind, code })));
+    let refusal = |kind, code| Message::Error(Refusal { kind, code });
     let (seq, message) = match received {
-        Ok(frame) => {
-            let refused = |code| refuse(frame.seq, frame.message.kind().code(), code);
-            match &frame.message {
-                Message::Hello => Some((frame.seq, Message::Identity(bank.identity))),
-                Message::Command(command) if !bank.supports(command.control) => {
-                    refused(ErrorCode::NotSupported)
-                }
-                Message::Command(command) => {
-                    bank.command.set(*command);
-                    bank.apply(*command);
-                    return Some(Frame::telemetry(frame.seq, bank.sample(true)));
-                }
-                Message::TelemetryRequest => {
-                    return Some(Frame::telemetry(frame.seq, bank.sample(true)));
-                }
-                Message::SetWatchdog(ms) if !registers::WATCHDOG.allows((*ms).into()) => {
-                    refused(ErrorCode::OutOfRange)
-                }
-                Message::SetWatchdog(ms) => {
-                    bank.identity.watchdog_ms = *ms;
-                    Some((frame.seq, Message::Identity(bank.identity)))
-                }
-                Message::CaptureArm(control) => {
-                    bank.control_capture(*control);
-                    Some((frame.seq, capture_status(bank)))
-                }
-                Message::CaptureStatusRequest => Some((frame.seq, capture_status(bank))),
-                Message::CaptureRequest(index) => {
-                    let block = CaptureBlock::new(*index, &[]);
-                    Some((frame.seq, Message::CaptureBlock(block)))
-                }
-                _ => None,
-            }
-        }
+        Ok(Frame { seq, message, .. }) => (*seq, reply(bank, message)?),
         Err(FrameError::UnknownType { kind, seq }) if kind & 0x80 == 0 => {
-            refuse(*seq, *kind, ErrorCode::UnknownMessage)
+            (*seq, refusal(*kind, ErrorCode::UnknownMessage))
         }
         Err(FrameError::Payload { kind, seq }) if kind & 0x80 == 0 => {
-            refuse(*seq, *kind, ErrorCode::BadPayload)
+            (*seq, refusal(*kind, ErrorCode::BadPayload))
         }
-        Err(_) => None,
-    }?;
+        Err(_) => return None,
+    };
+    if let Message::Telemetry(telemetry) = message {
+        return Some(Frame::telemetry(seq, telemetry));
+    }
+    let time_us = bank.telemetry.time_us;
     Some(Frame {
         seq,
-        time_us: bank.telemetry.time_us,
+        time_us,
         message,
     })
+}
+
+fn reply(bank: &mut Bank, question: &Message) -> Option<Message> {
+    let refused = |code| {
+        let kind = question.kind().code();
+        Some(Message::Error(Refusal { kind, code }))
+    };
+    match question {
+        Message::Hello => Some(Message::Identity(bank.identity)),
+        Message::Command(command) if !bank.supports(command.control) => {
+            refused(ErrorCode::NotSupported)
+        }
+        Message::Command(command) => {
+            bank.command.set(*command);
+            bank.apply(*command);
+            Some(Message::Telemetry(bank.sample(true)))
+        }
+        Message::TelemetryRequest => Some(Message::Telemetry(bank.sample(true))),
+        Message::SetWatchdog(ms) if !registers::WATCHDOG.allows((*ms).into()) => {
+            refused(ErrorCode::OutOfRange)
+        }
+        Message::SetWatchdog(ms) => {
+            bank.identity.watchdog_ms = *ms;
+            Some(Message::Identity(bank.identity))
+        }
+        Message::CaptureArm(control) => {
+            bank.control_capture(*control);
+            Some(capture_status(bank))
+        }
+        Message::CaptureStatusRequest => Some(capture_status(bank)),
+        Message::CaptureRequest(index) => {
+            Some(Message::CaptureBlock(CaptureBlock::new(*index, &[])))
+        }
+        _ => None,
+    }
 }
 
 fn capture_status(bank: &Bank) -> Message {
@@ -366,17 +348,10 @@ fn any_noise_leaves_the_c_slave_listening() {
     };
     let mut stream_talk = Talk::start("stream").expect("it was built");
     let request = rtu_frame(UNIT, &[3, 0, 0, 0, 16]);
-    let mut hello = [0; stream::MAX_FRAME];
-    let length = stream::encode(&Frame::ask(7, Message::Hello), &mut hello);
-    let hello = hex(&hello[..length]);
-    let mut noise = 1_u32;
+    let hello = hex(&stream_frame(&Frame::ask(7, Message::Hello)));
+    let mut noise = noise(1);
     for _ in 0..20 {
-        let bytes: Vec<u8> = (0..65_536 / 16)
-            .map(|_| {
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                noise.to_be_bytes()[0]
-            })
-            .collect();
+        let bytes: Vec<u8> = noise.by_ref().take(65_536 / 16).collect();
         rtu_talk.ask(&hex(&bytes));
         rtu_talk.ask("idle");
         assert_eq!(rtu_talk.ask(&hex(&request)).len(), 1);
@@ -396,16 +371,9 @@ fn every_register_is_read_alike_by_the_c_slave() {
     let last = REGISTERS.last().expect("a table").address + 200;
     for address in 0..last {
         let [high, low] = address.to_be_bytes();
-        let request = rtu_frame(UNIT, &[3, high, low, 0, 1]);
-        let mut out = [0];
-        let pdu = match bank.read(address, &mut out) {
-            Ok(()) => [&[3, 2], &out[0].to_be_bytes()[..]].concat(),
-            Err(exception) => vec![0x83, exception.code()],
-        };
-        assert_eq!(
-            talk.ask(&hex(&request)),
-            [hex(&rtu_frame(UNIT, &pdu))],
-            "{address}"
-        );
+        let request = [3, high, low, 0, 1];
+        let wanted = hex(&rtu_frame(UNIT, &response(&mut bank, &request)));
+        let said = talk.ask(&hex(&rtu_frame(UNIT, &request)));
+        assert_eq!(said, [wanted], "{address}");
     }
 }

@@ -6,7 +6,7 @@ use firmware_protocol::REGISTERS;
 use firmware_protocol::registers::{COMMAND_ADDRESS, IDENTITY_ADDRESS, Register};
 use firmware_protocol::stream::MessageType;
 
-use crate::support::{file, hex, unhex};
+use crate::support::{committed, hex, unhex};
 
 /// What a field is called, and its bytes.
 type Field = (String, usize);
@@ -92,11 +92,11 @@ pub(crate) fn modbus() -> String {
 
 /// Every frame of the vectors of the stream, one of each type.
 pub(crate) fn stream() -> String {
-    let committed = std::fs::read_to_string(file("vectors/stream.txt")).expect("committed");
+    let vectors = committed("vectors/stream.txt");
     let mut text = String::new();
     let mut seen = Vec::new();
     let mut shows = "";
-    for line in committed.lines() {
+    for line in vectors.lines() {
         if let Some(comment) = line.strip_prefix("# ") {
             shows = comment;
             continue;
@@ -207,8 +207,8 @@ fn take_apart(text: &mut String, who: &str, bytes: &[u8], fields: &[Field]) {
 
 /// Request and response of the vector that shows this.
 fn exchange(shows: &str) -> [Vec<u8>; 2] {
-    let committed = std::fs::read_to_string(file("vectors/modbus-rtu.txt")).expect("committed");
-    let mut lines = committed
+    let vectors = committed("vectors/modbus-rtu.txt");
+    let mut lines = vectors
         .lines()
         .skip_while(|line| line.strip_prefix("# ") != Some(shows));
     let mut side = |mark: &str| {

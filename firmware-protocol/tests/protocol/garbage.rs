@@ -4,8 +4,8 @@ use firmware_protocol::modbus::{MAX_PDU, RtuReceiver, TcpReceiver, rtu, tcp};
 use firmware_protocol::stream::{self, Decoder};
 use proptest::prelude::*;
 
-use crate::properties::{config, rtu_frame};
-use crate::support::UNIT;
+use crate::properties::config;
+use crate::support::{UNIT, noise, rtu_frame};
 
 const LONG: usize = 65_536;
 /// Three checksums of a longest frame for each byte: as request, as answer of another, and once more while it waits.
@@ -60,11 +60,7 @@ proptest! {
 
     #[test]
     fn random_garbage_costs_the_rtu_receiver_no_more(seed in any::<u32>()) {
-        let mut state = seed;
-        let bytes = (0..LONG).map(|_| {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            state.to_be_bytes()[0]
-        });
+        let bytes = noise(seed).take(LONG);
         prop_assert!(rtu_work(bytes, false) <= MOST_WORK_PER_BYTE * LONG as u64);
     }
 

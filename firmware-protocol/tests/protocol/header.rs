@@ -22,10 +22,6 @@ fn the_c_header_is_fresh() {
     assert_fresh(NAME, &header());
 }
 
-#[expect(
-    clippy::too_many_lines,
-    reason = "the file from its first line to its last"
-)]
 fn header() -> String {
     let mut text = "/* Generated from firmware-protocol/src/registers.rs; see SPEC.md. Do not edit.\n   DB_REG_*: protocol address; *_PER_UNIT: raw steps in one SI unit; DB_STREAM_*: the same value on the stream. */\n#ifndef DRIVE_PROTOCOL_H\n#define DRIVE_PROTOCOL_H\n\n".to_owned();
     let mut define = |name: &str, value: String| {
@@ -34,19 +30,20 @@ fn header() -> String {
     };
     define("PROTOCOL_VERSION", PROTOCOL_VERSION.to_string());
     define("MAGIC", format!("0x{MAGIC:04X}"));
-    define("TELEMETRY_WORDS", TELEMETRY_WORDS.to_string());
-    define("COMMAND_WORDS", COMMAND_WORDS.to_string());
-    define("IDENTITY_WORDS", IDENTITY_WORDS.to_string());
-    define("CAPTURE_WINDOW_SAMPLES", CAPTURE_WINDOW_SAMPLES.to_string());
-    define("MODBUS_MAX_PDU", MAX_PDU.to_string());
-    define("RTU_MAX_FRAME", rtu::MAX_FRAME.to_string());
-    define("STREAM_HEADER", stream::HEADER.to_string());
-    define("STREAM_MAX_PAYLOAD", stream::MAX_PAYLOAD.to_string());
-    define("STREAM_MAX_FRAME", stream::MAX_FRAME.to_string());
-    define(
-        "STREAM_BLOCK_SAMPLES",
-        stream::CAPTURE_BLOCK_SAMPLES.to_string(),
-    );
+    for (name, number) in [
+        ("TELEMETRY_WORDS", TELEMETRY_WORDS),
+        ("COMMAND_WORDS", COMMAND_WORDS),
+        ("IDENTITY_WORDS", IDENTITY_WORDS),
+        ("CAPTURE_WINDOW_SAMPLES", CAPTURE_WINDOW_SAMPLES.into()),
+        ("MODBUS_MAX_PDU", MAX_PDU),
+        ("RTU_MAX_FRAME", rtu::MAX_FRAME),
+        ("STREAM_HEADER", stream::HEADER),
+        ("STREAM_MAX_PAYLOAD", stream::MAX_PAYLOAD),
+        ("STREAM_MAX_FRAME", stream::MAX_FRAME),
+        ("STREAM_BLOCK_SAMPLES", stream::CAPTURE_BLOCK_SAMPLES),
+    ] {
+        define(name, number.to_string());
+    }
     define("STREAM_NOT_AVAILABLE", "(-2147483647 - 1)".to_owned());
     for register in REGISTERS {
         let name = format!("REG_{}", register.name);
@@ -79,7 +76,7 @@ fn header() -> String {
     ] {
         define(&format!("STATUS_{name}"), format!("0x{flag:04X}"));
     }
-    for state in [State::Disabled, State::Ready, State::Running, State::Fault] {
+    for state in State::ALL {
         define(&format!("STATE_{state:?}"), state.code().to_string());
     }
     for (name, control) in [
@@ -100,48 +97,27 @@ fn header() -> String {
     ] {
         define(&format!("KIND_{name}"), format!("0x{flag:04X}"));
     }
-    for control in [
-        CaptureControl::Abort,
-        CaptureControl::Arm,
-        CaptureControl::Start,
-    ] {
+    for control in CaptureControl::ALL {
         let name = format!("CAPTURE_CONTROL_{control:?}");
         define(&name, control.code().to_string());
     }
-    for state in [
-        CaptureState::Empty,
-        CaptureState::Armed,
-        CaptureState::Recording,
-        CaptureState::Complete,
-    ] {
+    for state in CaptureState::ALL {
         define(&format!("CAPTURE_{state:?}"), state.code().to_string());
     }
-    for exception in [
-        Exception::IllegalFunction,
-        Exception::IllegalAddress,
-        Exception::IllegalValue,
-        Exception::DeviceFailure,
-        Exception::Busy,
-    ] {
-        define(
-            &format!("EXCEPTION{}", words(&format!("{exception:?}"))),
-            exception.code().to_string(),
-        );
+    for exception in Exception::ALL {
+        let name = words(&format!("{exception:?}"));
+        define(&format!("EXCEPTION{name}"), exception.code().to_string());
     }
-    for fault in Fault::ALL {
+    for fault in Fault::all() {
         define(&format!("FAULT_{}", fault.name()), fault.code().to_string());
     }
     for kind in MessageType::ALL {
-        define(
-            &format!("MESSAGE{}", words(&format!("{kind:?}"))),
-            format!("0x{:02X}", kind.code()),
-        );
+        let name = words(&format!("{kind:?}"));
+        define(&format!("MESSAGE{name}"), format!("0x{:02X}", kind.code()));
     }
     for error in ErrorCode::ALL {
-        define(
-            &format!("ERROR{}", words(&format!("{error:?}"))),
-            error.code().to_string(),
-        );
+        let name = words(&format!("{error:?}"));
+        define(&format!("ERROR{name}"), error.code().to_string());
     }
     text + &table() + "\n#endif\n"
 }

@@ -1,16 +1,20 @@
 //! Slave codec: examples of the Modbus specification, every exception, framing.
 
-use crate::support::{Bank, UNIT, hex, unhex};
+use firmware_protocol::modbus::tcp::TcpError;
 use firmware_protocol::modbus::{
-    Exception, MAX_PDU, RegisterBank, RtuReceiver, TcpReceiver, expected_response_len, request_len,
-    respond, response_len, rtu, tcp,
+    Exception, Length, MAX_PDU, RegisterBank, RtuReceiver, TcpReceiver, expected_response_len,
+    request_len, response_len, rtu, tcp,
 };
-use firmware_protocol::modbus::{Length, tcp::TcpError};
 
-fn ask(bank: &mut impl RegisterBank, request: &str) -> String {
-    let mut response = [0; MAX_PDU];
-    let length = respond(bank, &unhex(request), &mut response);
-    hex(&response[..length])
+use crate::support::{Bank, UNIT, hex, response, rtu_frame, serve, unhex};
+
+/// What is wrong of these questions with their answers, asked one after the other.
+#[track_caller]
+fn answers(bank: &mut impl RegisterBank, dialogue: &[(&str, &str)]) {
+    for (request, answer) in dialogue {
+        let said = hex(&response(bank, &unhex(request)));
+        assert_eq!(said, *answer, "to {request}");
+    }
 }
 
 /// 65536 registers without rules.
@@ -36,61 +40,45 @@ impl RegisterBank for Memory {
 fn the_examples_of_the_modbus_specification_are_answered_as_printed_there() {
     let mut memory = Memory(vec![0; 0x1_0000]);
     memory.0[107..110].copy_from_slice(&[0x022B, 0x0000, 0x0064]);
-    assert_eq!(
-        ask(&mut memory, "03 00 6b 00 03"),
-        "03 06 02 2b 00 00 00 64"
-    );
     memory.0[8] = 10;
-    assert_eq!(ask(&mut memory, "04 00 08 00 01"), "04 02 00 0a");
-    assert_eq!(ask(&mut memory, "06 00 01 00 03"), "06 00 01 00 03");
-    assert_eq!(memory.0[1], 3);
-    assert_eq!(
-        ask(&mut memory, "10 00 01 00 02 04 00 0a 01 02"),
-        "10 00 01 00 02"
-    );
+    let dialogue = [
+        ("03 00 6b 00 03", "03 06 02 2b 00 00 00 64"),
+        ("04 00 08 00 01", "04 02 00 0a"),
+        ("06 00 01 00 03", "06 00 01 00 03"),
+        ("03 00 01 00 01", "03 02 00 03"),
+        ("10 00 01 00 02 04 00 0a 01 02", "10 00 01 00 02"),
+        ("08 00 00 a5 37", "08 00 00 a5 37"),
+    ];
+    answers(&mut memory, &dialogue);
     assert_eq!(memory.0[1..3], [0x000A, 0x0102]);
-    assert_eq!(ask(&mut memory, "08 00 00 a5 37"), "08 00 00 a5 37");
     memory.0[3..9].copy_from_slice(&[0x00FE, 0x0ACD, 1, 3, 0x000D, 0x00FF]);
-    assert_eq!(
-        ask(
-            &mut memory,
-            "17 00 03 00 06 00 0e 00 03 06 00 ff 00 ff 00 ff"
-        ),
-        "17 0c 00 fe 0a cd 00 01 00 03 00 0d 00 ff"
-    );
+    let both = "17 00 03 00 06 00 0e 00 03 06 00 ff 00 ff 00 ff";
+    let read = "17 0c 00 fe 0a cd 00 01 00 03 00 0d 00 ff";
+    answers(&mut memory, &[(both, read)]);
     assert_eq!(memory.0[14..17], [0xFF; 3]);
-}
-
-#[test]
-fn function_23_writes_before_it_reads() {
-    let mut memory = Memory(vec![0; 0x1_0000]);
-    assert_eq!(
-        ask(&mut memory, "17 00 20 00 01 00 20 00 01 02 be ef"),
-        "17 02 be ef"
-    );
+    // It writes before it reads.
+    let same = "17 00 20 00 01 00 20 00 01 02 be ef";
+    answers(&mut memory, &[(same, "17 02 be ef")]);
 }
 
 #[test]
 fn the_last_address_is_served_and_a_range_past_it_is_refused() {
     let mut memory = Memory(vec![7; 0x1_0000]);
-    assert_eq!(ask(&mut memory, "03 ff ff 00 01"), "03 02 00 07");
-    assert_eq!(ask(&mut memory, "03 ff ff 00 02"), "83 02");
-    assert_eq!(ask(&mut memory, "10 ff ff 00 02 04 00 00 00 00"), "90 02");
-    assert_eq!(
-        ask(&mut memory, "17 00 00 00 01 ff ff 00 02 04 00 00 00 00"),
-        "97 02"
-    );
-    assert_eq!(
-        ask(&mut memory, "17 ff ff 00 02 00 00 00 01 02 00 00"),
-        "97 02"
-    );
+    let dialogue = [
+        ("03 ff ff 00 01", "03 02 00 07"),
+        ("03 ff ff 00 02", "83 02"),
+        ("10 ff ff 00 02 04 00 00 00 00", "90 02"),
+        ("17 00 00 00 01 ff ff 00 02 04 00 00 00 00", "97 02"),
+        ("17 ff ff 00 02 00 00 00 01 02 00 00", "97 02"),
+    ];
+    answers(&mut memory, &dialogue);
     assert_eq!(memory.0[0], 7, "a refused request has no effect");
 }
 
 #[test]
 fn wrong_quantities_lengths_and_functions_have_their_exceptions() {
     let bank = &mut Bank::new();
-    for (request, answer) in [
+    let dialogue = [
         ("03 00 00 00 00", "83 03"),
         ("03 00 00 00 7e", "83 03"),
         ("04 00 00 00 00", "84 03"),
@@ -113,13 +101,11 @@ fn wrong_quantities_lengths_and_functions_have_their_exceptions() {
         ("2b 0e 05 00", "ab 03"),
         ("2b 0e 04 09", "ab 02"),
         ("", ""),
-    ] {
-        assert_eq!(ask(bank, request), answer, "request {request}");
-    }
+    ];
+    answers(bank, &dialogue);
     assert_eq!(bank.writes, 0);
-    let mut response = [0; MAX_PDU];
     let memory = &mut Memory(vec![0; 256]);
-    assert_eq!(respond(memory, &[3, 0, 0, 0, 125], &mut response), 252);
+    assert_eq!(response(memory, &[3, 0, 0, 0, 125]).len(), 252);
     for (function, most) in [(0x10_u8, 123_u8), (0x17, 121)] {
         for (quantity, answer) in [(most, 0), (most + 1, 0x80)] {
             let mut request = vec![function];
@@ -128,9 +114,8 @@ fn wrong_quantities_lengths_and_functions_have_their_exceptions() {
             }
             request.extend([0, 0, 0, quantity, 2 * quantity]);
             request.resize(request.len() + 2 * usize::from(quantity), 0);
-            let mut response = [0; MAX_PDU];
-            respond(&mut Memory(vec![0; 256]), &request, &mut response);
-            assert_eq!(response[0], function | answer, "{quantity} registers");
+            let said = response(memory, &request)[0];
+            assert_eq!(said, function | answer, "{quantity} registers");
         }
     }
 }
@@ -138,7 +123,7 @@ fn wrong_quantities_lengths_and_functions_have_their_exceptions() {
 #[test]
 fn the_table_guards_addresses_access_halves_and_ranges() {
     let bank = &mut Bank::new();
-    for (request, answer) in [
+    let dialogue = [
         ("03 00 10 00 01", "83 02"), // nothing at 16
         ("03 00 0f 00 02", "83 02"), // runs out of the block
         ("06 00 07 00 00", "86 02"), // telemetry is read-only
@@ -149,12 +134,11 @@ fn the_table_guards_addresses_access_halves_and_ranges() {
         ("06 00 49 13 89", "86 03"),                // watchdog 5001 ms
         ("10 00 22 00 02 04 80 00 00 00", "90 03"), // set-point "not available"
         ("17 00 10 00 01 00 49 00 01 02 00 64", "97 02"), // unreadable: nothing is written
-    ] {
-        assert_eq!(ask(bank, request), answer, "request {request}");
-    }
+    ];
+    answers(bank, &dialogue);
     assert_eq!(bank.writes, 0);
-    assert_eq!(ask(bank, "06 00 49 13 88"), "06 00 49 13 88");
-    assert_eq!(ask(bank, "06 00 21 00 03"), "06 00 21 00 03");
+    let taken = ["06 00 49 13 88", "06 00 21 00 03"];
+    answers(bank, &taken.map(|request| (request, request)));
     assert_eq!(bank.writes, 2);
 }
 
@@ -165,9 +149,8 @@ fn a_long_identification_comes_in_several_answers() {
     let mut seen = Vec::new();
     let mut object = 0;
     loop {
-        let mut response = [0; MAX_PDU];
-        let length = respond(bank, &[43, 14, 2, object], &mut response);
-        assert_eq!(response_len(&response[..length]), Length::Known(length));
+        let response = response(bank, &[43, 14, 2, object]);
+        assert_eq!(response_len(&response), Length::Known(response.len()));
         let number = response[6];
         seen.extend((0..usize::from(number)).map(|k| response[7 + 102 * k]));
         if response[4] == 0 {
@@ -179,47 +162,22 @@ fn a_long_identification_comes_in_several_answers() {
     assert_eq!(seen, [0, 1, 2, 3, 4, 5, 6]);
     // An object that does not exist begins the stream anew; one longer than an answer is cut, not lost.
     bank.names = vec![(0, "y".repeat(400)), (1, "z".to_owned())];
-    let mut response = [0; MAX_PDU];
-    assert_eq!(respond(bank, &[43, 14, 1, 77], &mut response), MAX_PDU);
-    assert_eq!(
-        (response[4], response[5], response[6], response[8]),
-        (0xFF, 1, 1, 244)
-    );
+    let response = response(bank, &[43, 14, 1, 77]);
+    assert_eq!(response.len(), MAX_PDU);
+    assert_eq!((&response[4..7], response[8]), (&[0xFF, 1, 1][..], 244));
 }
 
 #[test]
 fn the_checksum_has_its_published_check_value() {
     assert_eq!(rtu::crc16(b"123456789"), 0x4B37);
-    let mut frame = [0; rtu::MAX_FRAME];
-    let length = rtu::encode_frame(0x11, &unhex("03 00 6b 00 03"), &mut frame);
-    assert_eq!(hex(&frame[..length]), "11 03 00 6b 00 03 76 87");
+    assert_eq!(
+        hex(&frame(0x11, "03 00 6b 00 03")),
+        "11 03 00 6b 00 03 76 87"
+    );
 }
 
 fn frame(unit: u8, pdu: &str) -> Vec<u8> {
-    let mut frame = [0; rtu::MAX_FRAME];
-    let length = rtu::encode_frame(unit, &unhex(pdu), &mut frame);
-    frame[..length].to_vec()
-}
-
-/// Answers to everything found in `line`, with a silent gap after it if `gap`.
-fn serve(receiver: &mut RtuReceiver, bank: &mut Bank, line: &[u8], gap: bool) -> Vec<String> {
-    let mut answers = Vec::new();
-    let mut drain = |receiver: &mut RtuReceiver| {
-        while let Some(request) = receiver.take_frame() {
-            let mut out = [0; rtu::MAX_FRAME];
-            let length = request.answer(bank, &mut out);
-            answers.push(hex(&out[..length]));
-        }
-    };
-    for &byte in line {
-        receiver.push(byte);
-        drain(receiver);
-    }
-    if gap {
-        receiver.idle();
-        drain(receiver);
-    }
-    answers
+    rtu_frame(unit, &unhex(pdu))
 }
 
 #[test]
@@ -251,13 +209,8 @@ fn two_requests_back_to_back_get_two_answers() {
     let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
     let line = [frame(UNIT, "03 00 40 00 01"), frame(UNIT, "03 00 41 00 01")].concat();
     let answers = serve(&mut receiver, &mut bank, &line, false);
-    assert_eq!(
-        answers,
-        [
-            hex(&frame(UNIT, "03 02 44 42")),
-            hex(&frame(UNIT, "03 02 00 01"))
-        ]
-    );
+    let wanted = ["03 02 44 42", "03 02 00 01"].map(|pdu| hex(&frame(UNIT, pdu)));
+    assert_eq!(answers, wanted);
 }
 
 #[test]
@@ -335,10 +288,9 @@ fn lengths_for_pacing_are_those_of_real_answers() {
         "08 00 00 a5 37",
     ] {
         let request = unhex(request);
-        let mut response = [0; MAX_PDU];
-        let length = respond(bank, &request, &mut response);
-        assert_eq!(expected_response_len(&request), Some(length));
-        assert_eq!(response_len(&response[..length]), Length::Known(length));
+        let response = response(bank, &request);
+        assert_eq!(expected_response_len(&request), Some(response.len()));
+        assert_eq!(response_len(&response), Length::Known(response.len()));
     }
 }
 

@@ -6,7 +6,7 @@ use firmware_protocol::registers::{
 };
 use firmware_protocol::{
     CaptureSample, CommandBlock, Control, DriveCommand, Fault, Identity, IdentityError, REGISTERS,
-    State, Status, Telemetry,
+    Register, State, Status, Telemetry,
 };
 
 #[test]
@@ -26,11 +26,8 @@ fn rows_rise_do_not_overlap_and_are_found_at_each_of_their_words() {
         }
     }
     let free = (0..=u16::MAX).filter(|address| registers::find(*address).is_some());
-    assert_eq!(
-        free.count(),
-        owners.len(),
-        "an address without an owner is found"
-    );
+    let found = free.count();
+    assert_eq!(found, owners.len(), "an address without an owner is found");
     assert!(REGISTERS.is_sorted_by_key(|register| register.address));
     let names: std::collections::HashSet<_> = REGISTERS.iter().map(|r| r.name).collect();
     assert_eq!(names.len(), REGISTERS.len());
@@ -49,15 +46,19 @@ fn the_first_sixteen_are_the_telemetry_block_at_its_agreed_places() {
 
 #[test]
 fn values_saturate_round_and_say_when_they_are_missing() {
-    assert_eq!(VOLTAGE.encode(1e9), 32767);
-    assert_eq!(VOLTAGE.encode(-1e9), -32767);
-    assert_eq!(VOLTAGE.encode(f64::NEG_INFINITY), -32767);
-    assert_eq!(CURRENT.encode(0.014_9), 1);
-    assert_eq!(CURRENT.encode(-0.015_1), -2);
-    assert_eq!(SPEED.encode(f64::NAN), -32768);
+    for (register, value, raw) in [
+        (VOLTAGE, 1e9, 32767),
+        (VOLTAGE, -1e9, -32767),
+        (VOLTAGE, f64::NEG_INFINITY, -32767),
+        (CURRENT, 0.014_9, 1),
+        (CURRENT, -0.015_1, -2),
+        (SPEED, f64::NAN, -32768),
+        (BUS_VOLTAGE, f64::NAN, 0xFFFF),
+        (BUS_VOLTAGE, 1e9, 0xFFFE),
+    ] {
+        assert_eq!(register.encode(value), raw, "{} {value}", register.name);
+    }
     assert!(SPEED.decode(-32768).is_nan());
-    assert_eq!(BUS_VOLTAGE.encode(f64::NAN), 0xFFFF);
-    assert_eq!(BUS_VOLTAGE.encode(1e9), 0xFFFE);
     assert_eq!(BUS_VOLTAGE.decode(3).to_string(), "0.3");
 }
 
@@ -90,14 +91,10 @@ fn every_command_survives_the_block() {
         Control::Current(0.001),
         Control::Speed(157.08),
     ] {
-        let command = DriveCommand {
-            seq: 65535,
-            control,
-        };
-        assert_eq!(
-            DriveCommand::from_registers(&command.to_registers()),
-            Ok(command)
-        );
+        let seq = 65535;
+        let command = DriveCommand { seq, control };
+        let back = DriveCommand::from_registers(&command.to_registers());
+        assert_eq!(back, Ok(command));
     }
     let nonsense = DriveCommand {
         seq: 1,
@@ -109,91 +106,75 @@ fn every_command_survives_the_block() {
 
 #[test]
 fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
+    use Control::{Disable, Speed, Stop, Voltage};
+    let command = |seq, control| Ok(DriveCommand { seq, control });
     let mut block = CommandBlock::default();
-    let run = |seq| DriveCommand {
-        seq,
-        control: Control::Voltage(12.0),
-    };
-    assert_eq!(block.write(32, &run(7).to_registers()), Ok(run(7)));
-    assert_eq!(block.write(33, &[1]).unwrap().control, Control::Stop);
-    assert_eq!(
-        block.write(33, &[3]).unwrap().control,
-        Control::Voltage(0.0)
-    );
-    assert_eq!(
-        block.write(34, &[0, 5000]).unwrap(),
-        DriveCommand {
-            seq: 7,
-            control: Control::Voltage(5.0)
-        }
-    );
-    assert_eq!(
-        block.write(33, &[5]).unwrap().control,
-        Control::Speed(0.0),
-        "5 V must not become 5 rad/s"
-    );
-    assert_eq!(
-        block.write(34, &[0, 5000]).unwrap().control,
-        Control::Speed(5.0)
-    );
-    assert_eq!(
-        block.write(32, &[8]).unwrap(),
-        DriveCommand {
-            seq: 8,
-            control: Control::Speed(5.0)
-        },
-        "a new number alone keeps the rest"
-    );
+    let run = command(7, Voltage(12.0)).unwrap().to_registers();
+    for (address, words, wanted, why) in [
+        (32, &run[..], command(7, Voltage(12.0)), "a whole block"),
+        (33, &[1], command(7, Stop), "stopped"),
+        (33, &[3], command(7, Voltage(0.0)), "12 V are forgotten"),
+        (
+            34,
+            &[0, 5000],
+            command(7, Voltage(5.0)),
+            "a set-point alone",
+        ),
+        (
+            33,
+            &[5],
+            command(7, Speed(0.0)),
+            "5 V must not become 5 rad/s",
+        ),
+        (34, &[0, 5000], command(7, Speed(5.0)), "a set-point alone"),
+        (
+            32,
+            &[8],
+            command(8, Speed(5.0)),
+            "a new number alone keeps the rest",
+        ),
+    ] {
+        assert_eq!(block.write(address, words), wanted, "{why}");
+    }
     block.forget();
-    assert_eq!(
-        block.write(34, &[0, 5000]).unwrap().control,
-        Control::Disable
-    );
+    assert_eq!(block.write(34, &[0, 5000]), command(8, Disable));
     assert_eq!(
         block.registers(),
         [8, 0, 0, 0],
         "no set-point is kept while stopped"
     );
-    assert_eq!(
-        registers::check_write(35, &[0, 0]),
-        Err(WriteError::HalfValue)
-    );
+    let half = registers::check_write(35, &[0, 0]);
+    assert_eq!(half, Err(WriteError::HalfValue));
     let before = block;
-    assert!(block.write(31, &[0, 0]).is_err());
-    assert!(block.write(33, &[9]).is_err());
-    assert!(block.write(35, &[1]).is_err());
-    assert_eq!(block, before, "a refused write changes nothing");
+    for (address, words) in [(31, &[0, 0][..]), (33, &[9]), (35, &[1])] {
+        assert!(block.write(address, words).is_err());
+        assert_eq!(block, before, "a refused write changes nothing");
+    }
 }
 
 #[test]
 fn identity_survives_and_a_stranger_is_named() {
     let block = identity().to_registers();
     assert_eq!(Identity::from_registers(&block), Ok(identity()));
-    let mut stranger = block;
-    stranger[0] = 0x7777;
-    assert_eq!(
-        Identity::from_registers(&stranger),
-        Err(IdentityError::Magic(0x7777))
-    );
-    let mut newer = block;
-    newer[1] += 1;
-    assert_eq!(
-        Identity::from_registers(&newer),
-        Err(IdentityError::Version(2))
-    );
+    for (at, word, error) in [
+        (0, 0x7777, IdentityError::Magic(0x7777)),
+        (1, 2, IdentityError::Version(2)),
+    ] {
+        let mut stranger = block;
+        stranger[at] = word;
+        assert_eq!(Identity::from_registers(&stranger), Err(error));
+    }
 }
 
 #[test]
 fn codes_of_states_and_faults_are_their_positions() {
-    for (code, fault) in (0..).zip(Fault::ALL) {
+    for (code, fault) in (0..).zip(Fault::all()) {
         assert_eq!((fault.code(), Fault::from_code(code)), (code, fault));
     }
     assert_eq!(Fault::from_code(999).code(), 999);
-    for state in [State::Disabled, State::Ready, State::Running, State::Fault] {
-        assert_eq!(
-            Status::new(state).with(Status::EMULATOR, true).state(),
-            Some(state)
-        );
+    for state in State::ALL {
+        let status = Status::new(*state).with(Status::EMULATOR, true);
+        assert_eq!(status.state(), Some(*state));
     }
     assert_eq!(Status(4).state(), None);
 }
@@ -206,19 +187,9 @@ fn captured_samples_stand_in_the_window_as_the_table_says() {
         speed_rad_s: 10.0,
     };
     assert_eq!(sample.to_registers(), [2400, 0xFF38, 500]);
-    assert_eq!(
-        CaptureSample::from_registers(&sample.to_registers()),
-        sample
-    );
+    let back = CaptureSample::from_registers(&sample.to_registers());
+    assert_eq!(back, sample);
     assert_eq!(registers::CAPTURE_WORDS, 127);
-    assert!(
-        REGISTERS
-            .iter()
-            .all(|r| r.access == Access::Read || r.repeat == 1)
-    );
-    assert!(
-        REGISTERS
-            .iter()
-            .all(|r| r.repeat == 1 || r.kind == Kind::I16)
-    );
+    let fits = |r: &Register| r.repeat == 1 || (r.access == Access::Read && r.kind == Kind::I16);
+    assert!(REGISTERS.iter().all(fits));
 }

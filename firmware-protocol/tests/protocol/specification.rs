@@ -11,7 +11,7 @@ use firmware_protocol::stream::{self, ErrorCode, MessageType};
 use firmware_protocol::{Fault, PROTOCOL_VERSION, Telemetry};
 
 use crate::examples;
-use crate::support::assert_fresh;
+use crate::support::{assert_fresh, stream_frame, telemetry};
 
 #[test]
 fn spec_md_is_fresh() {
@@ -107,8 +107,7 @@ fn places(register: &Register) -> String {
 }
 
 fn faults() -> String {
-    let rows = Fault::ALL.iter();
-    rows.fold("| code | fault |\n|---|---|\n".to_owned(), |text, fault| {
+    Fault::all().fold("| code | fault |\n|---|---|\n".to_owned(), |text, fault| {
         text + &format!("| {} | {} |\n", fault.code(), fault.name())
     })
 }
@@ -201,9 +200,8 @@ fn the_telemetry_payload_in_spec_md_has_the_length_of_the_real_one() {
         .iter()
         .map(|(_, kind, ..)| if kind.ends_with("32") { 4 } else { 2 })
         .sum();
-    let frame = stream::Frame::telemetry(0x0101, crate::support::telemetry());
-    let mut out = [0; stream::MAX_FRAME];
-    let length = stream::encode(&frame, &mut out);
+    let frame = stream::Frame::telemetry(0x0101, telemetry());
+    let length = stream_frame(&frame).len();
     // Delimiter, one code byte (the frame is shorter than 254), header and checksum.
     assert_eq!(described, length - 2 - stream::HEADER - 2);
 }

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use firmware_protocol::modbus::{Exception, RegisterBank};
+use firmware_protocol::modbus::{Exception, MAX_PDU, RegisterBank, RtuReceiver, respond, rtu, tcp};
 use firmware_protocol::registers::{
     self, CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS,
     TELEMETRY_ADDRESS, WATCHDOG, WINDOW_CURRENT, WINDOW_SPEED, WINDOW_VOLTAGE,
 };
+use firmware_protocol::stream::{self, Decoder, Frame, FrameError};
 use firmware_protocol::{
     CaptureControl, CaptureState, CommandBlock, Control, DeviceKind, DriveCommand, Fault, Identity,
     PROTOCOL_VERSION, State, Status, Telemetry,
@@ -189,6 +190,79 @@ pub(crate) fn identity() -> Identity {
         capture_period_us: 100,
         capture_length: 2000,
     }
+}
+
+pub(crate) fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+    let mut out = [0; rtu::MAX_FRAME];
+    let length = rtu::encode_frame(unit, pdu, &mut out);
+    out[..length].to_vec()
+}
+
+pub(crate) fn tcp_frame(transaction: u16, unit: u8, pdu: &[u8]) -> Vec<u8> {
+    let mut out = [0; tcp::MAX_FRAME];
+    let length = tcp::encode_frame(transaction, unit, pdu, &mut out);
+    out[..length].to_vec()
+}
+
+pub(crate) fn stream_frame(frame: &Frame) -> Vec<u8> {
+    let mut out = [0; stream::MAX_FRAME];
+    let length = stream::encode(frame, &mut out);
+    out[..length].to_vec()
+}
+
+/// Every frame, and every damage, in the bytes of a stream.
+pub(crate) fn decode(bytes: &[u8]) -> Vec<Result<Frame, FrameError>> {
+    let mut decoder = Decoder::new();
+    bytes
+        .iter()
+        .filter_map(|byte| decoder.push(*byte))
+        .collect()
+}
+
+/// The response to a request, both without their frames.
+pub(crate) fn response(bank: &mut impl RegisterBank, request: &[u8]) -> Vec<u8> {
+    let mut out = [0; MAX_PDU];
+    let length = respond(bank, request, &mut out);
+    out[..length].to_vec()
+}
+
+/// What a drive answers to everything found in `line`, with a silent gap after it if `gap`; a broadcast gets nothing.
+pub(crate) fn serve(
+    receiver: &mut RtuReceiver,
+    bank: &mut Bank,
+    line: &[u8],
+    gap: bool,
+) -> Vec<String> {
+    let mut answers = Vec::new();
+    let mut drain = |receiver: &mut RtuReceiver| {
+        while let Some(request) = receiver.take_frame() {
+            let mut out = [0; rtu::MAX_FRAME];
+            let length = request.answer(bank, &mut out);
+            answers.push(hex(&out[..length]));
+        }
+    };
+    for &byte in line {
+        receiver.push(byte);
+        drain(receiver);
+    }
+    if gap {
+        receiver.idle();
+        drain(receiver);
+    }
+    answers
+}
+
+/// Bytes that are no pattern, the same for a seed.
+pub(crate) fn noise(mut state: u32) -> impl Iterator<Item = u8> {
+    std::iter::repeat_with(move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        state.to_be_bytes()[0]
+    })
+}
+
+/// The text of a committed file of this crate.
+pub(crate) fn committed(name: &str) -> String {
+    std::fs::read_to_string(file(name)).expect("the vectors are committed")
 }
 
 pub(crate) fn hex(bytes: &[u8]) -> String {

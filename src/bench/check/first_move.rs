@@ -190,7 +190,7 @@ impl Checker<'_> {
 /// Whether the drive's current tells driving from braking.
 fn has_signed_current(map: Option<&RegisterMap>) -> bool {
     map.and_then(|map| map.of_channel(Channel::Current))
-        .is_none_or(|signal| signal.traits.signed)
+        .is_none_or(crate::drive::register_map::Signal::is_signed)
 }
 
 /// The set-point that carries what is commanded.

@@ -27,7 +27,7 @@ use super::snapshot::{SnapshotCell, Target};
 use super::speed::{Design, PilotSettings, SpeedPilot, timing};
 use crate::bench::describe::layout;
 use crate::control::Actuator;
-use crate::drive::virtual_drive::{FarEnd, LineTime, on_a_line};
+use crate::drive::virtual_line::{FarEnd, LineTime, on_a_line};
 use crate::drive::{DriveLink, DriveProfile};
 use crate::identification::online::OnlineConfig;
 use crate::plant::Model;

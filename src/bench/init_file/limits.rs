@@ -175,7 +175,7 @@ fn silence(request: &InitRequest<'_>, bench: &BenchFile) -> Reasoned {
     let least_s = least_s.max((100.0 * lost_s).ceil() * 0.01);
     let cycles_s = (3.0 * bench.period_s()).max(least_s);
     let set_s = request.profile.registers.as_ref();
-    let set_s = set_s.and_then(|map| map.watchdog.set_s);
+    let set_s = set_s.and_then(|map| map.watchdog.set_s());
     let default_ms = request.profile.watchdog.default_ms;
     // What the profile sets is in force whenever anything is energised, whatever the drive holds now.
     let (source, watchdog_s) = match (set_s, request.told.watchdog_s, default_ms) {
@@ -215,7 +215,7 @@ fn silence(request: &InitRequest<'_>, bench: &BenchFile) -> Reasoned {
 pub(super) fn set_point(request: &InitRequest<'_>, quantity: Quantity) -> Option<(f64, f64)> {
     let map = request.profile.registers.as_ref()?;
     let point = map.demand(quantity)?;
-    let ([low, high], si) = (point.limits?, point.si?);
+    let ([low, high], si) = (point.keys.limits?, point.si?);
     Some((low * si, high * si))
 }
 

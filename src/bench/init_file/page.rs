@@ -113,7 +113,7 @@ fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
     let set_s = profile
         .registers
         .as_deref()
-        .and_then(|map| map.watchdog.set_s);
+        .and_then(|map| map.watchdog.set_s());
     let time = match (told.watchdog_s, profile.watchdog.default_ms) {
         _ if set_s.is_some() => format!(
             "{} s (set at connect by the profile)",

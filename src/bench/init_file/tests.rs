@@ -309,7 +309,7 @@ fn names_and_numbers_are_plain() {
 fn the_host_s_silence_is_compared_with_the_time_that_the_profile_sets() {
     let mut profile = DriveProfile::named("epulse50-dc").unwrap();
     let mut map = (*profile.registers.clone().unwrap()).clone();
-    map.watchdog.set_s = Some(0.8);
+    map.watchdog.keys.set_ms = Some(800.0);
     profile.registers = Some(map.into());
     let silent = Told {
         watchdog_s: Some(0.0),

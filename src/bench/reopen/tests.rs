@@ -131,10 +131,10 @@ impl Case {
             &mut || {
                 tries += 1;
                 if tries < self.there_at {
-                    return Err(LinkError::Open {
-                        link: "x".to_owned(),
-                        reason: "it does not exist".to_owned(),
-                    });
+                    return Err(LinkError::Open(
+                        "x".to_owned(),
+                        "it does not exist".to_owned(),
+                    ));
                 }
                 let mut drive = ScriptedDrive::new(0.01);
                 drive.faults.extend(self.faults.iter().cloned());

@@ -216,10 +216,7 @@ fn a_stop_that_the_drive_does_not_confirm_is_repeated_and_said() {
         .filter(|d| **d == Demand::Stop)
         .count();
     assert!(stops >= 99, "{stops}");
-    let silent = LinkError::Gone {
-        link: "script:".to_owned(),
-        reason: "unplugged".to_owned(),
-    };
+    let silent = LinkError::Gone("script:".to_owned(), "unplugged".to_owned());
     let said = bench.session.last_word(Some(&silent)).unwrap();
     assert_eq!(said.level, Level::Error);
     assert!(said.text.contains("NOT confirmed"), "{}", said.text);

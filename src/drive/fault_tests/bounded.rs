@@ -1,10 +1,9 @@
 //! Times on a bus that is late once, or dead: true stamps, silences that end, exchanges that keep their bound.
 
 use super::*;
+use crate::drive::fake::rtu_frame;
 use crate::drive::modbus::ModbusBus;
 use crate::drive::register_bus::RegisterBus;
-use crate::drive::register_map::RegisterMap;
-use crate::drive::reply::FrameKind;
 use crate::drive::transaction::CutIn;
 
 const TURNAROUND: Duration = Duration::from_micros(700);
@@ -35,14 +34,9 @@ impl Device for Punctual {
             }
             _ => request[1..6].to_vec(),
         };
-        let mut frame = [0; firmware_protocol::modbus::rtu::MAX_FRAME];
-        let length = firmware_protocol::modbus::rtu::encode_frame(1, &pdu, &mut frame);
-        let delay = if self.heard == self.late {
-            LATE
-        } else {
-            TURNAROUND
-        };
-        vec![(delay, frame[..length].to_vec())]
+        let is_late = self.heard == self.late;
+        let delay = if is_late { LATE } else { TURNAROUND };
+        vec![(delay, rtu_frame(1, &pdu))]
     }
 }
 
@@ -52,44 +46,46 @@ struct Line {
     epoch: std::time::Instant,
 }
 
-impl Line {
-    fn new(runtime: tokio::runtime::Runtime, late: u64, dead_from: u64) -> Self {
-        let profile = DriveProfile::named("epulse50-dc").unwrap();
-        let mut settings = profile.link;
+/// Works on a line in virtual time.
+fn on_a_line(late: u64, dead_from: u64, work: impl FnOnce(Line)) {
+    paused(|runtime| {
+        let mut settings = DriveProfile::named("epulse50-dc").unwrap().link;
         settings.deadline_ms = Some(50.0);
-        let timing = LineTiming::serial(&settings, settings.baud, true);
         let device = Arc::new(Mutex::new(Punctual {
             heard: 0,
             late,
             dead_from,
             at: Vec::new(),
         }));
-        let port = Box::new(VirtualPort::new(Arc::clone(&device)));
-        let (kind, epoch) = (FrameKind::Rtu, now());
-        let link = ModbusLink::new("virtual".to_owned(), runtime, port, kind, 1, timing, epoch);
-        let text = DriveProfile::text("epulse50-dc").unwrap();
-        let map = RegisterMap::parse("epulse50-dc", text).unwrap();
-        Self {
+        let epoch = now();
+        let link = modbus_link(runtime, &settings, &device);
+        let map = DriveProfile::named("epulse50-dc")
+            .unwrap()
+            .registers
+            .unwrap();
+        work(Line {
             bus: ModbusBus::new(link, &map),
             device,
             epoch,
-        }
-    }
+        });
+    });
+}
 
+impl Line {
     /// Two reads that look alike; how long they took, and whether they gave values with true stamps.
     fn cycle(&mut self) -> (Duration, bool) {
         let began = now();
         let mut all = true;
         for address in [100, 200] {
-            let Ok(read) = self.bus.read(RegisterTable::Holding, address, 3) else {
+            let Ok(read) = self.bus.read(ReadRequest::holding(address, 3)) else {
                 all = false;
                 continue;
             };
             assert_eq!(read.words[0] >> 8, address & 0xFF);
             let served = *self.device.lock().unwrap().at.last().unwrap();
             let served_s = served.duration_since(self.epoch).as_secs_f64();
-            let middle_s = 0.5 * (read.asked_s + read.answered_s);
-            let half_s = 0.5 * (read.answered_s - read.asked_s);
+            let middle_s = read.span.middle_s();
+            let half_s = read.span.half_width_s();
             assert!((middle_s - served_s).abs() <= half_s + 1e-9);
             // The virtual line delivers by the whole millisecond.
             assert!(half_s < 0.0016, "{half_s}");
@@ -106,17 +102,13 @@ impl Line {
     }
 }
 
-fn line(late: u64, dead_from: u64) -> (Line, tokio::runtime::EnterGuard<'static>) {
-    let runtime = paused_runtime();
-    let handle: &'static tokio::runtime::Handle = Box::leak(Box::new(runtime.handle().clone()));
-    let entered = handle.enter();
-    (Line::new(runtime, late, dead_from), entered)
-}
-
 /// Before, the silence behind one late reply was kept for the rest of the connection.
 #[test]
 fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
-    let (mut line, _entered) = line(401, u64::MAX);
+    on_a_line(401, u64::MAX, stamps_around_one_late_reply);
+}
+
+fn stamps_around_one_late_reply(mut line: Line) {
     let clean = Duration::from_millis(8);
     let mut slow = Vec::new();
     for k in 0..1000_u32 {
@@ -141,7 +133,10 @@ fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
 
 #[test]
 fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
-    let (mut line, _entered) = line(0, 11);
+    on_a_line(0, 11, dies_and_comes_back);
+}
+
+fn dies_and_comes_back(mut line: Line) {
     for _ in 0..3 {
         line.cycle();
     }
@@ -150,7 +145,7 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
     for _ in 0..10 {
         let began = now();
         line.bus.bound(0.08);
-        let error = line.bus.read(RegisterTable::Holding, 100, 3).unwrap_err();
+        let error = line.bus.read(ReadRequest::holding(100, 3)).unwrap_err();
         assert!(error.is_transient(), "{error}");
         let took = now().duration_since(began);
         assert!(took <= Duration::from_millis(81), "{took:?}");
@@ -162,14 +157,17 @@ fn an_exchange_on_a_dead_line_keeps_its_bound_and_goes_on_in_the_next() {
     line.device.lock().unwrap().dead_from = u64::MAX;
     let read = (0..6).find_map(|_| {
         line.bus.bound(0.08);
-        line.bus.read(RegisterTable::Holding, 100, 3).ok()
+        line.bus.read(ReadRequest::holding(100, 3)).ok()
     });
     assert!(read.is_some());
 }
 
 #[test]
 fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
-    let (mut line, _entered) = line(0, 0);
+    on_a_line(0, 0, is_cut_in_on);
+}
+
+fn is_cut_in_on(mut line: Line) {
     // Which the cut is to meet: the silence before the first probe, and the probes.
     for after_ms in [5, 15, 40, 60] {
         let flag = Arc::new(AtomicBool::new(false));
@@ -181,7 +179,7 @@ fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
             tokio::time::sleep_until(raised.into()).await;
             raise.store(true, Ordering::Release);
         });
-        assert!(line.bus.read(RegisterTable::Holding, 100, 3).is_err());
+        assert!(line.bus.read(ReadRequest::holding(100, 3)).is_err());
         let after = now().saturating_duration_since(raised);
         assert!(
             flag.load(Ordering::Acquire),

@@ -4,7 +4,6 @@
 //! pseudo-terminal two thousand, or a hundred thousand.
 
 mod bounded;
-mod fault;
 mod profiled;
 mod stranger;
 
@@ -14,17 +13,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use fault::{Fault, Times};
-use stranger::{Language, Stranger, current_a, register};
+use stranger::{Fault, Language, Stranger, Times, current_a};
 
 use super::fake::raw_pty;
 use super::guard::now;
 use super::link::{DriveLink, LinkError, LinkStatistics};
-use super::modbus::{ModbusLink, RegisterTable};
-use super::reply::FrameKind;
+use super::modbus::ModbusLink;
+use super::register_bus::{ReadRequest, RegisterTable};
 use super::stream::StreamLink;
 use super::timing::LineTiming;
-use super::virtual_line::{Device, VirtualPort, paused_runtime};
+use super::transaction::LineCounts;
+use super::virtual_line::{Device, VirtualPort, modbus_link, paused};
 use super::{DriveProfile, open_modbus, open_stream};
 use crate::sample::{Channel, Command, Demand};
 
@@ -62,59 +61,64 @@ struct Outcome {
     tampered: u64,
 }
 
+impl Outcome {
+    /// One exchange, which says whether its value is what the device meant.
+    fn judge(
+        &mut self,
+        device: &Mutex<Stranger>,
+        exchange: impl FnOnce() -> Result<bool, LinkError>,
+    ) {
+        let before = device.lock().unwrap().tampered;
+        let result = exchange();
+        let is_gone = matches!(result, Err(LinkError::Gone { .. }));
+        assert!(!is_gone, "{result:?}");
+        let untouched = device.lock().unwrap().tampered == before;
+        self.exchanges += 1;
+        self.collateral += u64::from(result.is_err() && untouched);
+        self.wrong += u64::from(matches!(result, Ok(false)));
+    }
+
+    /// The same with the books of the link, which balance.
+    fn closed(
+        self,
+        device: &Mutex<Stranger>,
+        statistics: LinkStatistics,
+        line: &LineCounts,
+    ) -> Self {
+        assert!(statistics.balances(), "{statistics:?}");
+        Self {
+            tampered: device.lock().unwrap().tampered,
+            statistics,
+            stale_frames: line.stale_frames,
+            ..self
+        }
+    }
+}
+
 /// Exchanges as a bench makes them, one in five a plain read, and judges each value by what the device meant.
 fn exchanges(line: &mut Line, device: &Mutex<Stranger>, count: u64, reads: bool) -> Outcome {
     let mut outcome = Outcome::default();
     for seq in 1..=count {
-        let before = device.lock().unwrap().tampered;
-        let failed = match &mut *line {
+        outcome.judge(device, || match &mut *line {
             Line::Modbus(link) if reads && seq % 5 == 0 => {
                 let words = 3 + (seq % 3) as u16;
-                match link.read_registers(RegisterTable::Holding, 900, words) {
-                    Ok(values) => {
-                        let heard = device.lock().unwrap().heard;
-                        let meant: Vec<_> = (0..values.len())
-                            .map(|k| register(heard, 900 + k))
-                            .collect();
-                        outcome.wrong += u64::from(values != meant);
-                        None
-                    }
-                    Err(error) => Some(error),
-                }
+                let values = link.read_registers(RegisterTable::Holding, 900, words)?;
+                Ok(values == device.lock().unwrap().meant(900, words))
             }
             line => {
                 let demand = Demand::Voltage(1.0);
-                match line.link().exchange(Command { seq, demand }) {
-                    Ok(sample) => {
-                        let meant = current_a(device.lock().unwrap().heard);
-                        let told = sample.get(Channel::Current).unwrap_or(f64::NAN);
-                        let right = sample.seq == Some(seq) && (told - meant).abs() < 0.006;
-                        outcome.wrong += u64::from(!right);
-                        None
-                    }
-                    Err(error) => Some(error),
-                }
+                let sample = line.link().exchange(Command { seq, demand })?;
+                let meant = current_a(device.lock().unwrap().heard);
+                let told = sample.get(Channel::Current).unwrap_or(f64::NAN);
+                Ok(sample.seq == Some(seq) && (told - meant).abs() < 0.006)
             }
-        };
-        assert!(
-            !matches!(failed, Some(LinkError::Gone { .. })),
-            "{failed:?}"
-        );
-        let untouched = device.lock().unwrap().tampered == before;
-        outcome.collateral += u64::from(failed.is_some() && untouched);
+        });
     }
-    let device = device.lock().unwrap();
-    outcome.exchanges = count;
-    outcome.tampered = device.tampered;
-    outcome.statistics = line.link().statistics();
+    let statistics = line.link().statistics();
     let line = line.link().line().unwrap();
-    outcome.stale_frames = line.stale_frames;
-    let s = &outcome.statistics;
-    assert!(s.balances(), "{s:?}");
-    let accounted = line.bytes_accepted + line.bytes_dropped;
-    let open = line.bytes_received - accounted;
+    let open = line.bytes_received - line.bytes_accepted - line.bytes_dropped;
     assert!(open < 2048, "{line:?}: only what came last may be unjudged");
-    outcome
+    outcome.closed(device, statistics, &line)
 }
 
 /// Both languages on a virtual line that answers within 0.7 ms.
@@ -125,32 +129,28 @@ fn virtually(
     count: u64,
     seed: u64,
 ) -> Outcome {
-    let runtime = paused_runtime();
-    let handle = runtime.handle().clone();
-    let _entered = handle.enter();
-    let settings = DriveProfile::named("own").unwrap().link;
-    let with_gaps = language == Language::Rtu;
-    let timing = LineTiming::serial(&settings, settings.baud, with_gaps);
-    let times = Times {
-        turnaround: Duration::from_micros(700),
-        deadline: timing.allowed(21, 52),
-    };
-    let device = Stranger::new(language, faults, per_mille, times, seed);
-    let device = Arc::new(Mutex::new(device));
-    let port = Box::new(VirtualPort::new(Arc::clone(&device)));
-    let (name, epoch) = ("virtual".to_owned(), now());
-    let (mut line, _runtime) = match language {
-        Language::Rtu => {
-            let kind = FrameKind::Rtu;
-            let link = ModbusLink::new(name, runtime, port, kind, 1, timing, epoch);
-            (Line::Modbus(Box::new(link)), None)
-        }
-        Language::Stream => {
-            let link = StreamLink::new(name, port, timing, epoch);
-            (Line::Stream(Box::new(link)), Some(runtime))
-        }
-    };
-    exchanges(&mut line, &device, count, true)
+    paused(|runtime| {
+        let settings = DriveProfile::named("own").unwrap().link;
+        let timing = LineTiming::serial(&settings, settings.baud, language == Language::Rtu);
+        let times = Times {
+            turnaround: Duration::from_micros(700),
+            deadline: timing.allowed(21, 52),
+        };
+        let device = Stranger::new(language, faults, per_mille, times, seed);
+        let device = Arc::new(Mutex::new(device));
+        let (mut line, _runtime) = match language {
+            Language::Rtu => {
+                let link = modbus_link(runtime, &settings, &device);
+                (Line::Modbus(Box::new(link)), None)
+            }
+            Language::Stream => {
+                let port = Box::new(VirtualPort::new(Arc::clone(&device)));
+                let link = StreamLink::new("virtual".to_owned(), port, timing, now());
+                (Line::Stream(Box::new(link)), Some(runtime))
+            }
+        };
+        exchanges(&mut line, &device, count, true)
+    })
 }
 
 #[test]
@@ -266,12 +266,8 @@ fn serve(port: &mut File, device: &Mutex<Stranger>, over: &AtomicBool) {
         match port.read(&mut bytes) {
             Ok(0) => return,
             Ok(count) => {
-                let replies = device.lock().unwrap().hear(&bytes[..count]);
-                coming.extend(
-                    replies
-                        .into_iter()
-                        .map(|(delay, reply)| (now() + delay, reply)),
-                );
+                let replies = device.lock().unwrap().hear(&bytes[..count]).into_iter();
+                coming.extend(replies.map(|(delay, reply)| (now() + delay, reply)));
                 coming.sort_by_key(|(at, _)| *at);
             }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
@@ -307,13 +303,16 @@ fn over_a_real_pseudo_terminal_mixed_faults_never_give_a_wrong_value() {
     for language in [Language::Rtu, Language::Stream] {
         let device = Stranger::new(language, &Fault::ALL, PER_MILLE, times, 11);
         let served = Served::start(device);
+        let target = &served.target;
         let mut line = match language {
-            Language::Rtu => Line::Modbus(Box::new(
-                open_modbus(&served.target, &profile, now()).unwrap(),
-            )),
-            Language::Stream => Line::Stream(Box::new(
-                open_stream(&served.target, &profile, now()).unwrap(),
-            )),
+            Language::Rtu => {
+                let link = open_modbus(target, &profile, now(), None);
+                Line::Modbus(Box::new(link.unwrap()))
+            }
+            Language::Stream => {
+                let link = open_stream(target, &profile, now(), None);
+                Line::Stream(Box::new(link.unwrap()))
+            }
         };
         let outcome = exchanges(&mut line, &served.device, count, false);
         println!("{language:?}: {outcome:?}");

@@ -23,59 +23,35 @@ fn map(resync: &str) -> RegisterMap {
 }
 
 fn on_a_bus(resync: &str, faults: &[Fault], count: u64, seed: u64) -> Outcome {
-    let runtime = paused_runtime();
-    let handle = runtime.handle().clone();
-    let _entered = handle.enter();
-    let mut settings = DriveProfile::named("epulse50-dc").unwrap().link;
-    settings.deadline_ms = Some(12.0);
-    let timing = LineTiming::serial(&settings, settings.baud, true);
-    let times = Times {
-        turnaround: Duration::from_micros(700),
-        deadline: timing.allowed(8, 11),
-    };
-    let per_mille = if faults.is_empty() { 0 } else { PER_MILLE };
-    let device = Stranger::new(Language::Rtu, faults, per_mille, times, seed);
-    let device = Arc::new(Mutex::new(device));
-    let port = Box::new(VirtualPort::new(Arc::clone(&device)));
-    let kind = FrameKind::Rtu;
-    let link = ModbusLink::new("virtual".to_owned(), runtime, port, kind, 1, timing, now());
-    let mut bus = ModbusBus::new(link, &map(resync));
-    let mut outcome = Outcome::default();
-    for turn in 1..=count {
-        let before = device.lock().unwrap().tampered;
-        let at = usize::try_from(turn).unwrap() % READS.len();
-        let (address, words) = READS[at];
-        let failed = if turn % WRITE_EVERY == 0 {
-            bus.write(6, 0x1026, &[u16::try_from(turn % 3000).unwrap()])
-                .err()
-        } else {
-            match bus.read(RegisterTable::Holding, address, words) {
-                Ok(read) => {
-                    let heard = device.lock().unwrap().heard;
-                    let first = usize::from(address);
-                    let meant: Vec<_> = (0..usize::from(words))
-                        .map(|k| register(heard, first + k))
-                        .collect();
-                    outcome.wrong += u64::from(read.words != meant);
-                    None
-                }
-                Err(error) => Some(error),
-            }
+    paused(|runtime| {
+        let mut settings = DriveProfile::named("epulse50-dc").unwrap().link;
+        settings.deadline_ms = Some(12.0);
+        let timing = LineTiming::serial(&settings, settings.baud, true);
+        let times = Times {
+            turnaround: Duration::from_micros(700),
+            deadline: timing.allowed(8, 11),
         };
-        assert!(
-            !matches!(failed, Some(LinkError::Gone { .. })),
-            "{failed:?}"
-        );
-        let untouched = device.lock().unwrap().tampered == before;
-        outcome.collateral += u64::from(failed.is_some() && untouched);
-    }
-    outcome.exchanges = count;
-    outcome.tampered = device.lock().unwrap().tampered;
-    outcome.statistics = RegisterBus::statistics(&bus);
-    outcome.stale_frames = RegisterBus::line(&bus).unwrap().stale_frames;
-    let s = &outcome.statistics;
-    assert!(s.balances(), "{s:?}");
-    outcome
+        let per_mille = if faults.is_empty() { 0 } else { PER_MILLE };
+        let device = Stranger::new(Language::Rtu, faults, per_mille, times, seed);
+        let device = Arc::new(Mutex::new(device));
+        let link = modbus_link(runtime, &settings, &device);
+        let mut bus = ModbusBus::new(link, &map(resync));
+        let mut outcome = Outcome::default();
+        for turn in 1..=count {
+            let at = usize::try_from(turn).unwrap() % READS.len();
+            let (address, words) = READS[at];
+            outcome.judge(&device, || {
+                if turn % WRITE_EVERY == 0 {
+                    let value = u16::try_from(turn % 3000).unwrap();
+                    return bus.write(6, 0x1026, &[value]).map(|_| true);
+                }
+                let read = bus.read(ReadRequest::holding(address, words))?;
+                Ok(read.words == device.lock().unwrap().meant(address, words))
+            });
+        }
+        let line = RegisterBus::line(&bus).unwrap();
+        outcome.closed(&device, RegisterBus::statistics(&bus), &line)
+    })
 }
 
 #[test]

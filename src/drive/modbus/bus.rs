@@ -12,18 +12,24 @@ use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use tokio_modbus::Request;
 use tokio_modbus::prelude::ReadCode;
-use tokio_modbus::{Request, Response};
 
-use super::{LinkError, ModbusLink, NAMES, Question, RegisterTable, now, question, words};
+use super::{
+    LinkError, ModbusLink, NAMES, NAMES_BYTES, Question, acknowledged, now, object_text, objects,
+    words,
+};
 use crate::drive::link::{DriveLink, LinkName, LinkStatistics};
-use crate::drive::raw::{ReadRequest, registers};
-use crate::drive::register_bus::{Carried, RegisterBus, RegistersRead};
+use crate::drive::proof::Method;
+use crate::drive::register_bus::{
+    READ_BYTES, READ_WRITE_BYTES, ReadRequest, RegisterBus, RegistersRead, Span, WRITE_BYTES,
+    WRITTEN_BYTES, registers,
+};
 use crate::drive::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::drive::reply::FrameKind;
 use crate::drive::tally::RoundTrips;
 use crate::drive::timing::wait_until;
-use crate::drive::transaction::{CutIn, LineCounts, Method};
+use crate::drive::transaction::{CutIn, LineCounts};
 
 /// Round trips that tell how long replies usually take, and how many of them a busy host may have made too long.
 const REMEMBERED: usize = 32;
@@ -41,27 +47,20 @@ pub struct ModbusBus {
 
 impl ModbusBus {
     pub fn new(mut link: ModbusLink, map: &RegisterMap) -> Self {
-        let exact = |block: &ReadBlock| {
-            map.exact_reads
-                .iter()
-                .any(|(first, count)| (*first, *count) == (block.address, block.count))
+        let is_exact = |block: &ReadBlock| {
+            let whole = (block.read.address, block.read.count);
+            map.exact_reads.contains(&whole)
         };
         // Registers that can be read in any number up to the whole, for the length code.
         let blocks = plan_reads(map, PollRate::Fast).into_iter();
-        let place = blocks.filter(|block| !exact(block));
-        let place = place.max_by_key(|block| block.count).map(|block| {
-            let read = ReadRequest {
-                table: block.table,
-                address: block.address,
-                count: block.count,
-            };
-            (read, block.count)
-        });
+        let place = blocks.filter(|block| !is_exact(block));
+        let place = place.max_by_key(|block| block.read.count);
         let method = match map.resync {
             Resync::Fc08 => Method::Nonce,
             Resync::Length => Method::Length,
             Resync::Tid | Resync::None => Method::Silence,
         };
+        let place = place.map(|block| (block.read, block.read.count));
         link.proof.set_policy(method, place);
         Self {
             link,
@@ -78,28 +77,20 @@ impl ModbusBus {
         self
     }
 
-    /// A read whose reply is taken only where no other came within the time that one usually takes.
-    fn ask_alone(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
-        let what = format!("read {} at {}", registers(read.count.into()), read.address);
-        let allowed = self.allowed(READ_BYTES, read.reply_bytes());
-        let wire = self.link.timing.wire(READ_BYTES, read.reply_bytes());
-        self.alone(question(read, &what, allowed), wire, words(read))
-    }
-
-    /// A question whose answer is taken only where no other came within the time that one usually takes.
+    /// A question for so many registers whose answer is taken only where no other came within the time that one usually
+    /// takes.
     fn alone(
         &mut self,
         question: Question<'_>,
+        count: u16,
         wire: Duration,
-        check: impl FnOnce(Response) -> Result<Vec<u16>, String>,
     ) -> Result<RegistersRead, LinkError> {
         let what = question.what;
         let sent = now();
-        let answer = self.link.call(question, check)?;
+        let answer = self.link.call(question, words(count.into()))?;
         let answer = RegistersRead {
             words: answer.value,
-            asked_s: answer.asked_s,
-            answered_s: answer.answered_s,
+            span: answer.span,
         };
         if self.link.kind == FrameKind::Tcp {
             return Ok(answer);
@@ -114,21 +105,19 @@ impl ModbusBus {
             self.link.listen()?;
         }
         if self.link.proof.is_suspect() {
-            return Err(LinkError::Stale {
-                link: self.link.name.clone(),
-                reason: format!("something else came with the reply to {what}"),
-            });
+            let reason = format!("something else came with the reply to {what}");
+            return Err(LinkError::Stale(self.link.core.name.clone(), reason));
         }
         Ok(answer)
     }
 
     /// Time of one exchange: a bounded one belongs to a cycle.
     fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
-        let timing = &self.link.timing;
-        if self.link.bound.is_set() {
-            timing.hurried(request_bytes, reply_bytes)
+        let core = &self.link.core;
+        if core.bound.is_set() {
+            core.timing.hurried(request_bytes, reply_bytes)
         } else {
-            timing.allowed(request_bytes, reply_bytes)
+            core.timing.allowed(request_bytes, reply_bytes)
         }
     }
 
@@ -137,12 +126,13 @@ impl ModbusBus {
         if self.round_trips.len() == REMEMBERED {
             self.round_trips.pop_front();
         }
-        self.round_trips
-            .push_back((took, took.saturating_sub(wire)));
+        let lag = took.saturating_sub(wire);
+        self.round_trips.push_back((took, lag));
         if self.round_trips.len() == REMEMBERED && !self.silence_proves {
             let lag = self.longest(|(_, lag)| *lag);
-            self.link.timing.measured(lag);
-            self.link.proof.set_quiet(self.link.timing.quiet());
+            let timing = &mut self.link.core.timing;
+            timing.measured(lag);
+            self.link.proof.set_quiet(timing.quiet());
         }
     }
 
@@ -159,7 +149,7 @@ impl ModbusBus {
         address: u16,
         values: &[u16],
         allowed: Duration,
-    ) -> Result<Carried, LinkError> {
+    ) -> Result<Span, LinkError> {
         let what = format!("write {values:04x?} at {address}");
         let [high, low] = address.to_be_bytes();
         let request = match (function, values) {
@@ -167,61 +157,42 @@ impl ModbusBus {
             _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
         };
         let question = Question::plain(request, [function, high, low, 0, 0], &what, allowed);
-        let answer = self.link.call(question, |response| match response {
-            Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
-            other => Err(format!("{other:?}")),
-        });
-        answer.map(|answer| Carried {
-            asked_s: answer.asked_s,
-            answered_s: answer.answered_s,
-        })
+        Ok(self.link.call(question, acknowledged)?.span)
     }
 }
 
-/// RTU frames of a read, of a write of several registers and of a request of function code 23, beside the registers that
-/// they write, and of the acknowledgement of a write.
-const READ_BYTES: usize = 8;
-const WRITE_BYTES: usize = 9;
-const READ_WRITE_BYTES: usize = 13;
-const WRITTEN_BYTES: usize = 8;
-
 impl RegisterBus for ModbusBus {
     fn name(&self) -> LinkName {
-        LinkName(self.link.name.clone())
+        self.link.name()
     }
 
     fn now_s(&self) -> f64 {
-        self.link.host_s(now())
+        self.link.core.host_s(now())
     }
 
     fn pause_until_s(&mut self, time_s: f64) {
         if let Ok(since) = Duration::try_from_secs_f64(time_s) {
-            wait_until(self.link.epoch + since);
+            wait_until(self.link.core.epoch + since);
         }
     }
 
-    fn read(
-        &mut self,
-        table: RegisterTable,
-        address: u16,
-        count: u16,
-    ) -> Result<RegistersRead, LinkError> {
-        let read = ReadRequest {
-            table,
-            address,
-            count,
-        };
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
+        let (what, reply) = (read.text(), read.reply_bytes());
         let mut attempt = 1;
         loop {
-            let result = self.link.in_step(&read.pdu());
-            match result.and_then(|()| self.ask_alone(read)) {
+            let result = self.link.in_step(&read.pdu()).and_then(|()| {
+                let question = Question::read(read, &what, self.allowed(READ_BYTES, reply));
+                let wire = self.link.core.timing.wire(READ_BYTES, reply);
+                self.alone(question, read.count, wire)
+            });
+            match result {
                 Err(error) if self.link.may_retry(&error, attempt) => attempt += 1,
                 result => return result,
             }
         }
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError> {
         self.link.in_step(&[function])?;
         let allowed = self.allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
         self.put(function, address, values, allowed)
@@ -232,15 +203,19 @@ impl RegisterBus for ModbusBus {
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<Carried, LinkError> {
+    ) -> Result<Span, LinkError> {
         self.link.listen()?;
-        let allowed = self
-            .link
-            .brief(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
+        let bytes = WRITE_BYTES + 2 * values.len();
+        let timing = &self.link.core.timing;
+        let mut allowed = timing.allowed(bytes, WRITTEN_BYTES);
+        if self.link.proof.is_suspect() {
+            // On a line in doubt nothing that is slower is waited for.
+            allowed = allowed.min(timing.brief(bytes, WRITTEN_BYTES));
+        }
         // What stops a drive has its own short time, whatever is left of that for reading.
-        let bound = std::mem::take(&mut self.link.bound);
+        let bound = std::mem::take(&mut self.link.core.bound);
         let result = self.put(function, address, values, allowed);
-        self.link.bound = bound;
+        self.link.core.bound = bound;
         result
     }
 
@@ -249,43 +224,27 @@ impl RegisterBus for ModbusBus {
         (to, values): (u16, &[u16]),
         (from, count): (u16, u16),
     ) -> Result<RegistersRead, LinkError> {
-        let [from_high, from_low] = from.to_be_bytes();
-        let [count_high, count_low] = count.to_be_bytes();
-        let pdu = [23, from_high, from_low, count_high, count_low];
+        let read = ReadRequest::holding(from, count);
+        let [_, a, b, c, d] = read.pdu();
+        let pdu = [23, a, b, c, d];
         self.link.in_step(&pdu)?;
-        let words = usize::from(count);
-        let request_bytes = READ_WRITE_BYTES + 2 * values.len();
-        let allowed = self.allowed(request_bytes, 5 + 2 * words);
-        let what = format!(
-            "write {values:04x?} at {to} and read {} at {from}",
-            registers(words)
-        );
+        let (bytes, reply) = (READ_WRITE_BYTES + 2 * values.len(), read.reply_bytes());
+        let read = registers(count.into());
+        let what = format!("write {values:04x?} at {to} and read {read} at {from}");
         let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
-        let question = Question::plain(request, pdu, &what, allowed);
-        let wire = self.link.timing.wire(request_bytes, 5 + 2 * words);
-        self.alone(question, wire, |response| match response {
-            Response::ReadWriteMultipleRegisters(values) if values.len() == words => Ok(values),
-            other => Err(format!("{other:?}")),
-        })
+        let question = Question::plain(request, pdu, &what, self.allowed(bytes, reply));
+        let wire = self.link.core.timing.wire(bytes, reply);
+        self.alone(question, count, wire)
     }
 
     fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
         let pdu = [43, 14, 4, object, 0];
         self.link.in_step(&pdu)?;
         let request = Request::ReadDeviceIdentification(ReadCode::Specific, object);
-        let allowed = self.link.timing.allowed(7, 256);
+        let allowed = self.link.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
         let question = Question::plain(request, pdu, NAMES, allowed);
-        let answer = self.link.call(question, |response| match response {
-            Response::ReadDeviceIdentification(names) => Ok(names.device_id_objects),
-            other => Err(format!("{other:?}")),
-        });
-        match answer {
-            Ok(objects) => Ok(objects
-                .value
-                .iter()
-                .find(|found| found.id == object)
-                .and_then(|found| found.value_as_str())
-                .map(str::to_owned)),
+        match self.link.call(question, objects) {
+            Ok(objects) => Ok(object_text(&objects.value, object)),
             Err(LinkError::Exception { .. }) => Ok(None),
             Err(error) => Err(error),
         }
@@ -300,15 +259,15 @@ impl RegisterBus for ModbusBus {
     }
 
     fn statistics(&self) -> LinkStatistics {
-        self.link.tally.statistics
+        self.link.statistics()
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {
-        Some(&self.link.tally.round_trips)
+        self.link.round_trips()
     }
 
     fn line(&self) -> Option<LineCounts> {
-        Some(self.link.line_counts())
+        self.link.line()
     }
 
     fn bound(&mut self, left_s: f64) {
@@ -320,8 +279,7 @@ impl RegisterBus for ModbusBus {
     }
 
     fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
-        self.link
-            .timing
-            .shortest_cycle_s(request_bytes, reply_bytes)
+        let timing = &self.link.core.timing;
+        timing.shortest_cycle_s(request_bytes, reply_bytes)
     }
 }

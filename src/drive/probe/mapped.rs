@@ -5,13 +5,13 @@ use std::sync::atomic::AtomicBool;
 
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
-use crate::drive::RegisterTable;
 use crate::drive::link::LinkError;
 use crate::drive::profile::DriveProfile;
-use crate::drive::raw::{RawClient, ReadRequest, read_batch};
+use crate::drive::raw::{RawClient, read_batch};
+use crate::drive::register_bus::{ReadRequest, RegisterTable};
 use crate::drive::register_map::{
     Condition, IdentityCheck, IdentityTest, Picture, PollRate, Quantity, ReadBlock, Reading,
-    RegisterMap, Signal, Window, plan_reads,
+    RegisterMap, Window, plan_reads,
 };
 use crate::text::number;
 
@@ -126,8 +126,7 @@ fn address_form(map: &RegisterMap) -> String {
 
 /// The nameplate's current, where the drive has a register for it.
 fn rated_current_a(map: &RegisterMap, windows: &[Window]) -> Option<f64> {
-    let is_it = |signal: &Signal| signal.quantity == Quantity::RatedCurrent;
-    let index = map.signals.iter().position(is_it)?;
+    let index = map.index(&map.of_quantity(Quantity::RatedCurrent)?.name)?;
     let picture = Picture {
         map,
         windows,
@@ -138,7 +137,7 @@ fn rated_current_a(map: &RegisterMap, windows: &[Window]) -> Option<f64> {
 
 /// The bits of a signal as they were read.
 fn pattern(map: &RegisterMap, windows: &[Window], name: &str) -> Option<u32> {
-    let index = map.signals.iter().position(|signal| signal.name == name)?;
+    let index = map.index(name)?;
     let registers = windows.get(index)?.here.as_deref()?;
     map.signals[index].location.layout.pattern(registers)
 }
@@ -158,7 +157,7 @@ fn signal(
         Reading::Value(_) => None,
         Reading::NotAvailable => Some("the drive says that it is not available".to_owned()),
         Reading::Outside(value) => {
-            let [low, high] = signal.valid.unwrap_or_default();
+            let [low, high] = signal.keys.valid.unwrap_or_default();
             Some(format!(
                 "{} {unit} lies outside of the profile's {low} to {high}",
                 number::reading(value)
@@ -185,7 +184,7 @@ fn signal(
             Some(false) if advises => picture.candidates(index),
             _ => Vec::new(),
         },
-        quantity: Some(signal.quantity),
+        quantity: Some(signal.keys.quantity),
     }
 }
 
@@ -220,7 +219,7 @@ impl Reader<'_> {
         };
         let mut attempt = 1;
         loop {
-            match self.client.read(request(&block)) {
+            match self.client.read(block.read) {
                 Ok(_) | Err(LinkError::Exception { .. }) => return Ok(()),
                 Err(error) if error.is_transient() && attempt < FIRST_ATTEMPTS => attempt += 1,
                 Err(error) => return Err(error),
@@ -239,7 +238,7 @@ impl Reader<'_> {
     /// there does not hide the others.
     fn read_mapped(&mut self) -> Result<(), LinkError> {
         let blocks = self.blocks();
-        let answers = self.ask(&blocks.iter().map(request).collect::<Vec<_>>())?;
+        let answers = self.ask(&blocks.iter().map(|block| block.read).collect::<Vec<_>>())?;
         let mut alone = Vec::new();
         for (block, answer) in blocks.iter().zip(answers) {
             match answer {
@@ -268,7 +267,7 @@ impl Reader<'_> {
     fn hand_out(&mut self, block: &ReadBlock, registers: &[u16]) {
         for index in &block.signals {
             let location = self.map.signals[*index].location;
-            let from = usize::from(location.address - block.address);
+            let from = usize::from(location.address - block.read.address);
             let to = from + usize::from(location.layout.registers());
             self.windows[*index].here = registers.get(from..to).map(<[u16]>::to_vec);
         }
@@ -300,12 +299,7 @@ impl Reader<'_> {
     }
 
     fn request(&self, index: usize) -> ReadRequest {
-        let location = self.map.signals[index].location;
-        ReadRequest {
-            table: location.table,
-            address: location.address,
-            count: location.layout.registers(),
-        }
+        self.map.signals[index].location.request()
     }
 
     /// Values that are vouched for, or why there are none; only a port that is gone ends everything.
@@ -334,16 +328,8 @@ impl Reader<'_> {
         let Some((location, unit_s)) = self.map.watchdog.time else {
             return Ok(None);
         };
-        let request = ReadRequest {
-            table: location.table,
-            address: location.address,
-            count: location.layout.registers(),
-        };
-        let registers = self
-            .ask(&[request])?
-            .into_iter()
-            .next()
-            .and_then(Result::ok);
+        let registers = self.ask(&[location.request()])?.into_iter().next();
+        let registers = registers.and_then(Result::ok);
         let pattern = registers.and_then(|registers| location.layout.pattern(&registers));
         Ok(pattern.map(|pattern| location.layout.number(pattern) * unit_s))
     }
@@ -378,11 +364,7 @@ impl Reader<'_> {
 
 fn signal_check(picture: &Picture<'_>, name: &str, mask: u32, test: &IdentityTest) -> ProbedCheck {
     let bits = pattern(picture.map, picture.windows, name);
-    let index = picture
-        .map
-        .signals
-        .iter()
-        .position(|signal| signal.name == name);
+    let index = picture.map.index(name);
     let value = index.and_then(|index| picture.reading(index).value());
     let (what, passed) = match test {
         IdentityTest::OneOf(patterns) => {
@@ -406,14 +388,6 @@ fn signal_check(picture: &Picture<'_>, name: &str, mask: u32, test: &IdentityTes
         what,
         passed,
         found,
-    }
-}
-
-const fn request(block: &ReadBlock) -> ReadRequest {
-    ReadRequest {
-        table: block.table,
-        address: block.address,
-        count: block.count,
     }
 }
 

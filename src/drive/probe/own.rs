@@ -6,10 +6,10 @@ use firmware_protocol::registers::{REGISTERS, TELEMETRY_ADDRESS, TELEMETRY_WORDS
 use firmware_protocol::{State, Telemetry};
 
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
-use crate::drive::RegisterTable;
 use crate::drive::link::{DriveLink, LinkError};
 use crate::drive::profile::DriveProfile;
-use crate::drive::raw::{RawClient, ReadRequest, read_batch};
+use crate::drive::raw::{RawClient, read_batch};
+use crate::drive::register_bus::{MOST_READ, ReadRequest};
 use crate::drive::register_map::Quantity;
 use crate::drive::stream::StreamLink;
 
@@ -44,11 +44,8 @@ pub(super) fn probe(
         .to_owned(),
     });
     if identity.is_some() {
-        let request = ReadRequest {
-            table: RegisterTable::Holding,
-            address: TELEMETRY_ADDRESS,
-            count: u16::try_from(TELEMETRY_WORDS).unwrap_or(crate::drive::raw::MOST_READ),
-        };
+        let words = u16::try_from(TELEMETRY_WORDS).unwrap_or(MOST_READ);
+        let request = ReadRequest::holding(TELEMETRY_ADDRESS, words);
         let mut batch = read_batch(client, &[request], 1, &AtomicBool::new(false));
         let block = batch
             .reads

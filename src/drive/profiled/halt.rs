@@ -54,7 +54,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             let readings = &self.readings;
             let status = |name: &str| {
                 let reading = readings.get(name)?;
-                Some((reading.pattern?, reading.read_s))
+                Some((reading.pattern?, reading.span.asked_s))
             };
             match sequence.next(self.bus.now_s(), status) {
                 Next::Write {

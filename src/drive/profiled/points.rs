@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::readings::{Joined, Readings, Span, in_profile};
+use super::readings::{Joined, Readings, in_profile};
 use crate::drive::budget::may_join;
 use crate::drive::link::LinkError;
-use crate::drive::register_bus::RegisterBus;
+use crate::drive::register_bus::{RegisterBus, Span};
 use crate::drive::register_map::{Quantity, RegisterMap, SetPoint};
 
 /// Share of the write cycles of a non-volatile memory that one connection may use.
@@ -134,11 +134,10 @@ impl Points {
         let at = self.position(name);
         let now_s = bus.now_s();
         let mut value = wanted;
-        if let Some([low, high]) = point.limits {
-            let low = if point.sign.is_some() { -high } else { low };
+        if let Some([low, high]) = point.range() {
             value = value.clamp(low, high);
         }
-        if let Some(slew) = point.slew_per_s {
+        if let Some(slew) = point.keys.slew_per_s {
             let sent = &self.sent[at];
             let from = sent.value.unwrap_or(0.0);
             let since_s = sent.asked_s.map_or(0.0, |asked_s| now_s - asked_s);
@@ -166,7 +165,7 @@ impl Points {
         self.running = true;
         let map = Arc::clone(&self.map);
         for (at, point) in map.set_points.iter().enumerate() {
-            let Some(refresh_s) = point.refresh_s else {
+            let Some(refresh_s) = point.refresh_s() else {
                 continue;
             };
             if matches!(&self.joint, Joint::With(joined) if joined.at == at) {
@@ -187,7 +186,7 @@ impl Points {
         let points = self.sent.iter().zip(&self.map.set_points);
         let due = points.filter_map(|(sent, point)| {
             sent.value?;
-            Some(sent.at_s + point.refresh_s?)
+            Some(sent.at_s + point.refresh_s()?)
         });
         due.reduce(f64::min)
     }
@@ -201,7 +200,7 @@ impl Points {
     ) -> Result<(), LinkError> {
         let map = Arc::clone(&self.map);
         let mut result = Ok(());
-        for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
+        for point in map.set_points.iter().filter(|p| p.is_reference()) {
             let written = self.write(bus, readings, &point.name, 0.0, None);
             let at = self.position(&point.name);
             self.sent[at].value = None;
@@ -235,7 +234,7 @@ impl Points {
             let raw = point.numbers.raw(value, factor);
             point.location.layout.encode(raw)
         };
-        let magnitude = if point.sign.is_some() {
+        let magnitude = if point.keys.sign.is_some() {
             value.abs()
         } else {
             value
@@ -248,7 +247,7 @@ impl Points {
             ));
         };
         // Zero has no sign, and does not wait for one on its way to bring the drive to rest.
-        let sign = point.sign.as_ref();
+        let sign = point.keys.sign.as_ref();
         if let Some(sign) = sign.filter(|_| !(self.is_urgent && value == 0.0)) {
             // Through zero: between the two writes the old magnitude must not stand behind the new sign.
             let turns = self.sent[at].value.is_some_and(|held| held * value < 0.0);
@@ -324,14 +323,14 @@ impl Points {
         registers: &[u16],
     ) -> Result<bool, LinkError> {
         let sent = &self.sent[at];
-        if point.stopped_only && self.running {
+        if point.keys.write_only_when.is_some() && self.running {
             let text = format!(
                 "setpoint {} may only be written while the drive stands",
                 point.name
             );
             return Err(refused(bus, text));
         }
-        if point.nvm {
+        if point.keys.nvm {
             if sent.registers == registers && !sent.in_doubt {
                 return Ok(false);
             }
@@ -379,10 +378,10 @@ impl Points {
         };
         let carried =
             written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
-        self.carried = Some(Span::from(carried));
+        self.carried = Some(carried);
         self.acknowledged(at, registers.to_vec(), bus.now_s());
         // What brings the drive to rest is followed by a look at its state instead.
-        if point.readback && !self.is_urgent {
+        if point.keys.readback && !self.is_urgent {
             // Without a read-back that comes, the value that is held has not been noted either.
             self.sent[at].in_doubt = true;
             let found = self.read_back(bus, at, point)?;
@@ -405,8 +404,7 @@ impl Points {
         at: usize,
         point: &SetPoint,
     ) -> Result<Vec<u16>, LinkError> {
-        let count = point.location.layout.registers();
-        let read = bus.read(point.location.table, point.location.address, count)?;
+        let read = bus.read(point.location.request())?;
         self.sent[at].looked_s = bus.now_s();
         Ok(read.words)
     }
@@ -422,7 +420,7 @@ impl Points {
                 && !sent.in_doubt
                 && !sent.confirmed.is_empty()
                 && sent.confirmed == sent.registers;
-            if !point.readback || !is_ours || bus.now_s() - sent.looked_s < pause_s {
+            if !point.keys.readback || !is_ours || bus.now_s() - sent.looked_s < pause_s {
                 continue;
             }
             let ours = sent.registers.clone();
@@ -480,8 +478,8 @@ impl Points {
         let map = Arc::clone(&self.map);
         let mut names = Vec::new();
         self.is_urgent = false;
-        for point in map.set_points.iter().filter(|p| !p.is_word() && !p.nvm) {
-            if !point.readback {
+        for point in map.set_points.iter().filter(|p| p.is_reference()) {
+            if !point.keys.readback {
                 continue;
             }
             self.write(bus, readings, &point.name, 0.0, None)?;
@@ -502,8 +500,5 @@ impl Points {
 }
 
 fn refused(bus: &dyn RegisterBus, reason: String) -> LinkError {
-    LinkError::Refused {
-        link: bus.name().0,
-        reason,
-    }
+    LinkError::Refused(bus.name().0, reason)
 }

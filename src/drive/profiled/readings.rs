@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::drive::budget::joint_block;
+use crate::drive::clock_map::{ClockMap, DriveClock};
 use crate::drive::link::LinkError;
-use crate::drive::register_bus::{Carried, RegisterBus, RegistersRead};
+use crate::drive::register_bus::{RegisterBus, Span};
 use crate::drive::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
 
 /// One signal as it was last read.
@@ -14,53 +15,8 @@ pub(super) struct Reading {
     /// In the profile's unit; `None` for a code that says so, or a value that cannot be.
     pub(super) value: Option<f64>,
     pub(super) pattern: Option<u32>,
-    /// When its request went out, s.
-    pub(super) read_s: f64,
-    /// When the first byte of the reply came in, s.
-    pub(super) answered_s: f64,
-}
-
-/// The host times between which something was done at the far end, s.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Span {
-    pub(super) asked_s: f64,
-    pub(super) answered_s: f64,
-}
-
-impl Span {
-    pub(super) const fn middle_s(self) -> f64 {
-        f64::midpoint(self.asked_s, self.answered_s)
-    }
-
-    pub(super) const fn half_width_s(self) -> f64 {
-        0.5 * (self.answered_s - self.asked_s)
-    }
-
-    /// From the first request out to the last reply in.
-    fn and(earlier: Option<Self>, later: Self) -> Self {
-        Self {
-            asked_s: earlier.map_or(later.asked_s, |span| span.asked_s),
-            ..later
-        }
-    }
-}
-
-impl From<&RegistersRead> for Span {
-    fn from(read: &RegistersRead) -> Self {
-        Self {
-            asked_s: read.asked_s,
-            answered_s: read.answered_s,
-        }
-    }
-}
-
-impl From<Carried> for Span {
-    fn from(carried: Carried) -> Self {
-        Self {
-            asked_s: carried.asked_s,
-            answered_s: carried.answered_s,
-        }
-    }
+    /// Request out, reply in.
+    pub(super) span: Span,
 }
 
 /// Where a counting position was last.
@@ -114,12 +70,7 @@ impl Readings {
     }
 
     pub(super) fn get(&self, name: &str) -> Option<Reading> {
-        let at = self
-            .map
-            .signals
-            .iter()
-            .position(|signal| signal.name == name)?;
-        self.last.get(at).copied()
+        self.last.get(self.map.index(name)?).copied()
     }
 
     pub(super) fn at(&self, index: usize) -> Reading {
@@ -153,7 +104,11 @@ impl Readings {
             if write.is_some() {
                 both = Some(span);
             }
-            whole = Some(Span::and(whole, span));
+            // From the first request out to the last reply in.
+            whole = Some(Span {
+                asked_s: whole.map_or(span.asked_s, |first: Span| first.asked_s),
+                ..span
+            });
         }
         Ok((whole, both))
     }
@@ -193,7 +148,7 @@ impl Readings {
         let signals = &self.map.signals;
         let holds = |block: &&ReadBlock| {
             let mut indices = block.signals.iter();
-            indices.any(|index| signals[*index].quantity == quantity)
+            indices.any(|index| signals[*index].keys.quantity == quantity)
         };
         match self.slow.iter().find(holds).cloned() {
             Some(block) => self.read(bus, &block),
@@ -215,9 +170,9 @@ impl Readings {
         let read = match point {
             Some((point, joined)) => bus.read_write(
                 (point.location.address, &joined.registers),
-                (block.address, block.count),
+                (block.read.address, block.read.count),
             ),
-            None => bus.read(block.table, block.address, block.count),
+            None => bus.read(block.read),
         };
         let read = read.map_err(|error| {
             let signals = block.signals.iter().map(|index| &self.map.signals[*index]);
@@ -230,51 +185,48 @@ impl Readings {
         })?;
         for index in &block.signals {
             let location = self.map.signals[*index].location;
-            let offset = usize::from(location.address - block.address);
+            let offset = usize::from(location.address - block.read.address);
             let pattern = read
                 .words
                 .get(offset..)
                 .and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));
             let value = match (value, pattern) {
-                (Some(_), Some(pattern)) => self.unwrapped(*index, pattern, &read).or(value),
+                (Some(_), Some(pattern)) => self
+                    .unwrapped(*index, pattern, read.span.middle_s())
+                    .or(value),
                 _ => value,
             };
             self.rejected += u64::from(value.is_none());
             self.last[*index] = Reading {
                 value,
                 pattern,
-                read_s: read.asked_s,
-                answered_s: read.answered_s,
+                span: read.span,
             };
         }
-        Ok(Span::from(&read))
+        Ok(read.span)
     }
 
     fn value(&self, index: usize, pattern: u32) -> Option<f64> {
         let signal = &self.map.signals[index];
-        if signal.invalid.contains(&pattern) {
+        if signal.keys.invalid.contains(&pattern) {
             return None;
         }
         let factor = self.factor(&signal.numbers.scale_by)?;
         let value = signal
             .numbers
             .value(signal.location.layout.number(pattern), factor);
-        let valid = |value: &f64| {
-            signal
-                .valid
-                .is_none_or(|[low, high]| (low..=high).contains(value))
-        };
+        let range = signal.keys.valid;
+        let valid = |value: &f64| range.is_none_or(|[low, high]| (low..=high).contains(value));
         Some(value).filter(|value| value.is_finite()).filter(valid)
     }
 
     /// A position over the place where its counter begins again: the nearest to where the speed that was read last has taken
     /// it since. `None`: it does not begin again.
-    fn unwrapped(&mut self, index: usize, pattern: u32, read: &RegistersRead) -> Option<f64> {
+    fn unwrapped(&mut self, index: usize, pattern: u32, at_s: f64) -> Option<f64> {
         let signal = &self.map.signals[index];
         let span = signal.wraps_at?;
         let raw = signal.location.layout.number(pattern);
-        let at_s = f64::midpoint(read.asked_s, read.answered_s);
         let factor = self.factor(&signal.numbers.scale_by)?;
         let counts = self.positions.get(&index).map_or(raw, |last| {
             let moved = self
@@ -299,7 +251,7 @@ impl Readings {
             .map
             .signals
             .iter()
-            .position(|signal| signal.quantity == Quantity::ShaftSpeed)?;
+            .position(|signal| signal.keys.quantity == Quantity::ShaftSpeed)?;
         let (_, si) = self.map.signals[at].channel?;
         Some(self.last[at].value? * si)
     }
@@ -341,5 +293,68 @@ pub(super) fn in_profile(
         ),
         code,
         name,
+    }
+}
+
+/// The counter is followed as one of so many counts to the turn, whatever its width; a narrower one is shifted up to it.
+const BITS: u16 = 32;
+/// What [`DriveClock`] takes a count for, s.
+const COUNT_S: f64 = 1e-6;
+
+pub(super) struct Clock {
+    /// Position of its signal in the map.
+    signal: usize,
+    /// How far its counts are shifted up.
+    shift: u16,
+    /// One count of the shifted counter, s, and one of its own.
+    count_s: f64,
+    resolution_s: f64,
+    counter: DriveClock,
+    map: ClockMap,
+}
+
+impl Clock {
+    pub(super) fn of(map: &RegisterMap) -> Option<Self> {
+        let signal = map.signals.iter().position(|signal| {
+            signal.keys.quantity == Quantity::Clock && signal.keys.poll == PollRate::Fast
+        })?;
+        let resolution_s = map.signals[signal].clock_count_s()?;
+        let shift = BITS - 16 * map.signals[signal].location.layout.registers();
+        Some(Self {
+            signal,
+            shift,
+            count_s: resolution_s * 0.5_f64.powi(i32::from(shift)),
+            resolution_s,
+            counter: DriveClock::default(),
+            map: ClockMap::default(),
+        })
+    }
+
+    /// Drive time of the counter as it was read last, s since the first one.
+    pub(super) fn follow(&mut self, readings: &Readings) -> f64 {
+        let reading = readings.at(self.signal);
+        let span = reading.span;
+        // The link ended before it was read for the first time.
+        let raw = reading.pattern.unwrap_or_default() << self.shift;
+        let counts = self.count_s / COUNT_S;
+        let time_s = self.counter.follow(raw, span.middle_s() / counts) * counts;
+        self.map.observe(span, time_s);
+        time_s
+    }
+
+    /// Half of a count, s: between two of them nothing is told.
+    pub(super) const fn half_width_s(&self) -> f64 {
+        0.5 * self.resolution_s
+    }
+
+    /// A host time on the drive's clock, s; before the first look at it, its zero.
+    pub(super) fn of_host_s(&self, host_s: f64) -> f64 {
+        self.map
+            .offset_s(host_s)
+            .map_or(0.0, |offset_s| host_s + offset_s)
+    }
+
+    pub(super) const fn map(&self) -> &ClockMap {
+        &self.map
     }
 }

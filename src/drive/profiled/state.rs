@@ -27,8 +27,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
     /// Whether it reports that it runs; `None` where that is not told, or was not read since it was enabled.
     pub(super) fn runs_since_enabled(&self) -> Option<bool> {
         let reading = self.readings.get(&self.map.state("running")?.signal)?;
-        self.told("running")
-            .filter(|_| self.unseen_since_s.is_none_or(|s| reading.read_s >= s))
+        self.told("running").filter(|_| {
+            self.unseen_since_s
+                .is_none_or(|s| reading.span.asked_s >= s)
+        })
     }
 
     /// Whether its fault condition holds, or that of its own watchdog.
@@ -174,7 +176,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             let reading = self.readings.at(index);
             if let (Some((channel, si)), Some(value)) = (signal.channel, reading.value) {
                 sample.set(channel, value * si);
-                if reading.read_s < began_s {
+                if reading.span.asked_s < began_s {
                     sample.set_stale(channel);
                 }
             }

@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::super::link::LinkError;
-use super::client::RawClient;
-use super::request::ReadRequest;
+use super::super::register_bus::ReadRequest;
+use super::RawClient;
 
 /// Times that doubtful values are asked for again, each between two proofs.
 const CAREFUL_ATTEMPTS: usize = 3;
@@ -85,7 +85,18 @@ pub fn read_batch(
             let values = client.read(*request);
             vouched[index] = client.is_vouched();
             batch.asked += 1;
-            let is_gone = matches!(values, Err(LinkError::Gone { .. }));
+            if let Err(gone @ LinkError::Gone { .. }) = &values {
+                // Nothing of this round can be vouched for, and what was not asked any more is missing as well.
+                let none = |request: &ReadRequest| Read {
+                    request: *request,
+                    values: Err(gone.clone()),
+                };
+                batch.reads = requests.iter().map(none).collect();
+                batch.asked = rounds * requests.len() as u64;
+                batch.elapsed_s = elapsed_s(client, begun + proving);
+                batch.round_trips = sorted(round_trips);
+                return batch;
+            }
             if values.is_ok() {
                 batch.answered += 1;
                 round_trips.push(client.last_round_trip());
@@ -97,14 +108,6 @@ pub fn read_batch(
             match batch.reads.get_mut(index) {
                 Some(old) => *old = read,
                 None => batch.reads.push(read),
-            }
-            if is_gone {
-                // Everything that was not asked any more is missing as well.
-                batch.asked = rounds * requests.len() as u64;
-                abandon(&mut batch, requests);
-                batch.elapsed_s = elapsed_s(client, begun + proving);
-                batch.round_trips = sorted(round_trips);
-                return batch;
             }
         }
         batch.is_interrupted = !is_last && stop.load(Ordering::Acquire);
@@ -126,27 +129,6 @@ fn elapsed_s(client: &RawClient, since: Instant) -> f64 {
 fn sorted(mut round_trips: Vec<Duration>) -> Vec<Duration> {
     round_trips.sort_unstable();
     round_trips
-}
-
-/// The port is gone: no value of this round can be vouched for any more.
-fn abandon(batch: &mut Batch, requests: &[ReadRequest]) {
-    let gone = |read: &Read| match &read.values {
-        Err(LinkError::Gone { link, reason }) => Some((link.clone(), reason.clone())),
-        _ => None,
-    };
-    let Some((link, reason)) = batch.reads.iter().find_map(gone) else {
-        return;
-    };
-    batch.reads = requests
-        .iter()
-        .map(|request| Read {
-            request: *request,
-            values: Err(LinkError::Gone {
-                link: link.clone(),
-                reason: reason.clone(),
-            }),
-        })
-        .collect();
 }
 
 /// Proves that the round was in step, or asks again for what it gave and for what only old replies came.
@@ -195,11 +177,13 @@ fn careful(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, Lin
             Err(_) => return values,
         }
     }
-    Err(last.unwrap_or_else(|| LinkError::Corrupt {
-        link: client.name.clone(),
-        reason: format!(
-            "the reply for {} registers at {} cannot be vouched for: replies come out of step",
-            request.count, request.address
-        ),
+    Err(last.unwrap_or_else(|| {
+        LinkError::Corrupt(
+            client.name.clone(),
+            format!(
+                "the reply for {} registers at {} cannot be vouched for: replies come out of step",
+                request.count, request.address
+            ),
+        )
     }))
 }

@@ -6,15 +6,13 @@ use std::sync::atomic::AtomicBool;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use firmware_protocol::modbus::{Length, request_len, rtu};
+use firmware_protocol::modbus::{Length, request_len};
 use nix::fcntl::OFlag;
-use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
-use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::super::modbus::RegisterTable;
-use super::super::profile::Framing;
+use super::super::fake::{pty, rtu_frame as frame};
+use super::super::register_bus::RegisterTable;
 use super::*;
 
 /// What the device does wrong with one request.
@@ -62,25 +60,16 @@ struct Manners {
 /// A device behind a pseudo-terminal; it ends when the client closes.
 struct Device {
     path: String,
-    thread: Option<JoinHandle<()>>,
+    thread: JoinHandle<()>,
 }
 
 impl Device {
     fn start(manners: Manners, mut fault: impl FnMut(usize) -> Fault + Send + 'static) -> Self {
-        let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC;
-        let mut master = posix_openpt(flags).unwrap();
-        grantpt(&master).unwrap();
-        unlockpt(&master).unwrap();
-        let mut termios = tcgetattr(&master).unwrap();
-        cfmakeraw(&mut termios);
-        tcsetattr(&master, SetArg::TCSANOW, &termios).unwrap();
-        let path = ptsname_r(&master).unwrap();
+        let (mut master, target) = pty(OFlag::O_CLOEXEC);
+        let path = target.to_string();
         // As long as this is open the master sees no hang-up before the client is there.
-        let held = std::fs::File::options()
-            .read(true)
-            .write(true)
-            .open(&path)
-            .unwrap();
+        let held = std::fs::File::options().read(true).write(true).open(&path);
+        let held = held.unwrap();
         let thread = std::thread::spawn(move || {
             let (mut held, mut pending, mut received) = (Some(held), Vec::new(), Vec::new());
             let mut index = 0;
@@ -100,26 +89,30 @@ impl Device {
             }
             drop(held);
         });
-        Self {
-            path,
-            thread: Some(thread),
-        }
+        Self { path, thread }
     }
 
-    fn client(&self, timeout_ms: u64) -> RawClient {
+    /// Works with a client of the device; both are gone afterwards.
+    fn with_client<R>(self, timeout_ms: u64, work: impl FnOnce(&mut RawClient) -> R) -> R {
         let target = self.path.parse().unwrap();
-        let settings = RawSettings {
-            baud: 115_200,
-            framing: Framing::EightNoneOne,
-            unit: 1,
-            timeout: Duration::from_millis(timeout_ms),
-            gap: Some(Duration::ZERO),
-        };
-        RawClient::open(&target, &settings, None).unwrap()
+        let timeout = Duration::from_millis(timeout_ms);
+        let mut client = RawClient::open(&target, &settings(timeout), None).unwrap();
+        let result = work(&mut client);
+        let counters = client.counters();
+        assert!(counters.requests.balances(), "{counters:?}");
+        drop(client);
+        self.thread.join().unwrap();
+        result
     }
+}
 
-    fn end(mut self) {
-        self.thread.take().unwrap().join().unwrap();
+fn settings(timeout: Duration) -> RawSettings {
+    RawSettings {
+        baud: 115_200,
+        framing: Framing::EightNoneOne,
+        unit: 1,
+        timeout,
+        gap: Some(Duration::ZERO),
     }
 }
 
@@ -128,12 +121,6 @@ fn take_request(received: &mut Vec<u8>) -> Option<Vec<u8>> {
         return None;
     };
     (received.len() >= length + 3).then(|| received.drain(..length + 3).collect())
-}
-
-fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-    let mut out = [0; rtu::MAX_FRAME];
-    let length = rtu::encode_frame(unit, pdu, &mut out);
-    out[..length].to_vec()
 }
 
 /// The pieces that the device sends for one request.
@@ -198,11 +185,7 @@ fn answer(request: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>)
 }
 
 fn reads(addresses: &[u16], count: u16) -> Vec<ReadRequest> {
-    let of = |address: &u16| ReadRequest {
-        table: RegisterTable::Holding,
-        address: *address,
-        count,
-    };
+    let of = |address: &u16| ReadRequest::holding(*address, count);
     addresses.iter().map(of).collect()
 }
 
@@ -229,30 +212,23 @@ fn batch(client: &mut RawClient, requests: &[ReadRequest], rounds: u64) -> Batch
 
 #[test]
 fn no_fault_of_any_request_delivers_a_wrong_value_and_the_line_recovers() {
-    let cases = FAULTS
-        .iter()
-        .flat_map(|fault| [0, 1, 4].map(|at| (*fault, at)));
     let run = |fault: Fault, at: usize| {
         let device = Device::start(Manners::default(), move |index| {
             if index == at { fault } else { Fault::None }
         });
-        let mut client = device.client(300);
         let context = format!("{fault:?} of request {at}");
-        let first = batch(&mut client, &reads(&[10, 20, 30, 40, 50], 1), 1);
-        assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
-        let second = batch(&mut client, &reads(&[10, 20, 30], 2), 1);
-        assert_eq!(answered(&second, &context), 3, "{context}: {second:?}");
-        assert!(
-            client.counters().requests.balances(),
-            "{:?}",
-            client.counters()
-        );
-        drop(client);
-        device.end();
+        device.with_client(300, |client| {
+            let first = batch(client, &reads(&[10, 20, 30, 40, 50], 1), 1);
+            assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
+            let second = batch(client, &reads(&[10, 20, 30], 2), 1);
+            assert_eq!(answered(&second, &context), 3, "{context}: {second:?}");
+        });
     };
     std::thread::scope(|scope| {
-        for (fault, at) in cases {
-            scope.spawn(move || run(fault, at));
+        for fault in FAULTS {
+            for at in [0, 1, 4] {
+                scope.spawn(move || run(fault, at));
+            }
         }
     });
 }
@@ -264,18 +240,16 @@ fn mixed_faults_never_deliver_a_wrong_value() {
         let draw = random.next_u32() as usize % 64;
         FAULTS.get(draw).copied().unwrap_or(Fault::None)
     });
-    let mut client = device.client(40);
-    let mut delivered = 0;
-    for round in 0..40_u16 {
-        let requests = reads(&[10 + round, 100 + round, 200 + round], 1 + round % 3);
-        delivered += answered(&batch(&mut client, &requests, 1), "mixed");
-    }
-    assert!(delivered > 30, "{delivered} {:?}", client.counters());
-    let counters = client.counters();
-    assert!(counters.requests.balances(), "{counters:?}");
-    assert!(counters.resynchronisations > 0, "{counters:?}");
-    drop(client);
-    device.end();
+    device.with_client(40, |client| {
+        let mut delivered = 0;
+        for round in 0..40_u16 {
+            let requests = reads(&[10 + round, 100 + round, 200 + round], 1 + round % 3);
+            delivered += answered(&batch(client, &requests, 1), "mixed");
+        }
+        let counters = client.counters();
+        assert!(delivered > 30, "{delivered} {counters:?}");
+        assert!(counters.resynchronisations > 0, "{counters:?}");
+    });
 }
 
 /// A line that does the same to every reply still yields what came clean: 0 of 5 before every reply was told by its code.
@@ -283,17 +257,14 @@ fn mixed_faults_never_deliver_a_wrong_value() {
 fn a_line_that_does_the_same_to_every_reply_yields_values_and_none_of_them_is_wrong() {
     let run = |fault: Fault| {
         let device = Device::start(Manners::default(), move |_| fault);
-        let mut client = device.client(60);
-        for count in [1, 3] {
-            let all = batch(&mut client, &reads(&[10, 20, 30, 40, 50], count), 1);
-            let context = format!("{fault:?}, {count} at a time");
-            let values = answered(&all, &context);
-            assert!(values >= 3, "{context}: {values} of 5, {all:?}");
-        }
-        let counters = client.counters();
-        assert!(counters.requests.balances(), "{counters:?}");
-        drop(client);
-        device.end();
+        device.with_client(60, |client| {
+            for count in [1, 3] {
+                let all = batch(client, &reads(&[10, 20, 30, 40, 50], count), 1);
+                let context = format!("{fault:?}, {count} at a time");
+                let values = answered(&all, &context);
+                assert!(values >= 3, "{context}: {values} of 5, {all:?}");
+            }
+        });
     };
     std::thread::scope(|scope| {
         for fault in [
@@ -315,15 +286,13 @@ fn a_unit_that_answers_one_length_only_is_still_vouched_for() {
             only_reads_of: Some(4),
             is_silent_otherwise,
         };
-        let device = Device::start(manners, |_| Fault::None);
-        let mut client = device.client(100);
-        for _ in 0..2 {
-            let all = batch(&mut client, &reads(&[10, 20], 4), 3);
-            assert_eq!(answered(&all, "one length"), 2, "{all:?}");
-            assert!(all.is_all_answered());
-        }
-        drop(client);
-        device.end();
+        Device::start(manners, |_| Fault::None).with_client(100, |client| {
+            for _ in 0..2 {
+                let all = batch(client, &reads(&[10, 20], 4), 3);
+                assert_eq!(answered(&all, "one length"), 2, "{all:?}");
+                assert!(all.is_all_answered());
+            }
+        });
     }
 }
 
@@ -333,57 +302,46 @@ fn a_refusal_is_an_answer_with_its_name() {
         only_reads_of: Some(1),
         is_silent_otherwise: false,
     };
-    let device = Device::start(manners, |_| Fault::None);
-    let mut client = device.client(2000);
-    let both = batch(&mut client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
-    assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
-    let refused = both.reads[1].values.as_ref().unwrap_err();
-    assert!(
-        matches!(refused, LinkError::Exception { code: 1, .. }),
-        "{refused}"
-    );
-    assert_eq!((both.asked, both.answered), (2, 1));
-    drop(client);
-    device.end();
+    Device::start(manners, |_| Fault::None).with_client(2000, |client| {
+        let both = batch(client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
+        assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
+        let refused = both.reads[1].values.as_ref().unwrap_err();
+        let is_refused = matches!(refused, LinkError::Exception { code: 1, .. });
+        assert!(is_refused, "{refused}");
+        assert_eq!((both.asked, both.answered), (2, 1));
+    });
 }
 
 #[test]
 fn a_write_goes_out_once_even_when_nobody_answers() {
-    let device = Device::start(Manners::default(), |index| {
-        if index == 1 {
-            Fault::Silent
-        } else {
-            Fault::None
-        }
+    let device = Device::start(Manners::default(), |index| match index {
+        1 => Fault::Silent,
+        _ => Fault::None,
     });
-    let mut client = device.client(200);
-    assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
-    let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
-    assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
-    client.write(WriteFunction::Single, 5, &[9]).unwrap();
-    assert!(client.counters().requests.balances());
-    drop(client);
-    device.end();
+    device.with_client(200, |client| {
+        assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
+        let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
+        assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
+        client.write(WriteFunction::Single, 5, &[9]).unwrap();
+    });
 }
 
 #[test]
 fn a_silent_unit_costs_one_timeout_a_read_and_a_peer_that_goes_ends_it() {
     let device = Device::start(Manners::default(), |_| Fault::Silent);
-    let mut client = device.client(30);
-    let none = batch(&mut client, &reads(&[1, 2, 3], 1), 2);
-    assert_eq!((none.asked, none.answered), (6, 0));
-    assert_eq!(client.counters().requests.sent, 6);
-    assert_eq!(client.counters().requests.timeout, 6);
-    assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
-    // Who else has the port is refused by name.
-    let second = Wire::serial(&device.path, 9600, Framing::EightNoneOne).map(drop);
-    let refused = second.unwrap_err().to_string();
-    assert!(
-        refused.contains("holds it") || refused.contains("held by"),
-        "{refused}"
-    );
-    drop(client);
-    device.end();
+    let path = device.path.clone();
+    device.with_client(30, |client| {
+        let none = batch(client, &reads(&[1, 2, 3], 1), 2);
+        assert_eq!((none.asked, none.answered), (6, 0));
+        let requests = client.counters().requests;
+        assert_eq!((requests.sent, requests.timeout), (6, 6));
+        assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
+        // Who else has the port is refused by name.
+        let second = Wire::serial(&path, 9600, Framing::EightNoneOne).map(drop);
+        let refused = second.unwrap_err().to_string();
+        let is_told = refused.contains("holds it") || refused.contains("held by");
+        assert!(is_told, "{refused}");
+    });
 }
 
 #[test]
@@ -392,11 +350,8 @@ fn a_peer_that_closes_ends_the_batch() {
     let address = listener.local_addr().unwrap();
     let server = std::thread::spawn(move || drop(listener.accept().unwrap()));
     let settings = RawSettings {
-        baud: 9600,
-        framing: Framing::EightNoneOne,
-        unit: 1,
-        timeout: Duration::from_secs(2),
         gap: None,
+        ..settings(Duration::from_secs(2))
     };
     let target = format!("tcp:{address}").parse().unwrap();
     let mut client = RawClient::open(&target, &settings, None).unwrap();
@@ -409,4 +364,29 @@ fn a_peer_that_closes_ends_the_batch() {
         "{none:?}"
     );
     assert!(client.counters().requests.balances());
+}
+
+#[test]
+fn requests_are_the_bytes_of_the_standard() {
+    let read = ReadRequest {
+        table: RegisterTable::Input,
+        address: 0x0108,
+        count: 3,
+    };
+    assert_eq!(read.pdu(), [4, 1, 8, 0, 3]);
+    let one = write_pdu(WriteFunction::Single, 1, &[0x0203]);
+    assert_eq!(one, [6, 0, 1, 2, 3]);
+    let two = write_pdu(WriteFunction::Multiple, 1, &[0x000A, 0x0102]);
+    assert_eq!(two, [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
+    assert_eq!(values(&[3, 4, 0, 6, 0xFF, 5]), [6, 0xFF05]);
+    assert_eq!(values(&[]), [0_u16; 0]);
+    assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
+}
+
+#[test]
+fn names_are_taken_as_far_as_they_fit() {
+    let pdu = [&[43, 14, 1, 1, 0, 0, 2, 0, 2][..], b"Ab", &[1, 1], b"C"].concat();
+    assert_eq!(object_texts(&pdu), ["Ab", "C"]);
+    assert_eq!(object_texts(&pdu[..10]), [""; 0]);
+    assert_eq!(object_texts(&[]), [""; 0]);
 }

@@ -16,8 +16,8 @@ use rustix::termios::{
 
 use super::super::link::LinkError;
 use super::super::port::{connect, open_error};
-use super::super::profile::Framing;
 use super::super::serial_ports::holders;
+use super::super::settings::Framing;
 
 /// The descriptor, and what is to be put back when it is closed.
 pub(super) struct Wire {
@@ -150,10 +150,7 @@ fn set(termios: &mut Termios, baud: u32, framing: Framing) -> rustix::io::Result
 }
 
 fn open(link: &str, reason: &str) -> LinkError {
-    LinkError::Open {
-        link: link.to_owned(),
-        reason: reason.to_owned(),
-    }
+    LinkError::Open(link.to_owned(), reason.to_owned())
 }
 
 /// Someone else has the port: who?

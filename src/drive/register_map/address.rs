@@ -43,172 +43,150 @@ pub(super) enum Formula {
     CanObject,
 }
 
-/// An address as a profile writes it: one of the three.
+/// How the numbers of one profile are meant.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Written<'a> {
-    pub(super) address: Option<i64>,
-    /// `"01.07"`: group and index.
-    pub(super) parameter: Option<&'a str>,
-    /// Object and channel.
-    pub(super) can: Option<[i64; 2]>,
+pub(super) struct Numbering {
+    pub(super) base: Base,
+    pub(super) formula: Option<Formula>,
 }
 
-/// Address on the wire, and the table where the number itself tells it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Resolved {
-    pub(super) address: u16,
-    pub(super) is_input: Option<bool>,
-}
+/// Address on the wire, and whether it is an input register's where the number itself tells it.
+pub(super) type Resolved = (u16, Option<bool>);
 
-/// The address on the wire; the error says what is allowed.
-pub(super) fn resolve(
-    written: Written<'_>,
-    base: Base,
-    formula: Option<Formula>,
-) -> Result<Resolved, String> {
-    match (written.address, written.parameter, written.can) {
-        (Some(number), None, None) => from_number(number, base),
-        (None, Some(text), None) => {
-            let (group, index) = text
-                .split_once('.')
-                .and_then(|(group, index)| {
-                    Some((group.parse::<i64>().ok()?, index.parse::<i64>().ok()?))
-                })
-                .ok_or_else(|| {
-                    format!("parameter {text:?} is not allowed (expected \"GROUP.INDEX\")")
-                })?;
-            let number = match formula {
-                Some(Formula::HundredPerGroup) => 100 * group + index,
-                Some(Formula::ByteGroup) => 256 * group + index,
-                Some(Formula::CanObject) | None => {
+impl Numbering {
+    /// The address on the wire of what a profile writes as one of a number, a parameter (`"01.07"`: group and index), or
+    /// object and channel; the error says what is allowed.
+    pub(super) fn resolve(
+        self,
+        address: Option<i64>,
+        parameter: Option<&str>,
+        can: Option<[i64; 2]>,
+    ) -> Result<Resolved, String> {
+        match (address, parameter, can) {
+            (Some(number), None, None) => self.number(number),
+            (None, Some(text), None) => self.parameter(text),
+            (None, None, Some([object, channel])) => {
+                if self.formula != Some(Formula::CanObject) {
+                    return Err(
+                        "can needs link.address_formula \"(canid<<5|ch)&0xFFFF\"".to_owned()
+                    );
+                }
+                if !(0..=0xFFFF).contains(&object) || !(0..=31).contains(&channel) {
                     return Err(format!(
-                        "parameter {text:?} needs link.address_formula \"100*group+index\" or \"256*group+index\""
+                        "can [{object:#x}, {channel}] is not allowed (expected an object up to 0xFFFF and a channel up to 31)"
                     ));
                 }
-            };
-            // A parameter's number has no leading 4: it counts from the base like a short register number.
-            plain(number, i64::from(base != Base::Zero))
-        }
-        (None, None, Some([object, channel])) => {
-            if formula != Some(Formula::CanObject) {
-                return Err("can needs link.address_formula \"(canid<<5|ch)&0xFFFF\"".to_owned());
+                Ok((wire(((object << 5) | channel) & 0xFFFF, 0)?, None))
             }
-            if !(0..=0xFFFF).contains(&object) || !(0..=31).contains(&channel) {
+            (None, None, None) => {
+                Err("the address is missing (expected address, parameter or can)".to_owned())
+            }
+            _ => Err(
+                "more than one of address, parameter and can is given (expected one)".to_owned(),
+            ),
+        }
+    }
+
+    pub(super) fn number(self, number: i64) -> Result<Resolved, String> {
+        let (first, is_input) = match (self.base, number) {
+            (Base::Zero, _) => (0, None),
+            (Base::One, _) => (1, None),
+            (Base::Modicon, 40_001..=49_999) => (40_001, Some(false)),
+            (Base::Modicon, 30_001..=39_999) => (30_001, Some(true)),
+            (Base::Modicon, 400_001..=465_536) => (400_001, Some(false)),
+            (Base::Modicon, 300_001..=365_536) => (300_001, Some(true)),
+            (Base::Modicon, _) => {
                 return Err(format!(
-                    "can [{object:#x}, {channel}] is not allowed (expected an object up to 0xFFFF and a channel up to 31)"
+                    "address {number} is not allowed (expected 40001 to 49999, 30001 to 39999, 400001 to 465536 or 300001 to 365536 with address_base \"4x1\")"
                 ));
             }
-            plain(((object << 5) | channel) & 0xFFFF, 0)
-        }
-        (None, None, None) => {
-            Err("the address is missing (expected address, parameter or can)".to_owned())
-        }
-        _ => Err("more than one of address, parameter and can is given (expected one)".to_owned()),
+        };
+        Ok((wire(number, first)?, is_input))
     }
-}
 
-fn from_number(number: i64, base: Base) -> Result<Resolved, String> {
-    match base {
-        Base::Zero => plain(number, 0),
-        Base::One => plain(number, 1),
-        Base::Modicon => {
-            let (first, is_input) = match number {
-                40_001..=49_999 => (40_001, false),
-                30_001..=39_999 => (30_001, true),
-                400_001..=465_536 => (400_001, false),
-                300_001..=365_536 => (300_001, true),
-                _ => {
-                    return Err(format!(
-                        "address {number} is not allowed (expected 40001 to 49999, 30001 to 39999, 400001 to 465536 or 300001 to 365536 with address_base \"4x1\")"
-                    ));
-                }
-            };
-            let resolved = plain(number, first)?;
-            Ok(Resolved {
-                is_input: Some(is_input),
-                ..resolved
+    fn parameter(self, text: &str) -> Result<Resolved, String> {
+        let parts = text.split_once('.');
+        let (group, index) = parts
+            .and_then(|(group, index)| {
+                Some((group.parse::<i64>().ok()?, index.parse::<i64>().ok()?))
             })
-        }
+            .ok_or_else(|| {
+                format!("parameter {text:?} is not allowed (expected \"GROUP.INDEX\")")
+            })?;
+        let number = match self.formula {
+            Some(Formula::HundredPerGroup) => 100 * group + index,
+            Some(Formula::ByteGroup) => 256 * group + index,
+            Some(Formula::CanObject) | None => {
+                return Err(format!(
+                    "parameter {text:?} needs link.address_formula \"100*group+index\" or \"256*group+index\""
+                ));
+            }
+        };
+        // A parameter's number has no leading 4: it counts from the base like a short register number.
+        Ok((wire(number, i64::from(self.base != Base::Zero))?, None))
     }
 }
 
-fn plain(number: i64, first: i64) -> Result<Resolved, String> {
-    u16::try_from(number - first)
-        .map(|address| Resolved {
-            address,
-            is_input: None,
-        })
-        .map_err(|_| {
-            format!(
-                "address {number} is not allowed (expected {first} to {})",
-                first + 0xFFFF
-            )
-        })
+fn wire(number: i64, first: i64) -> Result<u16, String> {
+    u16::try_from(number - first).map_err(|_| {
+        let last = first + 0xFFFF;
+        format!("address {number} is not allowed (expected {first} to {last})")
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn number(address: i64, base: Base) -> Result<Resolved, String> {
-        let written = Written {
-            address: Some(address),
-            parameter: None,
-            can: None,
-        };
-        resolve(written, base, None)
-    }
-
     #[test]
-    fn numbers_count_from_their_base() {
-        let wire = |address, base| number(address, base).unwrap().address;
-        assert_eq!(wire(0x2103, Base::Zero), 0x2103);
-        assert_eq!(wire(1, Base::One), 0);
-        assert_eq!(wire(40_100, Base::Modicon), 99);
-        assert_eq!(wire(400_001, Base::Modicon), 0);
-        assert_eq!(wire(465_536, Base::Modicon), 0xFFFF);
-        assert_eq!(number(30_011, Base::Modicon).unwrap().is_input, Some(true));
-        for (wrong, base) in [
-            (-1, Base::Zero),
-            (65_536, Base::Zero),
-            (0, Base::One),
-            (40_000, Base::Modicon),
-            (50_000, Base::Modicon),
-            (465_537, Base::Modicon),
+    fn numbers_count_from_their_base_and_formulas_are_those_of_the_manuals() {
+        let number = |address, base| {
+            let formula = None;
+            Numbering { base, formula }.resolve(Some(address), None, None)
+        };
+        for (address, base, wire) in [
+            (0x2103, Base::Zero, Some((0x2103, None))),
+            (1, Base::One, Some((0, None))),
+            (40_100, Base::Modicon, Some((99, Some(false)))),
+            (400_001, Base::Modicon, Some((0, Some(false)))),
+            (465_536, Base::Modicon, Some((0xFFFF, Some(false)))),
+            (30_011, Base::Modicon, Some((10, Some(true)))),
+            (-1, Base::Zero, None),
+            (65_536, Base::Zero, None),
+            (0, Base::One, None),
+            (40_000, Base::Modicon, None),
+            (50_000, Base::Modicon, None),
+            (465_537, Base::Modicon, None),
         ] {
-            assert!(number(wrong, base).is_err(), "{wrong} {base:?}");
+            assert_eq!(number(address, base).ok(), wire, "{address} {base:?}");
         }
-    }
-
-    #[test]
-    fn formulas_are_those_of_the_manuals() {
-        let parameter = |text, formula| {
-            let written = Written {
-                address: None,
-                parameter: Some(text),
-                can: None,
-            };
-            resolve(written, Base::Modicon, formula).map(|found| found.address)
-        };
-        // ABB: parameter 01.07 is register 400107.
         let hundred = Some(Formula::HundredPerGroup);
-        assert_eq!(parameter("01.07", hundred), Ok(106));
-        assert_eq!(parameter("58.16", hundred), Ok(5815));
-        assert_eq!(parameter("01.07", Some(Formula::ByteGroup)), Ok(262));
-        assert!(parameter("1-7", hundred).is_err());
-        assert!(parameter("01.07", None).is_err());
+        for (text, formula, wire) in [
+            // ABB: parameter 01.07 is register 400107.
+            ("01.07", hundred, Some(106)),
+            ("58.16", hundred, Some(5815)),
+            ("01.07", Some(Formula::ByteGroup), Some(262)),
+            ("1-7", hundred, None),
+            ("01.07", None, None),
+        ] {
+            let base = Base::Modicon;
+            let found = Numbering { base, formula }.resolve(None, Some(text), None);
+            assert_eq!(found.ok().map(|(wire, _)| wire), wire, "{text} {formula:?}");
+        }
         // Roboteq: object 0x2100, channel 1 is register 0x2001.
-        let can = |object, channel| {
-            let written = Written {
-                address: None,
-                parameter: None,
-                can: Some([object, channel]),
-            };
-            resolve(written, Base::Zero, Some(Formula::CanObject)).map(|found| found.address)
-        };
-        assert_eq!(can(0x2100, 1), Ok(0x2001));
-        assert_eq!(can(0x2000, 1), Ok(0x0001));
-        assert_eq!(can(0x200D, 0), Ok(0x01A0));
-        assert!(can(0x2100, 32).is_err());
+        for (object, channel, wire) in [
+            (0x2100, 1, Some(0x2001)),
+            (0x2000, 1, Some(0x0001)),
+            (0x200D, 0, Some(0x01A0)),
+            (0x2100, 32, None),
+        ] {
+            let (base, formula) = (Base::Zero, Some(Formula::CanObject));
+            let found = Numbering { base, formula }.resolve(None, None, Some([object, channel]));
+            assert_eq!(
+                found.ok().map(|(wire, _)| wire),
+                wire,
+                "{object:#x} {channel}"
+            );
+        }
     }
 }

@@ -5,10 +5,11 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
+use super::schema::{SetPointKeys, SignalKeys, WatchdogKeys};
 use super::value::Layout;
-use crate::drive::RegisterTable;
-use crate::drive::profile::{DriveProfile, KickedBy, Trust};
-use crate::sample::{Channel, Origin, Side};
+use crate::drive::register_bus::{ReadRequest, RegisterTable};
+use crate::drive::settings::{DriveLimits, LinkSettings, Trust};
+use crate::sample::Channel;
 use crate::units::rad_s_from_rpm;
 
 /// What turns the motor.
@@ -168,6 +169,16 @@ impl Unit {
         }
     }
 
+    /// What one of a unit of time is, s.
+    pub(super) const fn seconds(self) -> Option<f64> {
+        match self {
+            Self::Microsecond => Some(1e-6),
+            Self::Millisecond => Some(1e-3),
+            Self::Second => Some(1.0),
+            _ => None,
+        }
+    }
+
     /// Whether it counts edges of an encoder.
     pub const fn is_counts(self) -> bool {
         matches!(self, Self::Counts | Self::CountsPerSecond)
@@ -187,6 +198,17 @@ pub struct Location {
     pub table: RegisterTable,
     pub address: u16,
     pub layout: Layout,
+}
+
+impl Location {
+    /// The question for its registers.
+    pub const fn request(&self) -> ReadRequest {
+        ReadRequest {
+            table: self.table,
+            address: self.address,
+            count: self.layout.registers(),
+        }
+    }
 }
 
 /// Raw number to value: `raw * scale * (product of the signals in scale_by) + offset`.
@@ -209,36 +231,15 @@ impl Numbers {
     }
 }
 
-/// What is known of a signal beside its number.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Traits {
-    pub origin: Option<Origin>,
-    pub signed: bool,
-    pub filter_ms: Option<f64>,
-    pub update_ms: Option<f64>,
-    pub basis: Option<super::schema::Basis>,
-    pub side: Option<Side>,
-    /// By which an electrical frequency was divided.
-    pub pole_pairs: Option<u8>,
-    pub trust: Option<Trust>,
-    pub note: Option<String>,
-}
-
-/// One value that is read.
+/// One value that is read: what the profile says of it, and what follows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     pub name: String,
     /// Line of the profile in which it begins.
     pub line: usize,
+    pub keys: SignalKeys,
     pub location: Location,
     pub numbers: Numbers,
-    pub quantity: Quantity,
-    pub poll: PollRate,
-    /// In units; a value outside is missing.
-    pub valid: Option<[f64; 2]>,
-    /// Raw patterns that mean "not available".
-    pub invalid: Vec<u32>,
-    pub traits: Traits,
     /// The channel that it fills, and what one unit is in SI.
     pub channel: Option<(Channel, f64)>,
     /// Raw counts after which a position begins again; `None`: it never does.
@@ -248,19 +249,22 @@ pub struct Signal {
 impl Signal {
     /// What one count of a clock is, s; `None` for what is none.
     pub fn clock_count_s(&self) -> Option<f64> {
-        let unit_s = match self.numbers.unit {
-            Unit::Microsecond => 1e-6,
-            Unit::Millisecond => 1e-3,
-            Unit::Second => 1.0,
-            _ => return None,
-        };
-        (self.quantity == Quantity::Clock).then_some(self.numbers.scale * unit_s)
+        let unit_s = self.numbers.unit.seconds()?;
+        (self.keys.quantity == Quantity::Clock).then_some(self.numbers.scale * unit_s)
+    }
+
+    /// Whether its number tells which way.
+    pub fn is_signed(&self) -> bool {
+        let of_type = self.location.layout.kind.is_signed();
+        self.keys.signed.unwrap_or(of_type)
     }
 }
 
 /// Sign of a set-point as bits of another one.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Sign {
+    #[serde(rename = "setpoint")]
     pub set_point: String,
     pub mask: u16,
 }
@@ -272,33 +276,39 @@ pub enum StoppedOnly {
     Stopped,
 }
 
-/// One value that is written.
+/// One value that is written: what the profile says of it, and what follows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetPoint {
     pub name: String,
     /// Line of the profile in which it begins.
     pub line: usize,
+    pub keys: SetPointKeys,
     pub location: Location,
     /// 6 or 16.
     pub function: u8,
     pub numbers: Numbers,
-    pub quantity: Quantity,
-    pub limits: Option<[f64; 2]>,
-    pub slew_per_s: Option<f64>,
-    pub refresh_s: Option<f64>,
-    pub readback: bool,
-    pub nvm: bool,
-    pub stopped_only: bool,
-    pub sign: Option<Sign>,
-    pub trust: Option<Trust>,
-    pub note: Option<String>,
     /// What one unit is in SI where the bench may command it as speed, current or voltage.
     pub si: Option<f64>,
 }
 
 impl SetPoint {
     pub fn is_word(&self) -> bool {
-        self.quantity == Quantity::Word
+        self.keys.quantity == Quantity::Word
+    }
+
+    /// A reference that the program may set to zero by itself.
+    pub fn is_reference(&self) -> bool {
+        !self.is_word() && !self.keys.nvm
+    }
+
+    /// Its range with the sign that stands in another word.
+    pub fn range(&self) -> Option<[f64; 2]> {
+        let [low, high] = self.keys.limits?;
+        Some([if self.keys.sign.is_some() { -high } else { low }, high])
+    }
+
+    pub fn refresh_s(&self) -> Option<f64> {
+        self.keys.refresh_ms.map(|ms| ms * 1e-3)
     }
 }
 
@@ -415,23 +425,24 @@ pub enum Expiry {
     Unknown,
 }
 
-/// `[watchdog]`, with the registers that it has.
+/// `[watchdog]`, with the register that it has.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Supervision {
-    pub kind: SupervisionKind,
-    pub kicked_by: KickedBy,
-    /// As delivered, s: 0 is off, `None` not known.
-    pub default_s: Option<f64>,
-    pub on_expire: Expiry,
-    pub auto_resume: bool,
-    pub nvm: bool,
+    pub keys: WatchdogKeys,
     /// The time's register, and what one raw unit is in s.
     pub time: Option<(Location, f64)>,
+}
+
+impl Supervision {
+    /// As delivered, s: 0 is off, `None` not known.
+    pub fn default_s(&self) -> Option<f64> {
+        self.keys.default_ms.map(|ms| ms * 1e-3)
+    }
+
     /// Written at connect and read back, s.
-    pub set_s: Option<f64>,
-    pub boot_delay_s: f64,
-    pub proof: Option<String>,
-    pub note: Option<String>,
+    pub fn set_s(&self) -> Option<f64> {
+        self.keys.set_ms.map(|ms| ms * 1e-3)
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -494,15 +505,20 @@ impl RegisterMap {
     /// # Errors
     /// The first key or value that is not allowed, with its line.
     pub fn parse(file: &str, text: &str) -> Result<Self, crate::config_text::ConfigError> {
-        super::resolve::read(file, text).map(|(map, _)| map)
+        super::resolve::read(file, text).map(|(map, ..)| map)
     }
 
-    /// The same with the profile that the bench sees.
-    pub(in crate::drive) fn with_profile(
+    /// The same with what the file says of the link and of the drive's limits.
+    pub(in crate::drive) fn with_settings(
         file: &str,
         text: &str,
-    ) -> Result<(Self, DriveProfile), crate::config_text::ConfigError> {
+    ) -> Result<(Self, LinkSettings, DriveLimits), crate::config_text::ConfigError> {
         super::resolve::read(file, text)
+    }
+
+    /// Position of a signal.
+    pub fn index(&self, name: &str) -> Option<usize> {
+        self.signals.iter().position(|signal| signal.name == name)
     }
 
     pub fn signal(&self, name: &str) -> Option<&Signal> {
@@ -516,9 +532,8 @@ impl RegisterMap {
     }
 
     pub fn of_quantity(&self, quantity: Quantity) -> Option<&Signal> {
-        self.signals
-            .iter()
-            .find(|signal| signal.quantity == quantity)
+        let mut signals = self.signals.iter();
+        signals.find(|signal| signal.keys.quantity == quantity)
     }
 
     pub fn set_point(&self, name: &str) -> Option<&SetPoint> {
@@ -527,7 +542,7 @@ impl RegisterMap {
 
     /// The set-point that takes a demand of this quantity in SI.
     pub fn demand(&self, quantity: Quantity) -> Option<&SetPoint> {
-        let is_it = |point: &&SetPoint| point.quantity == quantity && point.si.is_some();
+        let is_it = |point: &&SetPoint| point.keys.quantity == quantity && point.si.is_some();
         self.set_points.iter().find(is_it)
     }
 
@@ -537,12 +552,11 @@ impl RegisterMap {
 
     /// What is only from memory in a profile that otherwise has a source.
     pub fn unverified(&self) -> Vec<&str> {
-        let doubtful = |trust: Option<Trust>| trust == Some(Trust::Unverified);
-        let signals = self.signals.iter().filter(|s| doubtful(s.traits.trust));
-        let points = self.set_points.iter().filter(|p| doubtful(p.trust));
+        let signals = self.signals.iter().map(|s| (s.keys.trust, s.name.as_str()));
+        let points = self.set_points.iter();
         signals
-            .map(|s| s.name.as_str())
-            .chain(points.map(|p| p.name.as_str()))
+            .chain(points.map(|p| (p.keys.trust, p.name.as_str())))
+            .filter_map(|(trust, name)| (trust == Some(Trust::Unverified)).then_some(name))
             .collect()
     }
 }

@@ -68,22 +68,22 @@ impl Quantity {
     }
 
     /// Why a signal cannot be of this quantity.
-    pub(super) fn not_read(self) -> Option<String> {
+    pub(super) fn read(self) -> Result<(), String> {
         let instead = match self {
             Self::Speed => {
                 "\"shaft_speed\" with a sensor on the shaft, \"output_speed\" without one"
             }
             Self::Word => "\"status\"",
-            _ => return None,
+            _ => return Ok(()),
         };
-        Some(format!(
-            "quantity \"{}\" is one of setpoints (expected {instead})",
-            self.name()
+        let name = self.name();
+        Err(format!(
+            "quantity \"{name}\" is one of setpoints (expected {instead})"
         ))
     }
 
     /// Why a set-point cannot be of this quantity.
-    pub(super) fn not_written(self) -> Option<String> {
+    pub(super) fn written(self) -> Result<(), String> {
         let instead = match self {
             Self::Speed
             | Self::Current
@@ -91,46 +91,37 @@ impl Quantity {
             | Self::Torque
             | Self::Duty
             | Self::Word
-            | Self::Other => return None,
+            | Self::Other => return Ok(()),
             Self::ShaftSpeed | Self::OutputSpeed => "\"speed\"",
             Self::Status => "\"word\"",
             _ => "speed, current, voltage, torque, duty, word or other",
         };
-        Some(format!(
-            "quantity \"{}\" is one of signals (expected {instead})",
-            self.name()
+        let name = self.name();
+        Err(format!(
+            "quantity \"{name}\" is one of signals (expected {instead})"
         ))
     }
 
     /// The key that is wrong, and why a value of this quantity cannot be in this unit.
-    pub(super) fn misfit(self, unit: Unit) -> Option<(&'static str, String)> {
-        let units = self.units()?;
-        if units.contains(&unit) {
-            return None;
-        }
+    pub(super) fn given_in(self, unit: Unit) -> Result<(), (&'static str, String)> {
+        let Some(units) = self.units().filter(|units| !units.contains(&unit)) else {
+            return Ok(());
+        };
         let names: Vec<&str> = units.iter().map(|unit| unit.name()).collect();
-        let quantity = self.name();
-        Some(match (unit, names.as_slice()) {
-            (_, [""]) => (
-                "unit",
-                format!(
-                    "unit \"{}\" does not fit quantity \"{quantity}\" (expected no unit)",
-                    unit.name()
-                ),
-            ),
-            (Unit::None, _) => (
+        let (quantity, unit_name) = (self.name(), unit.name());
+        let expected = match names.as_slice() {
+            [""] => "no unit".to_owned(),
+            names => either(names),
+        };
+        Err(match (unit, names.as_slice()) {
+            (Unit::None, [first, ..]) if !first.is_empty() => (
                 "quantity",
-                format!(
-                    "quantity \"{quantity}\" needs a unit (expected {})",
-                    either(&names)
-                ),
+                format!("quantity \"{quantity}\" needs a unit (expected {expected})"),
             ),
             _ => (
                 "unit",
                 format!(
-                    "unit \"{}\" does not fit quantity \"{quantity}\" (expected {})",
-                    unit.name(),
-                    either(&names)
+                    "unit \"{unit_name}\" does not fit quantity \"{quantity}\" (expected {expected})"
                 ),
             ),
         })

@@ -1,7 +1,7 @@
 //! The register map of a drive that is not ours: what its profile file says, checked and resolved.
 //!
 //! ```text
-//! TOML --schema.rs--> keys as written --resolve.rs--> RegisterMap --> profiled.rs (host), emulator/foreign (drive)
+//! TOML --schema.rs--> keys as written --resolve.rs--> RegisterMap (facts.rs) --> profiled.rs, emulator/foreign
 //!                                        address.rs   40026, "01.07", [0x2100, 1] -> address on the wire
 //!                                        value.rs     registers <-> number
 //!                                        plan.rs      which registers are read together
@@ -24,9 +24,10 @@ pub use candidates::{Candidate, Hypothesis, Picture, Reading, Window};
 pub use facts::{
     Commands, Condition, Converter, Device, DeviceKind, Expiry, IdentityCheck, IdentityTest,
     Location, Numbers, PollRate, Quantity, Rates, RegisterMap, Resync, SetPoint, Sign, Signal,
-    Step, StoppedOnly, Supervision, SupervisionKind, Traits, Unit,
+    Step, StoppedOnly, Supervision, SupervisionKind, Unit,
 };
 pub use plan::{ReadBlock, plan_reads};
+pub use schema::{SetPointKeys, SignalKeys, WatchdogKeys};
 pub use value::{Byte, Kind, Layout, Order};
 
 #[cfg(test)]

@@ -1,38 +1,55 @@
 //! From the keys of a profile file to the map: addresses, names and limits, each error at its line.
 //!
 //! ```text
-//! keys -> link, then parts.rs (signals, set-points, watchdog) -> roles and references -> commands.rs -> profile.rs
+//! keys -> link -> signals, set-points, watchdog, each on its own -> roles and references -> identity, states, commands
 //! ```
 
-mod commands;
-mod parts;
-mod profile;
-
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::ops::Range;
 
-use self::profile::profile_of;
-use super::address::{Base, Formula, Written, resolve};
-use super::facts::{Commands, DeviceKind, PollRate, Quantity, RegisterMap, Signal, Unit};
-use super::schema::ProfileFile;
+use toml::Spanned;
+
+use super::address::{Base, Numbering};
+use super::facts::{
+    Commands, Condition, DeviceKind, IdentityCheck, IdentityTest, Location, Numbers, PerTurn,
+    PollRate, Quantity, RegisterMap, Resync, SetPoint, Signal, Step, Supervision, Unit, channel_of,
+    demand_si,
+};
+use super::schema::{
+    ConditionKeys, IdentityKeys, LinkKeys, ProfileFile, SetPointKeys, SignalKeys, StepKeys,
+    WatchdogKeys, WatchdogTime,
+};
+use super::value::{Kind, Layout};
 use crate::config_text::{self, ConfigError, help_for_unknown};
-use crate::drive::profile::DriveProfile;
+use crate::drive::register_bus::RegisterTable;
+use crate::drive::settings::{DriveLimits, LinkSettings, Protocol, check_ranges};
 use crate::sample::Channel;
 use crate::units::rad_s_from_rpm;
 
 const HELP: &str = "see docs/adding-a-drive.md for every key, its unit and its default";
 /// The schema that this program reads.
 const SCHEMA: u32 = 1;
+/// Function codes of Modbus.
+const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 8, 11, 15, 16, 22, 23, 43];
+/// Shortest time in which a clock may come round, s: from one look to the next it must be known how often it did, also where
+/// a reply was lost.
+const SHORTEST_TURN_S: f64 = 2.0;
 
 /// Reads the file; `file` names it in errors.
-pub(super) fn read(file: &str, text: &str) -> Result<(RegisterMap, DriveProfile), ConfigError> {
+pub(super) fn read(
+    file: &str,
+    text: &str,
+) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
     let keys: ProfileFile = config_text::parse(file, text)?;
     let reader = Reader {
         file,
         text,
-        base: Base::Zero,
-        formula: None,
-        functions: Vec::new(),
+        numbering: Numbering {
+            base: Base::Zero,
+            formula: None,
+        },
+        link: keys.link.get_ref(),
         counts_per_turn: keys.device.counts_per_turn,
     };
     reader.map(&keys)
@@ -41,25 +58,62 @@ pub(super) fn read(file: &str, text: &str) -> Result<(RegisterMap, DriveProfile)
 struct Reader<'a> {
     file: &'a str,
     text: &'a str,
-    base: Base,
-    formula: Option<Formula>,
-    functions: Vec<u8>,
+    numbering: Numbering,
+    link: &'a LinkKeys,
     /// Of the device's encoder.
     counts_per_turn: Option<u32>,
 }
 
+/// A part of the file, for what is wrong in it.
+struct Part<'a> {
+    reader: &'a Reader<'a>,
+    span: Range<usize>,
+    /// What stands in front of each message: `signal speed: `.
+    whose: String,
+}
+
+impl Part<'_> {
+    fn wrong(&self, key: &str, message: impl Display) -> ConfigError {
+        let message = format!("{}{message}", self.whose);
+        self.reader.at(&self.span, key, message)
+    }
+
+    fn require(&self, holds: bool, key: &str, message: impl Display) -> Result<(), ConfigError> {
+        if holds {
+            Ok(())
+        } else {
+            Err(self.wrong(key, message))
+        }
+    }
+
+    /// What went well, or the error at this key.
+    fn of<T>(&self, key: &str, result: Result<T, String>) -> Result<T, ConfigError> {
+        result.map_err(|message| self.wrong(key, message))
+    }
+
+    /// The same where the key that is wrong comes with the reason.
+    fn keyed<T>(&self, result: Result<T, (&'static str, String)>) -> Result<T, ConfigError> {
+        result.map_err(|(key, message)| self.wrong(key, message))
+    }
+}
+
 impl Reader<'_> {
-    fn map(mut self, file: &ProfileFile) -> Result<(RegisterMap, DriveProfile), ConfigError> {
-        self.link(file)?;
-        let mut signals = Vec::new();
-        for (name, keys) in &file.signals {
-            signals.push(self.signal(name, keys)?);
-        }
-        let mut set_points = Vec::new();
-        for (name, keys) in &file.setpoints {
-            set_points.push(self.set_point(name, keys)?);
-        }
-        let link = file.link.get_ref();
+    fn map(
+        mut self,
+        file: &ProfileFile,
+    ) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
+        self.check_link(file)?;
+        let signals = file
+            .signals
+            .iter()
+            .map(|(name, keys)| self.signal(name, keys));
+        let signals = signals.collect::<Result<_, _>>()?;
+        let points = file
+            .setpoints
+            .iter()
+            .map(|(name, keys)| self.set_point(name, keys));
+        let set_points = points.collect::<Result<_, _>>()?;
+        let link = self.link;
         let mut map = RegisterMap {
             device: file.device.clone(),
             converter: file.converter.as_ref().map(|c| *c.get_ref()),
@@ -82,15 +136,10 @@ impl Reader<'_> {
             field_min_a: file.limits.field_min_a,
             rates: *file.rates.get_ref(),
         };
+        let part = self.part(file.link.span(), "");
         for (first, count) in &link.exact_reads {
-            let written = Written {
-                address: Some(*first),
-                parameter: None,
-                can: None,
-            };
-            let found = resolve(written, self.base, self.formula)
-                .map_err(|reason| self.at(&file.link.span(), "exact_reads", reason))?;
-            map.exact_reads.push((found.address, *count));
+            let (address, _) = part.of("exact_reads", self.numbering.number(*first))?;
+            map.exact_reads.push((address, *count));
         }
         self.roles(file, &mut map)?;
         self.cross_check(file, &map)?;
@@ -98,7 +147,7 @@ impl Reader<'_> {
             map.identity.push(self.identity(check, &map)?);
         }
         for (name, condition) in &file.state {
-            self.known(name, RegisterMap::STATES, "state", &self.part("[state"))?;
+            self.known(name, RegisterMap::STATES, "state", &self.from("[state"))?;
             match self.state(condition, &map)? {
                 Ok(condition) => drop(map.state.insert(name.clone(), condition)),
                 Err(reason) => drop(map.untold.insert(name.clone(), reason)),
@@ -112,143 +161,340 @@ impl Reader<'_> {
                 ));
             }
         }
+        let commands = &file.commands;
         map.commands = Commands {
-            enable: self.steps(&file.commands.enable, &map)?,
-            stop: self.steps(&file.commands.stop, &map)?,
-            coast: self.declared("coast", file.commands.coast.as_deref(), &map)?,
-            reset: self.declared("reset", file.commands.reset.as_deref(), &map)?,
-            quickstop: self.steps(&file.commands.quickstop, &map)?,
+            enable: self.steps(&commands.enable, &map)?,
+            stop: self.steps(&commands.stop, &map)?,
+            coast: self.declared("coast", commands.coast.as_deref(), &map)?,
+            reset: self.declared("reset", commands.reset.as_deref(), &map)?,
+            quickstop: self.steps(&commands.quickstop, &map)?,
         };
-        let profile = profile_of(file, &map);
-        profile
-            .check()
-            .map_err(|error| self.at(&file.link.span(), "", error.to_string()))?;
-        Ok((map, profile))
+        let settings = LinkSettings {
+            protocol: link.protocol,
+            baud: link.baud,
+            unit: link.unit,
+            framing: link.framing,
+            reply_ms: link.reply_ms,
+            gap_us: link.gap_us,
+            deadline_ms: link.deadline_ms,
+            emulated: false,
+        };
+        let limits = DriveLimits {
+            current_a: file.limits.current_a,
+            voltage_v: file.limits.voltage_v,
+            speed_rad_s: file.limits.speed_rpm.map(rad_s_from_rpm),
+        };
+        let watchdog_ms = map.watchdog.keys.default_ms.filter(|ms| *ms > 0.0);
+        check_ranges(&map.device.id, &settings, watchdog_ms, &limits)
+            .map_err(|error| part.wrong("", error))?;
+        Ok((map, settings, limits))
     }
 
-    fn link(&mut self, file: &ProfileFile) -> Result<(), ConfigError> {
+    fn check_link(&mut self, file: &ProfileFile) -> Result<(), ConfigError> {
         let schema = *file.schema.get_ref();
-        if schema != SCHEMA {
-            let text = format!("schema {schema} is not allowed (expected {SCHEMA})");
-            return Err(self.at(&file.schema.span(), "", text));
-        }
-        let link = file.link.get_ref();
-        let wrong = |key: &str, message: String| Err(self.at(&file.link.span(), key, message));
-        let Some(base) = link.address_base.base() else {
-            return wrong(
+        self.part(file.schema.span(), "").require(
+            schema == SCHEMA,
+            "",
+            format_args!("schema {schema} is not allowed (expected {SCHEMA})"),
+        )?;
+        let link = self.link;
+        let base = link.address_base.base();
+        let part = self.part(file.link.span(), "");
+        let base = base.ok_or_else(|| {
+            part.wrong(
                 "address_base",
-                "this address_base is not allowed (expected 0, 1 or \"4x1\")".to_owned(),
-            );
-        };
+                "this address_base is not allowed (expected 0, 1 or \"4x1\")",
+            )
+        })?;
         for function in &link.functions {
-            if ![1, 2, 3, 4, 5, 6, 8, 11, 15, 16, 22, 23, 43].contains(function) {
-                return wrong(
-                    "functions",
-                    format!("function code {function} is not one of Modbus"),
-                );
-            }
-        }
-        if !link
-            .functions
-            .iter()
-            .any(|function| matches!(function, 3 | 4))
-        {
-            return wrong(
+            part.require(
+                FUNCTIONS.contains(function),
                 "functions",
-                "neither 3 nor 4 is there: nothing can be read".to_owned(),
-            );
+                format_args!("function code {function} is not one of Modbus"),
+            )?;
         }
+        part.require(
+            link.functions.contains(&3) || link.functions.contains(&4),
+            "functions",
+            "neither 3 nor 4 is there: nothing can be read",
+        )?;
         for (key, value, most) in [
             ("max_read", link.max_read, 125),
             ("max_write", link.max_write, 123),
         ] {
-            if !(1..=most).contains(&value) {
-                return wrong(
-                    key,
-                    format!("{key} {value} is not allowed (expected 1 to {most})"),
-                );
-            }
+            part.require(
+                (1..=most).contains(&value),
+                key,
+                format_args!("{key} {value} is not allowed (expected 1 to {most})"),
+            )?;
         }
-        let (fc08, tcp) = (
-            link.functions.contains(&8),
-            link.protocol == crate::drive::Protocol::ModbusTcp,
-        );
-        match link.resync {
-            super::Resync::Fc08 if !fc08 => {
-                return wrong(
-                    "resync",
-                    "resync \"fc08\" needs function code 8 in functions".to_owned(),
-                );
-            }
-            super::Resync::Tid if !tcp => {
-                return wrong(
-                    "resync",
-                    "resync \"tid\" needs protocol \"modbus-tcp\"".to_owned(),
-                );
-            }
-            super::Resync::Length if link.max_read < 2 => {
-                return wrong(
-                    "resync",
-                    "resync \"length\" needs max_read 2 or more: reads of one length are all alike"
-                        .to_owned(),
-                );
-            }
-            _ => {}
-        }
-        if link.protocol == crate::drive::Protocol::Stream {
-            return wrong(
-                "protocol",
-                "a register map is not spoken over \"stream\" (expected modbus-rtu or modbus-tcp)"
-                    .to_owned(),
-            );
-        }
-        self.base = base;
-        self.formula = link.address_formula;
-        self.functions.clone_from(&link.functions);
+        let (can, message) = match link.resync {
+            Resync::Fc08 => (
+                link.functions.contains(&8),
+                "resync \"fc08\" needs function code 8 in functions",
+            ),
+            Resync::Tid => (
+                link.protocol == Protocol::ModbusTcp,
+                "resync \"tid\" needs protocol \"modbus-tcp\"",
+            ),
+            Resync::Length => (
+                link.max_read >= 2,
+                "resync \"length\" needs max_read 2 or more: reads of one length are all alike",
+            ),
+            Resync::None => (true, ""),
+        };
+        part.require(can, "resync", message)?;
+        part.require(
+            link.protocol != Protocol::Stream,
+            "protocol",
+            "a register map is not spoken over \"stream\" (expected modbus-rtu or modbus-tcp)",
+        )?;
+        let formula = link.address_formula;
+        self.numbering = Numbering { base, formula };
         Ok(())
+    }
+
+    fn signal(&self, name: &str, spanned: &Spanned<SignalKeys>) -> Result<Signal, ConfigError> {
+        let (keys, span) = (spanned.get_ref(), spanned.span());
+        let part = self.part(span.clone(), format!("signal {name}: "));
+        part.of("quantity", keys.quantity.read())?;
+        part.keyed(keys.quantity.given_in(keys.unit))?;
+        let numbering = self.numbering;
+        let found = numbering.resolve(keys.address, keys.parameter.as_deref(), keys.can);
+        let (address, is_input) = part.of("address", found)?;
+        let function = keys.function.unwrap_or(match is_input {
+            Some(true) => 4,
+            None if !self.link.functions.contains(&3) => 4,
+            _ => 3,
+        });
+        let table = match function {
+            3 => RegisterTable::Holding,
+            4 => RegisterTable::Input,
+            _ => {
+                let message = format!("function {function} is not allowed (expected 3 or 4)");
+                return Err(part.wrong("function", message));
+            }
+        };
+        part.of("function", self.knows(function))?;
+        let bits = keys.bits.as_deref().map(|text| {
+            bit_range(text, 16 * keys.kind.registers()).ok_or_else(|| {
+                format!("bits {text:?} is not allowed (expected \"FIRST..LAST\" within the type)")
+            })
+        });
+        let bits = part.of("bits", bits.transpose())?;
+        if let Some(valid @ [low, high]) = keys.valid {
+            part.require(
+                low < high,
+                "valid",
+                format_args!("valid {valid:?} is not allowed (expected [lowest, highest])"),
+            )?;
+        }
+        let per_turn =
+            part.keyed(self.per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn))?;
+        let channel = channel_of(keys.quantity, keys.unit, per_turn);
+        part.require(
+            channel.is_none() || keys.origin.is_some(),
+            "quantity",
+            "origin is missing (expected measured, estimated or commanded)",
+        )?;
+        let layout = Layout {
+            kind: keys.kind,
+            words: keys.word_order,
+            bytes: keys.byte_order,
+            byte: keys.byte,
+            bits,
+        };
+        if keys.quantity == Quantity::Clock {
+            part.keyed(clock_fits(keys, layout))?;
+        }
+        let wraps_at = part.of("wraps_at", wraps_at(keys, layout))?;
+        let numbers = numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit);
+        Ok(Signal {
+            name: name.to_owned(),
+            line: self.line(&span),
+            location: Location {
+                table,
+                address,
+                layout,
+            },
+            numbers: part.of("scale", numbers)?,
+            channel,
+            wraps_at,
+            keys: keys.clone(),
+        })
+    }
+
+    /// What a shaft's turn is in the unit; the encoder may be that of the device.
+    fn per_turn(
+        &self,
+        unit: Unit,
+        pole_pairs: Option<u8>,
+        counts: Option<u32>,
+    ) -> Result<PerTurn, (&'static str, String)> {
+        let name = unit.name();
+        if counts.is_some() && !unit.is_counts() {
+            let message = format!(
+                "counts_per_turn does not fit unit \"{name}\" (expected \"counts\" or \"counts/s\")"
+            );
+            return Err(("counts_per_turn", message));
+        }
+        match counts.or(self.counts_per_turn) {
+            None if unit.is_counts() => Err((
+                "unit",
+                format!(
+                    "unit \"{name}\" needs counts_per_turn, here or in [device] (expected the edges that are counted in one turn: four times the lines of an incremental encoder)"
+                ),
+            )),
+            Some(0) => Err((
+                "counts_per_turn",
+                "counts_per_turn 0 is not allowed (expected 1 or more)".to_owned(),
+            )),
+            counts => Ok(PerTurn { pole_pairs, counts }),
+        }
+    }
+
+    fn set_point(
+        &self,
+        name: &str,
+        spanned: &Spanned<SetPointKeys>,
+    ) -> Result<SetPoint, ConfigError> {
+        let (keys, span) = (spanned.get_ref(), spanned.span());
+        let part = self.part(span.clone(), format!("setpoint {name}: "));
+        part.of("quantity", keys.quantity.written())?;
+        part.keyed(keys.quantity.given_in(keys.unit))?;
+        let per_turn =
+            part.keyed(self.per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn))?;
+        let numbering = self.numbering;
+        let found = numbering.resolve(keys.address, keys.parameter.as_deref(), keys.can);
+        let (address, is_input) = part.of("address", found)?;
+        let is_holding = is_input != Some(true);
+        part.require(is_holding, "address", "an input register cannot be written")?;
+        let registers = keys.kind.registers();
+        let single = registers == 1 && self.link.functions.contains(&6);
+        let function = keys.function.unwrap_or(if single { 6 } else { 16 });
+        part.require(
+            function == 16 || (function == 6 && registers == 1),
+            "function",
+            format_args!("function {function} is not allowed (expected 6 for one register, or 16)"),
+        )?;
+        part.of("function", self.knows(function))?;
+        let layout = Layout {
+            words: keys.word_order,
+            bytes: keys.byte_order,
+            ..Layout::plain(keys.kind)
+        };
+        let numbers = numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit);
+        let numbers = part.of("scale", numbers)?;
+        if let Some(limits) = keys.limits {
+            // With a factor from the drive this can only be known when the factor is.
+            let fits = |limit| {
+                let raw = numbers.raw(limit, 1.0);
+                !numbers.scale_by.is_empty() || layout.encode(raw).is_some()
+            };
+            part.of("limits", check_limits(limits, keys.quantity, fits))?;
+        }
+        for (key, value) in [
+            ("refresh_ms", keys.refresh_ms),
+            ("slew_per_s", keys.slew_per_s),
+        ] {
+            let is_allowed = value.is_none_or(|value| value.is_finite() && value > 0.0);
+            let message = format_args!("{key} is not allowed (expected more than 0)");
+            part.require(is_allowed, key, message)?;
+        }
+        part.require(
+            !keys.nvm || keys.refresh_ms.is_none(),
+            "refresh_ms",
+            "a register in non-volatile memory must not be refreshed: each write wears it out",
+        )?;
+        part.require(
+            keys.quantity == Quantity::Word || keys.limits.is_some(),
+            "quantity",
+            "limits are missing (expected [lowest, highest] in the setpoint's unit)",
+        )?;
+        Ok(SetPoint {
+            name: name.to_owned(),
+            line: self.line(&span),
+            location: Location {
+                table: RegisterTable::Holding,
+                address,
+                layout,
+            },
+            function,
+            si: demand_si(keys.quantity, keys.unit, per_turn),
+            numbers,
+            keys: keys.clone(),
+        })
+    }
+
+    fn watchdog(&self, spanned: &Spanned<WatchdogKeys>) -> Result<Supervision, ConfigError> {
+        let keys = spanned.get_ref();
+        let part = self.part(spanned.span(), "watchdog: ");
+        let mut found = None;
+        if let Some(time) = &keys.time {
+            let numbering = self.numbering;
+            let resolved = numbering.resolve(time.address, time.parameter.as_deref(), None);
+            let (address, _) = part.of("time", resolved)?;
+            let unit_ms = time.unit_ms;
+            part.require(
+                unit_ms.is_finite() && unit_ms > 0.0,
+                "time",
+                format_args!("unit_ms {unit_ms} is not allowed (expected more than 0)"),
+            )?;
+            let location = Location {
+                table: RegisterTable::Holding,
+                address,
+                layout: Layout::plain(Kind::U16),
+            };
+            if let Some(set_ms) = keys.set_ms {
+                part.of("set_ms", time_fits(set_ms, time, location.layout))?;
+            }
+            found = Some((location, unit_ms * 1e-3));
+        }
+        part.require(
+            keys.set_ms.is_none() || (found.is_some() && !keys.nvm),
+            "set_ms",
+            "set_ms needs a time register outside of non-volatile memory",
+        )?;
+        let times = [keys.default_ms, keys.set_ms, Some(keys.boot_delay_s)];
+        let mut times = times.into_iter().flatten();
+        let are_times = times.all(|time| time.is_finite() && time >= 0.0);
+        part.require(are_times, "default_ms", "times must be 0 or more")?;
+        Ok(Supervision {
+            keys: keys.clone(),
+            time: found,
+        })
     }
 
     /// Every required channel is mapped or declared missing, and none twice.
     fn roles(&self, file: &ProfileFile, map: &mut RegisterMap) -> Result<(), ConfigError> {
         for (key, reason) in &file.missing {
-            self.known(
-                key,
-                Channel::ALL.map(Channel::key),
-                "channel",
-                &self.part("[missing"),
-            )?;
+            let channels = Channel::ALL.map(Channel::key);
+            self.known(key, channels, "channel", &self.from("[missing"))?;
             map.missing.insert(key.clone(), reason.get_ref().clone());
         }
         for channel in Channel::ALL {
-            let mut fill = map
-                .signals
-                .iter()
-                .filter(|s| s.channel.is_some_and(|(has, _)| has == channel));
+            let is_it = |s: &&Signal| s.channel.is_some_and(|(has, _)| has == channel);
+            let mut fill = map.signals.iter().filter(is_it);
             let (first, second) = (fill.next(), fill.next());
             let key = channel.key();
             if let (Some(first), Some(second)) = (first, second) {
-                let message = format!(
-                    "signals {} and {} are both {key} (expected one)",
-                    first.name, second.name
-                );
-                return Err(self.at(&file.signals[&second.name].span(), "", message));
+                let names = (first.name.as_str(), second.name.as_str());
+                return Err(self.twice(file, names, key, ""));
             }
             match (first, file.missing.get(key)) {
                 (Some(signal), Some(reason)) => {
-                    let message = format!(
-                        "{key} is declared missing, and the signal {} is it",
-                        signal.name
-                    );
+                    let name = &signal.name;
+                    let message = format!("{key} is declared missing, and the signal {name} is it");
                     return Err(self.at(&reason.span(), "", message));
                 }
                 (None, None) if RegisterMap::REQUIRED.contains(&channel) => {
-                    if let Some(error) = self.no_channel(file, key, map) {
-                        return Err(error);
-                    }
-                    return Err(self.whole(
-                        "[signals",
-                        format!("{key} is neither mapped nor declared missing (expected a signal, or {key} = \"why\" in [missing])"),
-                    ));
+                    let no_channel = self.no_channel(file, key, map);
+                    return Err(no_channel.unwrap_or_else(|| {
+                        self.whole(
+                            "[signals",
+                            format!("{key} is neither mapped nor declared missing (expected a signal, or {key} = \"why\" in [missing])"),
+                        )
+                    }));
                 }
                 _ => {}
             }
@@ -256,9 +502,20 @@ impl Reader<'_> {
         Ok(())
     }
 
+    fn twice(
+        &self,
+        file: &ProfileFile,
+        (first, second): (&str, &str),
+        what: &str,
+        key: &str,
+    ) -> ConfigError {
+        let message = format!("signals {first} and {second} are both {what} (expected one)");
+        self.at(&file.signals[second].span(), key, message)
+    }
+
     /// A signal of the right quantity whose unit does not lead to the channel.
     fn no_channel(&self, file: &ProfileFile, key: &str, map: &RegisterMap) -> Option<ConfigError> {
-        let would_be = |signal: &&Signal| match signal.quantity {
+        let would_be = |signal: &&Signal| match signal.keys.quantity {
             Quantity::Current => key == Channel::Current.key(),
             Quantity::Voltage => key == Channel::Voltage.key(),
             Quantity::ShaftSpeed | Quantity::OutputSpeed => key == Channel::Speed.key(),
@@ -281,71 +538,59 @@ impl Reader<'_> {
 
     /// Names that lead from one part to another, and lengths against the drive's limits.
     fn cross_check(&self, file: &ProfileFile, map: &RegisterMap) -> Result<(), ConfigError> {
-        let once: Vec<&str> = map
-            .signals
-            .iter()
-            .filter(|signal| signal.poll == PollRate::Once)
-            .map(|signal| signal.name.as_str())
-            .collect();
-        for signal in &map.signals {
-            let span = file.signals[&signal.name].span();
-            for factor in &signal.numbers.scale_by {
-                self.known(
-                    factor,
-                    once.iter().copied(),
-                    "signal with poll = \"once\"",
-                    &span,
-                )?;
+        let once = map.signals.iter().filter(|s| s.keys.poll == PollRate::Once);
+        let once: Vec<&str> = once.map(|signal| signal.name.as_str()).collect();
+        let fits = |kind, name: &str, numbers: &Numbers, location: &Location, (key, most), span| {
+            for factor in &numbers.scale_by {
+                let factors = once.iter().copied();
+                self.known(factor, factors, "signal with poll = \"once\"", &span)?;
             }
-            let registers = signal.location.layout.registers();
-            if registers > map.max_read {
-                let message = format!(
-                    "signal {} has {registers} registers, and max_read is {}",
-                    signal.name, map.max_read
-                );
-                return Err(self.at(&span, "type", message));
-            }
+            let registers = location.layout.registers();
+            let message =
+                format_args!("{kind} {name} has {registers} registers, and {key} is {most}");
+            let part = self.part(span, "");
+            part.require(registers <= most, "type", message)
+        };
+        for Signal {
+            name,
+            numbers,
+            location,
+            ..
+        } in &map.signals
+        {
+            let span = file.signals[name].span();
+            let most = ("max_read", map.max_read);
+            fits("signal", name, numbers, location, most, span)?;
         }
-        for point in &map.set_points {
-            let span = file.setpoints[&point.name].span();
-            for factor in &point.numbers.scale_by {
-                self.known(
-                    factor,
-                    once.iter().copied(),
-                    "signal with poll = \"once\"",
-                    &span,
-                )?;
-            }
-            let registers = point.location.layout.registers();
-            if registers > map.max_write {
-                let message = format!(
-                    "setpoint {} has {registers} registers, and max_write is {}",
-                    point.name, map.max_write
-                );
-                return Err(self.at(&span, "type", message));
-            }
-            if let Some(sign) = &point.sign {
-                let words = map
-                    .set_points
-                    .iter()
-                    .filter(|p| p.is_word())
-                    .map(|p| p.name.as_str());
-                let words: Vec<&str> = words.collect();
+        for SetPoint {
+            name,
+            numbers,
+            location,
+            keys,
+            ..
+        } in &map.set_points
+        {
+            let span = file.setpoints[name].span();
+            let most = ("max_write", map.max_write);
+            fits("setpoint", name, numbers, location, most, span.clone())?;
+            if let Some(sign) = &keys.sign {
+                let words = map.set_points.iter().filter(|p| p.is_word());
+                let words: Vec<&str> = words.map(|p| p.name.as_str()).collect();
+                let words = words.iter().copied();
                 self.known(
                     &sign.set_point,
-                    words.iter().copied(),
+                    words,
                     "setpoint of quantity \"word\"",
                     &span,
                 )?;
             }
         }
-        let mut clocks = map.signals.iter().filter(|s| s.quantity == Quantity::Clock);
+        let mut clocks = map
+            .signals
+            .iter()
+            .filter(|s| s.keys.quantity == Quantity::Clock);
         if let (Some(first), Some(second)) = (clocks.next(), clocks.next()) {
-            let message = format!(
-                "signals {} and {} are both clocks (expected one)",
-                first.name, second.name
-            );
-            return Err(self.at(&file.signals[&second.name].span(), "quantity", message));
+            return Err(self.twice(file, (&first.name, &second.name), "clocks", "quantity"));
         }
         self.position_is_followed(file, map)?;
         let thyristor = map.device.kind == DeviceKind::ThyristorDc;
@@ -353,27 +598,25 @@ impl Reader<'_> {
             let message = "a drive of kind \"thyristor_dc\", and no other, needs [converter] with dead_time_ms and quadrants";
             return Err(self.whole("[device]", message.to_owned()));
         }
-        if let (Some(converter), Some(spanned)) = (map.converter, &file.converter) {
-            if ![1, 2, 4].contains(&converter.quadrants) {
-                let message = format!(
-                    "quadrants {} is not allowed (expected 1, 2 or 4)",
-                    converter.quadrants
-                );
-                return Err(self.at(&spanned.span(), "quadrants", message));
-            }
-            if map.of_quantity(Quantity::FieldCurrent).is_none() {
-                return Err(self.at(&spanned.span(), "", "a thyristor drive needs a signal of quantity \"field_current\": a lost field is a trip".to_owned()));
-            }
+        if let Some(spanned) = &file.converter {
+            let (part, quadrants) = (self.part(spanned.span(), ""), spanned.get_ref().quadrants);
+            part.require(
+                [1, 2, 4].contains(&quadrants),
+                "quadrants",
+                format_args!("quadrants {quadrants} is not allowed (expected 1, 2 or 4)"),
+            )?;
+            part.require(
+                map.of_quantity(Quantity::FieldCurrent).is_some(),
+                "",
+                "a thyristor drive needs a signal of quantity \"field_current\": a lost field is a trip",
+            )?;
         }
         let rates = map.rates;
-        if !(rates.fast_hz > 0.0 && rates.slow_hz > 0.0 && rates.slow_hz <= rates.fast_hz) {
-            return Err(self.at(
-                &file.rates.span(),
-                "fast_hz",
-                "rates must be above 0, and slow_hz at most fast_hz".to_owned(),
-            ));
-        }
-        Ok(())
+        self.part(file.rates.span(), "").require(
+            rates.fast_hz > 0.0 && rates.slow_hz > 0.0 && rates.slow_hz <= rates.fast_hz,
+            "fast_hz",
+            "rates must be above 0, and slow_hz at most fast_hz",
+        )
     }
 
     /// A position that may go half of its way round between two readings cannot be followed without a speed.
@@ -395,26 +638,185 @@ impl Reader<'_> {
         };
         let a_cycle_rad = rad_s_from_rpm(most_rpm) / map.rates.fast_hz;
         let half_way_rad = 0.5 * wraps_at * (count_rad * position.numbers.scale).abs();
-        if a_cycle_rad < half_way_rad {
-            return Ok(());
+        self.part(file.signals[&position.name].span(), "").require(
+            a_cycle_rad < half_way_rad,
+            "unit",
+            format_args!(
+                "signal {} begins again after {wraps_at} counts, and at limits.speed_rpm {most_rpm} the shaft turns by {:.0} % of that between two readings at {} Hz: which way cannot be told (expected less than 50 %, or a speed signal beside it)",
+                position.name,
+                50.0 * a_cycle_rad / half_way_rad,
+                map.rates.fast_hz
+            ),
+        )
+    }
+
+    fn identity(
+        &self,
+        spanned: &Spanned<IdentityKeys>,
+        map: &RegisterMap,
+    ) -> Result<IdentityCheck, ConfigError> {
+        let keys = spanned.get_ref();
+        let part = self.part(spanned.span(), "");
+        match (&keys.signal, keys.object, &keys.contains) {
+            (None, Some(object), Some(contains)) if map.functions.contains(&43) => {
+                Ok(IdentityCheck::Object {
+                    object,
+                    contains: contains.clone(),
+                })
+            }
+            (Some(signal), None, None) => {
+                let names = map.signals.iter().map(|s| s.name.as_str());
+                self.known(signal, names, "signal", &part.span)?;
+                let test = match (keys.equals, &keys.one_of, keys.within) {
+                    (Some(pattern), None, None) => IdentityTest::OneOf(vec![pattern]),
+                    (None, Some(patterns), None) => IdentityTest::OneOf(patterns.clone()),
+                    (None, None, Some(range)) => IdentityTest::Within(range),
+                    _ => return Err(part.wrong("signal", "expected one of equals, one_of and within")),
+                };
+                Ok(IdentityCheck::Signal {
+                    signal: signal.clone(),
+                    mask: keys.mask.unwrap_or(u32::MAX),
+                    test,
+                })
+            }
+            _ => Err(part.wrong("", "an identity check has a signal with equals, one_of or within; or, with function code 43, an object and contains")),
         }
-        let message = format!(
-            "signal {} begins again after {wraps_at} counts, and at limits.speed_rpm {most_rpm} the shaft turns by {:.0} % of that between two readings at {} Hz: which way cannot be told (expected less than 50 %, or a speed signal beside it)",
-            position.name,
-            50.0 * a_cycle_rad / half_way_rad,
-            map.rates.fast_hz
-        );
-        Err(self.at(&file.signals[&position.name].span(), "unit", message))
+    }
+
+    fn state(
+        &self,
+        spanned: &Spanned<ConditionKeys>,
+        map: &RegisterMap,
+    ) -> Result<Result<Condition, String>, ConfigError> {
+        let keys = spanned.get_ref();
+        let part = self.part(spanned.span(), "");
+        if let Some(reason) = &keys.none {
+            return Ok(Err(reason.clone()));
+        }
+        let (Some(signal), Some(mask)) = (&keys.signal, keys.mask) else {
+            let message = "a state has signal, mask and equals (or not_equals), or none = \"why\"";
+            return Err(part.wrong("", message));
+        };
+        let (pattern, negated) = match (keys.equals, keys.not_equals) {
+            (Some(pattern), None) => (pattern, false),
+            (None, Some(pattern)) => (pattern, true),
+            _ => return Err(part.wrong("mask", "expected one of equals and not_equals")),
+        };
+        condition(&part, map, signal, (mask, pattern), negated).map(Ok)
+    }
+
+    fn fault_codes(
+        &self,
+        texts: &BTreeMap<String, String>,
+    ) -> Result<BTreeMap<u16, String>, ConfigError> {
+        let number = |text: &str| match text.strip_prefix("0x") {
+            Some(digits) => u16::from_str_radix(digits, 16),
+            None => text.parse(),
+        };
+        let codes = texts.iter().map(|(code, text)| {
+            let code = number(code).map_err(|_| {
+                let message =
+                    format!("{code:?} is no fault code (expected 0 to 65535, or 0x0000 to 0xffff)");
+                self.at(&self.from("[fault_codes"), code, message)
+            })?;
+            Ok((code, text.clone()))
+        });
+        codes.collect()
+    }
+
+    fn steps(
+        &self,
+        steps: &[Spanned<StepKeys>],
+        map: &RegisterMap,
+    ) -> Result<Vec<Step>, ConfigError> {
+        steps.iter().map(|step| self.step(step, map)).collect()
+    }
+
+    /// The steps of a command that may be empty, but not be forgotten.
+    fn declared(
+        &self,
+        name: &str,
+        steps: Option<&[Spanned<StepKeys>]>,
+        map: &RegisterMap,
+    ) -> Result<Vec<Step>, ConfigError> {
+        let steps = steps.ok_or_else(|| {
+            let why = match name {
+                "coast" => "it is tried where stop fails",
+                _ => "without it no fault can be cleared over the bus",
+            };
+            self.whole(
+                "[commands]",
+                format!("the command {name} is missing: {why} (expected its steps; or {name} = [] if the drive has none)"),
+            )
+        })?;
+        self.steps(steps, map)
+    }
+
+    fn step(&self, spanned: &Spanned<StepKeys>, map: &RegisterMap) -> Result<Step, ConfigError> {
+        let keys = spanned.get_ref();
+        let part = self.part(spanned.span(), "");
+        match (&keys.write, &keys.wait, keys.delay_ms) {
+            (Some(name), None, None) => {
+                let names = map.set_points.iter().map(|p| p.name.as_str());
+                self.known(name, names, "setpoint", &part.span)?;
+                let point = map.set_point(name).filter(|point| point.name == *name);
+                let value = keys.value.ok_or_else(|| part.wrong("write", "value is missing"))?;
+                let fits = point.is_none_or(|point| {
+                    let raw = point.numbers.raw(value, 1.0);
+                    !point.numbers.scale_by.is_empty() || point.location.layout.encode(raw).is_some()
+                });
+                let message = format_args!("value {value} does not fit the type of {name}");
+                part.require(fits, "value", message)?;
+                part.of("value", point.map_or(Ok(()), |point| by_command(point, value)))?;
+                let mask = keys.mask.map(u16::try_from).transpose();
+                let mask =
+                    mask.map_err(|_| part.wrong("mask", "a mask for writing has 16 bits"))?;
+                Ok(Step::Write {
+                    set_point: name.clone(),
+                    value,
+                    mask,
+                })
+            }
+            (None, Some(signal), None) => {
+                let (Some(mask), Some(pattern), Some(within_ms)) =
+                    (keys.mask, keys.equals, keys.within_ms)
+                else {
+                    return Err(part.wrong("wait", "a wait has mask, equals and within_ms"));
+                };
+                part.require(
+                    within_ms.is_finite() && within_ms > 0.0,
+                    "within_ms",
+                    format_args!("within_ms {within_ms} is not allowed (expected more than 0)"),
+                )?;
+                Ok(Step::Wait {
+                    condition: condition(&part, map, signal, (mask, pattern), false)?,
+                    within_s: within_ms * 1e-3,
+                    error: keys.error.clone(),
+                })
+            }
+            (None, None, Some(ms)) if ms.is_finite() && ms >= 0.0 => {
+                Ok(Step::Delay { seconds: ms * 1e-3 })
+            }
+            _ => Err(part.wrong("", "a step is one of { write, value }, { wait, mask, equals, within_ms } and { delay_ms }")),
+        }
     }
 
     fn knows(&self, function: u8) -> Result<(), String> {
-        if self.functions.contains(&function) {
-            Ok(())
-        } else {
-            Err(format!(
-                "the drive does not know function code {function} (link.functions has {:?})",
-                self.functions
-            ))
+        let known = &self.link.functions;
+        if known.contains(&function) {
+            return Ok(());
+        }
+        Err(format!(
+            "the drive does not know function code {function} (link.functions has {known:?})"
+        ))
+    }
+
+    fn part(&self, span: Range<usize>, whose: impl Into<String>) -> Part<'_> {
+        let whose = whose.into();
+        Part {
+            reader: self,
+            span,
+            whose,
         }
     }
 
@@ -433,13 +835,8 @@ impl Reader<'_> {
             .find(name)
             .map_or(span.start, |at| span.start + at);
         let message = format!("{name:?} is no {what} of this profile");
-        Err(ConfigError::at(
-            self.file,
-            self.text,
-            offset,
-            message,
-            help_for_unknown(name, allowed),
-        ))
+        let help = help_for_unknown(name, allowed);
+        Err(ConfigError::at(self.file, self.text, offset, message, help))
     }
 
     /// An error at a key of a part; at the part where the key is not there.
@@ -462,13 +859,172 @@ impl Reader<'_> {
     }
 
     /// The text from a header on.
-    fn part(&self, header: &str) -> Range<usize> {
+    fn from(&self, header: &str) -> Range<usize> {
         self.text.find(header).unwrap_or(0)..self.text.len()
     }
 
     /// An error at the first place of a header.
     fn whole(&self, header: &str, message: String) -> ConfigError {
-        let offset = self.text.find(header).unwrap_or(0);
+        let offset = self.from(header).start;
         ConfigError::at(self.file, self.text, offset, message, HELP)
     }
+}
+
+/// A test of the bits of a signal that is read in every cycle.
+fn condition(
+    part: &Part<'_>,
+    map: &RegisterMap,
+    signal: &str,
+    (mask, pattern): (u32, u32),
+    negated: bool,
+) -> Result<Condition, ConfigError> {
+    let fast = map.signals.iter().filter(|s| s.keys.poll == PollRate::Fast);
+    let fast: Vec<&str> = fast.map(|signal| signal.name.as_str()).collect();
+    let what = "signal with poll = \"fast\"";
+    part.reader
+        .known(signal, fast.iter().copied(), what, &part.span)?;
+    part.require(
+        pattern & !mask == 0,
+        "mask",
+        format_args!("{pattern:#06x} has bits outside of the mask {mask:#06x}: it can never hold"),
+    )?;
+    Ok(Condition {
+        signal: signal.to_owned(),
+        mask,
+        pattern,
+        negated,
+        line: part.reader.line(&part.span),
+    })
+}
+
+/// Why a command must not write this value: the bench gives references, a command only takes them back.
+fn by_command(point: &SetPoint, value: f64) -> Result<(), String> {
+    if point.is_word() || value == 0.0 {
+        return Ok(());
+    }
+    let (name, unit) = (&point.name, point.numbers.unit.name());
+    let value_text = format!("{value} {unit}");
+    let value_text = value_text.trim_end();
+    let quantity = point.keys.quantity;
+    if quantity.moves() {
+        return Err(format!(
+            "value {value_text} would move the motor: {name} is a {} (expected 0; a value is in the setpoint's unit, not raw)",
+            quantity.name()
+        ));
+    }
+    match point.range() {
+        Some([low, high]) if !(low..=high).contains(&value) => Err(format!(
+            "value {value_text} is outside of the limits of {name} (expected {low} to {high} {unit}, not raw)"
+        )),
+        _ => Ok(()),
+    }
+}
+
+fn numbers(
+    scale: Option<f64>,
+    offset: Option<f64>,
+    scale_by: &[String],
+    unit: Unit,
+) -> Result<Numbers, String> {
+    let (scale, offset) = (scale.unwrap_or(1.0), offset.unwrap_or(0.0));
+    if !(scale.is_finite() && scale != 0.0 && offset.is_finite()) {
+        return Err(format!(
+            "scale {scale}, offset {offset} is not allowed (expected finite numbers, scale other than 0)"
+        ));
+    }
+    Ok(Numbers {
+        scale,
+        offset,
+        scale_by: scale_by.to_vec(),
+        unit,
+    })
+}
+
+/// Whether a counter can be the time axis of the samples.
+fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, String)> {
+    let is_whole = matches!(keys.kind, Kind::U16 | Kind::U32);
+    if !is_whole || keys.byte.is_some() || keys.bits.is_some() {
+        let message = "a clock is a whole counter (expected type u16 or u32 without byte and bits)";
+        return Err(("type", message.to_owned()));
+    }
+    if keys.poll != PollRate::Fast {
+        let message = "a clock stamps every sample (expected poll = \"fast\")";
+        return Err(("poll", message.to_owned()));
+    }
+    for (key, is_there) in [
+        ("valid", keys.valid.is_some()),
+        ("invalid", !keys.invalid.is_empty()),
+        ("scale_by", !keys.scale_by.is_empty()),
+        ("offset", keys.offset.is_some()),
+    ] {
+        if is_there {
+            let message = format!("a clock has no {key}: each of its counts is a time");
+            return Err((key, message));
+        }
+    }
+    let count_s = keys.scale.unwrap_or(1.0) * keys.unit.seconds().unwrap_or(1.0);
+    let turn_s = count_s * 2.0_f64.powi(i32::from(layout.width()));
+    if turn_s.is_nan() || turn_s < SHORTEST_TURN_S {
+        return Err((
+            "type",
+            format!(
+                "a clock of {} bits that counts {count_s} s comes round every {turn_s:.3} s (expected {SHORTEST_TURN_S} s or more: how often it did so between two readings would not be known)",
+                layout.width()
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Raw counts after which a position begins again.
+fn wraps_at(keys: &SignalKeys, layout: Layout) -> Result<Option<f64>, String> {
+    let is_position = keys.quantity == Quantity::Angle && keys.unit == Unit::Counts;
+    let whole = keys.kind != Kind::F32;
+    match keys.wraps_at {
+        None => Ok((is_position && whole).then(|| 2.0_f64.powi(i32::from(layout.width())))),
+        Some(_) if !is_position => Err(
+            "wraps_at is for a position (expected quantity \"angle\", unit \"counts\")".to_owned(),
+        ),
+        Some(counts) if counts < 2 => Err(format!(
+            "wraps_at {counts} is not allowed (expected 2 or more)"
+        )),
+        Some(counts) => Ok(Some(f64::from(counts))),
+    }
+}
+
+/// Whether the register of the watchdog's time takes this one, ms.
+fn time_fits(set_ms: f64, time: &WatchdogTime, layout: Layout) -> Result<(), String> {
+    let unit_ms = time.unit_ms;
+    let whole = [unit_ms, f64::from(u16::MAX) * unit_ms];
+    let [low, high] = time.range_ms.unwrap_or(whole);
+    let fits = layout.encode(set_ms / unit_ms).is_some() && set_ms > 0.0;
+    if fits && (low..=high).contains(&set_ms) {
+        return Ok(());
+    }
+    Err(format!(
+        "set_ms {set_ms} is not allowed (expected {low} to {high}, which the register takes in steps of {unit_ms} ms)"
+    ))
+}
+
+/// `"3..5"` within `width` bits.
+fn bit_range(text: &str, width: u16) -> Option<(u8, u8)> {
+    let (first, last) = text.split_once("..")?;
+    let (first, last) = (first.parse::<u8>().ok()?, last.parse::<u8>().ok()?);
+    (first <= last && u16::from(last) < width).then_some((first, last))
+}
+
+/// The range of a set-point. A drive is brought to rest with zero, which must not become something else on its way out.
+fn check_limits(
+    [low, high]: [f64; 2],
+    quantity: Quantity,
+    fits: impl Fn(f64) -> bool,
+) -> Result<(), String> {
+    let ordered = low.is_finite() && high.is_finite() && low < high;
+    let rests = !quantity.moves() || (low <= 0.0 && high > 0.0);
+    if ordered && rests && fits(low) && fits(high) {
+        return Ok(());
+    }
+    Err(format!(
+        "limits [{low:?}, {high:?}] is not allowed (expected [lowest, highest] that the raw type holds, 0 within for what moves the motor)"
+    ))
 }

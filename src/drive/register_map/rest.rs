@@ -20,7 +20,7 @@ const SUPPLY_V: [f64; 2] = [8.0, 1500.0];
 /// anything may be true.
 pub(super) fn expected_at_rest(signal: &Signal, rated_current_a: Option<f64>) -> Option<[f64; 2]> {
     let around_zero = |most: f64| Some([-most, most]);
-    match (signal.quantity, signal.numbers.unit) {
+    match (signal.keys.quantity, signal.numbers.unit) {
         (Quantity::ShaftSpeed | Quantity::OutputSpeed, unit) => match unit {
             Unit::Rpm => around_zero(SPEED_RPM),
             Unit::RadS => around_zero(SPEED_RAD_S),

@@ -1,17 +1,19 @@
 //! The keys of a profile file as they are written; the types are strict, what they mean together is checked later.
+//!
+//! What serde flattens it cannot be strict about, so signals and set-points each list the keys that they share.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
-use super::address::{BaseText, Formula, Written};
+use super::address::{BaseText, Formula};
 use super::facts::{
-    Converter, Device, Expiry, PollRate, Quantity, Rates, Resync, StoppedOnly, SupervisionKind,
-    Unit,
+    Converter, Device, Expiry, PollRate, Quantity, Rates, Resync, Sign, StoppedOnly,
+    SupervisionKind, Unit,
 };
 use super::value::{Byte, Kind, Order};
-use crate::drive::profile::{Framing, KickedBy, Protocol, Trust};
+use crate::drive::settings::{Framing, KickedBy, Protocol, Trust};
 use crate::sample::{Origin, Side};
 
 /// What an alternating quantity's number stands for.
@@ -95,9 +97,10 @@ pub(super) struct IdentityKeys {
     pub(super) contains: Option<String>,
 }
 
-#[derive(Debug, Deserialize)]
+/// `[signals.NAME]`: one value that is read.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct SignalKeys {
+pub struct SignalKeys {
     pub(super) address: Option<i64>,
     pub(super) parameter: Option<String>,
     pub(super) can: Option<[i64; 2]>,
@@ -118,35 +121,32 @@ pub(super) struct SignalKeys {
     pub(super) scale_by: Vec<String>,
     #[serde(default)]
     pub(super) unit: Unit,
-    pub(super) quantity: Quantity,
-    pub(super) poll: PollRate,
-    pub(super) valid: Option<[f64; 2]>,
+    pub quantity: Quantity,
+    pub poll: PollRate,
+    /// In units; a value outside is missing.
+    pub valid: Option<[f64; 2]>,
+    /// Raw patterns that mean "not available".
     #[serde(default)]
-    pub(super) invalid: Vec<u32>,
-    pub(super) origin: Option<Origin>,
-    pub(super) signed: Option<bool>,
-    pub(super) filter_ms: Option<f64>,
-    pub(super) update_ms: Option<f64>,
-    pub(super) basis: Option<Basis>,
-    pub(super) side: Option<Side>,
-    pub(super) pole_pairs: Option<u8>,
+    pub invalid: Vec<u32>,
+    pub origin: Option<Origin>,
+    pub signed: Option<bool>,
+    pub filter_ms: Option<f64>,
+    pub update_ms: Option<f64>,
+    pub basis: Option<Basis>,
+    pub side: Option<Side>,
+    /// By which an electrical frequency is divided.
+    pub pole_pairs: Option<u8>,
     pub(super) counts_per_turn: Option<u32>,
     /// Counts after which a position begins again; default: all that its bits hold.
     pub(super) wraps_at: Option<u32>,
-    pub(super) trust: Option<Trust>,
-    pub(super) note: Option<String>,
+    pub trust: Option<Trust>,
+    pub note: Option<String>,
 }
 
-#[derive(Debug, Deserialize)]
+/// `[setpoints.NAME]`: one value that is written.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct SignKeys {
-    pub(super) setpoint: String,
-    pub(super) mask: u16,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct SetPointKeys {
+pub struct SetPointKeys {
     pub(super) address: Option<i64>,
     pub(super) parameter: Option<String>,
     pub(super) can: Option<[i64; 2]>,
@@ -164,20 +164,20 @@ pub(super) struct SetPointKeys {
     pub(super) scale_by: Vec<String>,
     #[serde(default)]
     pub(super) unit: Unit,
-    pub(super) quantity: Quantity,
+    pub quantity: Quantity,
     pub(super) pole_pairs: Option<u8>,
     pub(super) counts_per_turn: Option<u32>,
-    pub(super) limits: Option<[f64; 2]>,
-    pub(super) slew_per_s: Option<f64>,
+    pub limits: Option<[f64; 2]>,
+    pub slew_per_s: Option<f64>,
     pub(super) refresh_ms: Option<f64>,
     #[serde(default)]
-    pub(super) readback: bool,
+    pub readback: bool,
     #[serde(default)]
-    pub(super) nvm: bool,
-    pub(super) write_only_when: Option<StoppedOnly>,
-    pub(super) sign: Option<SignKeys>,
-    pub(super) trust: Option<Trust>,
-    pub(super) note: Option<String>,
+    pub nvm: bool,
+    pub write_only_when: Option<StoppedOnly>,
+    pub sign: Option<Sign>,
+    pub trust: Option<Trust>,
+    pub note: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -216,28 +216,30 @@ pub(super) struct ConditionKeys {
     pub(super) none: Option<String>,
 }
 
-#[derive(Debug, Deserialize)]
+/// `[watchdog]`: what watches over the host.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct WatchdogKeys {
-    pub(super) kind: SupervisionKind,
-    pub(super) kicked_by: KickedBy,
+pub struct WatchdogKeys {
+    pub kind: SupervisionKind,
+    pub kicked_by: KickedBy,
     /// 0: off as delivered; left out: not known.
-    pub(super) default_ms: Option<f64>,
+    pub default_ms: Option<f64>,
     #[serde(default)]
-    pub(super) on_expire: Expiry,
+    pub on_expire: Expiry,
     #[serde(default)]
-    pub(super) auto_resume: bool,
+    pub auto_resume: bool,
     #[serde(default)]
-    pub(super) nvm: bool,
+    pub nvm: bool,
     pub(super) time: Option<WatchdogTime>,
-    pub(super) set_ms: Option<f64>,
+    /// Written at connect and read back.
+    pub set_ms: Option<f64>,
     #[serde(default)]
-    pub(super) boot_delay_s: f64,
-    pub(super) proof: Option<String>,
-    pub(super) note: Option<String>,
+    pub boot_delay_s: f64,
+    pub proof: Option<String>,
+    pub note: Option<String>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WatchdogTime {
     pub(super) address: Option<i64>,
@@ -255,34 +257,4 @@ pub(super) struct LimitKeys {
     pub(super) voltage_v: Option<f64>,
     pub(super) speed_rpm: Option<f64>,
     pub(super) field_min_a: Option<f64>,
-}
-
-impl SignalKeys {
-    pub(super) fn written(&self) -> Written<'_> {
-        Written {
-            address: self.address,
-            parameter: self.parameter.as_deref(),
-            can: self.can,
-        }
-    }
-}
-
-impl SetPointKeys {
-    pub(super) fn written(&self) -> Written<'_> {
-        Written {
-            address: self.address,
-            parameter: self.parameter.as_deref(),
-            can: self.can,
-        }
-    }
-}
-
-impl WatchdogTime {
-    pub(super) fn written(&self) -> Written<'_> {
-        Written {
-            address: self.address,
-            parameter: self.parameter.as_deref(),
-            can: None,
-        }
-    }
 }

@@ -1,7 +1,9 @@
 //! Every profile of the repository, and what is wrong in profiles.
 
+use std::collections::BTreeMap;
+
 use super::*;
-use crate::drive::{DriveProfile, ProfileError, RegisterTable};
+use crate::drive::{DriveProfile, ProfileError, ReadRequest, RegisterTable};
 use crate::sample::Channel;
 
 /// Names and texts of the profiles with a register map.
@@ -37,26 +39,20 @@ fn all_eleven_are_there_under_their_names_with_source_and_trust() {
 fn limits_come_back_from_the_raw_type() {
     for (name, _) in foreign() {
         for point in map(name).set_points {
-            let Some(limits) = point.limits else { continue };
-            // A factor that the drive gives is that of its motor; any plausible one will do here.
-            let factor = if point.numbers.scale_by.is_empty() {
-                1.0
-            } else {
-                1500.0
+            let Some(limits) = point.keys.limits else {
+                continue;
             };
+            let (numbers, layout) = (&point.numbers, point.location.layout);
+            // A factor that the drive gives is that of its motor; any plausible one will do here.
+            let is_scaled = !numbers.scale_by.is_empty();
+            let factor = if is_scaled { 1500.0 } else { 1.0 };
             for limit in limits {
-                let raw = point.numbers.raw(limit, factor);
-                let registers = point.location.layout.encode(raw).unwrap();
-                let pattern = point.location.layout.pattern(&registers).unwrap();
-                let back = point
-                    .numbers
-                    .value(point.location.layout.number(pattern), factor);
-                let step = (point.numbers.scale * factor).abs();
-                assert!(
-                    (back - limit).abs() <= 0.5 * step + 1e-9,
-                    "{name} {}: {limit} {back}",
-                    point.name
-                );
+                let registers = layout.encode(numbers.raw(limit, factor)).unwrap();
+                let pattern = layout.pattern(&registers).unwrap();
+                let back = numbers.value(layout.number(pattern), factor);
+                let step = (numbers.scale * factor).abs();
+                let is_back = (back - limit).abs() <= 0.5 * step + 1e-9;
+                assert!(is_back, "{name} {}: {limit} {back}", point.name);
             }
         }
     }
@@ -64,39 +60,33 @@ fn limits_come_back_from_the_raw_type() {
 
 #[test]
 fn addresses_are_those_of_the_sources() {
-    let wire = |name: &str, signal: &str| map(name).signal(signal).unwrap().location;
-    assert_eq!(wire("siemens-v20", "speed").address, 24);
-    assert_eq!(wire("abb-efb", "status").address, 3);
-    assert_eq!(wire("abb-efb", "current").address, 106);
-    assert_eq!(wire("abb-efb", "speed_scaling").address, 29_201);
-    assert_eq!(wire("roboteq-dc", "current").address, 0x2001);
-    assert_eq!(wire("roboteq-dc", "speed").table, RegisterTable::Input);
-    assert_eq!(wire("vacon10", "torque").table, RegisterTable::Input);
-    assert_eq!(wire("delta-ms300", "status").address, 0x2101);
-    let v20 = map("siemens-v20");
-    assert_eq!(v20.set_point("control_word").unwrap().location.address, 99);
-    assert_eq!(
-        map("roboteq-dc")
-            .set_point("release")
-            .unwrap()
-            .location
-            .address,
-        0x01A0
-    );
-    assert_eq!(
-        map("yaskawa-a1000")
-            .set_point("control_word")
-            .unwrap()
-            .function,
-        16
-    );
-    assert_eq!(
-        map("toshiba-vfs11")
-            .set_point("control_word")
-            .unwrap()
-            .function,
-        6
-    );
+    for (name, signal, address) in [
+        ("siemens-v20", "speed", 24),
+        ("abb-efb", "status", 3),
+        ("abb-efb", "current", 106),
+        ("abb-efb", "speed_scaling", 29_201),
+        ("roboteq-dc", "current", 0x2001),
+        ("delta-ms300", "status", 0x2101),
+    ] {
+        let found = map(name).signal(signal).unwrap().location.address;
+        assert_eq!(found, address, "{name} {signal}");
+    }
+    for (name, signal) in [("roboteq-dc", "speed"), ("vacon10", "torque")] {
+        let table = map(name).signal(signal).unwrap().location.table;
+        assert_eq!(table, RegisterTable::Input, "{name} {signal}");
+    }
+    for (name, point, address, function) in [
+        ("siemens-v20", "control_word", Some(99), None),
+        ("roboteq-dc", "release", Some(0x01A0), None),
+        ("yaskawa-a1000", "control_word", None, Some(16)),
+        ("toshiba-vfs11", "control_word", None, Some(6)),
+    ] {
+        let map = map(name);
+        let found = map.set_point(point).unwrap();
+        let is_there = address.is_none_or(|address| found.location.address == address);
+        let is_asked = function.is_none_or(|function| found.function == function);
+        assert!(is_there && is_asked, "{name} {point}: {found:?}");
+    }
 }
 
 #[test]
@@ -122,24 +112,24 @@ fn reads_keep_to_the_limits_of_the_drive_and_serve_every_signal() {
         for poll in [PollRate::Fast, PollRate::Slow, PollRate::Once] {
             let mut served = 0;
             for block in plan_reads(&map, poll) {
-                assert!(
-                    (1..=map.max_read).contains(&block.count),
-                    "{name} {block:?}"
-                );
+                let fits = (1..=map.max_read).contains(&block.read.count);
+                assert!(fits, "{name} {block:?}");
                 served += block.signals.len();
             }
-            assert_eq!(
-                served,
-                map.signals.iter().filter(|s| s.poll == poll).count(),
-                "{name}"
-            );
+            let wanted = map.signals.iter().filter(|s| s.keys.poll == poll);
+            assert_eq!(served, wanted.count(), "{name}");
         }
     }
-    let fast = |name| plan_reads(&map(name), PollRate::Fast).len();
-    assert_eq!(fast("vacon10"), 1, "eleven registers in one read");
-    assert_eq!(fast("toshiba-vfs11"), 2, "one register a request");
-    assert_eq!(fast("roboteq-dc"), 3);
-    assert_eq!(fast("delta-ms300"), 1);
+    // Eleven registers in one read; one register a request.
+    for (name, reads) in [
+        ("vacon10", 1),
+        ("toshiba-vfs11", 2),
+        ("roboteq-dc", 3),
+        ("delta-ms300", 1),
+    ] {
+        let fast = plan_reads(&map(name), PollRate::Fast);
+        assert_eq!(fast.len(), reads, "{name}");
+    }
 }
 
 #[test]
@@ -166,10 +156,8 @@ poll = \"fast\"
     let map = RegisterMap::parse("lenze", &text).unwrap();
     let blocks = plan_reads(&map, PollRate::Fast);
     assert_eq!(blocks.len(), 2);
-    assert_eq!(
-        (blocks[0].address, blocks[0].count, blocks[0].signals.len()),
-        (0x18, 6, 2)
-    );
+    assert_eq!(blocks[0].read, ReadRequest::holding(0x18, 6));
+    assert_eq!(blocks[0].signals.len(), 2);
 }
 
 /// The error of a profile in which something was exchanged, with what stands at its place.
@@ -185,235 +173,28 @@ fn wrong(name: &str, from: &str, to: &str) -> (String, String) {
     (format!("{} | {}", error.message, error.help), rest)
 }
 
-/// Profile, what is exchanged, the message or its help, and what stands at the place of the error.
-const DEFECTS: [(&str, &str, &str, &str, &str); 32] = [
-    (
-        "siemens-v20",
-        "limits = [0, 100]",
-        "limits = [5, 100]",
-        "0 within for what moves the motor",
-        "limits",
-    ),
-    (
-        "siemens-v20",
-        "poll = \"fast\"",
-        "polls = \"fast\"",
-        "did you mean `poll`?",
-        "polls",
-    ),
-    (
-        "siemens-v20",
-        "address = 40025",
-        "adress = 40025",
-        "did you mean `address`?",
-        "adress",
-    ),
-    (
-        "siemens-v20",
-        "max_hole",
-        "max_holes",
-        "did you mean `max_hole`?",
-        "max_holes",
-    ),
-    (
-        "siemens-v20",
-        "address = 40025",
-        "address = 50025",
-        "address 50025 is not allowed",
-        "address = 50025",
-    ),
-    (
-        "siemens-v20",
-        "limits = [0, 100]",
-        "limits = [0, 100000]",
-        "that the raw type holds",
-        "limits = [0, 100000]",
-    ),
-    (
-        "siemens-v20",
-        "{ write = \"control_word\"",
-        "{ write = \"control_wrd\"",
-        "did you mean `control_word`?",
-        "control_wrd",
-    ),
-    (
-        "siemens-v20",
-        "wait = \"status\"",
-        "wait = \"staus\"",
-        "did you mean `status`?",
-        "staus",
-    ),
-    (
-        "siemens-v20",
-        "voltage_v =",
-        "voltage_vv =",
-        "did you mean `voltage_v`?",
-        "voltage_vv",
-    ),
-    (
-        "siemens-v20",
-        "quantity = \"torque\"",
-        "quantity = \"torqe\"",
-        "did you mean `torque`?",
-        "\"torqe\"",
-    ),
-    (
-        "siemens-v20",
-        "resync = \"length\"",
-        "resync = \"fc08\"",
-        "needs function code 8",
-        "resync",
-    ),
-    (
-        "siemens-v20",
-        "origin = \"measured\"",
-        "signed = false",
-        "origin is missing",
-        "quantity",
-    ),
-    (
-        "toshiba-vfs11",
-        "scale_by = [\"rated_current\"]",
-        "scale_by = [\"rated_curent\"]",
-        "did you mean `rated_current`?",
-        "rated_curent",
-    ),
-    (
-        "toshiba-vfs11",
-        "functions = [3, 6]",
-        "functions = [3, 16]\nmax_holes = 1",
-        "did you mean `max_hole`?",
-        "max_holes",
-    ),
-    (
-        "yaskawa-a1000",
-        "address = 0x0001\n",
-        "address = 0x0001\nfunction = 6\n",
-        "does not know function code 6",
-        "function = 6",
-    ),
-    (
-        "roboteq-dc",
-        "max_write = 2",
-        "max_write = 1",
-        "has 2 registers, and max_write is 1",
-        "type",
-    ),
-    (
-        "delta-ms300",
-        "mask = 0x00FF, not_equals = 0",
-        "mask = 0x00FF, not_equals = 0x100",
-        "outside of the mask",
-        "mask",
-    ),
-    (
-        "delta-ms300",
-        "refresh_ms = 200.0",
-        "refresh_ms = 200.0\nnvm = true",
-        "must not be refreshed",
-        "refresh_ms",
-    ),
-    (
-        "abb-dcs-gateway",
-        "quadrants = 4",
-        "quadrants = 3",
-        "quadrants 3 is not allowed",
-        "quadrants",
-    ),
-    ("epulse50-dc", "unit = 1\n", "unit = 300\n", "", "300"),
-    (
-        "epulse50-dc",
-        "{ write = \"speed_ref\", value = 0 }",
-        "{ write = \"speed_ref\", value = 900 }",
-        "value 900 rpm would move the motor: speed_ref is a speed (expected 0;",
-        "value = 900",
-    ),
-    (
-        "roboteq-dc",
-        "reset = [{ write = \"power_ref\", value = 0 }",
-        "reset = [{ write = \"power_ref\", value = -1 }",
-        "value -1 % would move the motor",
-        "value = -1",
-    ),
-    (
-        "epulse50-dc",
-        "unit = \"rpm\"",
-        "unit = \"V\"",
-        "unit \"V\" does not fit quantity \"shaft_speed\" (expected rpm, rad/s, Hz, counts/s or %)",
-        "unit = \"V\"",
-    ),
-    (
-        "epulse50-dc",
-        "unit = \"rpm\"\nquantity = \"speed\"",
-        "unit = \"A\"\nquantity = \"speed\"",
-        "setpoint speed_ref: unit \"A\" does not fit quantity \"speed\"",
-        "unit = \"A\"",
-    ),
-    (
-        "epulse50-dc",
-        "unit = \"A\"\n",
-        "",
-        "quantity \"current\" needs a unit (expected A or %)",
-        "quantity = \"current\"",
-    ),
-    (
-        "epulse50-dc",
-        "quantity = \"shaft_speed\"",
-        "quantity = \"speed\"",
-        "expected \"shaft_speed\" with a sensor on the shaft",
-        "quantity = \"speed\"",
-    ),
-    (
-        "epulse50-dc",
-        "quantity = \"speed\"",
-        "quantity = \"shaft_speed\"",
-        "is one of signals (expected \"speed\")",
-        "quantity = \"shaft_speed\"",
-    ),
-    (
-        "epulse50-dc",
-        "unit = \"rpm\"\nquantity = \"shaft_speed\"",
-        "unit = \"Hz\"\nquantity = \"shaft_speed\"",
-        "in Hz without pole_pairs it is no speed_rad_s",
-        "unit = \"Hz\"",
-    ),
-    (
-        "siemens-v20",
-        "set_ms = 1000.0",
-        "set_ms = 100000.0",
-        "set_ms 100000 is not allowed (expected 1 to 65535, which the register takes in steps of 1 ms)",
-        "set_ms",
-    ),
-    (
-        "siemens-v20",
-        "unit_ms = 1.0",
-        "unit_ms = 1.0, range_ms = [50, 900]",
-        "set_ms 1000 is not allowed (expected 50 to 900",
-        "set_ms",
-    ),
-    (
-        "siemens-v20",
-        "\nreset = [",
-        "\nquickstop = [",
-        "the command reset is missing: without it no fault can be cleared over the bus",
-        "[commands]",
-    ),
-    (
-        "siemens-v20",
-        "\ncoast = [",
-        "\nquickstop = [",
-        "the command coast is missing: it is tried where stop fails",
-        "[commands]",
-    ),
-];
+/// One defect of `defects.toml`.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Defect {
+    profile: String,
+    from: String,
+    to: String,
+    message: String,
+    place: String,
+}
 
 #[test]
 fn defects_are_named_with_their_place_and_the_nearest_key() {
+    let text = include_str!("defects.toml");
+    let mut defects: BTreeMap<String, Vec<Defect>> = toml::from_str(text).unwrap();
+    let defects = defects.remove("defect").unwrap();
+    assert_eq!(defects.len(), 32);
     let mut surprises = Vec::new();
-    for (name, from, to, message, place) in DEFECTS {
-        let (told, at) = wrong(name, from, to);
-        if !told.contains(message) || !at.starts_with(place) {
-            surprises.push(format!("{to}: {told} stands at {at:?}"));
+    for defect in defects {
+        let (told, at) = wrong(&defect.profile, &defect.from, &defect.to);
+        if !told.contains(&defect.message) || !at.starts_with(&defect.place) {
+            surprises.push(format!("{}: {told} stands at {at:?}", defect.to));
         }
     }
     assert!(surprises.is_empty(), "{}", surprises.join("\n"));
@@ -453,5 +234,5 @@ fn the_example_of_the_manual_page_is_a_profile() {
     assert!(profile.capabilities.speed_command);
     let map = profile.registers.unwrap();
     assert_eq!(plan_reads(&map, PollRate::Fast).len(), 1);
-    assert_eq!(map.watchdog.set_s, Some(0.5));
+    assert_eq!(map.watchdog.set_s(), Some(0.5));
 }

@@ -2,7 +2,8 @@
 
 use super::{ForeignDrive, Guise};
 use crate::drive::{
-    Carried, LinkError, LinkName, LinkStatistics, RegisterBus, RegisterTable, RegistersRead,
+    LinkError, LinkName, LinkStatistics, ReadRequest, RegisterBus, RegisterTable, RegistersRead,
+    Span,
 };
 use crate::emulator::VirtualClock;
 use crate::emulator::pace::Pace;
@@ -132,7 +133,7 @@ impl ForeignBus {
         address: u16,
         values: &[u16],
         patience_s: f64,
-    ) -> Result<Carried, LinkError> {
+    ) -> Result<Span, LinkError> {
         let mut request = vec![function];
         request.extend(address.to_be_bytes());
         if function != 6 {
@@ -142,7 +143,7 @@ impl ForeignBus {
         let asked_s = self.departure_s();
         let what = || format!("write {values:04x?} at {address}");
         let (_, answered_s) = self.ask(&request, patience_s, what)?;
-        Ok(Carried {
+        Ok(Span {
             asked_s,
             answered_s,
         })
@@ -179,13 +180,9 @@ impl RegisterBus for ForeignBus {
         self.drive.advance_to(self.now_s);
     }
 
-    fn read(
-        &mut self,
-        table: RegisterTable,
-        address: u16,
-        count: u16,
-    ) -> Result<RegistersRead, LinkError> {
-        let function = match table {
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
+        let (address, count) = (read.address, read.count);
+        let function = match read.table {
             RegisterTable::Holding => 3,
             RegisterTable::Input => 4,
         };
@@ -198,12 +195,14 @@ impl RegisterBus for ForeignBus {
         let (answer, answered_s) = self.ask(&request, DEADLINE_S, what)?;
         Ok(RegistersRead {
             words: words(&answer),
-            asked_s,
-            answered_s,
+            span: Span {
+                asked_s,
+                answered_s,
+            },
         })
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Carried, LinkError> {
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError> {
         self.put(function, address, values, DEADLINE_S)
     }
 
@@ -212,7 +211,7 @@ impl RegisterBus for ForeignBus {
         function: u8,
         address: u16,
         values: &[u16],
-    ) -> Result<Carried, LinkError> {
+    ) -> Result<Span, LinkError> {
         let patience_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
         self.put(function, address, values, patience_s)
     }
@@ -233,8 +232,10 @@ impl RegisterBus for ForeignBus {
         let (answer, answered_s) = self.ask(&request, DEADLINE_S, what)?;
         Ok(RegistersRead {
             words: words(&answer),
-            asked_s,
-            answered_s,
+            span: Span {
+                asked_s,
+                answered_s,
+            },
         })
     }
 

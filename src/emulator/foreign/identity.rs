@@ -8,7 +8,7 @@ use crate::drive::register_map::{IdentityCheck, IdentityTest, Quantity, Register
 impl ForeignDrive {
     /// The bits of a signal, changed only where a check of the identity would not find what it asks for.
     pub(super) fn as_asked(&self, signal: &Signal, natural: u32) -> u32 {
-        let is_status = matches!(signal.quantity, Quantity::Status | Quantity::FaultCode);
+        let is_status = matches!(signal.keys.quantity, Quantity::Status | Quantity::FaultCode);
         // A status is looked at while the drive is at rest; afterwards it has other things to tell.
         if is_status && (self.fault.is_some() || !self.ladder.is_at_rest()) {
             return natural;

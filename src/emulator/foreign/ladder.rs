@@ -139,7 +139,7 @@ impl Ladder {
         let signs = map
             .set_points
             .iter()
-            .filter_map(|point| point.sign.as_ref());
+            .filter_map(|point| point.keys.sign.as_ref());
         let sign_bits = signs
             .filter(|sign| sign.set_point == set_point)
             .fold(0, |bits, sign| bits | i64::from(sign.mask));

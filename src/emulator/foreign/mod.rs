@@ -105,8 +105,8 @@ impl ForeignDrive {
     /// A drive just powered up.
     pub fn new(guise: &Guise, config: &EmulatorConfig, seed: u64) -> Self {
         let watchdog = &guise.map.watchdog;
-        let as_delivered_s = watchdog.default_s.unwrap_or(0.0);
-        let watchdog_s = match watchdog.kind {
+        let as_delivered_s = watchdog.default_s().unwrap_or(0.0);
+        let watchdog_s = match watchdog.keys.kind {
             SupervisionKind::None | SupervisionKind::Unknown => guise.watchdog_s.unwrap_or(0.0),
             SupervisionKind::Implicit => as_delivered_s,
             _ => guise.watchdog_s.unwrap_or(as_delivered_s),
@@ -246,14 +246,15 @@ impl ForeignDrive {
         }
         let now_s = self.soft.time_s();
         let watchdog = &self.map.watchdog;
-        let blind = now_s - self.switched_on_s < watchdog.boot_delay_s || self.watchdog_s <= 0.0;
+        let blind =
+            now_s - self.switched_on_s < watchdog.keys.boot_delay_s || self.watchdog_s <= 0.0;
         if blind || !self.ladder.is_running() || self.lapsed {
             return;
         }
         if now_s - self.kicked_s >= self.watchdog_s {
-            if watchdog.auto_resume {
+            if watchdog.keys.auto_resume {
                 self.lapsed = true;
-            } else if watchdog.on_expire == Expiry::Stop {
+            } else if watchdog.keys.on_expire == Expiry::Stop {
                 self.ladder.stop();
             } else {
                 self.fail(Cause::CommunicationLoss);
@@ -297,7 +298,7 @@ impl ForeignDrive {
             let jog = JOG_SHARE * plate.rated_speed_rad_s;
             return Control::Speed(if has_reference { 0.0 } else { jog });
         };
-        match (point.quantity, point.numbers.unit) {
+        match (point.keys.quantity, point.numbers.unit) {
             (Quantity::Voltage, _) => Control::Voltage(value),
             (Quantity::Duty, _) => Control::Voltage(0.01 * value * self.limits_a_v.1),
             (Quantity::Current, _) => Control::Current(value),
@@ -317,7 +318,7 @@ impl ForeignDrive {
         let raw = words::number(point.location.layout, &registers?);
         let factor = self.factor(&point.numbers.scale_by);
         let value = raw * point.numbers.scale * factor + point.numbers.offset;
-        let negative = point.sign.as_ref().is_some_and(|sign| {
+        let negative = point.keys.sign.as_ref().is_some_and(|sign| {
             let word = self.map.set_point(&sign.set_point);
             let word = word.and_then(|word| self.written.get(&word.location.address));
             word.is_some_and(|word| word & sign.mask != 0)
@@ -327,7 +328,7 @@ impl ForeignDrive {
 
     /// The far end of a request has to be kicked, and by what.
     fn kick(&mut self, by: KickedBy) {
-        let counts = match self.map.watchdog.kicked_by {
+        let counts = match self.map.watchdog.keys.kicked_by {
             KickedBy::Any => true,
             KickedBy::Write => by != KickedBy::Any,
             KickedBy::Command => by == KickedBy::Command,

@@ -51,7 +51,11 @@ impl Table {
         let bus = ForeignBus::new(drive, &guise, clock.clone());
         let link = ProfiledLink::new(Arc::clone(host.registers.as_ref().unwrap()), bus);
         // No faster than the line, and often enough for a dead man's switch.
-        let refreshes = link.map().set_points.iter().filter_map(|p| p.refresh_s);
+        let refreshes = link
+            .map()
+            .set_points
+            .iter()
+            .filter_map(crate::drive::register_map::SetPoint::refresh_s);
         let usual_s = 1.2 * link.shortest_cycle_s().unwrap() + 0.02;
         let period_s = refreshes.fold(usual_s, f64::min);
         Self {
@@ -178,7 +182,7 @@ fn is_identified_enabled_driven_and_stopped(name: &str) {
 
 fn silence_trips_its_watchdog_and_nothing_old_comes_back(name: &str) {
     let mut table = Table::of(&profile_with(name, &[]), Some(0.5));
-    let boot_s = table.link.map().watchdog.boot_delay_s;
+    let boot_s = table.link.map().watchdog.keys.boot_delay_s;
     table.pass(boot_s);
     let watchdog_s = table.link.identify().unwrap().watchdog_s;
     let (reference, _) = target(name);

@@ -177,7 +177,7 @@ impl ForeignDrive {
             return *forced;
         }
         let told = self.told(&signal.name);
-        let natural = match signal.quantity {
+        let natural = match signal.keys.quantity {
             Quantity::Status => told,
             Quantity::FaultCode if self.fault.is_some() => {
                 bits(signal.location.layout.kind, FAULT_CODE)
@@ -187,7 +187,7 @@ impl ForeignDrive {
                 let factor = self.factor(&signal.numbers.scale_by);
                 let value = self.truth(signal);
                 let raw = (value - signal.numbers.offset) / (signal.numbers.scale * factor);
-                match (signal.quantity, signal.wraps_at) {
+                match (signal.keys.quantity, signal.wraps_at) {
                     (Quantity::Clock, _) => {
                         count(raw, 2.0_f64.powi(i32::from(signal.location.layout.width())))
                     }
@@ -244,7 +244,7 @@ impl ForeignDrive {
             let Some(signal) = self.map.signal(name) else {
                 return 1.0;
             };
-            let natural = match signal.quantity {
+            let natural = match signal.keys.quantity {
                 Quantity::RatedCurrent => plate.rated_current_a,
                 Quantity::RatedVoltage => plate.rated_voltage_v,
                 Quantity::RatedSpeed => in_unit(plate.rated_speed_rad_s, signal.numbers.unit, None),
@@ -261,7 +261,7 @@ impl ForeignDrive {
         let (plate, (limit_a, limit_v)) = (&self.plate, self.limits_a_v);
         let unit = signal.numbers.unit;
         let si = signal.channel.map(|(_, si)| si);
-        match signal.quantity {
+        match signal.keys.quantity {
             Quantity::Current => sensed.current_a,
             Quantity::Voltage => sensed.voltage_v,
             Quantity::BusVoltage => sensed.bus_v,

@@ -15,10 +15,7 @@ fn said(from: u64, fault: Fault, stop_fails: Option<fn(String) -> LinkError>) ->
 }
 
 fn gone(link: String) -> LinkError {
-    LinkError::Gone {
-        link,
-        reason: "unplugged".to_owned(),
-    }
+    LinkError::Gone(link, "unplugged".to_owned())
 }
 
 fn disobeyed(link: String) -> LinkError {

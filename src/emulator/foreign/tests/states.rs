@@ -175,7 +175,7 @@ fn the_watchdog_of_a_drive_that_somebody_runs_is_left_as_it_is() {
         table
             .link
             .bus_mut()
-            .read(RegisterTable::Holding, 0, 1)
+            .read(crate::drive::ReadRequest::holding(0, 1))
             .unwrap()
             .words[0]
     };

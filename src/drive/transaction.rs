@@ -1,13 +1,93 @@
-//! What came since the last request went out: which bytes answer it, when their first came, and what the rest was.
-//! Pure: bytes and their times go in.
+//! The transaction layer: what both Modbus clients have in common, without a port and without a clock.
+//!
+//! ```text
+//! request --> proof.rs      may it go out? silence until .. | probe with .. | in step
+//!    |        Bound         how long may it take, and does somebody want a stop meanwhile?
+//!    v
+//! bytes   --> Reception     which of them are the reply, and when did its first byte come?
+//!                |          stale, foreign, damaged: counted
+//!                '--> proof.rs
+//! ```
+//!
+//! modbus.rs carries the steps out behind tokio-modbus, raw.rs on a bare descriptor. Pure: bytes and times go in.
 
 use std::io::{self, ErrorKind};
-use std::time::Instant;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use crate::drive::link::LinkError;
-use crate::drive::reply::{Code, Expected, FrameKind, search};
+use super::link::LinkError;
+use super::reply::{Code, Expected, FrameKind, search};
+
+/// A wait under way looks so often whether somebody wants a stop.
+const LOOK: Duration = Duration::from_millis(4);
+
+/// Says that a stop is wanted: any of its flags was raised since the last [`CutIn::lower`].
+///
+/// Silences, probes and retries of a bounded exchange are given up then, so that the stop goes out next.
+#[derive(Clone, Debug, Default)]
+pub struct CutIn(Vec<(Arc<AtomicBool>, bool)>);
+
+impl CutIn {
+    /// Watches flags that others raise: those of the signals, that of the screen's stop keys.
+    pub fn watching(flags: impl IntoIterator<Item = Arc<AtomicBool>>) -> Self {
+        Self(flags.into_iter().map(|flag| (flag, false)).collect())
+    }
+
+    /// What is raised by now will be heard by whoever is told of it next: it cuts in no more.
+    pub fn lower(&mut self) {
+        for (flag, heard) in &mut self.0 {
+            *heard = flag.load(Ordering::Acquire);
+        }
+    }
+
+    fn is_raised(&self) -> bool {
+        let mut flags = self.0.iter();
+        flags.any(|(flag, heard)| !heard && flag.load(Ordering::Acquire))
+    }
+}
+
+/// The bound of the exchange under way; none until one is set.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bound {
+    until: Option<Instant>,
+    pub(super) cut_in: CutIn,
+}
+
+impl Bound {
+    /// So much time is left from `now` on, s; not finite: as much as it takes.
+    pub(super) fn set(&mut self, left_s: f64, now: Instant) {
+        let left = Duration::try_from_secs_f64(left_s.max(0.0)).ok();
+        self.until = left.and_then(|left| now.checked_add(left));
+    }
+
+    pub(super) const fn is_set(&self) -> bool {
+        self.until.is_some()
+    }
+
+    /// Nothing that can wait is begun or gone on with any more.
+    pub(super) fn is_over(&self, now: Instant) -> bool {
+        let wanted = self.cut_in.is_raised();
+        self.until.is_some_and(|until| wanted || now >= until)
+    }
+
+    /// `at`, or where the exchange has to end.
+    pub(super) fn earlier(&self, at: Instant) -> Instant {
+        self.until.map_or(at, |until| at.min(until))
+    }
+
+    /// Where a wait until `at` looks up next.
+    pub(super) fn next_look(&self, now: Instant, at: Instant) -> Instant {
+        let at = self.earlier(at);
+        if !self.is_set() || self.cut_in.0.is_empty() {
+            at
+        } else {
+            at.min(now + LOOK)
+        }
+    }
+}
 
 /// Bytes kept while a reply is awaited; a line that babbles beyond loses its oldest.
 const LONGEST_WAIT_BYTES: usize = 1024;
@@ -39,7 +119,7 @@ pub struct LineCounts {
 
 /// What is there when the time is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum Leftover {
+pub(super) enum Leftover {
     Nothing,
     /// Whole frames that answer something asked before.
     Stale,
@@ -51,7 +131,7 @@ pub(in crate::drive) enum Leftover {
 
 impl Leftover {
     /// Why there is no reply: what came instead tells the class.
-    pub(in crate::drive) fn error(
+    pub(super) fn error(
         self,
         link: &str,
         request: impl Into<String>,
@@ -64,45 +144,44 @@ impl Leftover {
                 deadline_ms: u64::try_from(deadline.as_millis()).unwrap_or(u64::MAX),
                 request,
             },
-            Self::Stale => LinkError::Stale {
+            Self::Stale => {
+                LinkError::Stale(link, format!("only late answers came after {request}"))
+            }
+            Self::Foreign => LinkError::Mismatch(
                 link,
-                reason: format!("only late answers came after {request}"),
-            },
-            Self::Foreign => LinkError::Mismatch {
+                format!("only frames that do not answer {request} came"),
+            ),
+            Self::Damaged(bytes) => LinkError::Corrupt(
                 link,
-                reason: format!("only frames that do not answer {request} came"),
-            },
-            Self::Damaged(bytes) => LinkError::Corrupt {
-                link,
-                reason: format!("{bytes} bytes without a valid frame came in reply to {request}"),
-            },
+                format!("{bytes} bytes without a valid frame came in reply to {request}"),
+            ),
         }
     }
 }
 
 /// An old reply that came beside the one that was waited for, or instead of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) struct Heard {
-    pub(in crate::drive) code: Code,
+pub(super) struct Heard {
+    pub(super) code: Code,
     /// It came behind the accepted reply.
-    pub(in crate::drive) behind: bool,
+    pub(super) behind: bool,
 }
 
 /// The bytes of one line.
 #[derive(Debug)]
-pub(in crate::drive) struct Reception {
-    pub(in crate::drive) kind: FrameKind,
-    pub(in crate::drive) expected: Expected,
+pub(super) struct Reception {
+    pub(super) kind: FrameKind,
+    pub(super) expected: Expected,
     received: Vec<u8>,
     /// Ends of the pieces in which that came, and when.
     pieces: Vec<(usize, Instant)>,
     /// The accepted reply.
-    pub(in crate::drive) reply: Vec<u8>,
+    pub(super) reply: Vec<u8>,
     /// First byte of the request out, and first byte of its reply in.
-    pub(in crate::drive) asked: Option<Instant>,
-    pub(in crate::drive) answered: Option<Instant>,
-    pub(in crate::drive) last_activity: Instant,
-    pub(in crate::drive) line: LineCounts,
+    pub(super) asked: Option<Instant>,
+    pub(super) answered: Option<Instant>,
+    pub(super) last_activity: Instant,
+    pub(super) line: LineCounts,
     /// What was wrong since the last look.
     anomaly: bool,
     /// Old replies since the last look, in order.
@@ -110,7 +189,7 @@ pub(in crate::drive) struct Reception {
 }
 
 impl Reception {
-    pub(in crate::drive) fn new(kind: FrameKind, now: Instant) -> Self {
+    pub(super) fn new(kind: FrameKind, now: Instant) -> Self {
         Self {
             kind,
             expected: Expected::default(),
@@ -127,13 +206,13 @@ impl Reception {
     }
 
     /// So many bytes of the request have gone out.
-    pub(in crate::drive) fn sent(&mut self, count: usize, at: Instant) {
+    pub(super) fn sent(&mut self, count: usize, at: Instant) {
         self.line.bytes_sent += count as u64;
         self.asked.get_or_insert(at);
         self.last_activity = at;
     }
 
-    pub(in crate::drive) fn push(&mut self, bytes: &[u8], at: Instant) {
+    pub(super) fn push(&mut self, bytes: &[u8], at: Instant) {
         self.line.bytes_received += bytes.len() as u64;
         self.last_activity = at;
         self.received.extend_from_slice(bytes);
@@ -141,7 +220,7 @@ impl Reception {
     }
 
     /// Ends the exchange: what is left of it answers nothing any more.
-    pub(in crate::drive) fn retire(&mut self) {
+    pub(super) fn retire(&mut self) {
         // Anomalies of an exchange are judged where it ends; what is dropped here was one of it.
         let was_wrong = self.anomaly;
         self.drop_received(false);
@@ -153,7 +232,7 @@ impl Reception {
     }
 
     /// Drops what came while nothing was outstanding; returns how many bytes that were.
-    pub(in crate::drive) fn drop_strays(&mut self) -> usize {
+    pub(super) fn drop_strays(&mut self) -> usize {
         self.drop_received(true)
     }
 
@@ -202,17 +281,17 @@ impl Reception {
     }
 
     /// Whether anything was wrong since the last call.
-    pub(in crate::drive) fn take_anomaly(&mut self) -> bool {
+    pub(super) fn take_anomaly(&mut self) -> bool {
         std::mem::take(&mut self.anomaly)
     }
 
     /// Old replies since the last call.
-    pub(in crate::drive) fn take_heard(&mut self) -> Vec<Heard> {
+    pub(super) fn take_heard(&mut self) -> Vec<Heard> {
         std::mem::take(&mut self.heard)
     }
 
     /// Moves the reply out of what was received, if it is there.
-    pub(in crate::drive) fn accept(&mut self) -> io::Result<bool> {
+    pub(super) fn accept(&mut self) -> io::Result<bool> {
         let found = search(self.kind, &self.expected, &self.received).map_err(|_| {
             io::Error::new(
                 ErrorKind::ConnectionAborted,
@@ -266,7 +345,7 @@ impl Reception {
     }
 
     /// Judges what came instead of a reply.
-    pub(in crate::drive) fn leftover(&self) -> Leftover {
+    pub(super) fn leftover(&self) -> Leftover {
         let (request, received) = (&self.expected.request, &self.received);
         let search = search(self.kind, &self.expected, received).unwrap_or_default();
         match (received.len(), search.foreign, search.old.len()) {
@@ -276,5 +355,50 @@ impl Reception {
             (_, 0, _) => Leftover::Stale,
             _ => Leftover::Foreign,
         }
+    }
+}
+
+pub(super) fn restless(link: &str) -> LinkError {
+    LinkError::Corrupt(
+        link.to_owned(),
+        "the line is never silent: something talks all the time".to_owned(),
+    )
+}
+
+pub(super) fn out_of_step(link: &str) -> LinkError {
+    LinkError::Corrupt(
+        link.to_owned(),
+        "the line is out of step: no probe came back without older replies".to_owned(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drive::guard::now;
+
+    #[test]
+    fn a_flag_cuts_in_until_it_was_heard_and_again_when_it_is_raised_again() {
+        let flag = Arc::new(AtomicBool::new(false));
+        let mut cut_in = CutIn::watching([Arc::clone(&flag)]);
+        assert!(!cut_in.is_raised());
+        flag.store(true, Ordering::Release);
+        assert!(cut_in.is_raised());
+        cut_in.lower();
+        assert!(!cut_in.is_raised());
+        flag.store(false, Ordering::Release);
+        cut_in.lower();
+        flag.store(true, Ordering::Release);
+        assert!(cut_in.is_raised());
+    }
+
+    #[test]
+    fn a_bound_without_an_end_is_none() {
+        let (mut bound, now) = (Bound::default(), now());
+        bound.set(0.08, now);
+        assert!(bound.is_set() && !bound.is_over(now + Duration::from_millis(79)));
+        assert!(bound.is_over(now + Duration::from_millis(80)));
+        bound.set(f64::INFINITY, now);
+        assert!(!bound.is_set() && !bound.is_over(now + Duration::from_secs(3600)));
     }
 }

@@ -12,17 +12,17 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use super::reception::Heard;
-use crate::drive::modbus::RegisterTable;
-use crate::drive::raw::{MOST_READ, ReadRequest};
-use crate::drive::reply::Code;
+use super::link::LinkError;
+use super::register_bus::{MOST_READ, ReadRequest, RegisterTable};
+use super::reply::Code;
+use super::transaction::{Heard, Reception};
 
 /// Probes of one resynchronisation.
 const PROBES: usize = 6;
 /// Requests remembered since the last proof.
 const REMEMBERED: usize = 32;
 /// A line that talks for so many times the silence that is waited for is given up.
-pub(in crate::drive) const PATIENCE: u32 = 4;
+pub(super) const PATIENCE: u32 = 4;
 /// Clean reads after which it is known that a line brings no old replies.
 const KNOWN_AFTER: u32 = 32;
 /// A clean stretch so many times longer than the longest delay that was seen ends the silences that are kept for it: where
@@ -37,7 +37,7 @@ const LONGEST_STRETCH: Duration = Duration::from_secs(30);
 /// What makes a probe unmistakable. The order is that of trial: a read can harm nobody, but function code 08 makes some
 /// servers deaf (libmodbus 3.1 takes its data for the next request), so it comes last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum Method {
+pub(super) enum Method {
     /// A read of so many registers as no request since the last proof has asked for.
     Length,
     /// A read of the other table: whatever is answered carries the other function code.
@@ -50,7 +50,7 @@ pub(in crate::drive) enum Method {
 
 /// How a line is proven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum Policy {
+pub(super) enum Policy {
     /// Every reply carries the number of its request (TCP): there is nothing to prove.
     Numbered,
     /// As the drive's profile says. Anything unexpected is a doubt.
@@ -61,7 +61,7 @@ pub(in crate::drive) enum Policy {
 
 /// What is to be done before a request may go out.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum Step {
+pub(super) enum Step {
     /// In step: the request may go out.
     Go,
     /// Nothing may come before this instant.
@@ -76,10 +76,20 @@ pub(in crate::drive) enum Step {
 
 /// How an exchange ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::drive) enum End {
+pub(super) enum End {
     Data,
     Refused,
     Missing,
+}
+
+impl End {
+    pub(super) const fn of<T>(result: &Result<T, LinkError>) -> Self {
+        match result {
+            Ok(_) => Self::Data,
+            Err(LinkError::Exception { .. }) => Self::Refused,
+            Err(_) => Self::Missing,
+        }
+    }
 }
 
 /// A request that went out since the line was last proven to be in step.
@@ -108,7 +118,7 @@ impl Asked {
     clippy::struct_excessive_bools,
     reason = "independent facts, each set and cleared by its own event"
 )]
-pub(in crate::drive) struct Proof {
+pub(super) struct Proof {
     policy: Policy,
     quiet: Duration,
     /// Reads that look alike are kept apart by silence on every line: they are rare.
@@ -147,7 +157,7 @@ pub(in crate::drive) struct Proof {
 }
 
 impl Proof {
-    pub(in crate::drive) fn new(policy: Policy, quiet: Duration, now: Instant) -> Self {
+    pub(super) fn new(policy: Policy, quiet: Duration, now: Instant) -> Self {
         let [.., high, low] = std::process::id().to_be_bytes();
         let (method, is_fixed) = match policy {
             Policy::Fixed(method) => (method, true),
@@ -182,17 +192,13 @@ impl Proof {
     }
 
     /// For a link whose plain reads are rare: those that look alike are always kept apart.
-    pub(in crate::drive) const fn always_apart(mut self) -> Self {
+    pub(super) const fn always_apart(mut self) -> Self {
         self.always_apart = true;
         self
     }
 
     /// Another way of proving, and registers for the length code that can be read in any number up to this.
-    pub(in crate::drive) fn set_policy(
-        &mut self,
-        method: Method,
-        place: Option<(ReadRequest, u16)>,
-    ) {
+    pub(super) fn set_policy(&mut self, method: Method, place: Option<(ReadRequest, u16)>) {
         if self.policy != Policy::Numbered {
             self.policy = Policy::Fixed(method);
         }
@@ -202,65 +208,65 @@ impl Proof {
     }
 
     /// Silence after which nothing old comes any more, as it was measured.
-    pub(in crate::drive) const fn set_quiet(&mut self, quiet: Duration) {
+    pub(super) const fn set_quiet(&mut self, quiet: Duration) {
         self.quiet = quiet;
     }
 
     /// From here on another unit of the line is asked.
-    pub(in crate::drive) fn forget_unit(&mut self) {
+    pub(super) fn forget_unit(&mut self) {
         self.heard = false;
         self.place = None;
         self.worked = None;
         self.method = Method::Length;
     }
 
-    pub(in crate::drive) const fn is_heard(&self) -> bool {
+    pub(super) const fn is_heard(&self) -> bool {
         self.heard
     }
 
     /// Times that something was wrong on the line; as long as it stays the same nothing was.
-    pub(in crate::drive) const fn anomalies(&self) -> u64 {
+    pub(super) const fn anomalies(&self) -> u64 {
         self.anomalies
     }
 
-    pub(in crate::drive) const fn is_suspect(&self) -> bool {
+    pub(super) const fn is_suspect(&self) -> bool {
         self.suspect
     }
 
     /// Whether the last answer cannot be that to another request.
-    pub(in crate::drive) const fn is_vouched(&self) -> bool {
+    pub(super) const fn is_vouched(&self) -> bool {
         self.vouched
     }
 
     /// Whether anything was wrong since the last proof.
-    pub(in crate::drive) const fn is_dirty(&self) -> bool {
+    pub(super) const fn is_dirty(&self) -> bool {
         self.dirty
     }
 
     /// Whether there is a request before which everything is over.
-    pub(in crate::drive) const fn is_proven(&self) -> bool {
+    pub(super) const fn is_proven(&self) -> bool {
         self.proven
     }
 
     /// The line is to be proven before anything else is asked.
-    pub(in crate::drive) fn doubt(&mut self) {
+    pub(super) fn doubt(&mut self) {
         self.suspect = self.policy != Policy::Numbered;
     }
 
     /// A read that was answered: a probe may ask for the same place.
-    pub(in crate::drive) fn known(&mut self, read: ReadRequest) {
+    pub(super) fn known(&mut self, read: ReadRequest) {
         self.place = Some((read, MOST_READ.min(u16::MAX - read.address)));
     }
 
     /// Whether a reply to another request since the last proof could be taken for the one to this.
-    pub(in crate::drive) fn could_confuse(&self, pdu: &[u8]) -> bool {
+    pub(super) fn could_confuse(&self, pdu: &[u8]) -> bool {
         let (head, code) = (head(pdu), Code::answering(pdu));
         let mut asked = self.asked.iter();
         self.policy != Policy::Numbered && asked.any(|other| other.looks_like(code, head))
     }
 
     /// What is to be done before this request.
-    pub(in crate::drive) fn next(&mut self, pdu: &[u8], now: Instant) -> Step {
+    pub(super) fn next(&mut self, pdu: &[u8], now: Instant) -> Step {
         if self.policy == Policy::Numbered {
             return Step::Go;
         }
@@ -344,7 +350,7 @@ impl Proof {
     }
 
     /// Something came, or was found, while nothing was outstanding.
-    pub(in crate::drive) fn disturbed(&mut self, heard: &[Heard], now: Instant) {
+    pub(super) fn disturbed(&mut self, heard: &[Heard], now: Instant) {
         if self.policy == Policy::Numbered {
             self.anomalies += 1;
             return;
@@ -382,7 +388,7 @@ impl Proof {
     }
 
     /// A request goes out.
-    pub(in crate::drive) fn asked(&mut self, pdu: &[u8], is_probe: bool, now: Instant) {
+    pub(super) fn asked(&mut self, pdu: &[u8], is_probe: bool, now: Instant) {
         if self.policy == Policy::Numbered {
             return;
         }
@@ -398,15 +404,20 @@ impl Proof {
         });
     }
 
-    /// The exchange is over. `strays`: something beside the reply came. `numbered`: the reply carries its own number.
-    pub(in crate::drive) fn ended(
+    /// The exchange is over: judges what came beside the reply. `numbered`: the reply carries its own number.
+    pub(super) fn settle(
         &mut self,
         end: End,
-        heard: &[Heard],
-        strays: bool,
+        reception: &mut Reception,
         numbered: bool,
         now: Instant,
     ) {
+        let strays = reception.take_anomaly();
+        self.ended(end, &reception.take_heard(), strays, numbered, now);
+    }
+
+    /// The exchange is over. `strays`: something beside the reply came. `numbered`: the reply carries its own number.
+    fn ended(&mut self, end: End, heard: &[Heard], strays: bool, numbered: bool, now: Instant) {
         let was_proven = self.proven;
         self.heard |= end != End::Missing;
         self.vouched = self.policy == Policy::Numbered;
@@ -529,26 +540,25 @@ impl Proof {
 
     fn probe(&mut self, before: &[u8]) -> Option<[u8; 5]> {
         let spared = Code::answering(before);
+        let is_free = |read: &ReadRequest| {
+            let code = Code::answering(&read.pdu());
+            code != spared && self.asked.iter().all(|asked| asked.code != code)
+        };
         match self.method {
             Method::Length => {
                 let (place, most) = self.place?;
                 let shorter = (1..place.count).rev();
                 let counts = || shorter.clone().chain(place.count..=most);
-                let with = |count| ReadRequest { count, ..place }.pdu();
-                let is_free = |count: &u16| {
-                    let code = Code::answering(&with(*count));
-                    code != spared && self.asked.iter().all(|asked| asked.code != code)
-                };
+                let reads = || counts().map(|count| ReadRequest { count, ..place });
                 // As the profile has it a reply comes once: what has been answered, and silent since, is over.
-                let is_over = |count: &u16| {
-                    let code = Code::answering(&with(*count));
+                let is_over = |read: &ReadRequest| {
+                    let code = Code::answering(&read.pdu());
                     let mut alike = self.asked.iter().filter(|asked| asked.code == code);
                     alike.all(|asked| asked.is_answered)
                 };
                 let is_told = matches!(self.policy, Policy::Fixed(_));
-                let free = counts().find(is_free);
-                free.or_else(|| counts().filter(|_| is_told).find(is_over))
-                    .map(with)
+                let over = || reads().filter(|_| is_told).find(is_over);
+                reads().find(is_free).or_else(over).map(ReadRequest::pdu)
             }
             Method::OtherTable => {
                 let place = self.place.map(|(place, _)| place);
@@ -563,19 +573,12 @@ impl Proof {
                     _ => RegisterTable::Input,
                 };
                 let address = place.map_or(0, |place| place.address);
-                let of = |count| {
-                    ReadRequest {
-                        table,
-                        address,
-                        count,
-                    }
-                    .pdu()
-                };
-                let is_free = |pdu: &[u8; 5]| {
-                    let code = Code::answering(pdu);
-                    code != spared && self.asked.iter().all(|asked| asked.code != code)
-                };
-                (1..=4).map(of).find(is_free)
+                let mut reads = (1..=4).map(|count| ReadRequest {
+                    table,
+                    address,
+                    count,
+                });
+                reads.find(is_free).map(ReadRequest::pdu)
             }
             Method::Nonce => {
                 self.nonce = self.nonce.wrapping_mul(25_173).wrapping_add(13_849);
@@ -625,13 +628,7 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     fn read(address: u16, count: u16) -> [u8; 5] {
-        let table = RegisterTable::Holding;
-        ReadRequest {
-            table,
-            address,
-            count,
-        }
-        .pdu()
+        ReadRequest::holding(address, count).pdu()
     }
 
     fn late(pdu: &[u8]) -> [Heard; 1] {
@@ -657,19 +654,12 @@ mod tests {
         let mut at = now();
         let mut proof = Proof::new(Policy::Trial(50 * MS), QUIET, at);
         let (first, wanted) = (read(10, 1), read(20, 1));
-        proof.known(ReadRequest {
-            table: RegisterTable::Holding,
-            address: 10,
-            count: 1,
-        });
+        proof.known(ReadRequest::holding(10, 1));
         // Its reply comes with the next request, which it fits as well.
         for pdu in [&first, &wanted] {
             proof.asked(pdu, false, at);
-            let end = if *pdu == first {
-                End::Missing
-            } else {
-                End::Data
-            };
+            let is_first = *pdu == first;
+            let end = if is_first { End::Missing } else { End::Data };
             proof.ended(end, &[], false, false, at);
         }
         assert!(!proof.is_vouched(), "it may be the reply to the first");

@@ -1,0 +1,200 @@
+//! How a drive is wired, how far its numbers may be believed, and its bounds: what every profile says, whatever its registers.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// How far the numbers of a profile may be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Trust {
+    Manual,
+    Code,
+    Unverified,
+}
+
+impl Trust {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Manual => "manual",
+            Self::Code => "code",
+            Self::Unverified => "unverified",
+        }
+    }
+}
+
+/// The language on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Protocol {
+    ModbusRtu,
+    ModbusTcp,
+    Stream,
+}
+
+impl Protocol {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ModbusRtu => "modbus-rtu",
+            Self::ModbusTcp => "modbus-tcp",
+            Self::Stream => "stream",
+        }
+    }
+}
+
+/// Data bits, parity, stop bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub enum Framing {
+    #[default]
+    #[serde(rename = "8N1")]
+    EightNoneOne,
+    #[serde(rename = "8E1")]
+    EightEvenOne,
+    #[serde(rename = "8O1")]
+    EightOddOne,
+    #[serde(rename = "8N2")]
+    EightNoneTwo,
+}
+
+impl Framing {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::EightNoneOne => "8N1",
+            Self::EightEvenOne => "8E1",
+            Self::EightOddOne => "8O1",
+            Self::EightNoneTwo => "8N2",
+        }
+    }
+
+    /// Bits on the wire for one character, start bit included.
+    pub const fn bits_per_char(self) -> u8 {
+        match self {
+            Self::EightNoneOne => 10,
+            Self::EightEvenOne | Self::EightOddOne | Self::EightNoneTwo => 11,
+        }
+    }
+}
+
+/// How the drive is wired and how fast it answers.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct LinkSettings {
+    pub protocol: Protocol,
+    pub baud: u32,
+    pub unit: u8,
+    #[serde(default)]
+    pub framing: Framing,
+    /// Worst time from the end of a request to the start of its reply, ms.
+    pub reply_ms: f64,
+    /// Silence before a Modbus RTU request, us; `None`: as the standard says.
+    pub gap_us: Option<f64>,
+    /// Time for one exchange, ms; `None`: from wire and reply time.
+    pub deadline_ms: Option<f64>,
+    /// The far end is the software drive of this process, whatever guise it has; in no file.
+    #[serde(skip)]
+    pub emulated: bool,
+}
+
+/// What keeps the drive's watchdog quiet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KickedBy {
+    /// Only a write of the command block.
+    Command,
+    /// Any write.
+    Write,
+    /// Any message, reading too.
+    Any,
+}
+
+/// Bounds beside those that the drive reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriveLimits {
+    pub current_a: Option<f64>,
+    pub voltage_v: Option<f64>,
+    pub speed_rad_s: Option<f64>,
+}
+
+/// A number of a profile that is not allowed.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error("drive profile {profile:?}: {key} {value} is not allowed (expected {allowed})")]
+pub struct RangeError {
+    pub profile: String,
+    pub key: &'static str,
+    pub value: f64,
+    pub allowed: &'static str,
+}
+
+/// Checks the numbers that every profile has.
+pub(super) fn check_ranges(
+    profile: &str,
+    link: &LinkSettings,
+    watchdog_ms: Option<f64>,
+    limits: &DriveLimits,
+) -> Result<(), RangeError> {
+    let (least, most) = (f64::MIN_POSITIVE, f64::MAX);
+    let rows = [
+        (
+            "link.baud",
+            Some(link.baud.into()),
+            [least, most],
+            "more than 0",
+        ),
+        (
+            "link.unit",
+            Some(link.unit.into()),
+            [1.0, 247.0],
+            "1 to 247",
+        ),
+        (
+            "link.reply_ms",
+            Some(link.reply_ms),
+            [0.0, 10_000.0],
+            "0 to 10000",
+        ),
+        ("link.gap_us", link.gap_us, [0.0, 1e6], "0 to 1000000"),
+        (
+            "link.deadline_ms",
+            link.deadline_ms,
+            [1.0, 60_000.0],
+            "1 to 60000",
+        ),
+        (
+            "watchdog.default_ms",
+            watchdog_ms,
+            [least, most],
+            "more than 0",
+        ),
+        (
+            "limits.current_a",
+            limits.current_a,
+            [least, most],
+            "more than 0",
+        ),
+        (
+            "limits.voltage_v",
+            limits.voltage_v,
+            [least, most],
+            "more than 0",
+        ),
+        (
+            "limits.speed_rad_s",
+            limits.speed_rad_s,
+            [least, most],
+            "more than 0",
+        ),
+    ];
+    let is_wrong = |value: &f64, [low, high]: [f64; 2]| !(low..=high).contains(value);
+    let wrong = rows.into_iter().find_map(|(key, value, range, allowed)| {
+        let value = value.filter(|value| is_wrong(value, range))?;
+        Some((key, value, allowed))
+    });
+    wrong.map_or(Ok(()), |(key, value, allowed)| {
+        Err(RangeError {
+            profile: profile.to_owned(),
+            key,
+            value,
+            allowed,
+        })
+    })
+}
