@@ -5,7 +5,7 @@
 
 use serde::Serialize;
 
-use super::fitted::Fitted;
+use super::ladder::Fitted;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, Plant, Scenario, ShaftAngle, State,
     Trajectory,
@@ -291,7 +291,7 @@ mod tests {
         let run = testing::record(&model, events, 0.001, 3.0, 3);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let fit = output_error::fit(std::slice::from_ref(&model), &run, &noise).unwrap();
-        (Fitted::from(&fit), run)
+        (Fitted::from(fit), run)
     }
 
     fn reached(id: &str, values: &[f64]) -> (Reached, Scenario) {

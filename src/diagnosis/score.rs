@@ -130,7 +130,7 @@ pub(super) fn varies(values: &[f64]) -> bool {
         .is_some_and(|first| present.any(|value| value != first))
 }
 
-fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
+pub(super) fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
     let pairs: Vec<(f64, f64)> = residual
         .iter()
         .copied()

@@ -50,6 +50,9 @@ pub struct NoiseFloor {
 /// Standard deviations that a normal estimate exceeds in one case of two hundred.
 const RARELY_EXCEEDED: f64 = 2.6;
 
+/// Error in units of the floor below which a model explains a run to the noise.
+pub const AT_THE_FLOOR: f64 = 1.1;
+
 impl NoiseFloor {
     /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was
     /// estimated from few samples; at least `least`.

@@ -1,5 +1,6 @@
 //! What the posterior says of each effect of the catalogue, and of what none of them explains.
 
+use serde::Serialize;
 use statrs::function::erf::erfc;
 
 use super::acting::constants;
@@ -9,13 +10,14 @@ use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
 use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
-use super::search::{self, Found, Happened};
+use super::search::{self, Found};
 use super::select::{Posterior, Set};
-use crate::diagnosis::Evidence;
+use super::solution::{self, Happened};
 use crate::diagnosis::candidates::{Onset, RunOf};
-use crate::diagnosis::evidence::HoldoutFrom;
-use crate::diagnosis::explained::{Floor, MOST_UNSEEN, in_noise};
-use crate::diagnosis::fitted::Fitted;
+use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
+use crate::diagnosis::floor::{Floor, MOST_UNSEEN, in_noise};
+use crate::diagnosis::ladder::{Fitted, cannot_simulate};
+use crate::diagnosis::mechanical::start_of;
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::Score;
 use crate::identification::noise::{FloorSource, NoiseFloor};
@@ -27,22 +29,22 @@ use crate::plant::{ActiveEffect, Effect, Input, Model, MotorKey, Scenario, State
 use crate::sample::Verdict;
 
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
-const BOUND: f64 = 1.75;
+const BOUND_SIGMAS: f64 = 1.75;
 /// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
-const NAMED_IN_95: f64 = 1.645;
+const NAMED_IN_95_SIGMAS: f64 = 1.645;
 /// Standard deviations beyond which nothing of note lies.
-const BEYOND: f64 = 4.0;
+const BEYOND_SIGMAS: f64 = 4.0;
 /// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
-const SAYS_NOTHING: f64 = 0.5;
+const SAYS_NOTHING_SLABS: f64 = 0.5;
 /// Plausible sets that bounds are asked of.
 const SETS: usize = 12;
 /// Probability from which on an effect is named.
-const NAMED: f64 = 0.5;
+const NAMED_PROBABILITY: f64 = 0.5;
 /// The same for two together that cannot be told apart.
-const CERTAIN: f64 = 0.9;
+const TOGETHER_PROBABILITY: f64 = 0.9;
 
 /// Share of the error from which on what follows an axis is a part of the answer.
-const LEAST_PART: f64 = 0.03;
+const LEAST_PART_SHARE: f64 = 0.03;
 
 /// One effect.
 #[derive(Clone)]
@@ -63,21 +65,22 @@ pub(in crate::diagnosis) struct Inferred {
     pub(in crate::diagnosis) log_odds: f64,
 }
 
-/// A part of the error that follows an axis and is none of the catalogue's effects.
-#[derive(Clone, Debug, PartialEq)]
-pub(in crate::diagnosis) struct Part {
-    pub(in crate::diagnosis) equation: &'static str,
-    pub(in crate::diagnosis) follows: &'static str,
-    pub(in crate::diagnosis) probability: f64,
+/// A part of the error that follows something and that no effect of the catalogue explains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unknown {
+    pub equation: &'static str,
+    pub follows: &'static str,
+    pub probability: f64,
     /// Of the error that the baseline leaves.
-    pub(in crate::diagnosis) share: f64,
+    pub share_of_error: f64,
+    pub sentence: String,
 }
 
 /// Everything that the runs say together.
 pub(in crate::diagnosis) struct Inference {
     /// Every effect that was asked for.
     pub(in crate::diagnosis) effects: Vec<Inferred>,
-    pub(in crate::diagnosis) unknown: Vec<Part>,
+    pub(in crate::diagnosis) unknown: Vec<Unknown>,
     /// What is more likely there than not, what explains most first.
     pub(in crate::diagnosis) named: Vec<&'static str>,
     /// Effects of the baseline that are not needed beside the others.
@@ -125,6 +128,19 @@ impl Inference {
             .find(|inferred| inferred.effect.card().id == id)
     }
 
+    /// Whether an effect was asked for and these runs can judge it.
+    pub(in crate::diagnosis) fn can_be_asked(&self, id: &str) -> bool {
+        self.of(id).is_some_and(|found| found.why_not.is_none())
+    }
+
+    /// What the model had and does not need any more, as the end of a sentence.
+    pub(in crate::diagnosis) fn superfluous_in_words(&self) -> String {
+        let words = self.superfluous.iter();
+        words.fold(String::new(), |words, id| {
+            words + "; " + id + " is superfluous now"
+        })
+    }
+
     /// When an effect that happens once did so, in each of the runs that speak where it did.
     pub(in crate::diagnosis) fn onsets(&self, id: &str) -> Vec<Onset> {
         let own = self.found.happened.iter();
@@ -142,7 +158,9 @@ impl Inference {
 
     /// Whether an effect is more likely there than not, or these runs cannot tell it from one that is.
     pub(in crate::diagnosis) fn names(&self, id: &str) -> bool {
-        let likely = self.of(id).is_some_and(|found| found.probability > NAMED);
+        let likely = self
+            .of(id)
+            .is_some_and(|found| found.probability > NAMED_PROBABILITY);
         likely || self.named.contains(&id) || self.confusable.iter().any(|pair| pair[1] == id)
     }
 
@@ -155,7 +173,7 @@ impl Inference {
     pub(in crate::diagnosis) fn doubt(&mut self, id: &'static str) {
         for effect in &mut self.effects {
             if effect.effect.card().id == id {
-                effect.probability = effect.probability.min(NAMED);
+                effect.probability = effect.probability.min(NAMED_PROBABILITY);
             }
         }
         self.named.retain(|named| *named != id);
@@ -182,7 +200,7 @@ impl Inference {
                 Some(if candidate.in_model { 0 } else { *form })
             })
             .collect();
-        let there = search::at_solution(hypothesis, reduced, &set)?;
+        let there = solution::at_solution(hypothesis, reduced, &set)?;
         let mut model = there.model;
         let mut known: Vec<&Event> = happened.iter().map(|happened| &happened.event).collect();
         known.sort_by_key(|event| event.run);
@@ -238,9 +256,6 @@ pub(in crate::diagnosis) fn infer(
     evidence: &Evidence,
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
-    let failed = || FitError::CannotSimulate {
-        run: evidence.training.name.clone(),
-    };
     // Where one run was split the whole of it speaks.
     let known = evidence.noise.source != FloorSource::None;
     let ready = |run: &Scenario| prepared(run, known);
@@ -254,8 +269,7 @@ pub(in crate::diagnosis) fn infer(
         .enumerate()
         .map(|(number, run)| {
             if run.input != Input::Voltage {
-                let mut speeds = run.speed_rad_s.iter().filter(|speed| speed.is_finite());
-                State::at(0.0, speeds.next().copied().unwrap_or(0.0))
+                start_of(run)
             } else if number == 0 {
                 State::at(baseline.start.current_a, baseline.start.speed_rad_s)
             } else {
@@ -277,8 +291,8 @@ pub(in crate::diagnosis) fn infer(
     }
     let given = model.effect_ids();
     let models = [&model, before];
-    let found =
-        search::search(models, asked, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
+    let found = search::search(models, asked, &scenarios, &starts, noise, progress);
+    let found = found.ok_or_else(|| cannot_simulate(&evidence.training))?;
     let mut effects: Vec<Inferred> = asked
         .iter()
         .map(|effect| Inferred {
@@ -309,7 +323,9 @@ pub(in crate::diagnosis) fn infer(
     let named: Vec<&'static str> = effects
         .iter()
         .filter(|e| !e.given)
-        .filter(|e| e.probability > NAMED || together(e.effect.card().id) > CERTAIN)
+        .filter(|e| {
+            e.probability > NAMED_PROBABILITY || together(e.effect.card().id) > TOGETHER_PROBABILITY
+        })
         .map(|e| e.effect.card().id)
         .collect();
     let is_gone = |id: &&'static str| !found.hypothesis.has(id);
@@ -341,22 +357,30 @@ pub(in crate::diagnosis) fn infer(
 
 /// The parts of the error that are unknown and no part too small to be one: what only bends the innovations, and takes
 /// nothing from the error of a free run, explains none of it.
-fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Part> {
+fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Unknown> {
     let parts = candidates.iter().zip(probability).zip(shares);
-    parts
-        .filter(|((candidate, p), share)| {
-            candidate.is_unknown() && **p > NAMED && **share > LEAST_PART
-        })
-        .map(|((candidate, p), share)| {
-            let (equation, follows) = axis(candidate.id);
-            Part {
-                equation,
-                follows,
-                probability: *p,
-                share: *share,
-            }
-        })
-        .collect()
+    let counts = |candidate: &Candidate, p: f64, share: f64| {
+        candidate.is_unknown() && p > NAMED_PROBABILITY && share > LEAST_PART_SHARE
+    };
+    let parts = parts.filter(|((candidate, p), share)| counts(candidate, **p, **share));
+    let unknown = |((candidate, probability), share): ((&Candidate, &f64), &f64)| {
+        let (equation, follows, axis) = match candidate.id {
+            "torque over angle" => ("torque", "angle_rad", "the angle of the shaft"),
+            "voltage over current" => ("voltage", "current_a", "the current"),
+            _ => ("torque", "speed_rad_s", "the speed"),
+        };
+        let percent = 100.0 * share;
+        Unknown {
+            equation,
+            follows,
+            probability: *probability,
+            share_of_error: *share,
+            sentence: format!(
+                "{percent:.0} % of the error: an unknown {equation} that follows {axis}"
+            ),
+        }
+    };
+    parts.map(unknown).collect()
 }
 
 /// Growth of the error of a free run from which on a model is right only where it is led along the run.
@@ -405,15 +429,6 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
         interval_factor: estimated.factor,
         nrms: led.map_or(fit.nrms, |score| score.nrms),
         ..fit
-    }
-}
-
-/// Equation and axis of an unknown part.
-fn axis(id: &str) -> (&'static str, &'static str) {
-    match id {
-        "torque over angle" => ("torque", "angle_rad"),
-        "voltage over current" => ("voltage", "current_a"),
-        _ => ("torque", "speed_rad_s"),
     }
 }
 
@@ -502,7 +517,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
             let mut with = reduced.cleared(set, k);
             with[k] = Some(form);
             if let Some((size, sd)) = size_in(found, &with, k) {
-                bound = bound.max(size + BOUND * sd);
+                bound = bound.max(size + BOUND_SIGMAS * sd);
             }
         }
         if candidate.is_event() && !candidate.in_model {
@@ -512,7 +527,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
         with[k] = Some(form);
         if let Some((_, sd)) = size_in(found, &with, k) {
             let slab = variant.units[0];
-            let excited = sd < SAYS_NOTHING * slab;
+            let excited = sd < SAYS_NOTHING_SLABS * slab;
             out.excited |= excited;
             if excited {
                 out.upper_bound = Some(out.upper_bound.map_or(bound, |b| b.max(bound)));
@@ -566,7 +581,7 @@ fn whenever(moments: &[Seen]) -> f64 {
             (
                 log,
                 mean,
-                BOUND / NAMED_IN_95 / precision.sqrt() * seen.unit,
+                BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * seen.unit,
             )
         })
         .collect();
@@ -583,7 +598,7 @@ fn whenever(moments: &[Seen]) -> f64 {
     };
     let (mut low, mut high) = (0.0, 0.0);
     for (_, mean, sd) in &sizes {
-        high = f64::max(high, mean + BEYOND * sd);
+        high = f64::max(high, mean + BEYOND_SIGMAS * sd);
     }
     for _ in 0..40 {
         let middle = 0.5 * (low + high);
@@ -651,7 +666,7 @@ fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
     let unit = variant.units[0];
     let injection = reduced.injection(&others, k, with[k]?)?;
     let is_named = |size: f64| {
-        let against = (size - NAMED_IN_95 * sd).max(0.0) / unit;
+        let against = (size - NAMED_IN_95_SIGMAS * sd).max(0.0) / unit;
         let named = |(a, b): &(f64, f64)| {
             let added = [against * a, if wave { against * b } else { 0.0 }];
             injection.log_odds(&added) > 0.0
@@ -681,7 +696,7 @@ fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
 }
 
 /// Loss of log likelihood up to which an effect serves in the place of another: two standard deviations and a half.
-const SERVES_AS_WELL: f64 = 3.0;
+const SERVES_AS_WELL_NATS: f64 = 3.0;
 
 /// Pairs of which these runs want one and cannot say which: an effect of the best set, and one that serves nearly as well in
 /// its place when everything else moves along. How wide each was believed to be beforehand has no say in it.
@@ -711,7 +726,7 @@ fn confusable(found: &Found) -> Vec<[&'static str; 2]> {
             let serves = (0..rival.variants.len()).any(|form| {
                 let mut set = reduced.cleared(&without(best, j), k);
                 set[k] = Some(form);
-                likelihood(&set) > most - SERVES_AS_WELL && reduced.signs_are_right(&set)
+                likelihood(&set) > most - SERVES_AS_WELL_NATS && reduced.signs_are_right(&set)
             });
             if serves {
                 pairs.push(pair);
@@ -736,7 +751,7 @@ fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str;
     let half = 0.5 * effects[gaps_at].probability;
     effects[gaps_at].probability = half;
     let soft = &mut effects[drop_at];
-    soft.probability = half.max(soft.probability.min(NAMED));
+    soft.probability = half.max(soft.probability.min(NAMED_PROBABILITY));
     (soft.upper_bound, soft.detectable) = (None, None);
     if !confusable.contains(&[gaps, drop]) {
         confusable.push([gaps, drop]);
@@ -753,7 +768,7 @@ fn onset_forms(form: &Variant) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tests::{nameplate, truth};
+    use crate::diagnosis::kit::{nameplate, truth};
     use crate::identification::output_error;
     use crate::plant::{effect, testing};
 
@@ -778,13 +793,17 @@ mod tests {
             share_with_drop(&mut effects, &mut pairs);
             let [gaps, drop] = &effects;
             if given {
-                assert!(pairs.is_empty() && gaps.probability > NAMED && drop.upper_bound.is_some());
+                assert!(
+                    pairs.is_empty()
+                        && gaps.probability > NAMED_PROBABILITY
+                        && drop.upper_bound.is_some()
+                );
                 continue;
             }
             assert_eq!(pairs, [["discontinuous_conduction", "voltage_drop"]]);
             // A model holds one of them: neither is named for itself, together they are certain.
-            assert!(gaps.probability <= NAMED && drop.probability <= NAMED);
-            assert!(gaps.probability + drop.probability > CERTAIN);
+            assert!(gaps.probability <= NAMED_PROBABILITY && drop.probability <= NAMED_PROBABILITY);
+            assert!(gaps.probability + drop.probability > TOGETHER_PROBABILITY);
             assert!(drop.upper_bound.is_none() && drop.detectable.is_none());
         }
     }
@@ -793,12 +812,7 @@ mod tests {
     fn what_takes_nothing_from_the_error_is_no_part_of_it() {
         let candidate = |id| Candidate {
             id,
-            effect: None,
-            in_model: false,
-            log_odds: 0.0,
-            variants: vec![],
-            moments: vec![],
-            excludes: vec![],
+            ..Candidate::default()
         };
         let candidates = ["voltage over current", "torque over speed"].map(candidate);
         let parts = unknown_parts(&candidates, &[1.0, 1.0], &[0.0, 0.4]);
@@ -812,10 +826,7 @@ mod tests {
         let bent = "equation = \"voltage\"\nparameters = [\"r\"]\nexpression = \"2*r*tanh(i/2)\"";
         let (bent, _) = effect::define("custom", &bent.parse().unwrap()).unwrap();
         let mut machine = nameplate();
-        machine.effects.push(ActiveEffect {
-            effect: bent,
-            values: vec![Some(1.4)],
-        });
+        machine.effects.push(ActiveEffect::with(bent, &[1.4]));
         // Ramps of 150 V/s between levels that hold: currents of some amperes.
         let volts = |at_s: f64| {
             let phase_s = at_s % 2.0;
@@ -827,7 +838,7 @@ mod tests {
         let run = testing::record(&machine, events.collect(), 0.01, 7.0, 7);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let start = truth("discontinuous_conduction", &[1.4, 2.0]);
-        let free = Fitted::from(&output_error::fit(&[start], &run, &noise).unwrap());
+        let free = Fitted::from(output_error::fit(&[start], &run, &noise).unwrap());
         let led = refined(free.clone(), &run, beginning(&noise, &free.model, &run));
         let key = MotorKey::Resistance;
         let off = |fit: &Fitted| {
@@ -859,7 +870,10 @@ mod tests {
         };
         // Moments that say the same of it, as one of them alone.
         let sharp = whenever(&[seen(400.0); 40]);
-        assert!((sharp / (BOUND * 2.0 / 20.0) - 1.0).abs() < 1e-3, "{sharp}");
+        assert!(
+            (sharp / (BOUND_SIGMAS * 2.0 / 20.0) - 1.0).abs() < 1e-3,
+            "{sharp}"
+        );
         // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
         let mut open = vec![seen(400.0); 30];
         open.extend([seen(1.0); 10]);

@@ -5,8 +5,8 @@ use super::columns::{Around, Linear, Variant, linearise};
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::prediction_error::{fit, fit_as_followed};
-use super::search::{around, placed, present, squares};
 use super::select::{Reduced, Set};
+use super::solution::{around, placed, present, squares};
 use crate::plant::{Effect, Model, Scenario, State};
 
 /// Mean square of the innovations above which a linear solution is not believed.

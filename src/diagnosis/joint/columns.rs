@@ -10,13 +10,11 @@ use super::asked::{shows_wave, why_not};
 use super::events::{self, Hypothesis};
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
-use super::nuisances::{bends, nuisances};
+use super::nuisances::{bends, nuisances, unknown_curves};
 use super::slopes;
 use super::tangent::{LANES, Step, Tangent, carry};
-use super::unknown::unknown_curves;
 use super::whitened::Whitened;
-use crate::diagnosis::family::{curve_of, related, takes_power};
-use crate::diagnosis::shapes::shape_grid;
+use crate::diagnosis::family::{LEAST_BOUNDARY_A, curve_of, related, takes_power};
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario,
     ShaftAngle, State, typical_size,
@@ -26,7 +24,7 @@ use crate::plant::{
 pub(super) const SLAB: f64 = 2.0;
 
 /// One form of an effect.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Variant {
     pub columns: Vec<usize>,
     /// Values of all parameters, coefficients at the slab.
@@ -55,7 +53,7 @@ pub(super) struct Seen {
     pub unit: f64,
 }
 
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(super) struct Candidate {
     pub id: &'static str,
     /// None: a curve that is no effect.
@@ -325,11 +323,8 @@ impl Part {
         let candidate = Candidate {
             id,
             effect,
-            in_model: false,
             log_odds,
-            variants: vec![],
-            moments: vec![],
-            excludes: vec![],
+            ..Candidate::default()
         };
         Self {
             candidate,
@@ -354,18 +349,11 @@ pub(super) struct Form {
 pub(super) const NO_PARAMETER: usize = usize::MAX;
 
 impl Form {
-    pub(super) const fn new(values: Vec<f64>, log_prior: f64) -> Self {
+    pub(super) fn new(values: Vec<f64>, log_prior: f64) -> Self {
         let variant = Variant {
-            columns: vec![],
             values,
-            units: vec![],
-            parameters: vec![],
-            present: vec![],
-            moments: vec![],
-            is_rival: false,
-            mean: 0.0,
-            positive: false,
             log_prior,
+            ..Variant::default()
         };
         Self {
             variant,
@@ -373,19 +361,19 @@ impl Form {
         }
     }
 
+    /// Of an effect whose shape is all that there is: what the model with it, or without it, does in whole.
+    fn whole(&mut self, model: Model, sign: f64, present: f64) {
+        let step = sign / WHOLE;
+        self.variant.mean = 1.0 / WHOLE;
+        let source = Source::Difference { model, step };
+        self.column(source, NO_PARAMETER, 0.0, present);
+    }
+
     pub(super) fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
         self.sources.push(source);
         self.variant.parameters.push(parameter);
         self.variant.units.push(unit);
         self.variant.present.push(present);
-    }
-}
-
-/// The effect with these values.
-pub(super) fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
-    ActiveEffect {
-        effect,
-        values: values.iter().copied().map(Some).collect(),
     }
 }
 
@@ -406,17 +394,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     let along = slopes::are_tangents(model, scenario);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
-        let without = model.without_effect(id).ok()?;
-        form.variant.mean = 1.0 / WHOLE;
-        form.column(
-            Source::Difference {
-                model: without,
-                step: -1.0 / WHOLE,
-            },
-            NO_PARAMETER,
-            0.0,
-            1.0 / WHOLE,
-        );
+        form.whole(model.without_effect(id).ok()?, -1.0, 1.0 / WHOLE);
     }
     for (index, spec) in specs.iter().enumerate() {
         if spec.role == ParameterRole::Choice {
@@ -443,7 +421,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
                 let mut there = values.clone();
                 there[index] += step;
                 let own = moved.effects.iter_mut().filter(|other| other.id() == id);
-                own.for_each(|own| *own = active(effect, &there));
+                own.for_each(|own| *own = ActiveEffect::with(effect, &there));
                 Source::Difference {
                     model: moved,
                     step: step / unit,
@@ -476,7 +454,7 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     let grid = shape_grid(effect, scenario);
     let log_prior = -(grid.len() as f64).ln();
     for shape in grid {
-        if id == "discontinuous_conduction" && shape[1] < 0.9 {
+        if id == "discontinuous_conduction" && shape[1] < LEAST_BOUNDARY_A {
             continue;
         }
         let periods = order.map_or(1.0, |order| shape[order]);
@@ -486,17 +464,8 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
         let mut form = Form::new(shape.clone(), log_prior);
         if coefficients.is_empty() {
             let mut with = model.clone();
-            with.effects.push(active(effect, &shape));
-            form.variant.mean = 1.0 / WHOLE;
-            form.column(
-                Source::Difference {
-                    model: with,
-                    step: 1.0 / WHOLE,
-                },
-                NO_PARAMETER,
-                0.0,
-                0.0,
-            );
+            with.effects.push(ActiveEffect::with(effect, &shape));
+            form.whole(with, 1.0, 0.0);
         }
         for (index, slab) in coefficients.iter().zip(&slabs) {
             let mut values = shape.clone();
@@ -513,6 +482,31 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     part
 }
 
+/// Every combination of the grids of an effect's shapes, choices and event times; its coefficients at zero.
+fn shape_grid(effect: &dyn Effect, training: &Scenario) -> Vec<Vec<f64>> {
+    let specs = effect.parameters();
+    let length_s = training.sample_time_s[training.samples() - 1] - training.begin_s();
+    let mut grid = vec![vec![0.0; specs.len()]];
+    for (index, spec) in specs.iter().enumerate() {
+        if spec.is_coefficient() {
+            continue;
+        }
+        let unit = if spec.role == ParameterRole::EventTime {
+            length_s
+        } else {
+            1.0
+        };
+        let with = |values: &Vec<f64>, shape: f64| {
+            let mut values = values.clone();
+            values[index] = shape * unit;
+            values
+        };
+        let shapes = |values| spec.shapes.iter().map(move |shape| with(values, *shape));
+        grid = grid.iter().flat_map(shapes).collect();
+    }
+    grid
+}
+
 /// What one coefficient of an effect adds, all others at zero.
 fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usize) -> Source {
     const PROBE: f64 = 0.25;
@@ -522,7 +516,7 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
     let mut with = model.clone();
     let mut values = values.to_vec();
     values[index] *= PROBE;
-    with.effects.push(active(effect, &values));
+    with.effects.push(ActiveEffect::with(effect, &values));
     Source::Difference {
         model: with,
         step: PROBE,

@@ -121,10 +121,7 @@ impl Event {
     }
 
     pub(super) fn active(&self) -> ActiveEffect {
-        ActiveEffect {
-            effect: self.effect,
-            values: self.values.iter().copied().map(Some).collect(),
-        }
+        ActiveEffect::with(self.effect, &self.values)
     }
 
     /// What another form of its onset does.

@@ -698,15 +698,37 @@ pub(super) const QUIET: Noise = Noise {
     sensors: 0.1,
 };
 
+/// The same beside a load that wanders and a voltage that is not quite known.
+#[cfg(test)]
+pub(super) const WANDERING: Noise = Noise {
+    disturbance_n_m: 0.01,
+    input: 0.05,
+    ..QUIET
+};
+
+/// A hole of one lost row under 20 V, of which nobody knows the voltage.
+#[cfg(test)]
+pub(super) fn hole(from_s: f64, to_s: f64, variance: f64) -> crate::plant::UnknownInput {
+    crate::plant::UnknownInput {
+        from_s,
+        to_s,
+        lost_rows: 1,
+        mean: 20.0,
+        beside: [0.0; 3],
+        variance,
+        restart: None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Motor;
+    use crate::diagnosis::kit::{nameplate, truth};
     use crate::plant::testing::record;
 
     #[test]
     fn innovations_under_the_right_noise_are_white() {
-        let model = Model::baseline(Motor::zk_22fc());
+        let model = nameplate();
         let scenario = record(
             &model,
             vec![(0.0, 0.0), (0.2, 40.0), (1.2, 80.0), (2.4, 30.0)],
@@ -758,19 +780,10 @@ mod tests {
 
     #[test]
     fn what_a_hole_hides_acts_as_late_as_the_commands() {
-        let bare = Model::baseline(Motor::zk_22fc());
+        let bare = nameplate();
         let mut scenario = record(&bare, vec![(0.0, 20.0)], 1e-3, 1.0, 3);
-        scenario.unknown_input = vec![crate::plant::UnknownInput {
-            from_s: 0.5,
-            to_s: 0.501,
-            lost_rows: 1,
-            mean: 20.0,
-            beside: [0.0; 3],
-            variance: 9.0,
-            restart: None,
-        }];
-        let mut late = bare.with_effect("command_delay").unwrap();
-        late.effects[0].values = vec![Some(2e-3)];
+        scenario.unknown_input = vec![hole(0.5, 0.501, 9.0)];
+        let late = truth("command_delay", &[2e-3]);
         for (model, begin_s) in [(bare, 0.5), (late, 0.502)] {
             let filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
             for (from_s, unknown_v2) in [(0.0, 9.0), (-1e-3, 0.0), (1e-3, 0.0)] {
@@ -783,10 +796,7 @@ mod tests {
 
     #[test]
     fn what_rings_is_as_uncertain_where_it_passes_zero_and_wholly_unknown_behind_a_hole() {
-        let mut model = Model::baseline(Motor::zk_22fc())
-            .with_effect("elastic_coupling")
-            .unwrap();
-        model.effects[0].values = [20.0, 0.5, 0.05, 0.5].map(Some).to_vec();
+        let model = truth("elastic_coupling", &[20.0, 0.5, 0.05, 0.5]);
         let scenario = record(&model, vec![(0.0, 20.0)], 1e-3, 0.1, 3);
         let mut filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
         // A torque of 2 N.m, and a quarter of a period later none.
@@ -806,10 +816,7 @@ mod tests {
 
     #[test]
     fn a_blow_that_ends_a_play_is_all_error() {
-        let mut model = Model::baseline(Motor::zk_22fc())
-            .with_effect("backlash")
-            .unwrap();
-        model.effects[0].values = [0.05, 50.0, 0.5, 0.05, 0.5].map(Some).to_vec();
+        let model = truth("backlash", &[0.05, 50.0, 0.5, 0.05, 0.5]);
         let scenario = record(&model, vec![(0.0, 20.0)], 1e-3, 0.1, 3);
         let mut filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
         assert!((filter.ringing(4.0, 1e-3) / 4.0 - 1.0).abs() < 1e-9);
@@ -817,22 +824,14 @@ mod tests {
 
     #[test]
     fn behind_a_hole_a_shaft_may_ring_as_much_as_it_ever_did() {
-        let mut model = Model::baseline(Motor::zk_22fc())
-            .with_effect("elastic_coupling")
-            .unwrap();
-        model.effects[0].values = [20.0, 0.5, 0.05, 0.5].map(Some).to_vec();
+        let model = truth("elastic_coupling", &[20.0, 0.5, 0.05, 0.5]);
         let levels = vec![(0.0, 0.0), (0.1, 40.0)];
         let mut scenario = record(&model, levels, 1e-3, 2.5, 3);
         let last = scenario.samples() - 1;
         let to_s = scenario.sample_time_s[last];
         scenario.unknown_input = vec![crate::plant::UnknownInput {
-            from_s: to_s - 0.4,
-            to_s,
-            lost_rows: 400,
-            mean: 40.0,
-            beside: [0.0; 3],
-            variance: 100.0,
             restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
+            ..hole(to_s - 0.4, to_s, 100.0)
         }];
         let (follower, _) = lead(&model, &scenario, State::default(), &QUIET).unwrap();
         let unknown = |sample: usize| follower.passages[sample].form[2];

@@ -336,81 +336,56 @@ mod tests {
     use super::KEPT;
     use crate::diagnosis::joint::columns::{Around, Candidate, linearise};
     use crate::diagnosis::joint::events::Hypothesis;
-    use crate::diagnosis::joint::follow::Noise;
+    use crate::diagnosis::joint::follow::WANDERING;
+    use crate::diagnosis::kit::{nameplate, truth};
     use crate::plant::effect::CATALOGUE;
-    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
-    use crate::plant::{ActiveEffect, Model, Motor, State, effect};
+    use crate::plant::testing::record;
+    use crate::plant::{Model, State};
 
-    fn with(hidden: &str, values: &[f64]) -> Model {
-        let mut truth = Model::baseline(Motor::zk_22fc());
-        let effect = effect::find(hidden).unwrap();
-        truth.effects.push(ActiveEffect {
-            effect,
-            values: values.iter().copied().map(Some).collect(),
-        });
-        truth
-    }
-
-    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
-        let model = Model::baseline(Motor::zk_22fc());
-        beside(&model, &with(hidden, values))
-    }
-
-    fn beside(model: &Model, truth: &Model) -> Vec<Candidate> {
+    /// What `model` asks of the catalogue in a run of `truth`.
+    fn candidates(model: &Model, truth: &Model) -> Vec<Candidate> {
         let levels = [
             30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0,
         ];
-        let events = levels
-            .iter()
-            .enumerate()
-            .map(|(k, level)| (0.25 * k as f64, *level))
-            .collect();
+        let events = levels.iter().enumerate();
+        let events = events.map(|(k, level)| (0.25 * k as f64, *level)).collect();
         let scenario = record(truth, events, 1e-3, 2.5, 5);
-        let noise = Noise {
-            current_a: CURRENT_NOISE_A,
-            speed_rad_s: SPEED_NOISE_RAD_S,
-            disturbance_n_m: 0.01,
-            correlation_s: 0.5,
-            input: 0.05,
-            sensors: 0.1,
-        };
-        let runs = [Around::new(model, &scenario, State::default(), noise).unwrap()];
-        linearise(&Hypothesis::of(model), CATALOGUE, &runs, false)
+        let runs = [Around::new(model, &scenario, State::default(), WANDERING).unwrap()];
+        let linear = linearise(&Hypothesis::of(model), CATALOGUE, &runs, false);
+        linear.unwrap().candidates
+    }
+
+    fn find<'a>(candidates: &'a [Candidate], id: &str) -> &'a Candidate {
+        candidates
+            .iter()
+            .find(|candidate| candidate.id == id)
             .unwrap()
-            .candidates
+    }
+
+    /// Whether a form with this value is among those that were kept.
+    fn keeps(candidate: &Candidate, place: usize, value: f64) -> bool {
+        let mut forms = candidate.variants.iter();
+        forms.any(|form| (form.values[place] - value).abs() < 1e-9)
     }
 
     #[test]
     fn the_right_order_is_among_those_that_are_kept_and_what_is_not_there_keeps_one_form() {
-        let candidates = candidates("cogging", &[0.01, 0.01, 7.0]);
-        let find = |id: &str| {
-            candidates
-                .iter()
-                .find(|candidate| candidate.id == id)
-                .unwrap()
-        };
-        let cogging = find("cogging");
+        let candidates = candidates(&nameplate(), &truth("cogging", &[0.01, 0.01, 7.0]));
+        let cogging = find(&candidates, "cogging");
         assert_eq!(cogging.variants.len(), KEPT);
-        assert!(
-            cogging
-                .variants
-                .iter()
-                .any(|variant| (variant.values[2] - 7.0).abs() < 1e-9)
-        );
+        assert!(keeps(cogging, 2, 7.0));
         // Those that were dropped keep their share beforehand.
         assert!((cogging.variants[0].log_prior + 23.0_f64.ln()).abs() < 1e-9);
-        assert_eq!(find("elastic_coupling").variants.len(), 1);
-        assert_eq!(find("backlash").variants.len(), 1);
+        for id in ["elastic_coupling", "backlash"] {
+            assert_eq!(find(&candidates, id).variants.len(), 1, "{id}");
+        }
     }
 
     #[test]
     fn an_event_is_held_against_another_at_its_own_moment() {
-        let stepped = with("load_step", &[0.1, 1.13]);
-        let candidates = beside(&stepped, &stepped);
-        let pull = candidates
-            .iter()
-            .find(|c| c.id == "one_sided_load")
-            .unwrap();
+        let stepped = truth("load_step", &[0.1, 1.13]);
+        let candidates = candidates(&stepped, &stepped);
+        let pull = find(&candidates, "one_sided_load");
         let mut moments = pull.variants.iter().map(|variant| variant.moments[0].1);
         assert!(moments.any(|time_s| (time_s - 1.13).abs() < 1e-9));
         // What the moments say that have no columns is kept too.
@@ -419,16 +394,8 @@ mod tests {
 
     #[test]
     fn a_coupling_that_is_there_is_not_refuted() {
-        let candidates = candidates("elastic_coupling", &[28.0, 0.35, 0.03, 0.5]);
-        let elastic = candidates
-            .iter()
-            .find(|candidate| candidate.id == "elastic_coupling")
-            .unwrap();
-        assert!(
-            elastic
-                .variants
-                .iter()
-                .any(|variant| (variant.values[0] - 28.0).abs() < 1e-9)
-        );
+        let coupled = truth("elastic_coupling", &[28.0, 0.35, 0.03, 0.5]);
+        let candidates = candidates(&nameplate(), &coupled);
+        assert!(keeps(find(&candidates, "elastic_coupling"), 0, 28.0));
     }
 }

@@ -509,19 +509,16 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
-    use crate::diagnosis::joint::follow::QUIET;
+    use crate::diagnosis::joint::follow::{QUIET, WANDERING, hole};
+    use crate::diagnosis::kit::nameplate;
+    use crate::plant::State;
     use crate::plant::testing::record;
-    use crate::plant::{Model, Motor, State, UnknownInput};
 
     #[test]
     fn the_climb_follows_the_ridge_of_a_spectrum_that_is_known_above_its_corner_only() {
         let floor = Noise {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            disturbance_n_m: 0.01,
-            correlation_s: 0.5,
             input: 0.0,
-            sensors: 0.1,
+            ..WANDERING
         };
         let likelihood = |noise: &Noise| {
             let corner = (noise.correlation_s / 0.05).ln();
@@ -536,12 +533,8 @@ mod tests {
     #[test]
     fn the_climb_reaches_the_top_in_few_runs_of_the_filter() {
         let floor = Noise {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            disturbance_n_m: 0.01,
-            correlation_s: 0.5,
             input: 0.01,
-            sensors: 0.1,
+            ..WANDERING
         };
         let count = Cell::new(0);
         let likelihood = |noise: &Noise| {
@@ -592,32 +585,26 @@ mod tests {
             [left.disturbance_n_m, left.input].map(f64::to_bits)
         };
         let of = |noise: Noise| [noise.disturbance_n_m, noise.input].map(f64::to_bits);
-        assert_eq!(left(4e-5, [0.1, 0.1]), of(start));
-        assert_eq!(left(4e-5, [2.0, 2.0]), of(found(4e-5)));
-        assert_eq!(
-            left(4e-5, [2.0, 0.1]),
-            of(Noise {
-                input: 0.01,
-                ..found(4e-5)
-            })
-        );
-        // Less of it is taken at once.
-        assert_eq!(left(1e-5, [0.1, 2.0]), of(found(1e-5)));
+        let of_input = Noise {
+            input: 0.01,
+            ..found(4e-5)
+        };
+        for (disturbance_n_m, loses, expected) in [
+            (4e-5, [0.1, 0.1], start),
+            (4e-5, [2.0, 2.0], found(4e-5)),
+            (4e-5, [2.0, 0.1], of_input),
+            // Less of it is taken at once.
+            (1e-5, [0.1, 2.0], found(1e-5)),
+        ] {
+            assert_eq!(left(disturbance_n_m, loses), of(expected), "{loses:?}");
+        }
     }
 
     #[test]
     fn a_block_knows_that_one_voltage_moves_current_and_speed() {
-        let model = Model::baseline(Motor::zk_22fc());
+        let model = nameplate();
         let mut scenario = record(&model, vec![(0.0, 20.0), (0.5, 25.0)], 1e-3, 1.0, 3);
-        scenario.unknown_input = vec![UnknownInput {
-            from_s: 0.7,
-            to_s: 0.71,
-            lost_rows: 9,
-            mean: 25.0,
-            beside: [0.0; 3],
-            variance: 9.0,
-            restart: None,
-        }];
+        scenario.unknown_input = vec![hole(0.7, 0.71, 9.0)];
         let run = Around::new(&model, &scenario, State::default(), QUIET).unwrap();
         let n = scenario.samples();
         let block = passage_of(&run, 0..n, n).0;

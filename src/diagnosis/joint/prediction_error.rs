@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use super::asked::why_not;
 use super::columns::{Around, SLAB, Source, columns_of};
 use super::events::{Event, Hypothesis};
-use super::excess::excess;
 use super::follow::follow;
+use super::free_run::excess;
 use super::nuisances::{MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::slopes;
 use super::tangent::Tangent;
@@ -569,8 +569,8 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::joint::follow::Noise;
-    use crate::diagnosis::tests::{nameplate, record, truth};
+    use crate::diagnosis::joint::follow::{Noise, QUIET};
+    use crate::diagnosis::kit::{nameplate, record, truth, with};
     use crate::identification::noise::NoiseFloor;
     use crate::plant::{MotorKey, State, testing};
 
@@ -580,9 +580,8 @@ mod tests {
             current_a: floor.current_a,
             speed_rad_s: floor.speed_rad_s,
             disturbance_n_m,
-            correlation_s: 0.5,
             input: 1e-3,
-            sensors: 0.1,
+            ..QUIET
         }
     }
 
@@ -590,8 +589,7 @@ mod tests {
     fn fitted(disturbance_n_m: f64) -> Model {
         let fan = truth("quadratic_load", &[2e-6]);
         let runs = [0, 1].map(|shift| record(&fan, shift, 7 + shift as u64));
-        let mut start = nameplate().with_effect("quadratic_load").unwrap();
-        start.effects[0].values = vec![Some(5e-7)];
+        let mut start = truth("quadratic_load", &[5e-7]);
         for (key, factor) in [(MotorKey::Resistance, 1.2), (MotorKey::Inertia, 0.8)] {
             let value = start.motor.get(key).unwrap();
             start.motor.set(key, factor * value);
@@ -612,34 +610,30 @@ mod tests {
     #[test]
     fn it_finds_motor_and_effect_together_however_much_the_load_may_wander() {
         for disturbance_n_m in [1e-4, 1e-2] {
-            finds(&fitted(disturbance_n_m));
+            let (found, motor) = (fitted(disturbance_n_m), nameplate().motor);
+            for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
+                let ratio = found.motor.get(key).unwrap() / motor.get(key).unwrap();
+                assert!(
+                    (ratio - 1.0).abs() < 0.03,
+                    "{disturbance_n_m} {key:?} {ratio}"
+                );
+            }
+            let size = found.effects[0].values[0].unwrap();
+            assert!((size / 2e-6 - 1.0).abs() < 0.1, "{disturbance_n_m} {size}");
         }
-    }
-
-    fn finds(found: &Model) {
-        let motor = nameplate().motor;
-        for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
-            let ratio = found.motor.get(key).unwrap() / motor.get(key).unwrap();
-            assert!((ratio - 1.0).abs() < 0.03, "{key:?} {ratio}");
-        }
-        let size = found.effects[0].values[0].unwrap();
-        assert!((size / 2e-6 - 1.0).abs() < 0.1, "{size}");
     }
 
     #[test]
     fn slopes_are_what_differences_of_two_simulations_are() {
-        let mut model = truth("viscous_friction", &[2e-4]);
-        for (id, values) in [
-            ("cogging", vec![0.02, 0.01, 3.0]),
-            ("stribeck_friction", vec![0.05, 5.0]),
-            ("supply_sag", vec![0.02]),
-            ("command_delay", vec![4e-4]),
-            ("current_offset", vec![0.02]),
-        ] {
-            model = model.with_effect(id).unwrap();
-            let own = model.effects.last_mut().unwrap();
-            own.values = values.into_iter().map(Some).collect();
-        }
+        let effects: [(&str, &[f64]); 6] = [
+            ("viscous_friction", &[2e-4]),
+            ("cogging", &[0.02, 0.01, 3.0]),
+            ("stribeck_friction", &[0.05, 5.0]),
+            ("supply_sag", &[0.02]),
+            ("command_delay", &[4e-4]),
+            ("current_offset", &[0.02]),
+        ];
+        let model = with(nameplate(), &effects);
         // Moves one way only: where a shaft breaks away differences are no slopes.
         let levels = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
         let run = testing::record(&model, levels, 1e-3, 2.5, 11);
@@ -665,8 +659,7 @@ mod tests {
         // Below the currents of a converter's gaps these are brushes.
         let soft = truth("discontinuous_conduction", &[2.4, 0.5]);
         let run = record(&soft, 0, 7);
-        let mut start = nameplate().with_effect("voltage_drop").unwrap();
-        start.effects[0].values = vec![Some(1.0)];
+        let start = truth("voltage_drop", &[1.0]);
         let around = [Around::new(&start, &run, State::default(), noise(&run, 1e-4)).unwrap()];
         let found = fit(&Hypothesis::of(&start), &around).unwrap();
         let drop_v = found.hypothesis.model.effects[0].values[0].unwrap();

@@ -474,25 +474,22 @@ mod tests {
     /// One column for each candidate, with this normal matrix and these products with the residual.
     fn linear(gram: &[&[f64]], right: &[f64]) -> Linear {
         let n = right.len();
-        let candidate = |column: usize| Candidate {
-            id: ["viscous_friction", "quadratic_load", "voltage_drop"][column],
-            in_model: false,
-            effect: effect::find(["viscous_friction", "quadratic_load", "voltage_drop"][column]),
-            log_odds: (0.1_f64 / 0.9).ln(),
-            variants: vec![Variant {
-                columns: vec![column],
-                values: vec![1.0],
-                units: vec![1.0],
-                parameters: vec![0],
-                present: vec![0.0],
-                moments: vec![],
-                is_rival: false,
-                mean: 0.0,
-                positive: false,
-                log_prior: 0.0,
-            }],
-            moments: vec![],
-            excludes: vec![],
+        let candidate = |column: usize| {
+            let id = ["viscous_friction", "quadratic_load", "voltage_drop"][column];
+            Candidate {
+                id,
+                effect: effect::find(id),
+                log_odds: (0.1_f64 / 0.9).ln(),
+                variants: vec![Variant {
+                    columns: vec![column],
+                    values: vec![1.0],
+                    units: vec![1.0],
+                    parameters: vec![0],
+                    present: vec![0.0],
+                    ..Variant::default()
+                }],
+                ..Candidate::default()
+            }
         };
         Linear {
             nuisances: vec![],
