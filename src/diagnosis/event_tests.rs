@@ -9,7 +9,8 @@ fn lively(model: &Model, shift: usize, seed: u64) -> Scenario {
     let levels = [30.0, 60.0, 45.0, 75.0, 20.0, 70.0, 35.0];
     let step = |step: usize| {
         let level = levels[(step * (1 + shift) + shift) % levels.len()];
-        let sign = if (step / 16) % 2 == 0 { 1.0 } else { -1.0 };
+        let is_forward = (step / 16).is_multiple_of(2);
+        let sign = if is_forward { 1.0 } else { -1.0 };
         (0.3 + 0.09 * step as f64, sign * level)
     };
     let events = std::iter::once((0.0, 0.0)).chain((0..80).map(step));

@@ -107,60 +107,47 @@ impl Evidence {
         if self.training.input != Input::Voltage {
             return Vec::new();
         }
-        let signals = [
-            Signal {
-                name: "current",
-                key: "current_a",
-                other: "speed",
-                level: self.noise.current_a,
-                of: |run| &run.current_a,
-            },
-            Signal {
-                name: "speed",
-                key: "speed_rad_s",
-                other: "current",
-                level: self.noise.speed_rad_s,
-                of: |run| &run.speed_rad_s,
-            },
+        let (current, speed): (Signal, Signal) = (|run| &run.current_a, |run| &run.speed_rad_s);
+        let why = [
+            self.why_unjudged(current, self.noise.current_a),
+            self.why_unjudged(speed, self.noise.speed_rad_s),
         ];
-        signals
-            .iter()
-            .filter_map(|signal| {
-                let reason = self.why_unjudged(signal)?;
-                let Signal {
-                    name, key, other, ..
-                } = signal;
-                Some(format!(
-                    "the {name} ({key}) has no part in the judgement: {reason}; errors, verdict and sizes rest on the {other} \
-                     alone, and what shows only in the {name} would not be seen"
-                ))
-            })
-            .collect()
+        let names = [
+            ("current", "current_a", "speed"),
+            ("speed", "speed_rad_s", "current"),
+        ];
+        let reasons = why.into_iter().zip(names);
+        let words = reasons.filter_map(|(reason, (name, key, other))| {
+            let reason = reason?;
+            Some(format!(
+                "the {name} ({key}) has no part in the judgement: {reason}; errors, verdict and sizes rest on the {other} \
+                 alone, and what shows only in the {name} would not be seen"
+            ))
+        });
+        words.collect()
     }
 
-    fn why_unjudged(&self, signal: &Signal) -> Option<String> {
-        let scored = |run: &Scenario| {
-            let values = &(signal.of)(run)[run.scored.clone()];
-            values.iter().filter(|value| value.is_finite()).count()
-        };
-        let (fitted, held_out) = (scored(&self.training), scored(&self.holdout));
-        if fitted == 0 && held_out == 0 {
-            return None;
-        }
+    /// Of a signal whose noise is `level`, infinite where that is not known.
+    fn why_unjudged(&self, signal: Signal, level: f64) -> Option<String> {
+        let [fitted, held_out] = [&self.training, &self.holdout].map(|run| {
+            let values = signal(run)[run.scored.clone()].iter();
+            values.filter(|value| value.is_finite()).count()
+        });
         if fitted == 0 {
-            return Some("it was measured in the hold-out only".to_owned());
+            let reason = "it was measured in the hold-out only";
+            return (held_out > 0).then(|| reason.to_owned());
         }
-        if signal.level.is_finite() {
+        if level.is_finite() {
             let alone = "it was not measured in the hold-out, which decides";
             return (held_out == 0).then(|| alone.to_owned());
         }
-        if !varies((signal.of)(&self.training)) {
+        if !varies(signal(&self.training)) {
             return Some("it is the same throughout the run".to_owned());
         }
         Some(match self.noise.source {
             FloorSource::Standstill => {
                 let runs = [&self.training, &self.holdout].into_iter();
-                let most = runs.map(|run| samples_at_rest(run, (signal.of)(run))).max();
+                let most = runs.map(|run| samples_at_rest(run, signal(run))).max();
                 format!(
                     "its noise is not known, because it has {} samples in the leading standstill and {FEWEST_SAMPLES} are needed",
                     most.unwrap_or(0)
@@ -254,15 +241,8 @@ fn shorten(run: &mut Scenario, most: usize, role: &str) -> Option<Cut> {
     Some(Cut { behind, searched })
 }
 
-/// A signal that errors are judged by.
-struct Signal {
-    name: &'static str,
-    key: &'static str,
-    other: &'static str,
-    /// Its noise; infinite where it is not known.
-    level: f64,
-    of: fn(&Scenario) -> &Vec<f64>,
-}
+/// A signal of a run that errors are judged by.
+type Signal = fn(&Scenario) -> &Vec<f64>;
 
 /// Standard deviations of current, A, and speed, rad/s, that differ between two runs of the same excitation: half the
 /// variance of the difference of their residuals. Residuals are compared, not signals, so that runs whose samples fell at
@@ -280,12 +260,10 @@ pub(super) fn not_repeated(
     let (a, b) = (residuals(first)?, residuals(second)?);
     let (begin_a_s, begin_b_s) = (first.events[0].0, second.events[0].0);
     let differs = |a: &[(f64, f64)], b: &[(f64, f64)]| {
-        let differences: Vec<f64> = a
-            .iter()
-            .filter_map(|&(time_s, value)| {
-                Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
-            })
-            .collect();
+        let difference = |&(time_s, value): &(f64, f64)| {
+            Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
+        };
+        let differences: Vec<f64> = a.iter().filter_map(difference).collect();
         let mean_square =
             differences.iter().map(|d| d * d).sum::<f64>() / differences.len().max(1) as f64;
         (differences.len() >= FEWEST_DIFFERENCES && mean_square > 0.0)
@@ -306,15 +284,9 @@ const SAME_INSTANT_S: f64 = 0.05;
 /// Value of the point nearest to `time_s`, if it is of the same instant.
 fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
     let after = points.partition_point(|point| point.0 < time_s);
-    let candidates = [
-        after.checked_sub(1),
-        (after < points.len()).then_some(after),
-    ];
-    let nearest = candidates
-        .into_iter()
-        .flatten()
-        .map(|index| points[index])
-        .min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
+    let around = points[after.saturating_sub(1)..].iter().take(2);
+    let apart_s = |point: &&(f64, f64)| (point.0 - time_s).abs();
+    let nearest = around.min_by(|a, b| apart_s(a).total_cmp(&apart_s(b)))?;
     ((nearest.0 - time_s).abs() < SAME_INSTANT_S).then_some(nearest.1)
 }
 
@@ -404,13 +376,8 @@ mod tests {
         assert_eq!(confirm.scored.start, 100_000);
         assert_eq!(confirm.sample_time_s.last(), long.sample_time_s.last());
         for part in [&evidence.training, &evidence.holdout, confirm] {
-            let score = Score::of(&model, part, &evidence.noise).unwrap();
-            assert!(
-                (score.nrms - 1.0).abs() < 0.05,
-                "{}: {}",
-                part.name,
-                score.nrms
-            );
+            let nrms = Score::of(&model, part, &evidence.noise).unwrap().nrms;
+            assert!((nrms - 1.0).abs() < 0.05, "{}: {nrms}", part.name);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::acting::constants;
@@ -104,6 +104,24 @@ pub(super) struct Linear {
     pub present: DVector<f64>,
 }
 
+impl Linear {
+    /// Precision beforehand of a column.
+    pub(super) fn precision(&self, column: usize) -> f64 {
+        let sd = self.nuisances.get(column);
+        sd.map_or(1.0, |sd| 1.0 / (sd * sd))
+    }
+
+    /// The normal matrix of some columns with their precision beforehand, factored; none where it is singular.
+    pub(super) fn factor(&self, columns: &[usize]) -> Option<Cholesky<f64, Dyn>> {
+        let k = columns.len();
+        let mut normal = DMatrix::from_fn(k, k, |r, c| self.gram[(columns[r], columns[c])]);
+        for (d, column) in columns.iter().enumerate() {
+            normal[(d, d)] += self.precision(*column);
+        }
+        normal.cholesky()
+    }
+}
+
 /// How a column comes about.
 pub(super) enum Source {
     /// The difference that another model makes, over a step.
@@ -166,12 +184,8 @@ impl<'a> Around<'a> {
     ) -> Option<Self> {
         let model = with_events(model, &events);
         let (follower, followed) = lead(&model, scenario, start, &noise)?;
-        if !followed
-            .white
-            .iter()
-            .flatten()
-            .all(|white| white.is_finite())
-        {
+        let mut white = followed.white.iter().flatten();
+        if !white.all(|white| white.is_finite()) {
             return None;
         }
         let dynamics = Dynamics::of(&model, scenario.input)?;
@@ -183,12 +197,8 @@ impl<'a> Around<'a> {
                 Step::still()
             }
         };
-        let steps = follower
-            .passages
-            .iter()
-            .zip(&follower.forgets)
-            .map(step)
-            .collect();
+        let passages = follower.passages.iter().zip(&follower.forgets);
+        let steps = passages.map(step).collect();
         Some(Self {
             model: model.into_owned(),
             events,
@@ -206,10 +216,11 @@ impl<'a> Around<'a> {
     /// What another model, beside the run's own events, does to the whitened innovations, over `step`, in the whole run or
     /// the beginning of it that `scenario` is; nothing where it cannot follow.
     pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
+        let model = with_events(model, &self.events);
         let mut out = Vec::with_capacity(scenario.samples());
         if !follow(
             &self.follower,
-            &with_events(model, &self.events),
+            &model,
             scenario,
             self.start,
             &self.noise,
@@ -218,13 +229,9 @@ impl<'a> Around<'a> {
             return vec![0.0; 2 * scenario.samples()];
         }
         let over = 1.0 / step;
-        let change = |(a, b): (&[f64; 2], &[f64; 2])| {
-            [single((b[0] - a[0]) * over), single((b[1] - a[1]) * over)]
-        };
-        out.iter()
-            .zip(&self.followed.white)
-            .flat_map(change)
-            .collect()
+        let pairs = out.iter().zip(&self.followed.white);
+        let change = |(a, b): (&[f64; 2], &[f64; 2])| [0, 1].map(|k| single((b[k] - a[k]) * over));
+        pairs.flat_map(change).collect()
     }
 
     /// Columns of as many tangents as there are lanes, or fewer.

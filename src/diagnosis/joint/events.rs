@@ -6,7 +6,7 @@
 //! placed    the moment to the sample, by the evidence of moments side by side
 //! ```
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{Cholesky, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::columns::{Around, Candidate, Form, Linear, NO_PARAMETER, Part, SLAB, Source, Variant};
@@ -444,14 +444,8 @@ fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant>
 
 /// The normal equations of some columns of all runs.
 fn base_of(linear: &Linear, base: &[usize]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
-    let k = base.len();
-    let mut gram = DMatrix::from_fn(k, k, |r, c| linear.gram[(base[r], base[c])]);
-    for (d, column) in base.iter().enumerate() {
-        let sd = linear.nuisances.get(*column);
-        gram[(d, d)] += sd.map_or(1.0, |sd| 1.0 / (sd * sd));
-    }
-    let right = DVector::from_fn(k, |r, _| linear.right[base[r]]);
-    Some((gram.cholesky()?, right))
+    let right = DVector::from_fn(base.len(), |r, _| linear.right[base[r]]);
+    Some((linear.factor(base)?, right))
 }
 
 /// When an event happened, with the interval that holds the moment with 95 %.

@@ -50,19 +50,11 @@ fn averaged(
     let period_s = (times[n - 1] - times[0]) / (n - 1) as f64;
     let size = whole((BLOCK_S / period_s).floor()).max(1);
     let blocks = n.div_ceil(size);
-    let mut counts = vec![[0.0; 2]; blocks];
+    let (mut counts, mut vague) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);
     for (sample, update) in run.follower.updates.iter().enumerate() {
-        for (count, gains) in counts[sample / size]
-            .iter_mut()
-            .zip([&update.current, &update.speed])
-        {
-            *count += f64::from(u8::from(gains[4] > 0.0));
-        }
-    }
-    let mut vague = vec![[0.0; 2]; blocks];
-    for (sample, own) in run.followed.vague.iter().enumerate() {
-        for (sum, own) in vague[sample / size].iter_mut().zip(own) {
-            *sum += own;
+        for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
+            counts[sample / size][signal] += f64::from(u8::from(gains[4] > 0.0));
+            vague[sample / size][signal] += run.followed.vague[sample][signal];
         }
     }
     let passages = (0..blocks)
@@ -94,11 +86,8 @@ fn averaged(
                     }
                 }
                 let readings = track.colour(update, &white);
-                for (sum, reading) in sums[sample / size]
-                    .iter_mut()
-                    .flatten()
-                    .zip(readings.iter().flatten())
-                {
+                let sums = sums[sample / size].iter_mut().flatten();
+                for (sum, reading) in sums.zip(readings.iter().flatten()) {
                     *sum += reading;
                 }
             }
@@ -153,12 +142,11 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
             *sum += part;
         }
         interval_s += passage.interval_s;
-        let last = if sample > 0 {
-            run.followed.direction[sample - 1]
-        } else {
-            0.0
-        };
-        jumps |= sample > 0 && passage.direction != 0.0 && passage.direction * last <= 0.0;
+        let last = sample
+            .checked_sub(1)
+            .map(|last| run.followed.direction[last]);
+        let turns = last.is_some_and(|last| passage.direction * last <= 0.0);
+        jumps |= turns && passage.direction != 0.0;
         direction = passage.direction;
     }
     let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
@@ -210,19 +198,10 @@ impl Averaged {
                 if count == 0.0 {
                     continue;
                 }
-                let sigma = if signal == 0 {
-                    noise.current_a
-                } else {
-                    noise.speed_rad_s
-                };
+                let sigma = [noise.current_a, noise.speed_rad_s][signal];
                 let vague = self.vague[block][signal];
                 let s = p[signal][signal] + (sigma * sigma + vague / count) / count;
-                let gain = [
-                    p[0][signal] / s,
-                    p[1][signal] / s,
-                    p[2][signal] / s,
-                    p[3][signal] / s,
-                ];
+                let gain = [0, 1, 2, 3].map(|row| p[row][signal] / s);
                 p = corrected(&p, &gain, signal);
                 log += s.ln();
                 let gains = [gain[0], gain[1], gain[2], gain[3], 1.0 / s.sqrt()];
@@ -273,12 +252,8 @@ pub(super) fn likeliest(
             .into_iter()
             .fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let mut a = sums.view((0, 0), (k, k)).into_owned();
-        for d in 0..k {
-            a[(d, d)] += if d < m {
-                1.0 / linear.nuisances[d].powi(2)
-            } else {
-                1.0
-            };
+        for (d, column) in columns.iter().enumerate() {
+            a[(d, d)] += linear.precision(*column);
         }
         let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();
         for (b, column) in b.iter_mut().zip(&columns) {

@@ -5,7 +5,7 @@
 //! near                linearise -> noise -> linearise -> posterior over the sets -> refit of the best set -> ...
 //! ```
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::approach::{approach, nearer};
 use super::columns::{Around, Candidate, Linear, linearise};
@@ -382,13 +382,9 @@ fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
     for (column, mean) in columns.iter().zip(mean.iter()) {
         solution[column + m] = *mean;
     }
-    let mut normal = linear.gram.view((0, 0), (m, m)).into_owned();
-    for (k, sd) in linear.nuisances.iter().enumerate() {
-        normal[(k, k)] += 1.0 / (sd * sd);
-    }
     let explained = &linear.gram * &solution;
     let right = linear.right.rows(0, m) - explained.rows(0, m);
-    let nuisances = normal.cholesky()?.solve(&right);
+    let nuisances = linear.factor(&(0..m).collect::<Vec<_>>())?.solve(&right);
     solution.rows_mut(0, m).copy_from(&nuisances);
     Some(solution)
 }
@@ -438,21 +434,19 @@ fn unknown_shares(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> Option<V
             }
             floor += run.follower.rows as f64;
         }
+        let taken = (before - after) / (before - floor);
         if before > floor {
-            ((before - after) / (before - floor)).clamp(0.0, 1.0)
+            taken.clamp(0.0, 1.0)
         } else {
             0.0
         }
     };
     let candidates = linear.candidates.iter().zip(set).enumerate();
-    Some(
-        candidates
-            .map(|(k, (candidate, chosen))| match chosen {
-                Some(variant) if candidate.is_unknown() => share(*variant, k),
-                _ => 0.0,
-            })
-            .collect(),
-    )
+    let shares = candidates.map(|(k, (candidate, chosen))| match chosen {
+        Some(variant) if candidate.is_unknown() => share(*variant, k),
+        _ => 0.0,
+    });
+    Some(shares.collect())
 }
 
 /// Blocks whose sums tell how much the sizes of a set really scatter.
@@ -476,16 +470,8 @@ fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVect
     let mut worst: f64 = 1.0;
     for own in &named {
         let others: Vec<usize> = all.iter().copied().filter(|k| k != own).collect();
-        let count = others.len();
-        let mut normal = DMatrix::from_fn(count, count, |r, c| linear.gram[(others[r], others[c])]);
-        for (k, column) in others.iter().enumerate() {
-            normal[(k, k)] += linear
-                .nuisances
-                .get(*column)
-                .map_or(1.0, |sd| 1.0 / (sd * sd));
-        }
-        let cross = DVector::from_fn(count, |r, _| linear.gram[(others[r], *own)]);
-        let Some(factor) = normal.cholesky() else {
+        let cross = DVector::from_fn(others.len(), |r, _| linear.gram[(others[r], *own)]);
+        let Some(factor) = linear.factor(&others) else {
             continue;
         };
         let mut weights = DVector::zeros(linear.gram.nrows());
@@ -497,12 +483,10 @@ fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVect
         for ((run, columns), explained) in runs.iter().zip(&linear.columns).zip(explained) {
             let column = columns * &weights;
             let white: Vec<f64> = run.followed.white.iter().flatten().copied().collect();
-            let products: Vec<f64> = (0..white.len())
-                .map(|row| column[row] * (white[row] - explained[row]))
-                .collect();
-            let sums = products
-                .chunks(2 * length)
-                .map(|block| block.iter().sum::<f64>());
+            let product = |row: usize| column[row] * (white[row] - explained[row]);
+            let products: Vec<f64> = (0..white.len()).map(product).collect();
+            let blocks = products.chunks(2 * length);
+            let sums = blocks.map(|block| block.iter().sum::<f64>());
             scatter += sums.map(|sum| sum * sum).sum::<f64>();
             expected += column.norm_squared();
         }
@@ -527,9 +511,12 @@ fn excess_of(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> f64 {
         clustered(linear, set, runs, &explained)
     };
     let left = runs.iter().zip(&explained).map(|(run, explained)| {
-        let white = run.followed.white.iter().enumerate();
-        let left =
-            white.map(|(k, white)| [0, 1].map(|signal| white[signal] - explained[2 * k + signal]));
+        let pairs = run
+            .followed
+            .white
+            .iter()
+            .zip(explained.as_slice().chunks(2));
+        let left = pairs.map(|(white, explained)| [0, 1].map(|k| white[k] - explained[k]));
         (run, left.collect())
     });
     excess(&left.collect::<Vec<_>>()).max(by_blocks)
