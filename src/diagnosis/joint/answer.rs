@@ -11,7 +11,7 @@ use super::follow::Noise;
 use super::prediction_error::estimate;
 use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
 use super::search::{self, Found};
-use super::select::{Posterior, Set};
+use super::select::Set;
 use super::solution::{self, Happened};
 use crate::diagnosis::candidates::{Onset, RunOf};
 use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
@@ -76,6 +76,12 @@ pub struct Unknown {
     pub sentence: String,
 }
 
+impl Inferred {
+    fn id(&self) -> &'static str {
+        self.effect.card().id
+    }
+}
+
 /// Everything that the runs say together.
 pub(in crate::diagnosis) struct Inference {
     /// Every effect that was asked for.
@@ -123,9 +129,7 @@ impl Inference {
 
     /// What is said of an effect; none where it was not asked for.
     pub(in crate::diagnosis) fn of(&self, id: &str) -> Option<&Inferred> {
-        self.effects
-            .iter()
-            .find(|inferred| inferred.effect.card().id == id)
+        self.effects.iter().find(|inferred| inferred.id() == id)
     }
 
     /// Whether an effect was asked for and these runs can judge it.
@@ -172,7 +176,7 @@ impl Inference {
     /// Names an effect no more: a fit with it leaves it no size.
     pub(in crate::diagnosis) fn doubt(&mut self, id: &'static str) {
         for effect in &mut self.effects {
-            if effect.effect.card().id == id {
+            if effect.id() == id {
                 effect.probability = effect.probability.min(NAMED_PROBABILITY);
             }
         }
@@ -231,16 +235,10 @@ pub(in crate::diagnosis) fn asked(
     beside: Option<&'static dyn Effect>,
 ) -> Vec<&'static dyn Effect> {
     let mut asked = CATALOGUE.to_vec();
-    for effect in model
-        .effects
-        .iter()
-        .map(|active| active.effect)
-        .chain(beside)
-    {
-        if asked
-            .iter()
-            .all(|known| known.card().id != effect.card().id)
-        {
+    let of_model = model.effects.iter().map(|active| active.effect);
+    for effect in of_model.chain(beside) {
+        let is_known = |known: &&'static dyn Effect| known.card().id == effect.card().id;
+        if !asked.iter().any(is_known) {
             asked.push(effect);
         }
     }
@@ -264,77 +262,56 @@ pub(in crate::diagnosis) fn infer(
         HoldoutFrom::Split => vec![ready(&evidence.holdout)],
     };
     let scenarios: Vec<&Scenario> = runs.iter().collect();
-    let starts: Vec<State> = scenarios
-        .iter()
-        .enumerate()
-        .map(|(number, run)| {
-            if run.input != Input::Voltage {
-                start_of(run)
-            } else if number == 0 {
-                State::at(baseline.start.current_a, baseline.start.speed_rad_s)
-            } else {
-                State::default()
-            }
-        })
-        .collect();
+    let start = |(number, run): (usize, &&Scenario)| match (run.input, number) {
+        (Input::Voltage, 0) => State::at(baseline.start.current_a, baseline.start.speed_rad_s),
+        (Input::Voltage, _) => State::default(),
+        _ => start_of(run),
+    };
+    let starts: Vec<State> = scenarios.iter().enumerate().map(start).collect();
     let noise = beginning(&evidence.noise, &baseline.model, &runs[0]);
     let mut model = baseline.model.clone();
     // A balance may ask for an inertia that no shaft has.
-    if let Some(inertia) = model
-        .motor
-        .get(MotorKey::Inertia)
-        .filter(|inertia| *inertia <= 0.0)
-    {
-        model
-            .motor
-            .set(MotorKey::Inertia, inertia.abs().max(f64::MIN_POSITIVE));
+    let inertia = model.motor.get(MotorKey::Inertia);
+    if let Some(inertia) = inertia.filter(|inertia| *inertia <= 0.0) {
+        let positive = inertia.abs().max(f64::MIN_POSITIVE);
+        model.motor.set(MotorKey::Inertia, positive);
     }
     let given = model.effect_ids();
     let models = [&model, before];
     let found = search::search(models, asked, &scenarios, &starts, noise, progress);
     let found = found.ok_or_else(|| cannot_simulate(&evidence.training))?;
-    let mut effects: Vec<Inferred> = asked
-        .iter()
-        .map(|effect| Inferred {
-            given: given.contains(&effect.card().id),
-            why_not: why_not(*effect, &runs[0]),
-            ..inferred(*effect, &found)
-        })
-        .collect();
+    let inferred = |effect: &&'static dyn Effect| Inferred {
+        given: given.contains(&effect.card().id),
+        why_not: why_not(*effect, &runs[0]),
+        ..inferred(*effect, &found)
+    };
+    let mut effects: Vec<Inferred> = asked.iter().map(inferred).collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
     // Of two that these runs cannot tell apart the likelier stands for both.
     let mut confusable = confusable(&found);
     if has_drop_of_brushes(&found.hypothesis.model) {
         share_with_drop(&mut effects, &mut confusable);
     }
-    let together = |id: &str| -> f64 {
-        let rivals = confusable
-            .iter()
-            .filter(|pair| pair[0] == id)
-            .map(|pair| pair[1]);
-        let probability = |id: &str| {
-            effects
-                .iter()
-                .find(|e| e.effect.card().id == id)
-                .map_or(0.0, |e| e.probability)
-        };
-        probability(id) + rivals.map(probability).sum::<f64>()
+    let probability = |id: &str| {
+        let own = effects.iter().find(|own| own.id() == id);
+        own.map_or(0.0, |own| own.probability)
     };
-    let named: Vec<&'static str> = effects
-        .iter()
-        .filter(|e| !e.given)
-        .filter(|e| {
-            e.probability > NAMED_PROBABILITY || together(e.effect.card().id) > TOGETHER_PROBABILITY
-        })
-        .map(|e| e.effect.card().id)
-        .collect();
+    let together = |id: &str| -> f64 {
+        let pairs = confusable.iter().filter(|pair| pair[0] == id);
+        probability(id) + pairs.map(|pair| probability(pair[1])).sum::<f64>()
+    };
+    let is_named = |own: &&Inferred| {
+        let alone = own.probability > NAMED_PROBABILITY;
+        !own.given && (alone || together(own.id()) > TOGETHER_PROBABILITY)
+    };
+    let named: Vec<&'static str> = effects.iter().filter(is_named).map(Inferred::id).collect();
     let is_gone = |id: &&'static str| !found.hypothesis.has(id);
     let superfluous = given.into_iter().filter(is_gone).collect();
     confusable.retain(|pair| named.contains(&pair[0]));
-    let Posterior { probability, .. } = &found.posterior;
+    let candidates = &found.reduced.linear.candidates;
     let unknown = unknown_parts(
-        &found.reduced.linear.candidates,
-        probability,
+        candidates,
+        &found.posterior.probability,
         &found.unknown_share,
     );
     Ok(Inference {
@@ -399,11 +376,7 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
     };
     let led = Score::of(&estimated.model, run, &fit.noise);
     let led = led.ok().filter(|score| score.nrms < LED_ONLY * fit.nrms);
-    let kept = if led.is_some() {
-        estimated.model.clone()
-    } else {
-        model
-    };
+    let kept = led.as_ref().map_or(&model, |_| &estimated.model);
     let times = &run.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
     for (slot, deviation) in &estimated.deviations {
@@ -416,16 +389,13 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
             judged.verdict = Verdict::Searching;
             judged.reason = Some("the fit had not converged".to_owned());
         }
-        if let Some(parameter) = fit
-            .parameters
-            .iter_mut()
-            .find(|parameter| parameter.key == key)
-        {
+        let mut parameters = fit.parameters.iter_mut();
+        if let Some(parameter) = parameters.find(|own| own.key == key) {
             *parameter = judged;
         }
     }
     Fitted {
-        model: kept,
+        model: kept.clone(),
         interval_factor: estimated.factor,
         nrms: led.map_or(fit.nrms, |score| score.nrms),
         ..fit
@@ -503,12 +473,8 @@ fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
         if variant.mean > 0.0 {
             // There wholly or not at all: seen where that makes a difference beyond the noise.
             let columns = reduced.columns(&without(&found.posterior.best, k));
-            let own: Vec<usize> = variant
-                .columns
-                .iter()
-                .map(|c| c - reduced.linear.nuisances.len())
-                .collect();
-            let seen = reduced.seen(&columns, own[0], 1.0).information;
+            let own = variant.columns[0] - reduced.linear.nuisances.len();
+            let seen = reduced.seen(&columns, own, 1.0).information;
             out.excited |= seen * variant.mean.powi(2) > 25.0;
             continue;
         }
@@ -572,22 +538,16 @@ fn moments(found: &Found, k: usize) -> Vec<Seen> {
 /// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
 /// say nothing it may have any size that is plausible.
 fn whenever(moments: &[Seen]) -> f64 {
-    let sizes: Vec<(f64, f64, f64)> = moments
-        .iter()
-        .map(|seen| {
-            let precision = seen.information.max(0.0) + 1.0;
-            let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
-            let mean = (seen.asked / precision).abs() * seen.unit;
-            (
-                log,
-                mean,
-                BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * seen.unit,
-            )
-        })
-        .collect();
-    let most = sizes
-        .iter()
-        .fold(f64::NEG_INFINITY, |most, size| most.max(size.0));
+    let size = |seen: &Seen| {
+        let precision = seen.information.max(0.0) + 1.0;
+        let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
+        let mean = (seen.asked / precision).abs() * seen.unit;
+        let sd = BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * seen.unit;
+        (log, mean, sd)
+    };
+    let sizes: Vec<(f64, f64, f64)> = moments.iter().map(size).collect();
+    let logs = sizes.iter().map(|size| size.0);
+    let most = logs.fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
     let beyond = |bound: f64| -> f64 {
         let beyond = |(log, mean, sd): &(f64, f64, f64)| {
@@ -654,10 +614,9 @@ fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
     let variant = &candidate.variants[with[k]?];
     let others = reduced.columns(&without(with, k));
     let wave = is_amplitude(candidate.effect);
+    let eighth = |n: u8| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos();
     let directions: Vec<(f64, f64)> = if wave {
-        (0..8)
-            .map(|n| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos())
-            .collect()
+        (0..8).map(eighth).collect()
     } else if variant.positive {
         vec![(1.0, 0.0)]
     } else {
@@ -741,7 +700,7 @@ fn confusable(found: &Found) -> Vec<[&'static str; 2]> {
 /// beside gaps or in their place, is no bound then.
 fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str; 2]>) {
     let (drop, gaps) = SIMPLE_FOR_RICH;
-    let place = |id| effects.iter().position(|e| e.effect.card().id == id);
+    let place = |id| effects.iter().position(|own| own.id() == id);
     let (Some(drop_at), Some(gaps_at)) = (place(drop), place(gaps)) else {
         return;
     };

@@ -252,6 +252,12 @@ impl<'a> Around<'a> {
     }
 }
 
+/// Sum of the squares of the innovations.
+pub(super) fn squares(runs: &[Around<'_>]) -> f64 {
+    let white = runs.iter().flat_map(|run| run.followed.white.iter());
+    white.flatten().map(|value| value * value).sum()
+}
+
 fn with_events<'a>(model: &'a Model, events: &[ActiveEffect]) -> Cow<'a, Model> {
     if events.is_empty() {
         return Cow::Borrowed(model);
@@ -271,40 +277,36 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
     let mut angle = 0;
     let mut event = 0;
     let motor = constants(model, scenario);
-    (0..scenario.samples())
-        .map(|sample| {
-            let from = sample.saturating_sub(1);
-            let mid_s = 0.5 * (scenario.sample_time_s[from] + scenario.sample_time_s[sample]);
-            while angle < angles.len() && angles[angle].0 <= mid_s {
-                angle += 1;
+    let instant = |sample: usize| {
+        let from = sample.saturating_sub(1);
+        let mid_s = 0.5 * (scenario.sample_time_s[from] + scenario.sample_time_s[sample]);
+        while angle < angles.len() && angles[angle].0 <= mid_s {
+            angle += 1;
+        }
+        let angle_rad = match (angle.checked_sub(1), angles.get(angle)) {
+            (Some(before), Some(after)) => {
+                let before = angles[before];
+                before.1 + (mid_s - before.0) / (after.0 - before.0) * (after.1 - before.1)
             }
-            let angle_rad = match (angle.checked_sub(1), angles.get(angle)) {
-                (Some(before), Some(after)) => {
-                    let before = angles[before];
-                    before.1 + (mid_s - before.0) / (after.0 - before.0) * (after.1 - before.1)
-                }
-                (Some(before), None) => angles[before].1,
-                (None, after) => after.map_or(0.0, |after| after.1),
-            };
-            while event + 1 < scenario.events.len() && scenario.events[event + 1].0 <= mid_s {
-                event += 1;
-            }
-            let mean = |k: usize| 0.5 * (followed.after[from][k] + followed.before[sample][k]);
-            let input = scenario.events[event].1;
-            Instant {
-                time_s: mid_s - scenario.begin_s(),
-                voltage_v: input,
-                current_a: if scenario.input == Input::Voltage {
-                    mean(0)
-                } else {
-                    input
-                },
-                speed_rad_s: mean(1),
-                angle: ShaftAngle::at(angle_rad),
-                ..motor
-            }
-        })
-        .collect()
+            (Some(before), None) => angles[before].1,
+            (None, after) => after.map_or(0.0, |after| after.1),
+        };
+        while event + 1 < scenario.events.len() && scenario.events[event + 1].0 <= mid_s {
+            event += 1;
+        }
+        let mean = |k: usize| 0.5 * (followed.after[from][k] + followed.before[sample][k]);
+        let input = scenario.events[event].1;
+        let by_voltage = scenario.input == Input::Voltage;
+        Instant {
+            time_s: mid_s - scenario.begin_s(),
+            voltage_v: input,
+            current_a: if by_voltage { mean(0) } else { input },
+            speed_rad_s: mean(1),
+            angle: ShaftAngle::at(angle_rad),
+            ..motor
+        }
+    };
+    (0..scenario.samples()).map(instant).collect()
 }
 
 /// Standard deviation of how much of an effect is there that is there wholly or not at all, for the form that was tried.
@@ -393,11 +395,8 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     let specs = effect.parameters();
     let mut part = Part::new(effect, LOG_ODDS);
     part.candidate.in_model = true;
-    let values = model
-        .effects
-        .iter()
-        .find(|active| active.id() == id)?
-        .values_or_guess();
+    let mut effects = model.effects.iter();
+    let values = effects.find(|active| active.id() == id)?.values_or_guess();
     let along = slopes::are_tangents(model, scenario);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
@@ -412,8 +411,9 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             (unit, values[index] / unit, 0.02 * unit)
         } else {
             // A shape's logarithm, known to a factor of two beforehand.
+            let logarithm = 0.7 * values[index];
             let unit = if spec.logarithmic {
-                0.7 * values[index]
+                logarithm
             } else {
                 spec.scale
             };
@@ -450,13 +450,10 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     let id = effect.card().id;
     let specs = effect.parameters();
     let mut part = Part::new(effect, LOG_ODDS);
-    let coefficients: Vec<usize> = (0..specs.len())
-        .filter(|k| specs[*k].is_coefficient())
-        .collect();
-    let slabs: Vec<f64> = coefficients
-        .iter()
-        .map(|k| SLAB * typical_size(effect, *k, model, scenario))
-        .collect();
+    let coefficients = (0..specs.len()).filter(|k| specs[*k].is_coefficient());
+    let coefficients: Vec<usize> = coefficients.collect();
+    let slab = |k: &usize| SLAB * typical_size(effect, *k, model, scenario);
+    let slabs: Vec<f64> = coefficients.iter().map(slab).collect();
     let order = specs.iter().position(|spec| spec.key == "order");
     let grid = shape_grid(effect, scenario);
     let log_prior = -(grid.len() as f64).ln();
@@ -530,6 +527,14 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
     }
 }
 
+/// Where the columns of what the model has come from, or of what it lacks.
+fn sources_of(parts: &[Part], in_model: bool) -> impl Iterator<Item = &Source> {
+    let own = parts
+        .iter()
+        .filter(move |part| part.candidate.in_model == in_model);
+    own.flat_map(|part| part.sources.iter().flatten())
+}
+
 /// The linear problem of `runs` around one model and what happens in each. Every run must be followed with that.
 pub(super) fn linearise(
     hypothesis: &Hypothesis,
@@ -561,28 +566,13 @@ pub(super) fn linearise(
     }
 
     // What the model has comes first: it tells which of many forms are worth a place among the columns.
-    let flat = |parts: &[Part], in_model: bool| -> Vec<usize> {
-        (0..parts.len())
-            .filter(|k| parts[*k].candidate.in_model == in_model)
-            .collect()
-    };
-    let inside = flat(&parts, true);
-    let sources = always.iter().chain(
-        inside
-            .iter()
-            .flat_map(|k| parts[*k].sources.iter().flatten()),
-    );
-    let base = columns_of(&sources.collect::<Vec<_>>(), runs);
-    let precision: Vec<f64> = (0..base[0].columns.len())
-        .map(|k| nuisances.get(k).map_or(1.0, |sd| 1.0 / (sd * sd)))
-        .collect();
+    let inside: Vec<&Source> = always.iter().chain(sources_of(&parts, true)).collect();
+    let base = columns_of(&inside, runs);
+    let precision = |k| nuisances.get(k).map_or(1.0, |sd: &f64| 1.0 / (sd * sd));
+    let precision: Vec<f64> = (0..base[0].columns.len()).map(precision).collect();
     keep_likeliest(&mut parts, runs, &base, &precision);
     drop_refuted(&mut parts, &runs[0], &base[0], &precision);
-    let outside = flat(&parts, false);
-    let sources = outside
-        .iter()
-        .flat_map(|k| parts[*k].sources.iter().flatten());
-    let others = columns_of(&sources.collect::<Vec<_>>(), runs);
+    let others = columns_of(&sources_of(&parts, false).collect::<Vec<_>>(), runs);
 
     // Numbered in the candidates' order.
     let mut order: Vec<(bool, usize)> = (0..always.len()).map(|k| (true, k)).collect();
@@ -601,21 +591,15 @@ pub(super) fn linearise(
     }
     let mut candidates: Vec<Candidate> = parts.into_iter().map(|part| part.candidate).collect();
     exclusions(&mut candidates, training.input);
-    let columns: Vec<Whitened> = base
-        .into_iter()
-        .zip(others)
-        .zip(runs)
-        .map(|((mut base, mut others), run)| {
-            let take = |(inside, k): &(bool, usize)| {
-                std::mem::take(if *inside {
-                    &mut base.columns[*k]
-                } else {
-                    &mut others.columns[*k]
-                })
-            };
-            Whitened::new(order.iter().map(take).collect(), run.rows())
-        })
-        .collect();
+    let columns = base.into_iter().zip(others).zip(runs);
+    let columns = columns.map(|((mut base, mut others), run)| {
+        let take = |(inside, k): &(bool, usize)| {
+            let from = if *inside { &mut base } else { &mut others };
+            std::mem::take(&mut from.columns[*k])
+        };
+        Whitened::new(order.iter().map(take).collect(), run.rows())
+    });
+    let columns: Vec<Whitened> = columns.collect();
     let mut linear = assemble(nuisances, candidates, runs, columns);
     events::pair(&mut linear, runs.len());
     Some(linear)
@@ -630,13 +614,11 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whiten
         Difference(usize, &'a Model, f64),
         Tangents(Vec<(usize, &'a Tangent)>),
     }
-    let mut out: Vec<Whitened> = runs
-        .iter()
-        .map(|run| Whitened::new(vec![vec![]; sources.len()], run.rows()))
-        .collect();
+    let empty = |run: &Around<'_>| Whitened::new(vec![vec![]; sources.len()], run.rows());
+    let mut out: Vec<Whitened> = runs.iter().map(empty).collect();
     // Simulations first: they take longest, and what is short then fills the gaps.
     let mut works = Vec::new();
-    for (number, _) in runs.iter().enumerate() {
+    for number in 0..runs.len() {
         for (k, source) in sources.iter().enumerate() {
             match source {
                 Source::Difference { model, step } => {
@@ -647,35 +629,28 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whiten
             }
         }
     }
-    for (number, _) in runs.iter().enumerate() {
-        let tangents: Vec<(usize, &Tangent)> = sources
-            .iter()
-            .enumerate()
-            .filter_map(|(k, source)| Some((k, source.tangent(number)?)))
-            .collect();
-        works.extend(
-            tangents
-                .chunks(LANES)
-                .map(|some| (number, Work::Tangents(some.to_vec()))),
-        );
+    for number in 0..runs.len() {
+        let tangents = sources.iter().enumerate();
+        let tangents = tangents.filter_map(|(k, source)| Some((k, source.tangent(number)?)));
+        let tangents: Vec<(usize, &Tangent)> = tangents.collect();
+        let chunks = tangents.chunks(LANES);
+        works.extend(chunks.map(|some| (number, Work::Tangents(some.to_vec()))));
     }
-    let done: Vec<(usize, Numbered)> = works
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|(number, work)| {
-            let run = &runs[number];
-            let columns = match work {
-                Work::Difference(k, model, step) => {
-                    vec![(k, run.difference(model, run.scenario, step))]
-                }
-                Work::Tangents(some) => {
-                    let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
-                    numbers.into_iter().zip(run.along(&tangents)).collect()
-                }
-            };
-            (number, columns)
-        })
-        .collect();
+    let done = |(number, work): (usize, Work<'_>)| -> (usize, Numbered) {
+        let run = &runs[number];
+        let columns = match work {
+            Work::Difference(k, model, step) => {
+                vec![(k, run.difference(model, run.scenario, step))]
+            }
+            Work::Tangents(some) => {
+                let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
+                numbers.into_iter().zip(run.along(&tangents)).collect()
+            }
+        };
+        (number, columns)
+    };
+    let works = works.into_par_iter().with_max_len(1);
+    let done: Vec<(usize, Numbered)> = works.map(done).collect();
     for (number, columns) in done {
         for (k, column) in columns {
             out[number].columns[k] = column;
@@ -740,9 +715,9 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
         says_the_same(a, b) || (sets_in(a) && sets_in(b) && a.id != b.id)
     };
     for k in 0..candidates.len() {
-        let excludes = (0..candidates.len())
-            .filter(|o| *o != k && says_the_same(&candidates[k], &candidates[*o]))
-            .collect();
-        candidates[k].excludes = excludes;
+        let own = &candidates[k];
+        let others = (0..candidates.len()).filter(|other| *other != k);
+        let excludes = others.filter(|other| says_the_same(own, &candidates[*other]));
+        candidates[k].excludes = excludes.collect();
     }
 }

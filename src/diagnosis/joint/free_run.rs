@@ -3,7 +3,7 @@
 
 use super::asked::prepared;
 use super::columns::Around;
-use super::follow::{Noise, P, Passage, predicted, stop};
+use super::follow::{Noise, P, Passage, Update, predicted, stop};
 use crate::plant::{Model, Scenario, State};
 
 /// Lags over which what is left may be alike.
@@ -82,10 +82,8 @@ pub(super) fn excess(runs: &[(&Around<'_>, Vec<[f64; 2]>)]) -> f64 {
                 let update = &run.follower.updates[*sample];
                 [update.current, update.speed][signal][4] > 0.0
             };
-            let left: Vec<f64> = (0..left.len())
-                .filter(is_measured)
-                .map(|sample| left[sample][signal])
-                .collect();
+            let measured = (0..left.len()).filter(is_measured);
+            let left: Vec<f64> = measured.map(|sample| left[sample][signal]).collect();
             count += left.len() as f64;
             for (lag, sum) in sums.iter_mut().enumerate().take(left.len()) {
                 let products = left.iter().zip(&left[lag..]);
@@ -126,18 +124,14 @@ pub(in crate::diagnosis) fn likelier(
 
 /// Log likelihood of the innovations but for what every model shares.
 fn log_likelihood(run: &Around<'_>) -> f64 {
+    let of_sample = |(update, white): (&Update, &[f64; 2])| {
+        let signals = [update.current[4], update.speed[4]].into_iter().zip(white);
+        let measured = signals.filter(|(over_sd, _)| *over_sd > 0.0);
+        let logs = measured.map(|(over_sd, white)| over_sd.ln() - 0.5 * white * white);
+        logs.sum::<f64>()
+    };
     let updates = run.follower.updates.iter();
-    updates
-        .zip(&run.followed.white)
-        .map(|(update, white)| {
-            [update.current[4], update.speed[4]]
-                .into_iter()
-                .zip(white)
-                .filter(|(over_sd, _)| *over_sd > 0.0)
-                .map(|(over_sd, white)| over_sd.ln() - 0.5 * white * white)
-                .sum::<f64>()
-        })
-        .sum()
+    updates.zip(&run.followed.white).map(of_sample).sum()
 }
 
 #[cfg(test)]
@@ -162,10 +156,8 @@ mod tests {
             (squares / a.len() as f64).sqrt()
         };
         // Both records have the same noise: they differ by what the voltage made.
-        let truth = [
-            rms(&known.current_a, &other.current_a),
-            rms(&known.speed_rad_s, &other.speed_rad_s),
-        ];
+        let current = rms(&known.current_a, &other.current_a);
+        let truth = [current, rms(&known.speed_rad_s, &other.speed_rad_s)];
         for (found, truth) in unseen(&run).into_iter().zip(truth) {
             assert!((found / truth - 1.0).abs() < 0.1, "{found}, not {truth}");
         }

@@ -27,14 +27,14 @@ const LINEAR_SHAPE: f64 = 3.0;
 /// How a parameter and its coordinate belong together: `p = unit x`, or `p = exp(x)` where there is no unit; with a normal
 /// prior about `at`.
 #[derive(Clone, Copy)]
-struct Unit {
+struct Coordinate {
     unit: Option<f64>,
     range: (f64, f64),
     sd: f64,
     at: f64,
 }
 
-impl Unit {
+impl Coordinate {
     const fn linear(unit: f64, range: (f64, f64), at: f64) -> Self {
         Self {
             unit: Some(unit),
@@ -127,8 +127,8 @@ impl Unit {
 /// a function of the coordinates: those that all runs share, then the sizes of the events.
 struct Innovations<'a> {
     hypothesis: Hypothesis,
-    free: Vec<(Slot, Unit)>,
-    sizes: Vec<Unit>,
+    free: Vec<(Slot, Coordinate)>,
+    sizes: Vec<Coordinate>,
     runs: &'a [Around<'a>],
     len: usize,
     /// Whether their slopes are tangents.
@@ -248,14 +248,14 @@ impl<'a> Innovations<'a> {
             let spec = &event.effect.parameters()[index];
             let run = &runs[event.run.min(runs.len() - 1)];
             let unit = SLAB * typical_size(event.effect, index, model, run.scenario);
-            Unit::linear(unit, (spec.min, spec.max), 0.0)
+            Coordinate::linear(unit, (spec.min, spec.max), 0.0)
         };
-        let sizes: Vec<Unit> = hypothesis.events.iter().map(size).collect();
-        let free: Vec<(Slot, Unit)> = model
+        let sizes: Vec<Coordinate> = hypothesis.events.iter().map(size).collect();
+        let free: Vec<(Slot, Coordinate)> = model
             .free_slots()
             .into_iter()
             .filter_map(|slot| {
-                let unit = Unit::of(&slot, model.get(&slot)?, model, runs[0].scenario)?;
+                let unit = Coordinate::of(&slot, model.get(&slot)?, model, runs[0].scenario)?;
                 Some((slot, unit))
             })
             .collect();
@@ -271,7 +271,7 @@ impl<'a> Innovations<'a> {
         }
     }
 
-    fn units(&self) -> impl Iterator<Item = Unit> {
+    fn units(&self) -> impl Iterator<Item = Coordinate> {
         let free = self.free.iter().map(|(_, unit)| *unit);
         free.chain(self.sizes.iter().copied())
     }

@@ -8,7 +8,7 @@
 use nalgebra::DVector;
 
 use super::approach::{approach, nearer};
-use super::columns::{Around, Candidate, Linear, linearise};
+use super::columns::{Around, Candidate, Linear, linearise, squares};
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::free_run::{excess, unseen, wandering};
@@ -16,7 +16,7 @@ use super::noise::likeliest;
 use super::prediction_error::fit;
 use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
-use super::solution::{Happened, around, happened, placed, present, squares};
+use super::solution::{Happened, around, happened, placed, present};
 use super::tangent::{Deviations, Lane};
 use crate::diagnosis::progress::{Event as Notice, Progress};
 use crate::numerics::count::whole;

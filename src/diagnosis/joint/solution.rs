@@ -36,14 +36,6 @@ pub(super) fn around<'a>(
         .collect()
 }
 
-/// Sum of the squares of the innovations.
-pub(super) fn squares(runs: &[Around<'_>]) -> f64 {
-    let white = runs
-        .iter()
-        .flat_map(|run| run.followed.white.iter().flatten());
-    white.map(|value| value * value).sum()
-}
-
 /// The candidates that a model has.
 pub(super) fn present(linear: &Linear) -> Set {
     let candidates = linear.candidates.iter();
