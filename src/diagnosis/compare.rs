@@ -10,7 +10,7 @@ use super::location::{
 use super::mechanical::{self, Balance, Sides};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore, signal_score};
-use crate::identification::noise::FloorSource;
+use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
 use crate::identification::torque_rows::{Method, TorqueRows};
 use crate::numerics::count::whole;
@@ -117,6 +117,8 @@ pub struct Comparison {
     pub map: Option<ErrorMap>,
     pub residual: ResidualLights,
     pub noise_floor_from: FloorSource,
+    #[serde(skip)]
+    pub noise: NoiseFloor,
     pub holdout_from: HoldoutFrom,
     /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
     pub holdout_rmse: f64,
@@ -125,6 +127,11 @@ pub struct Comparison {
 }
 
 impl Comparison {
+    /// Whether the held-out error is no more than the noise.
+    pub fn is_at_the_floor(&self) -> bool {
+        self.noise.is_at_the_floor(self.holdout_rmse)
+    }
+
     /// That it is not known which equation, or which variable, where two are within their uncertainty.
     pub fn undecided(&self) -> Option<String> {
         undecided(&self.balances, &self.locations)
@@ -192,6 +199,7 @@ pub fn compare(
             &judged(holdout.speed_residual(), noise.speed_rad_s),
         ),
         noise_floor_from: noise.source,
+        noise: *noise,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
         limits: limits(evidence, located.notes),
@@ -312,6 +320,10 @@ impl Balance {
             limits: notes,
             residual: ResidualLights::of_torque(&with_torque),
             noise_floor_from: self.source,
+            noise: NoiseFloor {
+                source: self.source,
+                ..evidence.noise
+            },
             holdout_from: evidence.holdout_from,
             holdout_rmse: holdout.nrms,
         }

@@ -524,19 +524,22 @@ fn not_repeating(diagnosis: &Diagnosis) -> String {
 mod tests {
     use super::*;
     use crate::diagnosis::kit::{evidence, nameplate, record, truth};
+    use crate::plant::Scenario;
 
     #[test]
     fn a_step_that_chance_makes_is_none() {
         // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
         let of = |nrms: f64| 2400.0 * nrms * nrms;
-        assert_eq!(takes_nothing(&[of(1.0007), of(1.0005)]), Some(0));
-        assert_eq!(takes_nothing(&[of(1.02), of(1.0)]), None);
-        assert_eq!(
-            takes_nothing(&[of(1.05), of(1.0499), of(1.02), of(1.0199)]),
-            Some(2)
-        );
-        assert_eq!(takes_nothing(&[of(1.05), of(1.06), of(1.02)]), Some(0));
-        assert_eq!(takes_nothing(&[of(1.0)]), None);
+        for (errors, expected) in [
+            (&[1.0007, 1.0005][..], Some(0)),
+            (&[1.02, 1.0], None),
+            (&[1.05, 1.0499, 1.02, 1.0199], Some(2)),
+            (&[1.05, 1.06, 1.02], Some(0)),
+            (&[1.0], None),
+        ] {
+            let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
+            assert_eq!(takes_nothing(&deviances), expected, "{errors:?}");
+        }
     }
 
     #[test]
@@ -588,21 +591,10 @@ mod tests {
         assert_eq!(third(&hidden).confirmed, Some(false));
         // What one run contradicts is not said.
         assert!(!hidden.sufficient && nothing.sufficient);
-        assert!(
-            nothing.sentence.starts_with("nothing is missing"),
-            "{}",
-            nothing.sentence
-        );
-        assert!(
-            !hidden.sentence.contains("nothing is missing"),
-            "{}",
-            hidden.sentence
-        );
-        assert!(
-            hidden.sentence.contains("on the confirming run"),
-            "{}",
-            hidden.sentence
-        );
+        let (whole, said) = (&nothing.sentence, &hidden.sentence);
+        assert!(whole.starts_with("nothing is missing"), "{whole}");
+        assert!(!said.contains("nothing is missing"), "{said}");
+        assert!(said.contains("on the confirming run"), "{said}");
         data.confirm = None;
         assert_eq!(diagnose(&nameplate(), data).unwrap().confirm, None);
     }
@@ -614,14 +606,9 @@ mod tests {
         for (k, speed) in loud.speed_rad_s.iter_mut().enumerate() {
             *speed += if k % 2 == 0 { 3.0 } else { -3.0 };
         }
-        let with = Evidence::new(
-            data.training.clone(),
-            Some(data.holdout.clone()),
-            Some(loud),
-        );
-        assert_eq!(
-            with.noise,
-            Evidence::new(data.training, Some(data.holdout), None).noise
-        );
+        let noise = |confirm: Option<Scenario>| {
+            Evidence::new(data.training.clone(), Some(data.holdout.clone()), confirm).noise
+        };
+        assert_eq!(noise(Some(loud)), noise(None));
     }
 }

@@ -80,19 +80,16 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         value(MotorKey::Inductance)?.ln(),
         value(MotorKey::BackEmf)?.ln(),
     ];
-    let rows: Vec<usize> = (0..scenario.samples().min(MOST_SAMPLES))
-        .filter(|sample| {
-            scenario.current_a[*sample].is_finite() && scenario.speed_rad_s[*sample].is_finite()
-        })
-        .collect();
+    let (currents, speeds) = (&scenario.current_a, &scenario.speed_rad_s);
+    let is_known = |row: &usize| currents[*row].is_finite() && speeds[*row].is_finite();
+    let rows = (0..scenario.samples().min(MOST_SAMPLES)).filter(is_known);
+    let rows: Vec<usize> = rows.collect();
     if rows.len() < FEWEST_SAMPLES {
         return None;
     }
     let begin_s = scenario.sample_time_s[rows[0]];
-    let blocks: Vec<usize> = rows
-        .iter()
-        .map(|row| whole((scenario.sample_time_s[*row] - begin_s) / BLOCK_S))
-        .collect();
+    let block = |row: &usize| whole((scenario.sample_time_s[*row] - begin_s) / BLOCK_S);
+    let blocks: Vec<usize> = rows.iter().map(block).collect();
     let mut covariance = DMatrix::zeros(3, 3);
     for iteration in 0..ITERATIONS {
         let here = simulated(scenario, &rows, x);
@@ -104,12 +101,8 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
                 jacobian[(row, column)] = (there - here[row]) / STEP;
             }
         }
-        let residual = DVector::from_iterator(
-            rows.len(),
-            rows.iter()
-                .zip(&here)
-                .map(|(row, i)| scenario.current_a[*row] - i),
-        );
+        let left = rows.iter().zip(&here).map(|(row, i)| currents[*row] - i);
+        let residual = DVector::from_iterator(rows.len(), left);
         let solution = least_squares::solve(&jacobian, &residual, &blocks)?;
         let mut largest = 0.0_f64;
         for (value, step) in x.iter_mut().zip(solution.x.iter()) {
@@ -150,10 +143,8 @@ fn simulated(scenario: &Scenario, rows: &[usize], x: [f64; 3]) -> Vec<f64> {
     let mut current = scenario.current_a[rows[0]];
     let mut out = Vec::with_capacity(rows.len());
     out.push(current);
-    let mut event = events
-        .partition_point(|event| event.0 <= times[rows[0]])
-        .max(1)
-        - 1;
+    let begun = events.partition_point(|event| event.0 <= times[rows[0]]);
+    let mut event = begun.max(1) - 1;
     // The same step comes again and again.
     let (mut last_step, mut last_decay) = (f64::NAN, 1.0);
     for pair in rows.windows(2) {
@@ -164,9 +155,8 @@ fn simulated(scenario: &Scenario, rows: &[usize], x: [f64; 3]) -> Vec<f64> {
             while event + 1 < events.len() && events[event + 1].0 <= now_s {
                 event += 1;
             }
-            let next_s = events
-                .get(event + 1)
-                .map_or(end_s, |next| next.0.min(end_s));
+            let next = events.get(event + 1);
+            let next_s = next.map_or(end_s, |next| next.0.min(end_s));
             let step = next_s - now_s;
             #[expect(clippy::float_cmp, reason = "the very same step")]
             if step != last_step {
@@ -215,11 +205,9 @@ pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
         Kinship::Doubtful => format!(
             "the two runs may be of different motors: {figures}; a magnet that is some 20 K warmer would do this too"
         ),
-        Kinship::Other => {
-            format!(
-                "the two runs are not of the same motor, or not wired alike: {figures}; warmth does not explain that"
-            )
-        }
+        Kinship::Other => format!(
+            "the two runs are not of the same motor, or not wired alike: {figures}; warmth does not explain that"
+        ),
     };
     MotorMatch {
         first,

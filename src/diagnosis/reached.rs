@@ -6,6 +6,7 @@
 use serde::Serialize;
 
 use super::ladder::Fitted;
+use crate::numerics::statistics::largest;
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, MotorKey, Path, Plant, Scenario, ShaftAngle,
     State, Trajectory,
@@ -232,24 +233,20 @@ impl<'a> FreeRun<'a> {
 
     /// The largest torque, voltage, speed and current of the run.
     fn largest(&self) -> Sizes {
-        let largest = |values: &mut dyn Iterator<Item = f64>| {
-            values.fold(0.0, |most: f64, value| most.max(value.abs()))
-        };
-        let current_a = largest(&mut self.with.current_a.iter().copied());
+        let current_a = largest(self.with.current_a.iter().copied());
         let per_ampere = self.model.motor.torque_constant().unwrap_or(0.0).abs();
         [
             per_ampere * current_a,
-            largest(&mut self.run.events.iter().map(|event| event.1)),
-            largest(&mut self.with.speed_rad_s.iter().copied()),
+            largest(self.run.events.iter().map(|event| event.1)),
+            largest(self.with.speed_rad_s.iter().copied()),
             current_a,
         ]
     }
 }
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
-    a.iter()
-        .zip(b)
-        .fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()))
+    let differences = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+    differences.fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -273,8 +270,7 @@ mod tests {
     #[test]
     fn a_drag_reaches_its_coefficient_times_the_largest_speed() {
         let (found, run) = reached("viscous_friction", &[8e-4]);
-        let speeds = run.speed_rad_s.iter();
-        let fastest = speeds.fold(0.0, |most: f64, w| most.max(w.abs()));
+        let fastest = largest(run.speed_rad_s.iter().copied());
         let torque = found.torque_n_m.unwrap();
         assert!(
             (torque.value / (8e-4 * fastest) - 1.0).abs() < 0.05,

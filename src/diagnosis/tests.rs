@@ -4,6 +4,7 @@
 use super::kit::{evidence, nameplate, names, record, truth, with};
 use super::*;
 use crate::identification::noise::{FloorSource, NoiseFloor};
+use crate::numerics::statistics::largest;
 use crate::plant::{Scenario, effect};
 
 /// Whether a size is the true one but for its uncertainty.
@@ -87,8 +88,7 @@ fn two_effects_are_both_found() {
         let mut joint = found.model.parameters.iter();
         assert_eq!(joint.find(|own| own.key == size.key), Some(size));
         let reached = candidate.reached.unwrap();
-        let speeds = data.training.speed_rad_s.iter();
-        let fastest = speeds.fold(0.0, |most: f64, speed| most.max(speed.abs()));
+        let fastest = largest(data.training.speed_rad_s.iter().copied());
         let (peak, true_peak) = match reached.voltage_v {
             Some(voltage) => (voltage, true_size),
             None => (reached.torque_n_m.unwrap(), true_size * fastest * fastest),

@@ -23,7 +23,7 @@ use crate::diagnosis::score::Score;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
-use crate::numerics::statistics;
+use crate::numerics::statistics::{self, largest};
 use crate::plant::effect::CATALOGUE;
 use crate::plant::{ActiveEffect, Effect, Input, Model, MotorKey, Scenario, State};
 use crate::sample::Verdict;
@@ -377,8 +377,7 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
     let led = Score::of(&estimated.model, run, &fit.noise);
     let led = led.ok().filter(|score| score.nrms < LED_ONLY * fit.nrms);
     let kept = led.as_ref().map_or(&model, |_| &estimated.model);
-    let times = &run.sample_time_s;
-    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let period_s = run.mean_period_s();
     for (slot, deviation) in &estimated.deviations {
         let key = slot.key();
         let value = kept.get(slot).unwrap_or(f64::NAN);
@@ -410,15 +409,10 @@ const ALONE: f64 = 0.7;
 
 /// Noise to begin with: the sensors' as they are known, a disturbance of a per cent.
 fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
-    let largest = |values: &mut dyn Iterator<Item = f64>| {
-        let known = values.filter(|value| value.is_finite());
-        known.fold(0.0_f64, |most, value| most.max(value.abs()))
-    };
-    let largest_input = largest(&mut run.events.iter().map(|event| event.1));
-    let current = if run.input == Input::Voltage {
-        largest(&mut run.current_a.iter().copied())
-    } else {
-        largest_input
+    let largest_input = largest(run.events.iter().map(|event| event.1));
+    let current = match run.input {
+        Input::Voltage => largest(run.current_a.iter().copied()),
+        _ => largest_input,
     };
     let torque = constants(model, run).torque_n_m_per_a * current;
     let mut noise = Noise {

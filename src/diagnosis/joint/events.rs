@@ -213,8 +213,7 @@ impl Hypothesis {
     /// Whether no event happens at another sample than `before`: its form is linear only close to where it is.
     pub(super) fn events_stay(&self, before: &Self, scenarios: &[&Scenario]) -> bool {
         self.events.iter().all(|event| {
-            let times = &scenarios[event.run].sample_time_s;
-            let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+            let period_s = scenarios[event.run].mean_period_s();
             let mut others = before.events.iter();
             others.any(|other| {
                 (other.id(), other.run) == (event.id(), event.run)
@@ -459,7 +458,7 @@ impl Search<'_> {
     fn nearest(&self, excess: f64) -> Moment {
         let times = &self.run.scenario.sample_time_s;
         let end_s = times[times.len() - 1] - self.run.scenario.begin_s();
-        let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+        let period_s = self.run.scenario.mean_period_s();
         let spacing_s = spacing_s(self.run, self.event.id());
         let is_inside = |time_s: &f64| (0.0..end_s).contains(time_s);
         let mut step_s = WIDE * spacing_s / f64::from(AROUND);

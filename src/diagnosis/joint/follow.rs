@@ -6,7 +6,7 @@
 
 use super::acting::{FORM, Forms};
 use crate::identification::stamps::spread;
-use crate::numerics::statistics::median;
+use crate::numerics::statistics::{largest, median};
 use crate::plant::propagator::{LinearPart, Propagator};
 use crate::plant::{Correction, Input, Model, MotorKey, Plant, Scenario, State, Trajectory};
 
@@ -202,8 +202,7 @@ pub(super) fn jump_of(scenario: &Scenario) -> f64 {
 }
 
 fn fastest(scenario: &Scenario) -> f64 {
-    let speeds = scenario.speed_rad_s.iter().filter(|w| w.is_finite());
-    speeds.fold(0.0_f64, |most, w| most.max(w.abs()))
+    largest(scenario.speed_rad_s.iter().copied())
 }
 
 /// What the filter knows between two samples.
@@ -251,8 +250,7 @@ impl<'a> Filter<'a> {
         p[3][3] = noise.input.powi(2);
         // What flowed before the first row is not known, as where an offset of the voltage held it; nor how fast a
         // shaft turned that did not rest.
-        let currents = scenario.current_a.iter().filter(|value| value.is_finite());
-        let most_a = currents.fold(0.0_f64, |most, value| most.max(value.abs()));
+        let most_a = largest(scenario.current_a.iter().copied());
         p[0][0] = (START * most_a).powi(2);
         if start.speed_rad_s != 0.0 && noise.speed_rad_s.is_finite() {
             p[1][1] = (START_IN_NOISE * noise.speed_rad_s).powi(2);

@@ -46,8 +46,7 @@ fn averaged(
     columns: &[usize],
 ) -> Averaged {
     let n = run.scenario.samples();
-    let times = &run.scenario.sample_time_s;
-    let period_s = (times[n - 1] - times[0]) / (n - 1) as f64;
+    let period_s = run.scenario.mean_period_s();
     let size = whole((BLOCK_S / period_s).floor()).max(1);
     let blocks = n.div_ceil(size);
     let (mut counts, mut vague) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);

@@ -279,10 +279,8 @@ impl<'a> Traveller<'a> {
         if let Tangent::Bent { terms, .. } = tangent {
             for at in &run.instants {
                 let sums = terms.sums(at, &[]);
-                for (most, value) in
-                    most.iter_mut()
-                        .zip([sums.voltage_v, sums.torque_n_m, sums.friction_n_m])
-                {
+                let values = [sums.voltage_v, sums.torque_n_m, sums.friction_n_m];
+                for (most, value) in most.iter_mut().zip(values) {
                     *most = most.max(value.abs());
                 }
             }
@@ -318,11 +316,8 @@ impl<'a> Traveller<'a> {
         let kept = (-lag).exp();
         self.own[0] = settled_v + behind_v * kept;
         // Mean over the interval.
-        if lag > 0.0 {
-            behind_v * (1.0 - kept) / lag
-        } else {
-            behind_v
-        }
+        let mean_v = behind_v * (1.0 - kept) / lag;
+        if lag > 0.0 { mean_v } else { behind_v }
     }
 
     /// What terms of another form do at an instant.
@@ -414,10 +409,8 @@ pub(super) fn carry(
     tangents: &[&Tangent],
     mut hand_on: impl FnMut(usize, &[Lane]),
 ) {
-    let mut travellers: Vec<Traveller<'_>> = tangents
-        .iter()
-        .map(|tangent| Traveller::new(tangent, run))
-        .collect();
+    let all = tangents.iter();
+    let mut travellers: Vec<_> = all.map(|tangent| Traveller::new(tangent, run)).collect();
     let mut deviations = Deviations::default();
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
@@ -431,14 +424,11 @@ pub(super) fn carry(
         }
     }
     let n = run.scenario.samples();
-    let begin_s = tangents
-        .iter()
-        .map(|tangent| tangent.begins_s())
-        .fold(f64::INFINITY, f64::min);
+    let begins_s = tangents.iter().map(|tangent| tangent.begins_s());
+    let begin_s = begins_s.fold(f64::INFINITY, f64::min);
     // Where none has begun nothing deviates.
-    let silent = run
-        .instants
-        .partition_point(|instant| instant.time_s < begin_s);
+    let is_before = |instant: &Instant| instant.time_s < begin_s;
+    let silent = run.instants.partition_point(is_before);
     for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No order is this: the first wave of a chunk is computed anew.
@@ -447,16 +437,10 @@ pub(super) fn carry(
             each: [[0.0; 2]; CHUNK],
         };
         for (lane, traveller) in travellers.iter_mut().enumerate() {
-            force(
-                run,
-                traveller,
-                range.clone(),
-                &mut waves,
-                |k, [current, speed]| {
-                    forcing[k][0][lane] = current;
-                    forcing[k][1][lane] = speed;
-                },
-            );
+            let put = |k: usize, [current, speed]: [f64; 2]| {
+                (forcing[k][0][lane], forcing[k][1][lane]) = (current, speed);
+            };
+            force(run, traveller, range.clone(), &mut waves, put);
         }
         for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2))
         {
@@ -539,16 +523,9 @@ fn force(
         Tangent::Change { from, to, over } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let change = change(&from.sums(at, &[]), &to.sums(at, &[]), *over);
+                let inductive_v = inductive_v(run, at);
                 let acceleration = acceleration(k, passage.interval_s);
-                put(
-                    k,
-                    of(
-                        &change,
-                        passage.direction,
-                        inductive_v(run, at),
-                        acceleration,
-                    ),
-                );
+                put(k, of(&change, passage.direction, inductive_v, acceleration));
             }
         }
         Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
@@ -601,11 +578,8 @@ fn force(
 fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, [sin, cos]: &[f64; 2]) -> f64 {
     // What a wave does over an interval in which the shaft turns by much of it is little.
     let mean = sinc(0.5 * wave.order * at.speed_rad_s * interval_s);
-    let per = if wave.of_current {
-        at.torque_n_m_per_a * at.current_a
-    } else {
-        1.0
-    };
+    let driving = at.torque_n_m_per_a * at.current_a;
+    let per = if wave.of_current { driving } else { 1.0 };
     mean * wave.size * per * if wave.sine { sin } else { cos }
 }
 
@@ -626,10 +600,11 @@ fn of_motor(
     direction: f64,
     rates: [f64; 2],
 ) -> [f64; 2] {
-    let (inductance, inertia) = (
-        run.dynamics.inverse_inductance,
-        run.dynamics.inverse_inertia,
-    );
+    let Dynamics {
+        inverse_inductance: inductance,
+        inverse_inertia: inertia,
+        ..
+    } = run.dynamics;
     let is_tied = run.model.motor.get(MotorKey::TorqueConstant).is_none();
     let (i, w) = (at.current_a, at.speed_rad_s);
     match key {

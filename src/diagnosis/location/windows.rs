@@ -14,6 +14,7 @@ use super::{EquationBalance, name, unit};
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
 use crate::numerics::count::whole;
+use crate::numerics::statistics::largest;
 use crate::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
 /// Length of a window, s, and samples that half of it has at least.
@@ -151,12 +152,11 @@ impl<'a> Windows<'a> {
         noise: &NoiseFloor,
     ) -> Result<Self, FitError> {
         let times = &scenario.sample_time_s;
-        let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+        let period_s = scenario.mean_period_s();
         let half = whole((0.5 * WINDOW_S / period_s).round()).max(FEWEST_HALF);
         let prediction = output_error::predict(model, scenario, noise)?;
         let model = &prediction.model;
-        let speeds = scenario.speed_rad_s.iter().filter(|w| w.is_finite());
-        let fastest = speeds.fold(0.0, |most: f64, w| most.max(w.abs()));
+        let fastest = largest(scenario.speed_rad_s.iter().copied());
         let known =
             |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
         let dead_zone_rad_s = known(noise.speed_rad_s)

@@ -21,7 +21,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use crate::numerics::statistics::median;
+use crate::numerics::statistics::{largest, median};
 use crate::plant::Scenario;
 
 pub use plan::{Peaks, Recipe};
@@ -61,14 +61,9 @@ impl NextExperiment {
     /// What to call after the run. Of rivals the run in hand says something too, so it is the hold-out; what it did not
     /// excite it cannot judge.
     pub fn diagnose_command(&self, in_hand: &Path) -> String {
-        if self.pair.is_some() {
-            format!(
-                "drivebench diagnose NEW_RUN --holdout {}",
-                in_hand.display()
-            )
-        } else {
-            "drivebench diagnose NEW_RUN".to_owned()
-        }
+        let holdout = || format!(" --holdout {}", in_hand.display());
+        let holdout = self.pair.map_or_else(String::new, |_| holdout());
+        format!("drivebench diagnose NEW_RUN{holdout}")
     }
 }
 
@@ -154,11 +149,13 @@ impl ExperimentLimits {
         runs.extend(&evidence.confirm);
         let (mut heat, mut longest_s) = (0.0, 0.0_f64);
         for run in runs {
-            let voltages: Vec<f64> = run.events.iter().map(|event| event.1).collect();
-            limits.voltage_v = limits.voltage_v.max(largest(&voltages));
+            let voltages = run.events.iter().map(|event| event.1);
+            limits.voltage_v = limits.voltage_v.max(largest(voltages));
             limits.slew_v_per_s = limits.slew_v_per_s.max(slew_v_per_s(run));
-            limits.current_a = limits.current_a.max(largest(&run.current_a));
-            limits.speed_rad_s = limits.speed_rad_s.max(largest(&run.speed_rad_s));
+            limits.current_a = limits.current_a.max(largest(run.current_a.iter().copied()));
+            limits.speed_rad_s = limits
+                .speed_rad_s
+                .max(largest(run.speed_rad_s.iter().copied()));
             let duration_s = duration_s(run);
             heat += mean_square(&run.current_a) * duration_s;
             longest_s = longest_s.max(duration_s);
@@ -179,32 +176,19 @@ impl ExperimentLimits {
     }
 }
 
-fn largest(values: &[f64]) -> f64 {
-    // `max` drops NaN, a missing value.
-    values
-        .iter()
-        .fold(0.0, |most, value| f64::max(most, value.abs()))
-}
-
 /// Time between two samples, s.
 fn period_s(run: &Scenario) -> f64 {
-    let steps: Vec<f64> = run
-        .sample_time_s
-        .windows(2)
-        .map(|pair| pair[1] - pair[0])
-        .collect();
+    let pairs = run.sample_time_s.windows(2);
+    let steps: Vec<f64> = pairs.map(|pair| pair[1] - pair[0]).collect();
     // A stamp carries rounding; nobody asks for more than microseconds.
     (median(&steps) * 1e6).round() * 1e-6
 }
 
 /// Largest change of the voltage from one event to the next, which is made within a sample.
 fn slew_v_per_s(run: &Scenario) -> f64 {
-    let changes: Vec<f64> = run
-        .events
-        .windows(2)
-        .map(|pair| pair[1].1 - pair[0].1)
-        .collect();
-    largest(&changes) / period_s(run).max(f64::MIN_POSITIVE)
+    let pairs = run.events.windows(2);
+    let changes = pairs.map(|pair| pair[1].1 - pair[0].1);
+    largest(changes) / period_s(run).max(f64::MIN_POSITIVE)
 }
 
 fn mean_square(values: &[f64]) -> f64 {

@@ -10,6 +10,7 @@ use crate::excitation::{
 };
 use crate::identification::noise::NoiseFloor;
 use crate::numerics::count::whole;
+use crate::numerics::statistics::largest;
 use crate::plant::{Input, Model, MotorKey, Plant, Scenario, State};
 use crate::sample::Channel;
 
@@ -511,18 +512,15 @@ fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reac
 
 impl Peaks {
     fn of(run: &Scenario) -> Self {
-        let largest = |values: &mut dyn Iterator<Item = f64>| {
-            values.fold(0.0, |most, value| f64::max(most, value.abs()))
-        };
         let squares: f64 = run.current_a.iter().map(|i| i * i).sum();
         let angle = run.shaft_angle();
         let start_rad = angle.first().map_or(0.0, |first| first.1);
         Self {
-            voltage_v: largest(&mut run.events.iter().map(|event| event.1)),
-            current_a: largest(&mut run.current_a.iter().copied()),
-            speed_rad_s: largest(&mut run.speed_rad_s.iter().copied()),
+            voltage_v: largest(run.events.iter().map(|event| event.1)),
+            current_a: largest(run.current_a.iter().copied()),
+            speed_rad_s: largest(run.speed_rad_s.iter().copied()),
             rms_current_a: (squares / run.samples().max(1) as f64).sqrt(),
-            travel_rad: largest(&mut angle.iter().map(|point| point.1 - start_rad)),
+            travel_rad: largest(angle.iter().map(|point| point.1 - start_rad)),
             duration_s: run.sample_time_s.last().copied().unwrap_or(0.0),
         }
     }
