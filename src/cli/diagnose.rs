@@ -15,9 +15,6 @@ use crate::plant::effect::Axis;
 use crate::sample::ParameterEstimate;
 use crate::workflow::Discovery;
 
-/// Share of an unexplained error from which on the curve that it follows is worth telling, as on the screen.
-const FOLLOWS: f64 = 0.1;
-
 /// Name the physical effect that a model is missing, judged on data the fit has not seen
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
@@ -170,7 +167,7 @@ pub(super) fn text(diagnosis: &Diagnosis) -> String {
     for part in &diagnosis.unknown {
         let _ = writeln!(text, "unknown: {}", part.sentence);
     }
-    if let Some(map) = diagnosis.axis_map.first().filter(|map| map.r2 >= FOLLOWS) {
+    if let Some(map) = diagnosis.axis_map.first().filter(|map| map.is_followed()) {
         let _ = writeln!(text, "curve: {}", map.sentence);
         let _ = writeln!(
             text,

@@ -1,15 +1,22 @@
-//! One candidate effect: screened, refitted with everything else free, scored on data that the fit has not seen.
+//! One candidate effect: its probability beside all others, its size, and the fall of the error on data that the fit has
+//! not seen.
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
-use super::reached::Reached;
-use crate::sample::ParameterEstimate;
+use super::evidence::{Evidence, HoldoutFrom};
+use super::floor::Floor;
+use super::joint::answer::{Inference, Inferred};
+use super::ladder::Standing;
+use super::reached::{self, Reached};
+use crate::plant::Effect;
+use crate::sample::{ParameterEstimate, TWO_SIDED_95, Verdict};
+use crate::text::number::{probability, significant};
 
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
-const SUPPORTED: f64 = 0.9;
-const POSSIBLE: f64 = 0.1;
+const SUPPORTED_PROBABILITY: f64 = 0.9;
+const POSSIBLE_PROBABILITY: f64 = 0.1;
 /// Probability above which runs do show an effect, whatever was expected of them.
-const LIKELY: f64 = 0.5;
+const LIKELY_PROBABILITY: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -36,11 +43,11 @@ impl Status {
 
     /// The word for a probability.
     pub fn of(probability: f64, excited: bool) -> Self {
-        if probability >= SUPPORTED {
+        if probability >= SUPPORTED_PROBABILITY {
             Self::Supported
-        } else if !excited && probability <= LIKELY {
+        } else if !excited && probability <= LIKELY_PROBABILITY {
             Self::NotExcited
-        } else if probability >= POSSIBLE {
+        } else if probability >= POSSIBLE_PROBABILITY {
             Self::Possible
         } else {
             Self::RuledOut
@@ -125,12 +132,190 @@ pub(super) fn by_key<S: Serializer>(
 ) -> Result<S::Ok, S::Error> {
     let mut map = serializer.serialize_map(Some(parameters.len()))?;
     for parameter in parameters {
-        map.serialize_entry(
-            parameter.key.rsplit('.').next().unwrap_or(&parameter.key),
-            parameter,
-        )?;
+        let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
+        map.serialize_entry(key, parameter)?;
     }
     map.end()
+}
+
+/// The parameters of one effect.
+pub(super) fn parameters_of(id: &str, all: &[ParameterEstimate]) -> Vec<ParameterEstimate> {
+    let prefix = format!("{id}.");
+    let own = all.iter().filter(|own| own.key.starts_with(&prefix));
+    own.cloned().collect()
+}
+
+/// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
+/// held-out error on its own rung of the ladder and its size beside the others.
+pub(super) fn candidates(
+    evidence: &Evidence,
+    floor: Floor<'_>,
+    inference: &Inference,
+    rungs: &[Standing],
+) -> Vec<Candidate> {
+    let place = |effect: &Inferred| {
+        let id = effect.effect.card().id;
+        inference.named.iter().position(|named| *named == id)
+    };
+    let missing = inference.effects.iter().filter(|effect| !effect.given);
+    let mut order: Vec<&Inferred> = missing.collect();
+    order.sort_by(|a, b| {
+        let named = |effect: &Inferred| place(effect).unwrap_or(usize::MAX);
+        named(a)
+            .cmp(&named(b))
+            .then(b.probability.total_cmp(&a.probability))
+            .then(b.log_odds.total_cmp(&a.log_odds))
+    });
+    let base = &rungs[0];
+    let best = &rungs[rungs.len() - 1].fit;
+    let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
+    let candidate = |(rank, inferred): (usize, &Inferred)| {
+        let id = inferred.effect.card().id;
+        let status = Status::of(inferred.probability, inferred.excited);
+        let rung = place(inferred).map(|place| [&rungs[place], &rungs[place + 1]]);
+        let onsets = inference.onsets(id);
+        let happening = happening(inferred.effect, &onsets, evidence.holdout_from);
+        // Of what did not happen in the fit run its fit knows nothing.
+        let elsewhere = onsets.first().filter(|onset| onset.run == RunOf::Holdout);
+        let parameters = match (rung, elsewhere) {
+            (None, _) => Vec::new(),
+            (_, Some(onset)) => of_holdout(inferred.effect, onset),
+            (_, None) => parameters_of(id, &best.parameters),
+        };
+        let [before, after] = [0, 1].map(|k: usize| rung.map(|rung| rung[k]));
+        let explained_percent = rung.map(|[before, after]| {
+            let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
+            if explainable > 0.0 {
+                100.0 * fall / explainable
+            } else {
+                0.0
+            }
+        });
+        let times = evidence.noise.source.times();
+        Candidate {
+            effect: id,
+            rank: rank + 1,
+            status,
+            probability: inferred.probability,
+            parameters,
+            onsets: rung.map_or_else(Vec::new, |_| onsets),
+            interval_factor: best.interval_factor,
+            reached: rung.and_then(|_| reached::of_fit(best, inferred.effect, &evidence.training)),
+            error_before: before.unwrap_or(base).fit.nrms,
+            error_after: after.map(|after| after.fit.nrms),
+            holdout_before: before.unwrap_or(base).score.nrms,
+            holdout_after: after.map(|after| after.score.nrms),
+            explained_percent,
+            // The size of what is named has an interval, and one bound is enough.
+            upper_bound: inferred.upper_bound.filter(|_| rung.is_none()),
+            detectable: inferred.detectable,
+            evidence: evidence_sentence(inferred, status, rung, times, happening),
+        }
+    };
+    order.into_iter().enumerate().map(candidate).collect()
+}
+
+/// Parameters of what happened in the hold-out only.
+fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
+    let id = effect.card().id;
+    let [low, high] = onset.interval_95_s;
+    let specs = effect.parameters().iter();
+    specs
+        .map(|spec| {
+            let (value, std) = if spec.is_coefficient() {
+                (onset.size, onset.size_std)
+            } else {
+                (onset.time_s, (high - low) / (2.0 * TWO_SIDED_95))
+            };
+            ParameterEstimate {
+                key: format!("{id}.{}", spec.key),
+                value: Some(value),
+                std: Some(std),
+                unit: spec.unit,
+                verdict: Verdict::Settled,
+                reason: Some("it happened in the hold-out only".to_owned()),
+            }
+        })
+        .collect()
+}
+
+/// What an event changes, in words that can stand before a signed size.
+const CHANGES: &[(&str, &str)] = &[
+    ("inertia_change", "inertia"),
+    ("load_step", "friction"),
+    ("one_sided_load", "load"),
+    ("friction_onset", "drag"),
+];
+
+/// When something that happens once did so, and what it changed.
+pub(super) fn happening(
+    effect: &dyn Effect,
+    onsets: &[Onset],
+    from: HoldoutFrom,
+) -> Option<String> {
+    let id = effect.card().id;
+    let change = CHANGES.iter().find(|(known, _)| *known == id);
+    let change = change.map_or(effect.card().name, |(_, change)| change);
+    let size = |onset: &Onset| match unit_of_size(effect) {
+        "(a ratio)" => format!("{change} {:+.0} %", 100.0 * onset.size),
+        unit if onset.size.abs() < 0.01 => format!("{change} {:+.2e} {unit}", onset.size),
+        unit => format!("{change} {:+.3} {unit}", onset.size),
+    };
+    let when = |onset: &Onset| format!("from {:.2} s on, {}", onset.time_s, size(onset));
+    match onsets {
+        [] => None,
+        [one] if from == HoldoutFrom::Split => Some(when(one)),
+        [one] if one.run == RunOf::Holdout => Some(format!("in the hold-out only, {}", when(one))),
+        [one] => Some(format!("in the fit run only, {}", when(one))),
+        [one, other, ..] => Some(format!("{}; in the hold-out {}", when(one), when(other))),
+    }
+}
+
+fn evidence_sentence(
+    inferred: &Inferred,
+    status: Status,
+    rung: Option<[&Standing; 2]>,
+    times: &str,
+    happening: Option<String>,
+) -> String {
+    let card = inferred.effect.card();
+    let unit = unit_of_size(inferred.effect);
+    let percent = probability(inferred.probability);
+    let size = |size: f64| format!("{} {unit}", significant(size, 2));
+    let most = inferred
+        .upper_bound
+        .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
+    let shown = inferred.detectable.map_or_else(String::new, |least| {
+        format!("; {} would have shown", size(least))
+    });
+    if let Some(reason) = inferred.why_not {
+        return format!("{} cannot be judged from this run: {reason}", card.name);
+    }
+    match (status, rung) {
+        (Status::NotExcited, _) => format!(
+            "{}: these runs would not show it; {}",
+            card.name, card.excite
+        ),
+        (_, Some([before, after])) => format!(
+            "{} is there with {percent}{}; with it the held-out error goes from {:.2} to {:.2} {times}",
+            card.name,
+            happening.map_or_else(String::new, |when| format!(" ({when})")),
+            before.score.nrms,
+            after.score.nrms
+        ),
+        (Status::RuledOut, None) => format!("{} is there with {percent}{most}{shown}", card.name),
+        (_, None) => format!("{} may be there, with {percent}{most}", card.name),
+    }
+}
+
+/// Unit of the parameter that gives the effect its size, in words that can stand behind a number.
+fn unit_of_size(effect: &dyn Effect) -> &'static str {
+    let specs = effect.parameters();
+    let size = specs.iter().find(|spec| spec.is_coefficient());
+    match size.unwrap_or(&specs[0]).unit {
+        "-" => "(a ratio)",
+        unit => unit,
+    }
 }
 
 #[cfg(test)]

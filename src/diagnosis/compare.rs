@@ -1,21 +1,35 @@
-//! A model beside a measurement: free run first, one-step and training figures small beside it.
+//! A model beside a measurement: free run first, one-step and training figures small beside it; of a run without a voltage
+//! the torque that the model asks for beside the motor's, and its speed in short windows.
 
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::location::{EquationBalance, ErrorMap, ErrorOf, FailureLocation, locate, undecided};
-use super::mechanical::{self, TorqueComparison};
+use super::location::{
+    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, locate, undecided,
+};
+use super::mechanical::{self, Balance, Sides};
 use super::residual::ResidualLights;
-use super::score::{Score, SignalScore};
-use crate::identification::noise::FloorSource;
+use super::score::{Score, SignalScore, signal_score};
+use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::{self, FitError};
-use crate::plant::{Input, Model, Plant, Scenario};
+use crate::identification::torque_rows::{Method, TorqueRows};
+use crate::numerics::count::whole;
+use crate::plant::{Input, Model, Plant, Scenario, State};
 
 /// Figures of one held-out signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct HoldoutFigures {
     pub fit_percent: f64,
     pub rmse: f64,
+}
+
+impl From<SignalScore> for HoldoutFigures {
+    fn from(score: SignalScore) -> Self {
+        Self {
+            fit_percent: score.fit_percent,
+            rmse: score.rmse,
+        }
+    }
 }
 
 /// Figures of one signal.
@@ -27,6 +41,44 @@ pub struct SignalComparison {
     pub noise_floor: Option<f64>,
     pub one_step_rmse: f64,
     pub holdout: HoldoutFigures,
+}
+
+/// The motor's torque beside that of the inverse model; the figures are those of the weak form.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TorqueComparison {
+    pub fit_percent: f64,
+    /// N.m, averaged over a window.
+    pub rmse: f64,
+    /// Null where no floor is known.
+    pub noise_floor: Option<f64>,
+    pub holdout: HoldoutFigures,
+    /// The relative error under each processing of the data: it depends on it, so it is never shown without it.
+    pub processing: Vec<ProcessingError>,
+}
+
+impl TorqueComparison {
+    /// The figures of one processing.
+    pub fn under(&self, method: Method) -> Option<&ProcessingError> {
+        self.processing.iter().find(|error| error.method == method)
+    }
+}
+
+/// Relative torque error of one processing.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ProcessingError {
+    pub method: Method,
+    /// Root mean square of the residual over that of the torque, on the fitted rows, on the held-out ones, and on a
+    /// confirming run.
+    pub relative_error_percent: f64,
+    pub holdout_relative_error_percent: f64,
+    /// On the whole run where it was split, fitted to the whole of it where `fitted`: what published figures are of.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub whole_run_relative_error_percent: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub confirm_relative_error_percent: Option<f64>,
+    /// Whether the parameters were fitted under this processing, or taken as they are.
+    pub fitted: bool,
+    pub sentence: String,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -65,6 +117,8 @@ pub struct Comparison {
     pub map: Option<ErrorMap>,
     pub residual: ResidualLights,
     pub noise_floor_from: FloorSource,
+    #[serde(skip)]
+    pub noise: NoiseFloor,
     pub holdout_from: HoldoutFrom,
     /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
     pub holdout_rmse: f64,
@@ -73,6 +127,11 @@ pub struct Comparison {
 }
 
 impl Comparison {
+    /// Whether the held-out error is no more than the noise.
+    pub fn is_at_the_floor(&self) -> bool {
+        self.noise.is_at_the_floor(self.holdout_rmse)
+    }
+
     /// That it is not known which equation, or which variable, where two are within their uncertainty.
     pub fn undecided(&self) -> Option<String> {
         undecided(&self.balances, &self.locations)
@@ -80,14 +139,9 @@ impl Comparison {
 
     /// Where it fails, in one sentence that holds for models that are nearly the same too.
     pub fn headline(&self) -> String {
-        let first = || {
-            self.locations
-                .first()
-                .map(|location| location.sentence.clone())
-        };
-        self.undecided()
-            .or_else(first)
-            .unwrap_or_else(|| "the error follows nothing in particular".to_owned())
+        let first = || Some(self.locations.first()?.sentence.clone());
+        let sentence = self.undecided().or_else(first);
+        sentence.unwrap_or_else(|| "the error follows nothing in particular".to_owned())
     }
 }
 
@@ -98,77 +152,74 @@ pub fn compare(
     error_of: ErrorOf,
 ) -> Result<Comparison, FitError> {
     if evidence.training.input != Input::Voltage {
-        return mechanical::compare(model, evidence, error_of);
+        let (balance, _) = Balance::new(model, evidence)?;
+        return Ok(balance.compare(model, evidence, error_of, false));
     }
     let noise = &evidence.noise;
     let training = Score::of(model, &evidence.training, noise)?;
     let holdout = Score::of(model, &evidence.holdout, noise)?;
-    let one_step = one_step_rmse(model, evidence)?;
+    let [current_one_step, speed_one_step] = one_step_rmse(model, evidence)?;
     let known =
         |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
-    let signal =
-        |here: Option<SignalScore>, there: Option<SignalScore>, level: f64, one_step_rmse: f64| {
-            let (here, there) = (here?, there?);
-            Some(SignalComparison {
-                fit_percent: here.fit_percent,
-                rmse: here.rmse,
-                noise_floor: known(level),
-                one_step_rmse,
-                holdout: HoldoutFigures {
-                    fit_percent: there.fit_percent,
-                    rmse: there.rmse,
-                },
-            })
-        };
-    let judged = |residual: Vec<(f64, f64)>, level: f64| {
-        if level.is_finite() {
-            with_input(&residual, &evidence.holdout)
-        } else {
-            Vec::new()
-        }
+    let signal = |here: Option<SignalScore>, there: Option<SignalScore>, level, one_step_rmse| {
+        let (here, there) = (here?, there?);
+        Some(SignalComparison {
+            fit_percent: here.fit_percent,
+            rmse: here.rmse,
+            noise_floor: known(level),
+            one_step_rmse,
+            holdout: there.into(),
+        })
     };
+    let judged = |residual: Vec<(f64, f64)>, level: f64| {
+        let residual = if level.is_finite() { residual } else { vec![] };
+        with_input(&residual, &evidence.holdout)
+    };
+    let speed = signal(
+        training.speed,
+        holdout.speed,
+        noise.speed_rad_s,
+        speed_one_step,
+    );
+    let current = signal(
+        training.current,
+        holdout.current,
+        noise.current_a,
+        current_one_step,
+    );
     let located = locate(model, &evidence.holdout, noise, error_of)?;
     Ok(Comparison {
         signals: Signals {
-            speed_rad_s: signal(training.speed, holdout.speed, noise.speed_rad_s, one_step.1),
-            current_a: signal(
-                training.current,
-                holdout.current,
-                noise.current_a,
-                one_step.0,
-            ),
-            torque_n_m: None,
-            speed_windows_s: None,
+            speed_rad_s: speed,
+            current_a: current,
+            ..Signals::default()
         },
-        locations: located.locations,
-        balances: located.balances,
-        map: located.map,
         residual: ResidualLights::of(
             &judged(holdout.current_residual(), noise.current_a),
             &judged(holdout.speed_residual(), noise.speed_rad_s),
         ),
         noise_floor_from: noise.source,
+        noise: *noise,
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
         limits: limits(evidence, located.notes),
+        locations: located.locations,
+        balances: located.balances,
+        map: located.map,
     })
 }
 
 /// What these runs cannot answer.
 fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
     if evidence.noise.source == FloorSource::None {
-        notes.insert(
-            0,
-            "the run does not begin with a standstill at zero input (20 samples are needed): no noise floor is known, so \
-             that an error cannot be told from noise; errors are shown beside the drive instead"
-                .to_owned(),
-        );
+        let limit = "the run does not begin with a standstill at zero input (20 samples are needed): no noise floor is known, so \
+                     that an error cannot be told from noise; errors are shown beside the drive instead";
+        notes.insert(0, limit.to_owned());
     }
     notes.extend(evidence.unjudged());
     if evidence.holdout_from == HoldoutFrom::Split {
-        notes.push(
-            "no hold-out was given: the last 40 % of the run are held out, which share its day and its excitation".to_owned(),
-        );
+        let limit = "no hold-out was given: the last 40 % of the run are held out, which share its day and its excitation";
+        notes.push(limit.to_owned());
     }
     notes
 }
@@ -177,34 +228,163 @@ fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
 fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
     let events = &scenario.events;
     let mut event = 0;
+    let mut held = |time_s: f64| {
+        while event + 1 < events.len() && events[event + 1].0 < time_s {
+            event += 1;
+        }
+        events[event].1
+    };
+    let residual = residual.iter();
     residual
-        .iter()
-        .map(|(time_s, value)| {
-            while event + 1 < events.len() && events[event + 1].0 < *time_s {
-                event += 1;
-            }
-            (*value, events[event].1)
-        })
+        .map(|(time_s, value)| (*value, held(*time_s)))
         .collect()
 }
 
 /// Root mean square of the one-step prediction errors of current and speed on the training run.
-fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<(f64, f64), FitError> {
+fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<[f64; 2], FitError> {
     let scenario = &evidence.training;
     let start = output_error::predict(model, scenario, &evidence.noise)?.start;
     let ahead = Plant::new(model, scenario.input)?.predict_ahead(scenario, start, 1);
-    Ok((
-        rms_error(&ahead.current_a, &scenario.current_a, scenario),
-        rms_error(&ahead.speed_rad_s, &scenario.speed_rad_s, scenario),
-    ))
+    let pairs = [
+        (&ahead.current_a, &scenario.current_a),
+        (&ahead.speed_rad_s, &scenario.speed_rad_s),
+    ];
+    Ok(pairs.map(|(predicted, measured)| {
+        scored(predicted, measured, scenario).map_or(0.0, |signal| signal.rmse)
+    }))
 }
 
-fn rms_error(predicted: &[f64], measured: &[f64], scenario: &Scenario) -> f64 {
-    let errors: Vec<f64> = scenario
-        .scored
+fn scored(predicted: &[f64], measured: &[f64], scenario: &Scenario) -> Option<SignalScore> {
+    let samples = scenario.scored.clone();
+    let errors: Vec<f64> = samples
         .clone()
-        .map(|sample| predicted[sample] - measured[sample])
-        .filter(|error| error.is_finite())
+        .map(|k| predicted[k] - measured[k])
         .collect();
-    (errors.iter().map(|error| error * error).sum::<f64>() / errors.len().max(1) as f64).sqrt()
+    signal_score(&errors, &measured[samples])
+}
+
+/// Length of the windows in which the speed is simulated, s: an axis in a closed loop is an integrator, whose long free
+/// run only shows how the least offset adds up.
+const SPEED_WINDOW_S: f64 = 0.75;
+
+impl Balance {
+    /// Compares a model on these rows, as it is or fitted to them; where it is fitted the reference processing has a fit of
+    /// its own, since what a processing makes of the data is part of what it finds.
+    pub(super) fn compare(
+        &self,
+        model: &Model,
+        evidence: &Evidence,
+        error_of: ErrorOf,
+        fitted: bool,
+    ) -> Comparison {
+        let reference = Sides::new(Method::InverseDynamics, model, evidence).ok();
+        let both = [Some(&self.sides), reference.as_ref()]
+            .into_iter()
+            .flatten();
+        let processing = both.filter_map(|sides| processing_error(sides, model, fitted));
+        let processing = processing.collect();
+        let training = self.score(model, &self.sides.training);
+        let holdout = self.score(model, &self.sides.holdout);
+        let figures = |score: &Score| HoldoutFigures {
+            fit_percent: score.torque.map_or(f64::NAN, |torque| torque.fit_percent),
+            rmse: score.torque.map_or(f64::NAN, |torque| torque.rmse),
+        };
+        let HoldoutFigures { fit_percent, rmse } = figures(&training);
+        let speed_rad_s = speed(model, evidence);
+        // Where it fails is a help; a run that it cannot be told for is still compared.
+        let Located {
+            locations,
+            balances,
+            map,
+            notes,
+        } = locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
+        let torques = self.sides.holdout.left.iter().copied();
+        let left = holdout.torque_residual().into_iter();
+        let with_torque: Vec<(f64, f64)> = left.map(|(_, left)| left).zip(torques).collect();
+        Comparison {
+            signals: Signals {
+                speed_windows_s: speed_rad_s.map(|_| SPEED_WINDOW_S),
+                speed_rad_s,
+                current_a: None,
+                torque_n_m: Some(TorqueComparison {
+                    fit_percent,
+                    rmse,
+                    noise_floor: (self.source != FloorSource::None).then_some(self.unit_n_m),
+                    holdout: figures(&holdout),
+                    processing,
+                }),
+            },
+            locations,
+            balances,
+            map,
+            limits: notes,
+            residual: ResidualLights::of_torque(&with_torque),
+            noise_floor_from: self.source,
+            noise: NoiseFloor {
+                source: self.source,
+                ..evidence.noise
+            },
+            holdout_from: evidence.holdout_from,
+            holdout_rmse: holdout.nrms,
+        }
+    }
+}
+
+/// Errors of a model under one processing, which it is fitted to where that is asked.
+fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Option<ProcessingError> {
+    let relative = |rows: &TorqueRows, model: &Model| {
+        let predicted = mechanical::predicted(&mechanical::with_events_of(model, rows), rows);
+        let pairs = rows.left.iter().zip(&predicted);
+        let squares: f64 = pairs.map(|(left, sum)| (left - sum).powi(2)).sum();
+        let whole: f64 = rows.left.iter().map(|left| left * left).sum();
+        100.0 * (squares / whole.max(f64::MIN_POSITIVE)).sqrt()
+    };
+    let on = |rows: &TorqueRows, model: &Model| {
+        let own = if fitted {
+            mechanical::fit(model, rows)?.model
+        } else {
+            model.clone()
+        };
+        Some((relative(rows, &own), own))
+    };
+    let (relative_error_percent, model) = on(&sides.training, model)?;
+    let whole = sides.whole.as_ref().and_then(|rows| on(rows, &model));
+    Some(ProcessingError {
+        whole_run_relative_error_percent: whole.map(|whole| whole.0),
+        method: sides.training.method,
+        relative_error_percent,
+        holdout_relative_error_percent: relative(&sides.holdout, &model),
+        confirm_relative_error_percent: sides.confirm.as_ref().map(|rows| relative(rows, &model)),
+        fitted,
+        sentence: sides.training.sentence.clone(),
+    })
+}
+
+/// The speed simulated in windows, each started from the measurement; `None` where the model is not complete or runs away.
+fn speed(model: &Model, evidence: &Evidence) -> Option<SignalComparison> {
+    let [training, one_step] = in_windows(model, &evidence.training)?;
+    let [holdout, _] = in_windows(model, &evidence.holdout)?;
+    Some(SignalComparison {
+        fit_percent: training.fit_percent,
+        rmse: training.rmse,
+        noise_floor: None,
+        one_step_rmse: one_step.rmse,
+        holdout: holdout.into(),
+    })
+}
+
+/// The same for one run, and one step ahead.
+fn in_windows(model: &Model, scenario: &Scenario) -> Option<[SignalScore; 2]> {
+    let mut plant = Plant::new(model, scenario.input).ok()?;
+    let times = &scenario.sample_time_s;
+    let period_s = (times.last()? - times.first()?) / (times.len() - 1).max(1) as f64;
+    let mut speeds = scenario.speed_rad_s.iter().copied();
+    let start = State::at(0.0, speeds.find(|speed| speed.is_finite())?);
+    let mut figures = |horizon: usize| {
+        let ahead = plant.predict_ahead(scenario, start, horizon);
+        scored(&ahead.speed_rad_s, &scenario.speed_rad_s, scenario)
+    };
+    let found = figures(whole((SPEED_WINDOW_S / period_s).round()).max(1))?;
+    let one_step = figures(1)?;
+    found.rmse.is_finite().then_some([found, one_step])
 }

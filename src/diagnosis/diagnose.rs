@@ -1,28 +1,34 @@
-//! Which effects are missing: what the runs say together, and how the held-out error falls with each.
+//! The decision: which effects are missing, whether that is all, and what a run that had no part in it says of it.
 
 use serde::Serialize;
 
-use rayon::prelude::*;
-
-use super::axis_map::{AxisMap, axis_map};
-use super::bench::{Bench, beside};
-use super::candidates::{Candidate, Status};
-use super::confirmation::{self, Confirmation};
-use super::describe::{describe, sentence, superfluous};
+use super::candidates::{Candidate, Status, candidates, happening};
 use super::evidence::{Evidence, HoldoutFrom};
-use super::explained;
-use super::fitted::Fitted;
-use super::joint::answer::{Inference, Part, asked, refined};
-use super::ladder::Rung;
-use super::location::FailureLocation;
+use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE, in_noise};
+use super::joint::Noise;
+use super::joint::answer::{Inference, Unknown, asked};
+use super::joint::free_run::likelier;
+use super::ladder::{A_SIZE_SIGMAS, Bench, Fitted, Rung, Standing, cannot_simulate, climb};
+use super::location::{AxisMap, FailureLocation, axis_map};
 use super::next_experiment::{NextExperiment, equivalences};
 use super::progress::{Event, Progress, Stage, silent};
-use super::repeatability::Repeatability;
 use super::score::Score;
 use crate::identification::noise::FloorSource;
 use crate::identification::output_error::FitError;
-use crate::plant::Model;
 use crate::plant::effect::CATALOGUE;
+use crate::plant::{Model, effect};
+use crate::text::number::probability;
+
+/// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
+const BY_CHANCE_DEVIANCE: f64 = 10.0;
+/// Share of the explainable error that unknown parts and what wanders may make beside what is named.
+const HALF_SHARE: f64 = 0.5;
+/// How many times as large as white noise what a set leaves of the innovations may be where a free run is left aside.
+const NEARLY_WHITE: f64 = 1.3;
+/// Standard deviations by which the named effects must make the confirming run likelier.
+const CONFIRMED_SIGMAS: f64 = 3.0;
+/// Effects that are named one by one where these runs would not show them.
+const FEW: usize = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -92,37 +98,6 @@ impl Diagnosis {
     }
 }
 
-/// A part of the error that follows something and that no effect of the catalogue explains.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Unknown {
-    pub equation: &'static str,
-    pub follows: &'static str,
-    pub probability: f64,
-    pub share_of_error: f64,
-    pub sentence: String,
-}
-
-impl From<&Part> for Unknown {
-    fn from(part: &Part) -> Self {
-        let axis = match part.follows {
-            "angle_rad" => "the angle of the shaft",
-            "current_a" => "the current",
-            _ => "the speed",
-        };
-        let percent = 100.0 * part.share;
-        Self {
-            equation: part.equation,
-            follows: part.follows,
-            probability: part.probability,
-            share_of_error: part.share,
-            sentence: format!(
-                "{percent:.0} % of the error: an unknown {} that follows {axis}",
-                part.equation
-            ),
-        }
-    }
-}
-
 /// Refits `model` as the baseline and searches for what it misses, with nobody watching.
 pub fn diagnose(model: &Model, evidence: Evidence) -> Result<Diagnosis, FitError> {
     diagnose_with(model, evidence, &silent)
@@ -149,97 +124,16 @@ pub fn diagnose_with(
         stage: Stage::Refit,
         of: inference.named.len(),
     });
-    let mut rungs = climb(&bench, baseline.clone(), &inference, progress)?;
-    while let Some(id) =
-        without_size(&inference, &rungs).or_else(|| by_chance(&bench, &inference, &rungs))
-    {
+    let mut rungs = climb(&bench, &baseline, &inference, progress)?;
+    let doubtful = |inference: &Inference, rungs: &[Standing]| {
+        let without_size = without_size(inference, rungs);
+        without_size.or_else(|| by_chance(&bench, inference, rungs))
+    };
+    while let Some(id) = doubtful(&inference, &rungs) {
         inference.doubt(id);
-        rungs = climb(&bench, baseline.clone(), &inference, progress)?;
+        rungs = climb(&bench, &baseline, &inference, progress)?;
     }
     Ok(answer(&bench, &inference, &rungs))
-}
-
-/// A model on the ladder, fitted to the fit run alone, and its score on the hold-out.
-pub(super) struct Standing {
-    pub(super) fit: Fitted,
-    pub(super) score: Score,
-}
-
-impl Standing {
-    fn of(fit: Fitted, bench: &Bench) -> Result<Self, FitError> {
-        let score = bench.held_out(&fit.model)?;
-        Ok(Self { fit, score })
-    }
-
-    /// With the parameters that prediction errors give, unless they do not foretell the hold-out. A balance of torques has
-    /// no free run that a load could lead astray.
-    pub(super) fn handed_on(
-        fit: Fitted,
-        bench: &Bench,
-        inference: &Inference,
-    ) -> Result<Self, FitError> {
-        let free = Self::of(fit, bench)?;
-        if bench.fits_at_once() {
-            return Ok(free);
-        }
-        let led = refined(free.fit.clone(), &bench.evidence.training, inference.noise);
-        let led = Self::of(led, bench)?;
-        Ok(if led.score.nrms > AS_GOOD * free.score.nrms {
-            free
-        } else {
-            led
-        })
-    }
-}
-
-/// Growth of the held-out error from which on parameters that were found along the run do not foretell another one.
-const AS_GOOD: f64 = 1.02;
-
-/// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
-/// are handed on.
-fn climb(
-    bench: &Bench,
-    baseline: Fitted,
-    inference: &Inference,
-    progress: Progress<'_>,
-) -> Result<Vec<Standing>, FitError> {
-    let last = inference.named.len();
-    let on_rung = |place: usize, fit: Fitted| {
-        if place < last {
-            Standing::of(fit, bench)
-        } else {
-            Standing::handed_on(fit, bench, inference)
-        }
-    };
-    let bare = baseline.model.clone();
-    let climbed: Vec<Standing> = (0..last)
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|place| {
-            let start = beside(&bare, inference, &inference.named[..=place])?;
-            let fitted = if place + 1 < last {
-                bench.fit_in_passing(&start)
-            } else {
-                bench.fit(&start)
-            };
-            // Where much else is missing a free run is fitted by what is no machine: what was found along the run is.
-            let stands = fitted.and_then(|fit| on_rung(place + 1, fit));
-            stands.or_else(|_| on_rung(place + 1, bench.as_it_is(&start)?))
-        })
-        .collect::<Result<_, FitError>>()?;
-    let mut rungs = vec![on_rung(0, baseline)?];
-    for (effect, rung) in inference.named.iter().zip(climbed) {
-        progress(Event::Refitted {
-            effect,
-            error: rung.fit.nrms,
-        });
-        progress(Event::Accepted {
-            effect,
-            holdout: rung.score.nrms,
-        });
-        rungs.push(rung);
-    }
-    Ok(rungs)
 }
 
 /// The last named effect of which the fit with all of them does not tell whether it is there at all.
@@ -248,9 +142,6 @@ fn without_size(inference: &Inference, rungs: &[Standing]) -> Option<&'static st
     let mut named = inference.named.iter().rev().copied();
     named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))
 }
-
-/// Standard deviations below which a size in a free run may as well be zero: the names have been weighed already.
-const A_SIZE_SIGMAS: f64 = 1.0;
 
 /// The last named effect that takes no more from the errors on both runs than chance does, where the baseline itself is at
 /// the floor.
@@ -264,19 +155,16 @@ fn by_chance(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Option
         let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
         Some(fitted.deviance() + rung.score.deviance())
     };
-    let deviances: Option<Vec<f64>> = rungs.iter().map(on_both).collect();
-    let place = takes_nothing(&deviances?)?;
+    let deviances = rungs.iter().map(on_both).collect::<Option<Vec<f64>>>()?;
+    let place = takes_nothing(&deviances)?;
     inference.named.get(place).copied()
 }
 
 /// The last step down a ladder that is no longer than chance makes it.
 fn takes_nothing(deviances: &[f64]) -> Option<usize> {
     let mut steps = deviances.windows(2);
-    steps.rposition(|pair| pair[0] - pair[1] < BY_CHANCE)
+    steps.rposition(|pair| pair[0] - pair[1] < BY_CHANCE_DEVIANCE)
 }
-
-/// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
-const BY_CHANCE: f64 = 10.0;
 
 fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
     let evidence = &bench.evidence;
@@ -293,12 +181,10 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     };
     let eta = floor.explained(base.score.nrms, best.score.nrms);
     let settled = floor.is_reached(best.score.nrms);
-    let candidates = describe(evidence, floor, inference, rungs);
-    let excited = candidates
-        .iter()
-        .any(|candidate| candidate.status != Status::NotExcited);
+    let candidates = candidates(evidence, floor, inference, rungs);
+    let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
+    let excited = candidates.iter().any(is_excited);
     let named = &inference.named;
-    let unknown = inference.unknown.iter().map(Unknown::from).collect();
     let mut diagnosis = Diagnosis {
         verdict,
         effect: named.first().copied(),
@@ -307,7 +193,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             // Without a floor, or in a run that would show nothing, nobody knows whether something is missing.
             DiagnosisVerdict::None => evidence.noise.source != FloorSource::None && excited,
             DiagnosisVerdict::Unexplained => false,
-            _ => eta >= explained::SUFFICIENT || settled,
+            _ => eta >= SUFFICIENT_SHARE || settled,
         },
         noise_floor_from: evidence.noise.source,
         sensor_floor: (evidence.noise.source == FloorSource::Standstill).then_some(1.0),
@@ -319,16 +205,10 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         holdout_before: base.score.nrms,
         holdout_after: best.score.nrms,
         candidates,
-        unknown,
+        unknown: inference.unknown.clone(),
         confusable: inference.confusable.clone(),
         axis_map,
-        ladder: rungs
-            .iter()
-            .map(|rung| Rung {
-                effects: rung.fit.model.effect_ids(),
-                holdout_rmse: rung.score.nrms,
-            })
-            .collect(),
+        ladder: rungs.iter().map(Standing::rung).collect(),
         confirm: None,
         sentence: String::new(),
         limits: bench
@@ -337,25 +217,18 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .chain(inference.lost_rows(floor))
             .chain(repeatability.why_not)
             .collect(),
-        equivalences: Vec::new(),
+        equivalences: (named.iter())
+            .flat_map(|id| equivalences(id))
+            .copied()
+            .collect(),
         next_experiment: None,
         baseline: base.fit.clone(),
         model: best.fit.clone(),
         rivals: rivals(inference, &base.fit.model.effect_ids()),
     };
-    diagnosis.confirm = confirmation::of_models(
-        bench,
-        [&diagnosis.baseline.model, &diagnosis.model.model],
-        inference.noise,
-        verdict,
-        &diagnosis.effects,
-        in_motion,
-    );
+    diagnosis.confirm = confirmed(bench, &diagnosis, inference.noise, in_motion);
     diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
-    diagnosis.sentence = sentence(&diagnosis);
-    diagnosis.sentence += &superfluous(inference);
-    let named = diagnosis.effects.iter();
-    diagnosis.equivalences = named.flat_map(|id| equivalences(id)).copied().collect();
+    diagnosis.sentence = sentence(&diagnosis) + &inference.superfluous_in_words();
     diagnosis
 }
 
@@ -363,25 +236,13 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
 fn rivals(inference: &Inference, given: &[&'static str]) -> Vec<Model> {
     let pairs = inference.confusable.iter();
     let models = pairs.filter_map(|[first, second]| {
-        let others = inference
-            .named
-            .iter()
-            .filter(|id| *id != first && *id != second);
-        let with: Vec<&'static str> = given
-            .iter()
-            .chain(others)
-            .copied()
-            .chain([*second])
-            .collect();
-        inference.with_effects(&with)
+        let named = inference.named.iter();
+        let others = named.filter(|id| *id != first && *id != second);
+        let with = given.iter().chain(others).copied().chain([*second]);
+        inference.with_effects(&with.collect::<Vec<&'static str>>())
     });
     models.collect()
 }
-
-/// Share of the explainable error that unknown parts and what wanders may make beside what is named.
-const HALF: f64 = 0.5;
-/// How many times as large as white noise what a set leaves of the innovations may be where a free run is left aside.
-const NEARLY_WHITE: f64 = 1.3;
 
 fn verdict(
     bench: &Bench,
@@ -401,16 +262,20 @@ fn verdict(
         };
     };
     let above = |nrms: f64| nrms * nrms - floor.highest().powi(2);
-    let unknown: f64 = inference.unknown.iter().map(|part| part.share).sum();
+    let unknown: f64 = inference
+        .unknown
+        .iter()
+        .map(|part| part.share_of_error)
+        .sum();
     let explainable = above(base.nrms).max(0.0);
     let unexplained = inference.wandering.powi(2) + unknown * explainable;
     // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
     // names that take nothing from its error, or leave innovations that are not white, are no answer.
     let is_led_astray = !bench.fits_at_once()
         && inference.excess() < NEARLY_WHITE
-        && unexplained <= HALF * explainable
+        && unexplained <= HALF_SHARE * explainable
         && floor.is_explained_in_part(base.nrms, best.nrms);
-    if !is_led_astray && !at_floor && above(best.nrms) > HALF * explainable {
+    if !is_led_astray && !at_floor && above(best.nrms) > HALF_SHARE * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous
@@ -419,21 +284,331 @@ fn verdict(
     }
 }
 
+/// The answer on a run that had no part in it: neither fitted, nor selected by, nor asked for the noise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Confirmation {
+    /// Whether the answer holds there: the named effects make the run likelier and explain a good part of its error; where
+    /// nothing is missing the error is at the floor; where something unexplained is missing it is above. Null where the
+    /// answer claims nothing, or the run cannot be judged.
+    pub confirmed: Option<bool>,
+    /// Error without and with the named effects, in units of the noise.
+    pub error_before: Option<f64>,
+    pub error_after: Option<f64>,
+    /// By how many standard deviations the named effects make the run likelier; null where none is named.
+    pub z: Option<f64>,
+    pub explained_percent: Option<f64>,
+    pub sentence: String,
+}
+
+/// The confirming run's word on an answer, `noise` being what is random beside both of its models; none without such a run.
+/// `in_motion`: how much noisier the sensors are in motion than at rest.
+fn confirmed(
+    bench: &Bench,
+    diagnosis: &Diagnosis,
+    noise: Noise,
+    in_motion: f64,
+) -> Option<Confirmation> {
+    let evidence = &bench.evidence;
+    let run = evidence.confirm.as_ref()?;
+    let source = evidence.noise.source;
+    let is_known = source != FloorSource::None;
+    let repeated = || -> Result<Confirmation, FitError> {
+        let before = bench.confirming(&diagnosis.baseline.model, run)?;
+        let after = bench.confirming(&diagnosis.model.model, run)?;
+        let models = [&before.model, &after.model];
+        let found = likelier(models, [before.start, after.start], run, noise, is_known);
+        let (z, unseen) = found.ok_or_else(|| cannot_simulate(run))?;
+        let unseen = in_noise(unseen.map(Some), &evidence.noise);
+        let floor = Floor::new(evidence, unseen.unwrap_or(0.0));
+        let [before, after] = [before.score.nrms, after.score.nrms];
+        let share = floor.explained(before, after);
+        let holds = z >= CONFIRMED_SIGMAS && floor.is_explained_in_part(before, after);
+        let at_the_floor = floor.is_reached(before / in_motion);
+        let explains_it = floor.is_reached(after / in_motion) || !is_known;
+        let times = source.times();
+        let (named, confirmed, found) = match diagnosis.verdict {
+            DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => {
+                let found = format!(
+                    "there {} takes the error from {before:.2} to {after:.2} {times} and explains {:.0} % of what can be \
+                     explained (z {z:.1}, {CONFIRMED_SIGMAS} is asked){}",
+                    diagnosis.effects.join(" and "),
+                    100.0 * share,
+                    if explains_it {
+                        ""
+                    } else {
+                        "; what is left there is more than noise"
+                    }
+                );
+                (true, Some(holds), found)
+            }
+            DiagnosisVerdict::None => {
+                let found = if !is_known {
+                    format!(
+                        "the error there is {before:.2} {times}, and without a noise floor nobody knows how large it may be"
+                    )
+                } else if at_the_floor {
+                    format!("the error is {before:.2} {times} there too")
+                } else {
+                    format!(
+                        "the error there is {before:.2} {times}: something is missing that only this run shows"
+                    )
+                };
+                (false, is_known.then_some(at_the_floor), found)
+            }
+            DiagnosisVerdict::Unexplained => {
+                let found = if at_the_floor {
+                    format!("there the model explains the run to the noise ({before:.2} {times})")
+                } else {
+                    format!("the error is {before:.2} {times} there too")
+                };
+                (false, Some(!at_the_floor), found)
+            }
+        };
+        let word = match confirmed {
+            Some(true) => "confirmed",
+            Some(false) => "NOT confirmed",
+            None => "neither confirmed nor refuted",
+        };
+        Ok(Confirmation {
+            confirmed,
+            error_before: Some(before),
+            error_after: Some(if named { after } else { before }),
+            z: named.then_some(z),
+            explained_percent: named.then_some(100.0 * share),
+            sentence: format!("{word} on the run that had no part in the answer: {found}"),
+        })
+    };
+    let refused = |error: FitError| Confirmation {
+        confirmed: None,
+        error_before: None,
+        error_after: None,
+        z: None,
+        explained_percent: None,
+        sentence: format!(
+            "the confirming run cannot be judged, so that nothing is confirmed: {error}"
+        ),
+    };
+    Some(repeated().unwrap_or_else(refused))
+}
+
+/// The answer in one sentence for a person.
+fn sentence(diagnosis: &Diagnosis) -> String {
+    let when = |id: &str| {
+        let mut candidates = diagnosis.candidates.iter();
+        let onsets = &candidates.find(|candidate| candidate.effect == id)?.onsets;
+        happening(effect::find(id)?, onsets, diagnosis.holdout_from)
+    };
+    let named = |id: &&'static str| {
+        let when = when(id).map(|when| format!("{id} ({when})"));
+        when.unwrap_or_else(|| (*id).to_owned())
+    };
+    let names: Vec<String> = diagnosis.effects.iter().map(named).collect();
+    let names = names.join(" and ");
+    let (before, after) = (diagnosis.holdout_before, diagnosis.holdout_after);
+    let times = diagnosis.noise_floor_from.times();
+    match diagnosis.verdict {
+        DiagnosisVerdict::None if diagnosis.noise_floor_from == FloorSource::None => {
+            "nothing in the catalogue pays on the hold-out; without a noise floor it cannot be said whether anything \
+             is missing"
+                .to_owned()
+        }
+        DiagnosisVerdict::None if diagnosis.is_refuted() => {
+            let there = diagnosis.confirm.as_ref().and_then(|confirm| confirm.error_before);
+            format!(
+                "the held-out error is {before:.2} {times}, but on the confirming run it is {:.2}: something is missing that \
+                 only that run shows",
+                there.unwrap_or(f64::NAN)
+            )
+        }
+        DiagnosisVerdict::None if !diagnosis.sufficient => {
+            "this run would not show any effect of the catalogue: nothing can be said".to_owned()
+        }
+        DiagnosisVerdict::None => format!(
+            "nothing is missing: held-out error {before:.2} {times}{}",
+            unseen(diagnosis)
+        ),
+        DiagnosisVerdict::Unexplained => {
+            let known = if names.is_empty() {
+                "no effect of the catalogue explains it".to_owned()
+            } else {
+                format!(
+                    "{names} may be part of it, but most stays unexplained ({:.0} % explained)",
+                    diagnosis.explained_percent
+                )
+            };
+            let parts = diagnosis.unknown.iter().fold(String::new(), |parts, part| parts + "; " + &part.sentence);
+            format!("held-out error {before:.2} {times}, and {known}{parts}{}", not_repeating(diagnosis))
+        }
+        DiagnosisVerdict::Ambiguous => format!(
+            "behaves like {names}, which this run cannot tell from {}{}",
+            rival_names(&diagnosis.confusable).join(", "),
+            unconfirmed(diagnosis)
+        ),
+        DiagnosisVerdict::Effect => format!(
+            "missing: {names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}",
+            diagnosis.explained_percent,
+            unconfirmed(diagnosis)
+        ),
+    }
+}
+
+/// What the first of each pair cannot be told from, each once.
+fn rival_names(confusable: &[[&'static str; 2]]) -> Vec<&'static str> {
+    let mut rivals: Vec<&'static str> = Vec::new();
+    for [_, rival] in confusable {
+        if !rivals.contains(rival) {
+            rivals.push(rival);
+        }
+    }
+    rivals
+}
+
+/// Said where the run that had no part in the answer speaks against it.
+fn unconfirmed(diagnosis: &Diagnosis) -> &'static str {
+    if diagnosis.is_refuted() {
+        "; NOT confirmed on the run that had no part in the answer"
+    } else {
+        ""
+    }
+}
+
+/// Said beside "nothing is missing": of what it is not said.
+fn unseen(diagnosis: &Diagnosis) -> String {
+    let with = |status: Status| {
+        let candidates = diagnosis.candidates.iter();
+        candidates.filter(move |candidate| candidate.status == status)
+    };
+    let possible: Vec<String> = with(Status::Possible)
+        .map(|candidate| {
+            format!(
+                "{} ({})",
+                candidate.effect,
+                probability(candidate.probability)
+            )
+        })
+        .collect();
+    let mut said = String::new();
+    if !possible.is_empty() {
+        said = format!("; possible: {}", possible.join(", "));
+    }
+    let unseen: Vec<&str> = with(Status::NotExcited).map(|c| c.effect).collect();
+    let names = match unseen.len() {
+        0 => return said,
+        1..=FEW => unseen.join(", "),
+        many => format!("{many} effects of the catalogue"),
+    };
+    said + "; these runs would not show " + &names
+}
+
+/// Said where the machine does not do the same twice: how much of the error that is, and what it follows.
+fn not_repeating(diagnosis: &Diagnosis) -> String {
+    let Some(floor) = diagnosis
+        .repeat_floor
+        .filter(|_| diagnosis.repeats == Some(false))
+    else {
+        return String::new();
+    };
+    let share = (floor * floor - 1.0) / (diagnosis.holdout_before.powi(2) - 1.0);
+    let percent = 100.0 * share.clamp(0.0, 1.0);
+    let follows = diagnosis.repeat_follows.first().map_or_else(
+        || "what differs follows neither speed, current, angle nor time".to_owned(),
+        |location| format!("of what differs, {}", location.sentence),
+    );
+    format!(
+        "; this machine does not repeat: {percent:.0} % of the error is different each time (two runs of the same excitation \
+         differ by {floor:.2} times the sensors' noise); {follows}"
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::kit::{evidence, nameplate, record, truth};
+    use crate::plant::Scenario;
 
     #[test]
     fn a_step_that_chance_makes_is_none() {
         // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
         let of = |nrms: f64| 2400.0 * nrms * nrms;
-        assert_eq!(takes_nothing(&[of(1.0007), of(1.0005)]), Some(0));
-        assert_eq!(takes_nothing(&[of(1.02), of(1.0)]), None);
-        assert_eq!(
-            takes_nothing(&[of(1.05), of(1.0499), of(1.02), of(1.0199)]),
-            Some(2)
-        );
-        assert_eq!(takes_nothing(&[of(1.05), of(1.06), of(1.02)]), Some(0));
-        assert_eq!(takes_nothing(&[of(1.0)]), None);
+        for (errors, expected) in [
+            (&[1.0007, 1.0005][..], Some(0)),
+            (&[1.02, 1.0], None),
+            (&[1.05, 1.0499, 1.02, 1.0199], Some(2)),
+            (&[1.05, 1.06, 1.02], Some(0)),
+            (&[1.0], None),
+        ] {
+            let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
+            assert_eq!(takes_nothing(&deviances), expected, "{errors:?}");
+        }
+    }
+
+    #[test]
+    fn a_rival_of_two_names_is_listed_once() {
+        let pairs = [
+            ["quadratic_load", "load_step"],
+            ["quadratic_load", "constant_load"],
+            ["viscous_friction", "load_step"],
+        ];
+        assert_eq!(rival_names(&pairs), ["load_step", "constant_load"]);
+    }
+
+    fn third(diagnosis: &Diagnosis) -> &Confirmation {
+        diagnosis.confirm.as_ref().unwrap()
+    }
+
+    #[test]
+    fn a_named_effect_is_confirmed_where_it_is_and_not_where_it_is_not() {
+        let fan = truth("quadratic_load", &[2e-6]);
+        let data = evidence(&fan, 1);
+        let there = diagnose(&nameplate(), data.clone()).unwrap();
+        assert_eq!(there.effects, ["quadratic_load"]);
+        let found = third(&there);
+        assert_eq!(found.confirmed, Some(true), "{}", found.sentence);
+        assert!(found.z.unwrap() > CONFIRMED_SIGMAS && found.explained_percent.unwrap() > 90.0);
+        assert!(found.error_after.unwrap() < 1.15 && found.error_before.unwrap() > 1.5);
+
+        // The fan was taken off for the third run: the same answer, since that run has no part in it, and no confirmation.
+        let mut off = data;
+        off.confirm = Some(record(&nameplate(), 2, 77));
+        let elsewhere = diagnose(&nameplate(), off).unwrap();
+        assert_eq!(elsewhere.effects, there.effects);
+        assert!((elsewhere.holdout_after - there.holdout_after).abs() < 1e-12);
+        let found = third(&elsewhere);
+        assert_eq!(found.confirmed, Some(false), "{}", found.sentence);
+        assert!(found.error_after.unwrap() > found.error_before.unwrap());
+    }
+
+    #[test]
+    fn that_nothing_is_missing_is_confirmed_only_where_the_error_is_at_the_floor() {
+        let mut data = evidence(&nameplate(), 2);
+        let nothing = diagnose(&nameplate(), data.clone()).unwrap();
+        assert_eq!(nothing.verdict, DiagnosisVerdict::None);
+        assert_eq!(third(&nothing).confirmed, Some(true));
+        assert_eq!(third(&nothing).z, None);
+        data.confirm = Some(record(&truth("voltage_drop", &[1.2]), 2, 78));
+        let hidden = diagnose(&nameplate(), data.clone()).unwrap();
+        assert_eq!(hidden.verdict, DiagnosisVerdict::None);
+        assert_eq!(third(&hidden).confirmed, Some(false));
+        // What one run contradicts is not said.
+        assert!(!hidden.sufficient && nothing.sufficient);
+        let (whole, said) = (&nothing.sentence, &hidden.sentence);
+        assert!(whole.starts_with("nothing is missing"), "{whole}");
+        assert!(!said.contains("nothing is missing"), "{said}");
+        assert!(said.contains("on the confirming run"), "{said}");
+        data.confirm = None;
+        assert_eq!(diagnose(&nameplate(), data).unwrap().confirm, None);
+    }
+
+    #[test]
+    fn the_noise_floor_owes_nothing_to_the_confirming_run() {
+        let data = evidence(&nameplate(), 3);
+        let mut loud = record(&nameplate(), 2, 79);
+        for (k, speed) in loud.speed_rad_s.iter_mut().enumerate() {
+            *speed += if k % 2 == 0 { 3.0 } else { -3.0 };
+        }
+        let noise = |confirm: Option<Scenario>| {
+            Evidence::new(data.training.clone(), Some(data.holdout.clone()), confirm).noise
+        };
+        assert_eq!(noise(Some(loud)), noise(None));
     }
 }

@@ -1,19 +1,20 @@
 //! What happens once in a run: named with its moment, in the runs in which it happened and in no other.
 
-use super::tests::{nameplate, truth};
+use super::kit::{candidate, nameplate, truth};
 use super::*;
-use crate::plant::{Input, Model, Scenario, effect, testing};
+use crate::plant::{Model, Scenario, effect, testing};
 
 /// Steps of the voltage all along, in both directions: at every moment the shaft turns and its speed changes.
 fn lively(model: &Model, shift: usize, seed: u64) -> Scenario {
     let levels = [30.0, 60.0, 45.0, 75.0, 20.0, 70.0, 35.0];
-    let mut events = vec![(0.0, 0.0)];
-    for step in 0..80 {
+    let step = |step: usize| {
         let level = levels[(step * (1 + shift) + shift) % levels.len()];
-        let sign = if (step / 16) % 2 == 0 { 1.0 } else { -1.0 };
-        events.push((0.3 + 0.09 * step as f64, sign * level));
-    }
-    testing::record(model, events, PERIOD_S, 7.5, seed)
+        let is_forward = (step / 16).is_multiple_of(2);
+        let sign = if is_forward { 1.0 } else { -1.0 };
+        (0.3 + 0.09 * step as f64, sign * level)
+    };
+    let events = std::iter::once((0.0, 0.0)).chain((0..80).map(step));
+    testing::record(model, events.collect(), PERIOD_S, 7.5, seed)
 }
 
 fn with(id: &str, size: f64, time_s: Option<f64>) -> Model {
@@ -31,69 +32,62 @@ const PERIOD_S: f64 = 0.01;
 /// Samples by which an onset may be off.
 const FEW: f64 = 2.5;
 
-fn happened(id: &str, size: f64, times_s: [Option<f64>; 2]) -> Diagnosis {
-    let found = diagnose(&nameplate(), evidence(id, size, times_s, 3)).unwrap();
-    assert_eq!(found.effects, [id], "{times_s:?}: {}", found.sentence);
-    assert_eq!(
-        found.verdict,
-        DiagnosisVerdict::Effect,
-        "{}",
-        found.sentence
-    );
-    assert!(found.holdout_after < 1.2, "{}", found.sentence);
-    let first = &found.candidates[0];
-    let expected = times_s
-        .into_iter()
-        .zip([RunOf::Fit, RunOf::Holdout])
-        .filter_map(|(time_s, run)| Some((time_s?, run)));
-    let expected: Vec<(f64, RunOf)> = expected.collect();
-    assert_eq!(first.onsets.len(), expected.len(), "{}", found.sentence);
-    for (onset, (time_s, run)) in first.onsets.iter().zip(expected) {
-        assert_eq!(onset.run, run);
-        let off_s = (onset.time_s - time_s).abs();
-        assert!(off_s < FEW * PERIOD_S, "{id} at {time_s}: {onset:?}");
-        let deviations = (onset.size - size).abs() / onset.size_std;
-        assert!(deviations < 3.0, "{onset:?}");
+#[test]
+fn an_event_is_named_with_its_moment_in_the_runs_in_which_it_happened() {
+    for (id, size, times_s, words) in [
+        (
+            "load_step",
+            0.1,
+            [Some(5.02), None],
+            "in the fit run only, from 5.0",
+        ),
+        (
+            "one_sided_load",
+            0.1,
+            [None, Some(3.13)],
+            "in the hold-out only, from 3.1",
+        ),
+        (
+            "friction_onset",
+            6e-4,
+            [Some(2.6), Some(5.1)],
+            "in the hold-out from",
+        ),
+        (
+            "load_step",
+            0.1,
+            [Some(5.02), Some(3.13)],
+            "in the hold-out from",
+        ),
+        (
+            "inertia_change",
+            0.3,
+            [Some(5.02), Some(5.02)],
+            "from 5.02 s on, inertia +30 %",
+        ),
+    ] {
+        let found = diagnose(&nameplate(), evidence(id, size, times_s, 3)).unwrap();
+        let said = &found.sentence;
+        assert_eq!(found.effects, [id], "{times_s:?}: {said}");
+        assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{said}");
+        assert!(found.holdout_after < 1.2 && said.contains(words), "{said}");
+        let first = &found.candidates[0];
+        let expected = times_s.into_iter().zip([RunOf::Fit, RunOf::Holdout]);
+        let expected = expected.filter_map(|(time_s, run)| Some((time_s?, run)));
+        let expected: Vec<(f64, RunOf)> = expected.collect();
+        assert_eq!(first.onsets.len(), expected.len(), "{said}");
+        for (onset, (time_s, run)) in first.onsets.iter().zip(expected) {
+            assert_eq!(onset.run, run);
+            let off_s = (onset.time_s - time_s).abs();
+            assert!(off_s < FEW * PERIOD_S, "{id} at {time_s}: {onset:?}");
+            let deviations = (onset.size - size).abs() / onset.size_std;
+            assert!(deviations < 3.0, "{onset:?}");
+        }
+        if times_s[0].is_none() {
+            let own = &first.parameters[0];
+            assert!((own.value.unwrap() / size - 1.0).abs() < 0.1, "{own:?}");
+        }
     }
-    found
-}
-
-#[test]
-fn an_event_of_the_fit_run_only_is_named_there() {
-    let found = happened("load_step", 0.1, [Some(5.02), None]);
-    assert!(
-        found.sentence.contains("in the fit run only, from 5.0"),
-        "{}",
-        found.sentence
-    );
-}
-
-#[test]
-fn an_event_of_the_holdout_only_is_named_there_and_lowers_its_error() {
-    let found = happened("one_sided_load", 0.1, [None, Some(3.13)]);
-    assert!(
-        found.sentence.contains("in the hold-out only, from 3.1"),
-        "{}",
-        found.sentence
-    );
-    let size = &found.candidates[0].parameters[0];
-    assert!((size.value.unwrap() / 0.1 - 1.0).abs() < 0.1, "{size:?}");
-}
-
-#[test]
-fn an_event_at_different_times_in_both_runs_is_one_effect_with_two_moments() {
-    happened("friction_onset", 6e-4, [Some(2.6), Some(5.1)]);
-    happened("load_step", 0.1, [Some(5.02), Some(3.13)]);
-}
-
-#[test]
-fn a_heavier_shaft_from_a_moment_on_is_named_with_it() {
-    let found = happened("inertia_change", 0.3, [Some(5.02), Some(5.02)]);
-    assert!(
-        found.sentence.contains("from 5.02 s on, inertia +30 %"),
-        "{}",
-        found.sentence
-    );
     // The same rule for whoever adds it by hand.
     let data = evidence("inertia_change", 0.3, [Some(5.02), None], 4);
     let change = effect::find("inertia_change").unwrap();
@@ -113,15 +107,11 @@ fn in_one_direction_a_pull_is_not_told_from_a_friction() {
     };
     let data = Evidence::new(one_way(Some(4.1), 0, 5), Some(one_way(None, 1, 6)), None);
     let found = diagnose(&nameplate(), data).unwrap();
-    assert_eq!(
-        found.verdict,
-        DiagnosisVerdict::Ambiguous,
-        "{}",
-        found.sentence
-    );
+    let said = &found.sentence;
+    assert_eq!(found.verdict, DiagnosisVerdict::Ambiguous, "{said}");
     let mut pair = found.confusable[0];
     pair.sort_unstable();
-    assert_eq!(pair, ["load_step", "one_sided_load"], "{}", found.sentence);
+    assert_eq!(pair, ["load_step", "one_sided_load"], "{said}");
 }
 
 #[test]
@@ -138,8 +128,7 @@ fn where_nothing_happened_no_event_is_likely() {
             "friction_onset",
             "inertia_change",
         ] {
-            let mut candidates = found.candidates.iter();
-            let event = candidates.find(|candidate| candidate.effect == id).unwrap();
+            let event = candidate(&found, id);
             assert!(event.probability < 0.1, "{id}: {}", event.probability);
         }
     }
@@ -147,52 +136,45 @@ fn where_nothing_happened_no_event_is_likely() {
     assert!(complete >= 9, "{complete}");
 }
 
-/// A machine whose drive lets each start from rest wait, as the commands that were given say nothing of.
-fn waiting(levels: &[f64], delay_s: f64, seed: u64) -> Scenario {
-    let (mut asked, mut came) = (vec![(0.0, 0.0)], vec![(0.0, 0.0)]);
-    for (start, level) in levels.iter().enumerate() {
-        let begin_s = 0.3 + 2.9 * start as f64;
-        for (after_s, share) in [(0.0, 1.0), (1.1, 0.6), (1.9, 0.0)] {
-            let late_s = if after_s == 0.0 { delay_s } else { 0.0 };
-            asked.push((begin_s + after_s, share * level));
-            came.push((begin_s + after_s + late_s, share * level));
-        }
-    }
-    let end_s = 0.3 + 2.9 * levels.len() as f64;
-    let run = testing::record(&nameplate(), came, 0.01, end_s, seed);
-    assert_eq!(run.input, Input::Voltage);
+/// A run of the commands that came, of which those that were asked for are known.
+fn asked(came: Vec<(f64, f64)>, asked: Vec<(f64, f64)>, end_s: f64, seed: u64) -> Scenario {
     Scenario {
         events: asked,
-        ..run
+        ..testing::record(&nameplate(), came, PERIOD_S, end_s, seed)
     }
+}
+
+/// A machine whose drive lets each start from rest wait, as the commands that were given say nothing of.
+fn waiting(levels: &[f64], delay_s: f64, seed: u64) -> Scenario {
+    let commands = |delay_s: f64| {
+        let starts = levels.iter().enumerate().flat_map(|(start, level)| {
+            let begin_s = 0.3 + 2.9 * start as f64;
+            let steps = [(delay_s, 1.0), (1.1, 0.6), (1.9, 0.0)];
+            steps.map(|(after_s, share)| (begin_s + after_s, share * level))
+        });
+        std::iter::once((0.0, 0.0)).chain(starts).collect()
+    };
+    let end_s = 0.3 + 2.9 * levels.len() as f64;
+    asked(commands(delay_s), commands(0.0), end_s, seed)
 }
 
 /// The same where it starts from rest once.
 fn late(shift: usize, delay_s: f64, seed: u64) -> Scenario {
-    let asked = lively(&nameplate(), shift, seed).events;
-    let begin_s = asked[1].0 + delay_s;
-    let held = asked.iter().rfind(|event| event.0 <= begin_s).unwrap().1;
-    let behind = asked.iter().filter(|event| event.0 > begin_s).copied();
+    let given = lively(&nameplate(), shift, seed).events;
+    let begin_s = given[1].0 + delay_s;
+    let held = given.iter().rfind(|event| event.0 <= begin_s).unwrap().1;
+    let behind = given.iter().filter(|event| event.0 > begin_s).copied();
     let came = [(0.0, 0.0), (begin_s, held)].into_iter().chain(behind);
-    let run = testing::record(&nameplate(), came.collect(), PERIOD_S, 7.5, seed);
-    Scenario {
-        events: asked,
-        ..run
-    }
+    asked(came.collect(), given, 7.5, seed)
 }
 
 #[test]
 fn a_drive_that_lets_each_start_wait_is_told_from_one_that_begins_late() {
     let each = [40.0, 70.0, -50.0, 25.0];
     let other = [60.0, -30.0, 80.0, 45.0];
-    for (fit, holdout, name) in [
-        (
-            waiting(&each, 0.25, 1),
-            waiting(&other, 0.25, 2),
-            "restart_delay",
-        ),
-        (late(0, 0.25, 3), late(1, 0.25, 4), "start_delay"),
-    ] {
+    let waits = [waiting(&each, 0.25, 1), waiting(&other, 0.25, 2)];
+    let begins_late = [late(0, 0.25, 3), late(1, 0.25, 4)];
+    for ([fit, holdout], name) in [(waits, "restart_delay"), (begins_late, "start_delay")] {
         let data = Evidence::new(fit, Some(holdout), None);
         let found = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(found.effects, [name], "{}", found.sentence);

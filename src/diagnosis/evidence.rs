@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::score::{Score, varies};
+use super::score::{Score, SignalScore, varies};
 use crate::identification::noise::{FEWEST_SAMPLES, FloorSource, NoiseFloor, samples_at_rest};
 use crate::identification::output_error::{self, Fit, FitError};
 use crate::plant::{Input, Model, Scenario};
@@ -107,60 +107,47 @@ impl Evidence {
         if self.training.input != Input::Voltage {
             return Vec::new();
         }
-        let signals = [
-            Signal {
-                name: "current",
-                key: "current_a",
-                other: "speed",
-                level: self.noise.current_a,
-                of: |run| &run.current_a,
-            },
-            Signal {
-                name: "speed",
-                key: "speed_rad_s",
-                other: "current",
-                level: self.noise.speed_rad_s,
-                of: |run| &run.speed_rad_s,
-            },
+        let (current, speed): (Signal, Signal) = (|run| &run.current_a, |run| &run.speed_rad_s);
+        let why = [
+            self.why_unjudged(current, self.noise.current_a),
+            self.why_unjudged(speed, self.noise.speed_rad_s),
         ];
-        signals
-            .iter()
-            .filter_map(|signal| {
-                let reason = self.why_unjudged(signal)?;
-                let Signal {
-                    name, key, other, ..
-                } = signal;
-                Some(format!(
-                    "the {name} ({key}) has no part in the judgement: {reason}; errors, verdict and sizes rest on the {other} \
-                     alone, and what shows only in the {name} would not be seen"
-                ))
-            })
-            .collect()
+        let names = [
+            ("current", "current_a", "speed"),
+            ("speed", "speed_rad_s", "current"),
+        ];
+        let reasons = why.into_iter().zip(names);
+        let words = reasons.filter_map(|(reason, (name, key, other))| {
+            let reason = reason?;
+            Some(format!(
+                "the {name} ({key}) has no part in the judgement: {reason}; errors, verdict and sizes rest on the {other} \
+                 alone, and what shows only in the {name} would not be seen"
+            ))
+        });
+        words.collect()
     }
 
-    fn why_unjudged(&self, signal: &Signal) -> Option<String> {
-        let scored = |run: &Scenario| {
-            let values = &(signal.of)(run)[run.scored.clone()];
-            values.iter().filter(|value| value.is_finite()).count()
-        };
-        let (fitted, held_out) = (scored(&self.training), scored(&self.holdout));
-        if fitted == 0 && held_out == 0 {
-            return None;
-        }
+    /// Of a signal whose noise is `level`, infinite where that is not known.
+    fn why_unjudged(&self, signal: Signal, level: f64) -> Option<String> {
+        let [fitted, held_out] = [&self.training, &self.holdout].map(|run| {
+            let values = signal(run)[run.scored.clone()].iter();
+            values.filter(|value| value.is_finite()).count()
+        });
         if fitted == 0 {
-            return Some("it was measured in the hold-out only".to_owned());
+            let reason = "it was measured in the hold-out only";
+            return (held_out > 0).then(|| reason.to_owned());
         }
-        if signal.level.is_finite() {
+        if level.is_finite() {
             let alone = "it was not measured in the hold-out, which decides";
             return (held_out == 0).then(|| alone.to_owned());
         }
-        if !varies((signal.of)(&self.training)) {
+        if !varies(signal(&self.training)) {
             return Some("it is the same throughout the run".to_owned());
         }
         Some(match self.noise.source {
             FloorSource::Standstill => {
                 let runs = [&self.training, &self.holdout].into_iter();
-                let most = runs.map(|run| samples_at_rest(run, (signal.of)(run))).max();
+                let most = runs.map(|run| samples_at_rest(run, signal(run))).max();
                 format!(
                     "its noise is not known, because it has {} samples in the leading standstill and {FEWEST_SAMPLES} are needed",
                     most.unwrap_or(0)
@@ -180,15 +167,12 @@ impl Evidence {
         let mut fit = output_error::fit(std::slice::from_ref(model), &self.training, &self.noise)?;
         if self.noise.source == FloorSource::None {
             let score = Score::of(&fit.model, &self.training, &self.noise)?;
-            let level = |rmse: f64| if rmse > 0.0 { rmse } else { f64::INFINITY };
-            self.noise.current_a = score
-                .current
-                .as_ref()
-                .map_or(f64::INFINITY, |signal| level(signal.rmse));
-            self.noise.speed_rad_s = score
-                .speed
-                .as_ref()
-                .map_or(f64::INFINITY, |signal| level(signal.rmse));
+            let level = |signal: Option<SignalScore>| {
+                let left = signal.map(|signal| signal.rmse).filter(|rmse| *rmse > 0.0);
+                left.unwrap_or(f64::INFINITY)
+            };
+            self.noise.current_a = level(score.current);
+            self.noise.speed_rad_s = level(score.speed);
             fit = output_error::fit(
                 std::slice::from_ref(&fit.model),
                 &self.training,
@@ -257,15 +241,8 @@ fn shorten(run: &mut Scenario, most: usize, role: &str) -> Option<Cut> {
     Some(Cut { behind, searched })
 }
 
-/// A signal that errors are judged by.
-struct Signal {
-    name: &'static str,
-    key: &'static str,
-    other: &'static str,
-    /// Its noise; infinite where it is not known.
-    level: f64,
-    of: fn(&Scenario) -> &Vec<f64>,
-}
+/// A signal of a run that errors are judged by.
+type Signal = fn(&Scenario) -> &Vec<f64>;
 
 /// Standard deviations of current, A, and speed, rad/s, that differ between two runs of the same excitation: half the
 /// variance of the difference of their residuals. Residuals are compared, not signals, so that runs whose samples fell at
@@ -283,12 +260,10 @@ pub(super) fn not_repeated(
     let (a, b) = (residuals(first)?, residuals(second)?);
     let (begin_a_s, begin_b_s) = (first.events[0].0, second.events[0].0);
     let differs = |a: &[(f64, f64)], b: &[(f64, f64)]| {
-        let differences: Vec<f64> = a
-            .iter()
-            .filter_map(|&(time_s, value)| {
-                Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
-            })
-            .collect();
+        let difference = |&(time_s, value): &(f64, f64)| {
+            Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
+        };
+        let differences: Vec<f64> = a.iter().filter_map(difference).collect();
         let mean_square =
             differences.iter().map(|d| d * d).sum::<f64>() / differences.len().max(1) as f64;
         (differences.len() >= FEWEST_DIFFERENCES && mean_square > 0.0)
@@ -309,27 +284,78 @@ const SAME_INSTANT_S: f64 = 0.05;
 /// Value of the point nearest to `time_s`, if it is of the same instant.
 fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
     let after = points.partition_point(|point| point.0 < time_s);
-    let candidates = [
-        after.checked_sub(1),
-        (after < points.len()).then_some(after),
-    ];
-    let nearest = candidates
-        .into_iter()
-        .flatten()
-        .map(|index| points[index])
-        .min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
+    let around = points[after.saturating_sub(1)..].iter().take(2);
+    let apart_s = |point: &&(f64, f64)| (point.0 - time_s).abs();
+    let nearest = around.min_by(|a, b| apart_s(a).total_cmp(&apart_s(b)))?;
     ((nearest.0 - time_s).abs() < SAME_INSTANT_S).then_some(nearest.1)
+}
+
+// Whether two runs are one: a hold-out that has been fitted tests nothing.
+
+/// Samples below which equal ones may be chance.
+const FEWEST_MOVING: usize = 20;
+/// Times that differ by less are one, s: stamps carry rounding.
+const SAME_TIME_S: f64 = 1e-6;
+
+/// Share of `other`'s moving samples that are also in `run`, number by number, at the same time or at the same time
+/// after the beginning. Two measurements of one motion differ in their noise.
+pub fn shared_samples(run: &Scenario, other: &Scenario) -> f64 {
+    let begins_s = other.sample_time_s[0] - run.sample_time_s[0];
+    f64::max(shared(run, other, 0.0), shared(run, other, begins_s))
+}
+
+fn shared(run: &Scenario, other: &Scenario, later_s: f64) -> f64 {
+    let (mut equal, mut compared, mut at) = (0_usize, 0_usize, 0);
+    let mut before = [0.0; 2];
+    for (sample, time_s) in other.sample_time_s.iter().enumerate() {
+        let values = [other.current_a[sample], other.speed_rad_s[sample]];
+        // A sensor that repeats itself, as at rest, says nothing of where the data come from.
+        let moves = values
+            .iter()
+            .zip(&before)
+            .any(|(value, before)| value.is_finite() && (value - before).abs() > 0.0);
+        before = values;
+        if !moves {
+            continue;
+        }
+        compared += 1;
+        let sought_s = time_s - later_s;
+        let is_before = |there_s: &f64| *there_s < sought_s - SAME_TIME_S;
+        at += run.sample_time_s[at..]
+            .iter()
+            .take_while(|there_s| is_before(there_s))
+            .count();
+        let there_s = run.sample_time_s.get(at);
+        if there_s.is_none_or(|there_s| (there_s - sought_s).abs() > SAME_TIME_S) {
+            continue;
+        }
+        let there = [run.current_a[at], run.speed_rad_s[at]];
+        let mut pairs = values
+            .iter()
+            .zip(&there)
+            .filter(|(value, there)| value.is_finite() && there.is_finite())
+            .peekable();
+        #[expect(clippy::float_cmp, reason = "the very same number is what is sought")]
+        if pairs.peek().is_some() && pairs.all(|(value, there)| value == there) {
+            equal += 1;
+        }
+    }
+    if compared < FEWEST_MOVING {
+        0.0
+    } else {
+        equal as f64 / compared as f64
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Motor;
+    use crate::diagnosis::kit::nameplate;
     use crate::plant::testing::record;
 
     /// At rest for so long, then steps every two seconds, at 1 kHz.
     fn run(at_rest_s: f64, seconds: f64) -> (Model, Scenario) {
-        let model = Model::baseline(Motor::zk_22fc());
+        let model = nameplate();
         let steps = (0..1000).map(|k| 2.0 * f64::from(k)).map_while(|time_s| {
             let time_s = at_rest_s + time_s;
             (time_s < seconds).then_some((time_s, 20.0 + (7.0 * time_s) % 31.0))
@@ -350,13 +376,8 @@ mod tests {
         assert_eq!(confirm.scored.start, 100_000);
         assert_eq!(confirm.sample_time_s.last(), long.sample_time_s.last());
         for part in [&evidence.training, &evidence.holdout, confirm] {
-            let score = Score::of(&model, part, &evidence.noise).unwrap();
-            assert!(
-                (score.nrms - 1.0).abs() < 0.05,
-                "{}: {}",
-                part.name,
-                score.nrms
-            );
+            let nrms = Score::of(&model, part, &evidence.noise).unwrap().nrms;
+            assert!((nrms - 1.0).abs() < 0.05, "{}: {nrms}", part.name);
         }
     }
 
@@ -378,5 +399,34 @@ mod tests {
         assert_eq!(evidence.training.samples(), 60_000);
         assert_eq!(evidence.holdout.samples(), short.samples());
         assert_eq!(evidence.confirm.unwrap().name, short.name);
+    }
+
+    fn step(seed: u64) -> Scenario {
+        record(&nameplate(), vec![(0.0, 0.0), (0.4, 40.0)], 1e-3, 2.0, seed)
+    }
+
+    #[test]
+    fn a_copy_a_part_and_a_later_copy_are_the_same_run_and_a_repetition_is_not() {
+        let (first, repeated) = (step(1), step(2));
+        let mut part = first.clone();
+        part.sample_time_s.drain(..500);
+        part.current_a.drain(..500);
+        part.speed_rad_s.drain(..500);
+        let mut later = first.clone();
+        for time_s in &mut later.sample_time_s {
+            *time_s += 7.0;
+        }
+        for other in [&first, &part, &later] {
+            assert!(shared_samples(&first, other) > 0.99);
+        }
+        assert!(shared_samples(&first, &repeated) < 0.01);
+    }
+
+    #[test]
+    fn a_sensor_that_shows_only_zero_proves_nothing() {
+        let mut still = step(1);
+        still.current_a.fill(0.0);
+        still.speed_rad_s.fill(0.0);
+        assert!(shared_samples(&still, &still).abs() < 1e-12);
     }
 }

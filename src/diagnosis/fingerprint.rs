@@ -24,14 +24,14 @@ const ARRIVED: f64 = 1e-5;
 /// Largest move of a logarithm in one iteration.
 const LONGEST_MOVE: f64 = 0.7;
 /// Relative uncertainty above which a value says nothing about the motor.
-const VAGUE: f64 = 0.1;
+const VAGUE_SHARE: f64 = 0.1;
 /// Standard deviations that a difference must exceed.
-const CERTAIN: f64 = 4.0;
+const CLEAR_SIGMAS: f64 = 4.0;
 /// Relative difference of `Ke` from which on two motors are doubtful (a magnet 15 K warmer), and another (30 K).
-const DOUBTFUL_BACK_EMF: f64 = 0.03;
-const OTHER_BACK_EMF: f64 = 0.06;
+const DOUBTFUL_BACK_EMF_SHARE: f64 = 0.03;
+const OTHER_BACK_EMF_SHARE: f64 = 0.06;
 /// Ratio of the resistances that warmth does not explain.
-const OTHER_RESISTANCE: f64 = 1.5;
+const OTHER_RESISTANCE_RATIO: f64 = 1.5;
 
 /// A value with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -80,19 +80,16 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         value(MotorKey::Inductance)?.ln(),
         value(MotorKey::BackEmf)?.ln(),
     ];
-    let rows: Vec<usize> = (0..scenario.samples().min(MOST_SAMPLES))
-        .filter(|sample| {
-            scenario.current_a[*sample].is_finite() && scenario.speed_rad_s[*sample].is_finite()
-        })
-        .collect();
+    let (currents, speeds) = (&scenario.current_a, &scenario.speed_rad_s);
+    let is_known = |row: &usize| currents[*row].is_finite() && speeds[*row].is_finite();
+    let rows = (0..scenario.samples().min(MOST_SAMPLES)).filter(is_known);
+    let rows: Vec<usize> = rows.collect();
     if rows.len() < FEWEST_SAMPLES {
         return None;
     }
     let begin_s = scenario.sample_time_s[rows[0]];
-    let blocks: Vec<usize> = rows
-        .iter()
-        .map(|row| whole((scenario.sample_time_s[*row] - begin_s) / BLOCK_S))
-        .collect();
+    let block = |row: &usize| whole((scenario.sample_time_s[*row] - begin_s) / BLOCK_S);
+    let blocks: Vec<usize> = rows.iter().map(block).collect();
     let mut covariance = DMatrix::zeros(3, 3);
     for iteration in 0..ITERATIONS {
         let here = simulated(scenario, &rows, x);
@@ -104,12 +101,8 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
                 jacobian[(row, column)] = (there - here[row]) / STEP;
             }
         }
-        let residual = DVector::from_iterator(
-            rows.len(),
-            rows.iter()
-                .zip(&here)
-                .map(|(row, i)| scenario.current_a[*row] - i),
-        );
+        let left = rows.iter().zip(&here).map(|(row, i)| currents[*row] - i);
+        let residual = DVector::from_iterator(rows.len(), left);
         let solution = least_squares::solve(&jacobian, &residual, &blocks)?;
         let mut largest = 0.0_f64;
         for (value, step) in x.iter_mut().zip(solution.x.iter()) {
@@ -124,7 +117,7 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         if largest < ARRIVED {
             break;
         }
-        if iteration + 1 == ITERATIONS && largest > VAGUE {
+        if iteration + 1 == ITERATIONS && largest > VAGUE_SHARE {
             return None;
         }
     }
@@ -133,7 +126,7 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         let value = x[index].exp();
         // Not a number where the run leaves it undetermined.
         let std = value * covariance[(index, index)].sqrt();
-        (std < VAGUE * value).then_some(Value { value, std })
+        (std < VAGUE_SHARE * value).then_some(Value { value, std })
     };
     Some(Fingerprint {
         resistance_ohm: of(0)?,
@@ -150,10 +143,8 @@ fn simulated(scenario: &Scenario, rows: &[usize], x: [f64; 3]) -> Vec<f64> {
     let mut current = scenario.current_a[rows[0]];
     let mut out = Vec::with_capacity(rows.len());
     out.push(current);
-    let mut event = events
-        .partition_point(|event| event.0 <= times[rows[0]])
-        .max(1)
-        - 1;
+    let begun = events.partition_point(|event| event.0 <= times[rows[0]]);
+    let mut event = begun.max(1) - 1;
     // The same step comes again and again.
     let (mut last_step, mut last_decay) = (f64::NAN, 1.0);
     for pair in rows.windows(2) {
@@ -164,9 +155,8 @@ fn simulated(scenario: &Scenario, rows: &[usize], x: [f64; 3]) -> Vec<f64> {
             while event + 1 < events.len() && events[event + 1].0 <= now_s {
                 event += 1;
             }
-            let next_s = events
-                .get(event + 1)
-                .map_or(end_s, |next| next.0.min(end_s));
+            let next = events.get(event + 1);
+            let next_s = next.map_or(end_s, |next| next.0.min(end_s));
             let step = next_s - now_s;
             #[expect(clippy::float_cmp, reason = "the very same step")]
             if step != last_step {
@@ -190,13 +180,13 @@ pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
     let (back_emf, back_emf_std) =
         difference(first.back_emf_v_s_per_rad, second.back_emf_v_s_per_rad);
     let (resistance, resistance_std) = difference(first.resistance_ohm, second.resistance_ohm);
-    let clear = back_emf.abs() > CERTAIN * back_emf_std;
+    let clear = back_emf.abs() > CLEAR_SIGMAS * back_emf_std;
     let ratio = 1.0 + resistance;
-    let not_warmth = !(1.0 / OTHER_RESISTANCE..=OTHER_RESISTANCE).contains(&ratio)
-        && resistance.abs() > CERTAIN * resistance_std;
-    let kinship = if (clear && back_emf.abs() > OTHER_BACK_EMF) || not_warmth {
+    let not_warmth = !(1.0 / OTHER_RESISTANCE_RATIO..=OTHER_RESISTANCE_RATIO).contains(&ratio)
+        && resistance.abs() > CLEAR_SIGMAS * resistance_std;
+    let kinship = if (clear && back_emf.abs() > OTHER_BACK_EMF_SHARE) || not_warmth {
         Kinship::Other
-    } else if clear && back_emf.abs() > DOUBTFUL_BACK_EMF {
+    } else if clear && back_emf.abs() > DOUBTFUL_BACK_EMF_SHARE {
         Kinship::Doubtful
     } else {
         Kinship::Same
@@ -215,11 +205,9 @@ pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
         Kinship::Doubtful => format!(
             "the two runs may be of different motors: {figures}; a magnet that is some 20 K warmer would do this too"
         ),
-        Kinship::Other => {
-            format!(
-                "the two runs are not of the same motor, or not wired alike: {figures}; warmth does not explain that"
-            )
-        }
+        Kinship::Other => format!(
+            "the two runs are not of the same motor, or not wired alike: {figures}; warmth does not explain that"
+        ),
     };
     MotorMatch {
         first,
@@ -234,39 +222,30 @@ pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::{Motor, testing};
+    use crate::diagnosis::kit::nameplate;
+    use crate::plant::testing;
 
     fn motor(resistance: f64, back_emf: f64) -> Model {
-        let mut motor = Motor::zk_22fc();
-        motor.set(MotorKey::Resistance, resistance);
-        motor.set(MotorKey::BackEmf, back_emf);
-        Model::baseline(motor)
+        let mut model = nameplate();
+        model.motor.set(MotorKey::Resistance, resistance);
+        model.motor.set(MotorKey::BackEmf, back_emf);
+        model
     }
 
     fn run(model: &Model, period_s: f64, seed: u64) -> Scenario {
         let levels = [0.0, 40.0, 70.0, -50.0, 20.0, -80.0, 60.0];
-        let events = levels
-            .iter()
-            .enumerate()
-            .flat_map(|(k, level)| {
-                let at_s = 0.6 * k as f64;
-                [(at_s, *level), (at_s + 0.3, level * 1.1)]
-            })
-            .collect();
-        testing::record(model, events, period_s, 4.2, seed)
-    }
-
-    fn compared(first: &Model, second: &Model, period_s: f64, seed: u64) -> MotorMatch {
-        let start = Model::baseline(Motor::zk_22fc());
-        let of = |model, seed| fingerprint(&start, &run(model, period_s, seed)).unwrap();
-        matches(of(first, seed), of(second, seed + 50))
+        let events = levels.iter().enumerate().flat_map(|(k, level)| {
+            let at_s = 0.6 * k as f64;
+            [(at_s, *level), (at_s + 0.3, level * 1.1)]
+        });
+        testing::record(model, events.collect(), period_s, 4.2, seed)
     }
 
     #[test]
     fn the_values_are_those_of_the_motor_at_either_rate() {
         for (period_s, seed) in [(0.001, 1), (0.01, 2)] {
-            let start = Model::baseline(Motor::zk_22fc());
-            let found = fingerprint(&start, &run(&motor(1.5, 0.30), period_s, seed)).unwrap();
+            let run = run(&motor(1.5, 0.30), period_s, seed);
+            let found = fingerprint(&nameplate(), &run).unwrap();
             let (r, ke) = (found.resistance_ohm, found.back_emf_v_s_per_rad);
             assert!((r.value / 1.5 - 1.0).abs() < 0.02, "{found:?}");
             assert!((ke.value / 0.30 - 1.0).abs() < 0.003, "{found:?}");
@@ -277,27 +256,26 @@ mod tests {
     #[test]
     fn a_warm_winding_is_the_same_motor_and_another_magnet_is_not() {
         for (period_s, seed) in [(0.001, 3), (0.01, 4)] {
-            let cold = motor(1.1, 0.3538);
-            let says = |other: &Model| compared(&cold, other, period_s, seed).kinship;
-            assert_eq!(says(&cold), Kinship::Same);
-            assert_eq!(
-                says(&motor(1.5, 0.3538)),
-                Kinship::Same,
-                "40 % warmer copper"
-            );
-            assert_eq!(says(&motor(1.1, 0.3538 * 0.96)), Kinship::Doubtful);
-            assert_eq!(says(&motor(1.1, 0.3538 * 1.1)), Kinship::Other);
-            assert_eq!(
-                says(&motor(2.2, 0.3538)),
-                Kinship::Other,
-                "warmth does not double it"
-            );
+            let of = |model: &Model, seed| {
+                fingerprint(&nameplate(), &run(model, period_s, seed)).unwrap()
+            };
+            let cold = of(&motor(1.1, 0.3538), seed);
+            for (resistance, back_emf, kinship, why) in [
+                (1.1, 0.3538, Kinship::Same, "the same"),
+                (1.5, 0.3538, Kinship::Same, "40 % warmer copper"),
+                (1.1, 0.3538 * 0.96, Kinship::Doubtful, "a hot magnet"),
+                (1.1, 0.3538 * 1.1, Kinship::Other, "another magnet"),
+                (2.2, 0.3538, Kinship::Other, "warmth does not double it"),
+            ] {
+                let other = of(&motor(resistance, back_emf), seed + 50);
+                assert_eq!(matches(cold, other).kinship, kinship, "{why}");
+            }
         }
     }
 
     #[test]
     fn a_run_that_does_not_tell_gives_no_fingerprint() {
-        let start = Model::baseline(Motor::zk_22fc());
+        let start = nameplate();
         let mut still = run(&start, 0.001, 5);
         still.events = vec![(0.0, 0.0)];
         still.speed_rad_s.fill(0.0);

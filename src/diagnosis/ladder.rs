@@ -1,22 +1,347 @@
-//! The ladder of models: one rung up with an effect more, one down with an effect less, each judged on the hold-out.
+//! The ladder of models: each rung a fitted model with its error on the hold-out; one up with an effect more, one down with
+//! an effect less.
+//!
+//! A run observes a model in one of two ways: by the free run of what a voltage drives, or by the balance of torques of
+//! what a torque or a current drives. [`Bench`] hides which it is from whoever fits and judges models.
 
+use rayon::prelude::*;
 use serde::Serialize;
 
-use super::bench::{Bench, beside};
-use super::candidates::by_key;
-use super::compare::Comparison;
-use super::describe::superfluous;
-use super::diagnose::Standing;
+use super::candidates::{by_key, parameters_of};
+use super::compare::{Comparison, compare};
 use super::evidence::Evidence;
-use super::fitted::Fitted;
-use super::joint::answer::{Inference, asked};
-use super::progress::silent;
+use super::joint::answer::{Inference, asked, infer, refined};
+use super::location::ErrorOf;
+use super::mechanical::{self, Balance, with_events_of};
+use super::progress::{Event, Progress, silent};
 use super::score::Score;
-use crate::identification::output_error::FitError;
+use crate::identification::noise::NoiseFloor;
+use crate::identification::output_error::{self, Fit, FitError};
 use crate::identification::torque_rows::Method;
-use crate::plant::{Effect, Model};
+use crate::numerics::levenberg_marquardt::Options;
+use crate::plant::{Effect, Input, Model, ParameterSpec, Scenario, State, effect};
 use crate::sample::ParameterEstimate;
 use crate::text::number::probability;
+
+/// Standard deviations below which a size may as well be zero: in a free run, before which the names have been weighed
+/// already, and in the balance of torques, which decides on them.
+pub(super) const A_SIZE_SIGMAS: f64 = 1.0;
+const A_SIZE_IN_THE_BALANCE_SIGMAS: f64 = 2.0;
+/// Growth of the held-out error from which on parameters that were found along the run do not foretell another one.
+const AS_GOOD: f64 = 1.02;
+
+/// A fitted model with what is known about its parameters, whatever method fitted it.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    pub model: Model,
+    /// Every parameter of the model, in the order of its slots.
+    pub parameters: Vec<ParameterEstimate>,
+    /// Training error in units of the noise.
+    pub nrms: f64,
+    pub noise: NoiseFloor,
+    /// What the standard deviations above were multiplied by, because more than noise is left over.
+    pub interval_factor: f64,
+    /// Where the training run begins.
+    pub start: State,
+}
+
+impl Fitted {
+    /// Whether a size of an effect lies `sigmas` of its standard deviations from zero: one of its coefficients, or where its
+    /// shape is all that there is, of that. None where no size is known.
+    pub(super) fn is_told_from_zero(&self, id: &str, sigmas: f64) -> Option<bool> {
+        let specs = effect::find(id)?.parameters();
+        let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
+        let sizes = specs.iter();
+        let sizes = sizes.filter(|spec| !has_coefficients || spec.is_coefficient());
+        let sizes = sizes.filter_map(|spec| {
+            let key = format!("{id}.{}", spec.key);
+            let own = self.parameters.iter().find(|own| own.key == key)?;
+            own.value.zip(own.std)
+        });
+        let told = sizes.map(|(value, std)| value.abs() > 0.0 && value.abs() >= sigmas * std);
+        told.reduce(|told, another| told || another)
+    }
+}
+
+impl From<Fit> for Fitted {
+    fn from(fit: Fit) -> Self {
+        Self {
+            model: fit.model,
+            parameters: fit.parameters,
+            nrms: fit.nrms,
+            noise: fit.noise,
+            interval_factor: fit.interval_factor,
+            start: fit.start,
+        }
+    }
+}
+
+/// A model on the confirming run, with its events and its start where they are in it.
+pub(super) struct Confirming {
+    pub(super) score: Score,
+    pub(super) model: Model,
+    pub(super) start: State,
+}
+
+/// The runs and how models are held against them.
+pub(super) struct Bench {
+    pub(super) evidence: Evidence,
+    balance: Option<Balance>,
+    /// The model as it was given, before it was refitted.
+    given: Model,
+    /// Which part of long runs is searched.
+    searched: Option<String>,
+}
+
+impl Bench {
+    /// With the refitted baseline.
+    pub(super) fn new(model: &Model, evidence: Evidence) -> Result<(Self, Fitted), FitError> {
+        let (mut evidence, searched) = evidence.shortened();
+        let (balance, fit) = if evidence.training.input == Input::Voltage {
+            let (with_floor, fit) = evidence.with_baseline(model)?;
+            evidence = with_floor;
+            (None, Fitted::from(fit))
+        } else {
+            let (balance, fit) = Balance::new(model, &evidence)?;
+            evidence.noise.source = balance.source;
+            let fit = fit.ok_or_else(|| cannot_simulate(&evidence.training))?;
+            let fit = balance.fitted(fit, &evidence);
+            (Some(balance), fit)
+        };
+        let bench = Self {
+            evidence,
+            balance,
+            given: model.clone(),
+            searched,
+        };
+        Ok((bench, fit))
+    }
+
+    /// What the runs say together of these effects beside the baseline.
+    pub(super) fn ask(
+        &self,
+        baseline: &Fitted,
+        asked: &[&'static dyn Effect],
+        progress: Progress<'_>,
+    ) -> Result<Inference, FitError> {
+        let mut inference = infer(baseline, &self.given, asked, &self.evidence, progress)?;
+        if self.fits_at_once() {
+            self.agree(baseline, &mut inference)?;
+        }
+        Ok(inference)
+    }
+
+    /// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes
+    /// first, and what the fit with all of it does not tell from zero is not named.
+    fn agree(&self, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
+        let mut left = inference.named.clone();
+        let mut order: Vec<&'static str> = Vec::new();
+        while !left.is_empty() {
+            let mut best = (0, f64::INFINITY);
+            for (place, id) in left.iter().enumerate() {
+                let kept: Vec<&'static str> = order.iter().copied().chain([*id]).collect();
+                let fit = self.fit(&beside(&baseline.model, inference, &kept)?)?;
+                if fit.nrms < best.1 {
+                    best = (place, fit.nrms);
+                }
+            }
+            order.push(left.remove(best.0));
+        }
+        while !order.is_empty() {
+            let fit = self.fit(&beside(&baseline.model, inference, &order)?)?;
+            let told = |id: &str| fit.is_told_from_zero(id, A_SIZE_IN_THE_BALANCE_SIGMAS);
+            let Some(place) = order.iter().rposition(|id| told(id) != Some(true)) else {
+                break;
+            };
+            inference.doubt(order.remove(place));
+        }
+        inference.confusable.retain(|pair| order.contains(&pair[0]));
+        inference.named = order;
+        Ok(())
+    }
+
+    /// Fits what is free in `start` to the training run alone.
+    pub(super) fn fit(&self, start: &Model) -> Result<Fitted, FitError> {
+        self.fit_with(start, Options::default())
+    }
+
+    fn fit_with(&self, start: &Model, options: Options) -> Result<Fitted, FitError> {
+        let Evidence {
+            training, noise, ..
+        } = &self.evidence;
+        let Some(balance) = &self.balance else {
+            let start = std::slice::from_ref(start);
+            return Ok(output_error::fit_with(start, training, noise, options)?.into());
+        };
+        let fit = mechanical::fit(start, &balance.sides.training);
+        let fit = fit.ok_or_else(|| cannot_simulate(training))?;
+        Ok(balance.fitted(fit, &self.evidence))
+    }
+
+    /// Whether a fit costs no simulation.
+    pub(super) const fn fits_at_once(&self) -> bool {
+        self.balance.is_some()
+    }
+
+    /// A complete model on the hold-out.
+    pub(super) fn held_out(&self, model: &Model) -> Result<Score, FitError> {
+        let Evidence { holdout, noise, .. } = &self.evidence;
+        match &self.balance {
+            None => Score::of(model, holdout, noise),
+            Some(balance) => Ok(balance.score(model, &balance.sides.holdout)),
+        }
+    }
+
+    /// A complete model on the confirming run.
+    pub(super) fn confirming(&self, model: &Model, run: &Scenario) -> Result<Confirming, FitError> {
+        let Some(balance) = &self.balance else {
+            let noise = &self.evidence.noise;
+            let predicted = output_error::predict(model, run, noise)?;
+            return Ok(Confirming {
+                score: Score::of(&predicted.model, run, noise)?,
+                start: predicted.start,
+                model: predicted.model,
+            });
+        };
+        let rows = balance.sides.confirm.as_ref();
+        let rows = rows.ok_or_else(|| cannot_simulate(run))?;
+        let model = with_events_of(model, rows);
+        Ok(Confirming {
+            score: balance.score(&model, rows),
+            start: mechanical::start_of(run),
+            model,
+        })
+    }
+
+    /// A fitted model beside the runs.
+    fn compared(&self, fit: &Fitted) -> Result<Comparison, FitError> {
+        let (model, evidence) = (&fit.model, &self.evidence);
+        match &self.balance {
+            None => compare(model, evidence, ErrorOf::Structure),
+            Some(balance) => Ok(balance.compare(model, evidence, ErrorOf::Structure, true)),
+        }
+    }
+
+    /// What these runs cannot answer, and what errors are of.
+    pub(super) fn limits(&self) -> Vec<String> {
+        let mut limits = self.evidence.unjudged();
+        limits.extend(self.searched.clone());
+        limits.extend(self.balance.as_ref().map(|balance| {
+            let processing = &balance.sides.training.sentence;
+            format!("errors are those of the balance of torques ({processing})")
+        }));
+        limits
+    }
+}
+
+pub(super) fn cannot_simulate(run: &Scenario) -> FitError {
+    let run = run.name.clone();
+    FitError::CannotSimulate { run }
+}
+
+/// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
+fn beside(
+    baseline: &Model,
+    inference: &Inference,
+    kept: &[&'static str],
+) -> Result<Model, FitError> {
+    let given = baseline.effect_ids().into_iter();
+    let given = given.filter(|id| inference.can_be_asked(id));
+    let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
+    let start = inference.with_effects(&ids);
+    let mut start = start.ok_or_else(|| FitError::CannotSimulate {
+        run: "the fit run".to_owned(),
+    })?;
+    let unasked = baseline.effects.iter();
+    let unasked: Vec<_> = unasked.filter(|active| !start.has(active.id())).collect();
+    start.effects.extend(unasked.into_iter().cloned());
+    Ok(start)
+}
+
+/// A model on the ladder, fitted to the fit run alone, and its score on the hold-out.
+pub(super) struct Standing {
+    pub(super) fit: Fitted,
+    pub(super) score: Score,
+}
+
+impl Standing {
+    fn of(fit: Fitted, bench: &Bench) -> Result<Self, FitError> {
+        let score = bench.held_out(&fit.model)?;
+        Ok(Self { fit, score })
+    }
+
+    /// With the parameters that prediction errors give, unless they do not foretell the hold-out. A balance of torques has
+    /// no free run that a load could lead astray.
+    fn handed_on(fit: Fitted, bench: &Bench, inference: &Inference) -> Result<Self, FitError> {
+        let free = Self::of(fit, bench)?;
+        if bench.fits_at_once() {
+            return Ok(free);
+        }
+        let led = refined(free.fit.clone(), &bench.evidence.training, inference.noise);
+        let led = Self::of(led, bench)?;
+        let is_worse = led.score.nrms > AS_GOOD * free.score.nrms;
+        Ok(if is_worse { free } else { led })
+    }
+
+    pub(super) fn rung(&self) -> Rung {
+        Rung {
+            effects: self.fit.model.effect_ids(),
+            holdout_rmse: self.score.nrms,
+        }
+    }
+}
+
+/// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
+/// are handed on.
+pub(super) fn climb(
+    bench: &Bench,
+    baseline: &Fitted,
+    inference: &Inference,
+    progress: Progress<'_>,
+) -> Result<Vec<Standing>, FitError> {
+    let last = inference.named.len();
+    let on_rung = |place: usize, fit: Fitted| {
+        if place < last {
+            Standing::of(fit, bench)
+        } else {
+            Standing::handed_on(fit, bench, inference)
+        }
+    };
+    // Of a rung that others follow the error counts, not how well each parameter is known.
+    let in_passing = Options {
+        one_of_many: false,
+        ..Options::thrifty()
+    };
+    let as_it_is = Options {
+        most_iterations: 0,
+        ..Options::thrifty()
+    };
+    let climbed: Vec<Standing> = (0..last)
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|place| {
+            let start = beside(&baseline.model, inference, &inference.named[..=place])?;
+            let is_last = place + 1 == last;
+            let options = if is_last {
+                Options::default()
+            } else {
+                in_passing
+            };
+            let fitted = bench.fit_with(&start, options);
+            // Where much else is missing a free run is fitted by what is no machine: what was found along the run is.
+            let stands = fitted.and_then(|fit| on_rung(place + 1, fit));
+            stands.or_else(|_| on_rung(place + 1, bench.fit_with(&start, as_it_is)?))
+        })
+        .collect::<Result<_, FitError>>()?;
+    let mut rungs = vec![on_rung(0, baseline.clone())?];
+    for (effect, rung) in inference.named.iter().zip(climbed) {
+        let (error, holdout) = (rung.fit.nrms, rung.score.nrms);
+        progress(Event::Refitted { effect, error });
+        progress(Event::Accepted { effect, holdout });
+        rungs.push(rung);
+    }
+    Ok(rungs)
+}
 
 /// One model on the ladder and its held-out error in units of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -52,11 +377,8 @@ pub fn add(
     let asked = asked(&before.model, Some(effect));
     let inference = bench.ask(&before, &asked, &silent)?;
     let id = effect.card().id;
-    let can_be_asked = inference
-        .of(id)
-        .is_some_and(|found| found.why_not.is_none());
     // Where the runs cannot be asked for it the answer is the model as it was.
-    let after = if can_be_asked {
+    let after = if inference.can_be_asked(id) {
         bench.fit(&beside(&before.model, &inference, &[id])?)?
     } else {
         before.clone()
@@ -84,139 +406,173 @@ fn change(
     [before, after]: [Fitted; 2],
     adding: bool,
 ) -> Result<AddResult, FitError> {
-    let evidence = &bench.evidence;
+    let id = effect.card().id;
     let after = Standing::handed_on(after, bench, inference)?;
-    let score = bench.held_out(&before.model)?;
-    let (after, scores) = (after.fit, [score, after.score]);
-    let is_there = inference.names(effect.card().id);
-    let rung = |fit: &Fitted, score: &Score| Rung {
-        effects: fit.model.effect_ids(),
-        holdout_rmse: score.nrms,
-    };
-    let confirm = match &evidence.confirm {
+    let before = Standing::of(before, bench)?;
+    let confirm = match &bench.evidence.confirm {
         Some(run) => {
-            let on = |fit: &Fitted| bench.confirming(&fit.model, run);
-            let scores = [on(&before)?.score, on(&after)?.score];
-            Some([rung(&before, &scores[0]), rung(&after, &scores[1])])
+            let on = |standing: &Standing| -> Result<Rung, FitError> {
+                let score = bench.confirming(&standing.fit.model, run)?.score;
+                Ok(Rung {
+                    holdout_rmse: score.nrms,
+                    ..standing.rung()
+                })
+            };
+            Some([on(&before)?, on(&after)?])
         }
         None => None,
     };
-    let prefix = format!("{}.", effect.card().id);
-    let owner = if adding { &after } else { &before };
-    let sides = [bench.compared(&before)?, bench.compared(&after)?];
-    let fall = fall(&scores, evidence.noise.source.times()) + &both_processings(&sides);
+    let sides = [bench.compared(&before.fit)?, bench.compared(&after.fit)?];
+    let times = bench.evidence.noise.source.times();
+    let fall = fall([&before.score, &after.score], times) + &both_processings(&sides);
     let reason = reason(effect, inference, &fall, adding);
     let [compared_before, compared_after] = sides;
+    let owner = if adding { &after } else { &before };
     Ok(AddResult {
-        effect: effect.card().id,
-        accepted: is_there == adding,
+        effect: id,
+        accepted: inference.names(id) == adding,
         reason,
         before: compared_before,
         after: compared_after,
-        parameters: owner
-            .parameters
-            .iter()
-            .filter(|p| p.key.starts_with(&prefix))
-            .cloned()
-            .collect(),
-        ladder: vec![rung(&before, &scores[0]), rung(&after, &scores[1])],
+        parameters: parameters_of(id, &owner.fit.parameters),
+        ladder: vec![before.rung(), after.rung()],
         confirm,
-        fit: after,
+        fit: after.fit,
     })
 }
 
 /// What each processing of a balance of torques says of the change, in words; nothing of a free run.
 fn both_processings(sides: &[Comparison; 2]) -> String {
-    let torque = |side: &Comparison| side.signals.torque_n_m.clone();
-    let (Some(before), Some(after)) = (torque(&sides[0]), torque(&sides[1])) else {
-        return String::new();
-    };
-    let pairs = before.processing.iter().zip(&after.processing);
-    let words: Vec<String> = pairs
-        .map(|(before, after)| {
-            let (from, to) = (
-                before.holdout_relative_error_percent,
-                after.holdout_relative_error_percent,
-            );
-            let whole = before
-                .whole_run_relative_error_percent
-                .zip(after.whole_run_relative_error_percent)
-                .map_or_else(String::new, |(from, to)| {
-                    format!(", {from:.2} -> {to:.2} % over the whole run")
-                });
-            let method = match before.method {
-                Method::WeakForm => "weak form",
-                Method::InverseDynamics => {
-                    "reference processing: inverse dynamics, zero-phase low pass"
-                }
-            };
-            format!("; torque error {from:.2} -> {to:.2} % held out{whole} ({method})")
-        })
-        .collect();
-    words.concat()
+    let [before, after] = [0, 1].map(|side: usize| {
+        let torque = sides[side].signals.torque_n_m.iter();
+        torque.flat_map(|torque| &torque.processing)
+    });
+    let words = before.zip(after).map(|(before, after)| {
+        let from = before.holdout_relative_error_percent;
+        let to = after.holdout_relative_error_percent;
+        let whole = |side: &super::ProcessingError| side.whole_run_relative_error_percent;
+        let whole = whole(before).zip(whole(after));
+        let whole = whole.map_or_else(String::new, |(from, to)| {
+            format!(", {from:.2} -> {to:.2} % over the whole run")
+        });
+        let method = match before.method {
+            Method::WeakForm => "weak form",
+            Method::InverseDynamics => {
+                "reference processing: inverse dynamics, zero-phase low pass"
+            }
+        };
+        format!("; torque error {from:.2} -> {to:.2} % held out{whole} ({method})")
+    });
+    words.collect()
 }
 
 /// How the held-out error changes, in words.
-fn fall([before, after]: &[Score; 2], times: &str) -> String {
-    let share = 100.0 * (1.0 - after.nrms / before.nrms);
+fn fall([before, after]: [&Score; 2], times: &str) -> String {
+    let (from, to) = (before.nrms, after.nrms);
+    let share = 100.0 * (1.0 - to / from);
     let word = if share >= 0.0 { "falls" } else { "rises" };
-    format!(
-        "the held-out error {word} by {:.1} %, from {:.2} to {:.2} {times}",
-        share.abs(),
-        before.nrms,
-        after.nrms
-    )
+    let by = share.abs();
+    format!("the held-out error {word} by {by:.1} %, from {from:.2} to {to:.2} {times}")
 }
 
 /// Why an effect is accepted or refused: how likely it is there beside all others, and what the error does.
 fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) -> String {
-    let card = effect.card();
-    let found = inference.of(card.id);
+    let (id, name) = (effect.card().id, effect.card().name);
+    let found = inference.of(id);
     let likely = probability(found.map_or(0.0, |found| found.probability));
-    let name = card.name;
+    let is_there = inference.names(id);
     if !adding {
-        let word = if inference.names(card.id) {
-            "needed"
-        } else {
-            "superfluous"
-        };
+        let word = if is_there { "needed" } else { "superfluous" };
         return format!("{name} is {word}: it is there with {likely}, and without it {fall}");
     }
     if let Some(why_not) = found.and_then(|found| found.why_not) {
         return format!("{name} cannot be judged from this run: {why_not}");
     }
-    let superfluous = superfluous(inference);
-    let rivals: Vec<&str> = inference
-        .named
-        .iter()
-        .copied()
-        .filter(|id| *id != card.id)
-        .collect();
-    if inference.names(card.id) {
-        let pairs = inference.confusable.iter();
-        let twins: Vec<&str> = pairs
-            .filter(|pair| pair.contains(&card.id))
-            .map(|pair| if pair[0] == card.id { pair[1] } else { pair[0] })
-            .collect();
-        let twins = if twins.is_empty() {
+    // The list behind these words, if there is anything in it.
+    let listed = |before: &str, ids: Vec<&str>, between: &str, behind: &str| {
+        let words = || format!("{before}{}{behind}", ids.join(between));
+        if ids.is_empty() {
             String::new()
         } else {
-            format!(
-                ", which these runs cannot tell from {}",
-                twins.join(" and ")
-            )
-        };
+            words()
+        }
+    };
+    if is_there {
+        let pairs = inference
+            .confusable
+            .iter()
+            .filter(|pair| pair.contains(&id));
+        let twins = pairs.map(|pair| if pair[0] == id { pair[1] } else { pair[0] });
+        let twins = listed(
+            ", which these runs cannot tell from ",
+            twins.collect(),
+            " and ",
+            "",
+        );
+        let superfluous = inference.superfluous_in_words();
         return format!("{name} is there with {likely}{twins}; with it {fall}{superfluous}");
     }
-    let beside = if rivals.is_empty() {
-        String::new()
-    } else {
-        format!(" beside what these runs ask for ({})", rivals.join(", "))
-    };
-    let unseen = if found.is_some_and(|found| found.excited) {
+    let rivals = inference.named.iter().copied().filter(|named| *named != id);
+    let beside = listed(
+        " beside what these runs ask for (",
+        rivals.collect(),
+        ", ",
+        ")",
+    );
+    let is_excited = found.is_some_and(|found| found.excited);
+    let unseen = if is_excited {
         ""
     } else {
         "; these runs would not show it"
     };
     format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::kit::{nameplate, record};
+    use crate::sample::Verdict;
+
+    #[test]
+    fn a_size_counts_and_not_the_shape_of_what_has_none() {
+        let run = record(&nameplate(), 0, 7);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let fit = output_error::fit(&[nameplate()], &run, &noise).unwrap();
+        let mut fit = Fitted::from(fit);
+        let estimate = |&(key, value, std): &(&str, f64, Option<f64>)| ParameterEstimate {
+            key: key.to_owned(),
+            value: Some(value),
+            std,
+            unit: "",
+            verdict: Verdict::Settled,
+            reason: None,
+        };
+        let stribeck: &[(&str, f64, Option<f64>)] = &[
+            ("stribeck_friction.stribeck_n_m", 5e-3, Some(2.2e-2)),
+            ("stribeck_friction.speed_rad_s", 33.0, Some(3.0)),
+        ];
+        let wave: &[_] = &[
+            ("cogging.sin_n_m", 1e-3, Some(2e-2)),
+            ("cogging.cos_n_m", -5e-2, Some(2e-2)),
+        ];
+        let none: &[_] = &[("voltage_drop.drop_v", 0.0, Some(0.0))];
+        let coupling: &[_] = &[("elastic_coupling.frequency_hz", 20.0, Some(0.1))];
+        let unknown: &[_] = &[("cogging.sin_n_m", 1.0, None)];
+        for (values, id, sigmas, told) in [
+            // A speed of 33 +- 3 rad/s is no size.
+            (stribeck, "stribeck_friction", 1.0, Some(false)),
+            (wave, "cogging", 2.0, Some(true)),
+            (wave, "cogging", 3.0, Some(false)),
+            // Nothing is nothing, however well it is known.
+            (none, "voltage_drop", 1.0, Some(false)),
+            // A coupling has nothing but its shape.
+            (coupling, "elastic_coupling", 1.0, Some(true)),
+            (unknown, "cogging", 1.0, None),
+            (wave, "voltage_drop", 1.0, None),
+        ] {
+            fit.parameters = values.iter().map(estimate).collect();
+            assert_eq!(fit.is_told_from_zero(id, sigmas), told, "{id} {sigmas}");
+        }
+    }
 }

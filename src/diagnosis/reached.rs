@@ -5,17 +5,18 @@
 
 use serde::Serialize;
 
-use super::fitted::Fitted;
+use super::ladder::Fitted;
+use crate::numerics::statistics::largest;
 use crate::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, MotorKey, Plant, Scenario, ShaftAngle, State,
-    Trajectory,
+    ActiveEffect, Effect, Input, Instant, Model, MotorKey, Path, Plant, Scenario, ShaftAngle,
+    State, Trajectory,
 };
 use crate::sample::TWO_SIDED_95;
 use crate::text::number::{significant, with_std};
 
 /// Share of the largest of its kind below which a size is the simulation's rounding: a filter of the current does not
 /// move the shaft.
-const ROUNDING: f64 = 1e-6;
+const ROUNDING_SHARE: f64 = 1e-6;
 
 /// The largest size of one quantity on the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -79,43 +80,40 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
     let id = effect.card().id;
     let active = fit.model.effects.iter().find(|active| active.id() == id)?;
     let values: Vec<f64> = active.values.iter().copied().collect::<Option<_>>()?;
-    let measure = Measure::new(fit, effect, run)?;
-    let sizes = measure.sizes(&values)?;
+    let along = FreeRun::new(fit, effect, &values, run)?;
+    let sizes = along.sizes(&values)?;
     let mut variances = [0.0; 4];
     let mut known = true;
     for (index, spec) in effect.parameters().iter().enumerate() {
         let key = format!("{id}.{}", spec.key);
         let found = fit.parameters.iter().find(|found| found.key == key);
-        match found.and_then(|found| found.std) {
-            Some(std) if std > 0.0 => {
-                let mut moved = values.clone();
-                moved[index] = (values[index] + std).clamp(spec.min, spec.max);
-                if let Some(there) = measure.sizes(&moved) {
-                    for ((variance, here), there) in variances.iter_mut().zip(sizes).zip(there) {
-                        *variance += (there - here).powi(2);
-                    }
-                }
-            }
-            Some(_) => {}
-            None => known = false,
+        let std = found.and_then(|found| found.std);
+        known &= std.is_some();
+        let Some(std) = std.filter(|std| *std > 0.0) else {
+            continue;
+        };
+        let mut moved = values.clone();
+        moved[index] = (values[index] + std).clamp(spec.min, spec.max);
+        let there = along.sizes(&moved).unwrap_or(sizes);
+        for k in 0..4 {
+            variances[k] += (there[k] - sizes[k]).powi(2);
         }
     }
-    let largest = measure.largest();
+    let largest = along.largest();
     let peak = |index: usize| {
-        let value = sizes[index];
+        let (value, largest) = (sizes[index], largest[index]);
         let std = known.then(|| variances[index].sqrt());
-        let is_there = value > ROUNDING * largest[index] && value.is_finite();
+        let interval = |std: f64| {
+            let half = TWO_SIDED_95 * std;
+            [(value - half).max(0.0), value + half]
+        };
+        let is_there = value > ROUNDING_SHARE * largest && value.is_finite();
         is_there.then(|| Peak {
             value,
             std,
-            interval_95: std.map(|std| {
-                [
-                    (value - TWO_SIDED_95 * std).max(0.0),
-                    value + TWO_SIDED_95 * std,
-                ]
-            }),
+            interval_95: std.map(interval),
             unit: UNITS[index],
-            percent_of_largest: (largest[index] > 0.0).then(|| 100.0 * value / largest[index]),
+            percent_of_largest: (largest > 0.0).then(|| 100.0 * value / largest),
         })
     };
     Some(Reached {
@@ -127,7 +125,7 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
 }
 
 /// The free run along which an effect is measured.
-struct Measure<'a> {
+struct FreeRun<'a> {
     effect: &'static dyn Effect,
     model: &'a Model,
     run: &'a Scenario,
@@ -137,77 +135,65 @@ struct Measure<'a> {
     without: Option<Trajectory>,
 }
 
-impl<'a> Measure<'a> {
-    fn new(fit: &'a Fitted, effect: &'static dyn Effect, run: &'a Scenario) -> Option<Self> {
-        let model = &fit.model;
-        let active = model
-            .effects
-            .iter()
-            .find(|active| active.id() == effect.card().id)?;
-        let values: Vec<f64> = active.values.iter().copied().collect::<Option<_>>()?;
-        let terms = effect.terms(&values);
-        let beside = terms.path() != crate::plant::Path::default() || terms.coupling().is_some();
-        let mut bare = model.clone();
-        bare.effects
-            .retain(|active| active.id() != effect.card().id);
+impl<'a> FreeRun<'a> {
+    fn new(
+        fit: &'a Fitted,
+        effect: &'static dyn Effect,
+        values: &[f64],
+        run: &'a Scenario,
+    ) -> Option<Self> {
+        let terms = effect.terms(values);
+        let is_beside = terms.path() != Path::default() || terms.coupling().is_some();
         let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
-        let without = if beside {
+        let without = if is_beside {
+            let bare = fit.model.without_effect(effect.card().id).ok()?;
             Some(Plant::new(&bare, run.input).ok()?.simulate(run, start))
         } else {
             None
         };
+        let mut plant = Plant::new(&fit.model, run.input).ok()?;
         Some(Self {
             effect,
-            model,
+            model: &fit.model,
             run,
             start,
-            with: Plant::new(model, run.input).ok()?.simulate(run, fit.start),
+            with: plant.simulate(run, fit.start),
             without,
         })
     }
 
     fn sizes(&self, values: &[f64]) -> Option<Sizes> {
         let mut sizes = self.along(values);
-        let Some(without) = &self.without else {
-            return Some(sizes);
-        };
-        let mut model = self.model.clone();
-        for active in &mut model.effects {
-            if active.id() == self.effect.card().id {
-                *active = ActiveEffect {
-                    effect: self.effect,
-                    values: values.iter().copied().map(Some).collect(),
-                };
-            }
+        if let Some(without) = &self.without {
+            let mut model = self.model.clone();
+            let id = self.effect.card().id;
+            let own = model.effects.iter_mut().filter(|active| active.id() == id);
+            own.for_each(|own| *own = ActiveEffect::with(self.effect, values));
+            let mut plant = Plant::new(&model, self.run.input).ok()?;
+            let with = plant.simulate(self.run, self.start);
+            sizes[2] = largest_difference(&with.speed_rad_s, &without.speed_rad_s);
+            sizes[3] = largest_difference(&with.current_a, &without.current_a);
         }
-        let with = Plant::new(&model, self.run.input)
-            .ok()?
-            .simulate(self.run, self.start);
-        sizes[2] = largest_difference(&with.speed_rad_s, &without.speed_rad_s);
-        sizes[3] = largest_difference(&with.current_a, &without.current_a);
         Some(sizes)
     }
 
     /// The largest torque and voltage of the terms.
     fn along(&self, values: &[f64]) -> Sizes {
         let terms = self.effect.terms(values);
-        let motor = &self.model.motor;
-        let value = |key| motor.get(key).unwrap_or(0.0);
-        let (resistance_ohm, back_emf) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));
+        let motor = Instant::of(&self.model.motor);
+        let inertia = self.model.motor.get(MotorKey::Inertia).unwrap_or(0.0);
         let angles = self.run.shaft_angle();
-        let mut angle = angles.iter().peekable();
+        let mut angles = angles.iter().peekable();
         let mut angle_rad = 0.0;
         let mut events = self.run.events.iter().peekable();
         let mut voltage_v = 0.0;
         let supply_v = self.run.supply_v();
         let mut own = vec![0.0; terms.states()];
         let mut rate = own.clone();
-        let mut last_s = self.run.begin_s();
-        let mut last_rad_s = self.start.speed_rad_s;
-        let inertia = value(MotorKey::Inertia);
+        let (mut last_s, mut last_rad_s) = (self.run.begin_s(), self.start.speed_rad_s);
         let (mut torque, mut voltage) = (0.0_f64, 0.0_f64);
         for (sample, &time_s) in self.run.sample_time_s.iter().enumerate() {
-            while let Some(point) = angle.next_if(|point| point.0 <= time_s) {
+            while let Some(point) = angles.next_if(|point| point.0 <= time_s) {
                 angle_rad = point.1;
             }
             while let Some(event) = events.next_if(|event| event.0 <= time_s) {
@@ -220,92 +206,71 @@ impl<'a> Measure<'a> {
                 current_a: self.with.current_a[sample],
                 speed_rad_s: self.with.speed_rad_s[sample],
                 angle: ShaftAngle::at(angle_rad),
-                ..Instant::of(motor)
+                ..motor
             };
-            if !own.is_empty() && time_s > last_s {
+            let interval_s = time_s - last_s;
+            if !own.is_empty() && interval_s > 0.0 {
                 terms.derivative(&at, &own, &mut rate);
                 for (state, rate) in own.iter_mut().zip(&rate) {
-                    *state += rate * (time_s - last_s);
+                    *state += rate * interval_s;
                 }
             }
-            let interval_s = time_s - last_s;
-            let acceleration = if interval_s > 0.0 {
-                (at.speed_rad_s - last_rad_s) / interval_s
-            } else {
-                0.0
-            };
+            let acceleration = (at.speed_rad_s - last_rad_s) / interval_s;
+            let acceleration = if interval_s > 0.0 { acceleration } else { 0.0 };
             (last_s, last_rad_s) = (time_s, at.speed_rad_s);
             let sums = terms.sums(&at, &own);
             let accelerating = (sums.inertia_gain * inertia * acceleration).abs();
             torque = torque.max(sums.torque_n_m.abs() + sums.friction_n_m.abs() + accelerating);
             // What a faster current saves of the voltage that drives it.
-            let driving_v = voltage_v - resistance_ohm * at.current_a - back_emf * at.speed_rad_s;
-            voltage =
-                voltage.max(sums.voltage_v.abs() + (sums.current_rate_gain * driving_v).abs());
+            let driving_v = voltage_v
+                - motor.resistance_ohm * at.current_a
+                - motor.back_emf_v_s_per_rad * at.speed_rad_s;
+            let saved_v = (sums.current_rate_gain * driving_v).abs();
+            voltage = voltage.max(sums.voltage_v.abs() + saved_v);
         }
         [torque, voltage, 0.0, 0.0]
     }
 
     /// The largest torque, voltage, speed and current of the run.
     fn largest(&self) -> Sizes {
-        let most = |values: &mut dyn Iterator<Item = f64>| {
-            values.fold(0.0, |most: f64, value| most.max(value.abs()))
-        };
-        let current_a = most(&mut self.with.current_a.iter().copied());
+        let current_a = largest(self.with.current_a.iter().copied());
+        let per_ampere = self.model.motor.torque_constant().unwrap_or(0.0).abs();
         [
-            self.model.motor.torque_constant().unwrap_or(0.0).abs() * current_a,
-            most(&mut self.run.events.iter().map(|event| event.1)),
-            most(&mut self.with.speed_rad_s.iter().copied()),
+            per_ampere * current_a,
+            largest(self.run.events.iter().map(|event| event.1)),
+            largest(self.with.speed_rad_s.iter().copied()),
             current_a,
         ]
     }
 }
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
-    a.iter()
-        .zip(b)
-        .fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()))
+    let differences = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+    differences.fold(0.0, f64::max)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::kit::{held, truth};
     use crate::identification::noise::NoiseFloor;
     use crate::identification::output_error;
-    use crate::plant::{Motor, effect, testing};
+    use crate::plant::{effect, testing};
 
-    /// A run of the true motor with the effect, fitted.
-    fn fitted(id: &str, values: &[f64]) -> (Fitted, Scenario) {
-        let mut model = Model::baseline(Motor::zk_22fc());
-        model.effects.push(ActiveEffect {
-            effect: effect::find(id).unwrap(),
-            values: values.iter().copied().map(Some).collect(),
-        });
-        let events = vec![
-            (0.0, 0.0),
-            (0.4, 60.0),
-            (1.2, -50.0),
-            (2.0, 30.0),
-            (2.6, 0.0),
-        ];
-        let run = testing::record(&model, events, 0.001, 3.0, 3);
-        let noise = NoiseFloor::from_standstill(&run).unwrap();
-        let fit = output_error::fit(std::slice::from_ref(&model), &run, &noise).unwrap();
-        (Fitted::from(&fit), run)
-    }
-
+    /// What an effect reached on a run of the true motor with it, fitted.
     fn reached(id: &str, values: &[f64]) -> (Reached, Scenario) {
-        let (fit, run) = fitted(id, values);
-        (of_fit(&fit, effect::find(id).unwrap(), &run).unwrap(), run)
+        let model = truth(id, values);
+        let run = testing::record(&model, held(&[60.0, -50.0, 30.0, 0.0], 0.7), 0.001, 3.0, 3);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let fit = output_error::fit(&[model], &run, &noise).unwrap();
+        let found = of_fit(&fit.into(), effect::find(id).unwrap(), &run);
+        (found.unwrap(), run)
     }
 
     #[test]
     fn a_drag_reaches_its_coefficient_times_the_largest_speed() {
         let (found, run) = reached("viscous_friction", &[8e-4]);
-        let fastest = run
-            .speed_rad_s
-            .iter()
-            .fold(0.0, |most: f64, w| most.max(w.abs()));
+        let fastest = largest(run.speed_rad_s.iter().copied());
         let torque = found.torque_n_m.unwrap();
         assert!(
             (torque.value / (8e-4 * fastest) - 1.0).abs() < 0.05,
@@ -327,10 +292,9 @@ mod tests {
         );
         assert!(drop.torque_n_m.is_none());
         let (late, run) = reached("speed_delay", &[0.004]);
-        let steepest = run
-            .speed_rad_s
-            .windows(40)
-            .map(|pair| (pair[39] - pair[0]).abs() / 0.039)
+        let steps = run.speed_rad_s.windows(40);
+        let steepest = steps
+            .map(|part| (part[39] - part[0]).abs() / 0.039)
             .fold(0.0, f64::max);
         let change = late.speed_rad_s.unwrap();
         assert!(
@@ -342,20 +306,15 @@ mod tests {
 
     #[test]
     fn what_sits_in_one_sensor_reaches_nothing_in_the_others() {
-        for (id, value) in [
-            ("current_filter", 2e-3),
-            ("current_offset", 0.3),
-            ("speed_filter", 4e-3),
-            ("speed_offset", 2.0),
+        for (id, value, unit) in [
+            ("current_filter", 2e-3, "A"),
+            ("current_offset", 0.3, "A"),
+            ("speed_filter", 4e-3, "rad/s"),
+            ("speed_offset", 2.0, "rad/s"),
         ] {
             let (found, _) = reached(id, &[value]);
             let units: Vec<&str> = found.peaks().map(|peak| peak.unit).collect();
-            let own = if id.starts_with("current") {
-                "A"
-            } else {
-                "rad/s"
-            };
-            assert_eq!(units, [own], "{id}: {found:?}");
+            assert_eq!(units, [unit], "{id}: {found:?}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Residual lights: is there anything left in the error but noise?
 //!
 //! Correlations of the free-run residual `e` with itself and with the input `u` over lags, in multiples of their 99 % band
-//! `2.58 / sqrt(n)` (DISCOVERY.md 2.9; Billings and Zhu, Int. J. Control 60, 1994). With `x'` for `x` less its mean:
+//! `2.58 / sqrt(n)` (Billings and Zhu, Int. J. Control 60, 1994). With `x'` for `x` less its mean:
 //! whiteness `ee`; independence of the input `ue`, `(u2)'e`, `(u2)'(e2)'`, `e(eu)`; and the Ljung-Box test of whiteness.
 //! A wrong model gives `ee` 18 to 42 times the band, a right one 0.6 to 1.4. They say *that* something is left, never what.
 
@@ -218,39 +218,37 @@ mod tests {
         (0..n).map(|_| rng.sample(StandardNormal)).collect()
     }
 
-    fn with_input(residual: &[f64], input: &[f64]) -> Vec<(f64, f64)> {
-        residual
-            .iter()
-            .copied()
-            .zip(input.iter().copied())
-            .collect()
+    /// The lights of a residual of the current beside the input.
+    fn lights(residual: &[f64], input: &[f64]) -> ResidualLights {
+        let pairs = residual.iter().copied().zip(input.iter().copied());
+        ResidualLights::of(&pairs.collect::<Vec<_>>(), &[])
+    }
+
+    /// The residual with a fault, which may depend on the sample.
+    fn spoilt(e: &[f64], fault: impl Fn(usize) -> f64) -> Vec<f64> {
+        e.iter().enumerate().map(|(k, e)| e + fault(k)).collect()
     }
 
     #[test]
     fn noise_is_white_and_a_slow_wave_is_not() {
         let (e, u) = (noise(4, 5000), noise(5, 5000));
-        let good = with_input(&e, &u);
-        let lights = ResidualLights::of(&good, &[]);
-        assert!(lights.white && lights.independent_of_input, "{lights:?}");
-        let one = lights.current_a.unwrap();
-        assert!(one.ljung_box < one.ljung_box_limit && lights.speed_rad_s.is_none());
-        let wave: Vec<f64> = e
-            .iter()
-            .enumerate()
-            .map(|(k, n)| n + 0.6 * (k as f64 / 50.0).sin())
-            .collect();
-        let lights = ResidualLights::of(&good, &with_input(&wave, &u));
-        assert!(!lights.white && lights.autocorrelation_outside_99_percent > 0.5);
-        assert!(lights.speed_rad_s.unwrap().rho_ee.largest_over_band > 3.0);
+        let good = lights(&e, &u);
+        assert!(good.white && good.independent_of_input, "{good:?}");
+        let one = good.current_a.unwrap();
+        assert!(one.ljung_box < one.ljung_box_limit && good.speed_rad_s.is_none());
+        let wave = spoilt(&e, |k| 0.6 * (k as f64 / 50.0).sin());
+        let pairs = |e: Vec<f64>| e.into_iter().zip(u.iter().copied()).collect::<Vec<_>>();
+        let both = ResidualLights::of(&pairs(e.clone()), &pairs(wave));
+        assert!(!both.white && both.autocorrelation_outside_99_percent > 0.5);
+        assert!(both.speed_rad_s.unwrap().rho_ee.largest_over_band > 3.0);
     }
 
     #[test]
     fn each_light_of_independence_sees_its_own_fault() {
         let (e, u) = (noise(6, 4000), noise(7, 4000));
         let with = |fault: &dyn Fn(usize) -> f64| {
-            let spoilt: Vec<f64> = (0..4000).map(|k| e[k] + fault(k)).collect();
-            let lights = ResidualLights::of(&with_input(&spoilt, &u), &[]);
-            (lights, lights.current_a.unwrap())
+            let found = lights(&spoilt(&e, fault), &u);
+            (found, found.current_a.unwrap())
         };
         let (all, linear) = with(&|k| if k > 3 { 0.3 * u[k - 3] } else { 0.0 });
         assert!(!linear.rho_ue.passes && linear.rho_u2e.passes && !all.independent_of_input);
@@ -266,9 +264,7 @@ mod tests {
         for k in 1..4000 {
             fed_back[k] += 0.4 * fed_back[k - 1] * u[k - 1];
         }
-        let bilinear = ResidualLights::of(&with_input(&fed_back, &u), &[])
-            .current_a
-            .unwrap();
+        let bilinear = lights(&fed_back, &u).current_a.unwrap();
         assert!(
             !bilinear.rho_e_eu.passes && bilinear.rho_ee.passes,
             "{bilinear:?}"
@@ -276,52 +272,41 @@ mod tests {
     }
 
     #[test]
-    fn white_noise_goes_with_no_slow_input() {
+    fn a_right_model_raises_a_light_rarely() {
         // Steps that are held for longer than the lags: all lags say the same.
         let levels = noise(8, 20);
         let steps: Vec<f64> = (0..4000).map(|k| levels[k / 200]).collect();
-        let alarms = (0..100)
-            .filter(|seed| {
-                let pairs = with_input(&noise(2000 + seed, 4000), &steps);
-                !ResidualLights::of(&pairs, &[]).independent_of_input
-            })
-            .count();
-        assert!(alarms <= 1, "{alarms} of 100");
-    }
-
-    #[test]
-    fn a_right_model_raises_a_light_rarely() {
-        let alarms = (0..60)
-            .filter(|seed| {
-                let pairs = with_input(&noise(100 + seed, 2000), &noise(900 + seed, 2000));
-                let lights = ResidualLights::of(&pairs, &[]);
-                !(lights.white && lights.independent_of_input)
-            })
-            .count();
+        let white = |found: &ResidualLights| found.white;
+        let independent = |found: &ResidualLights| found.independent_of_input;
+        let count =
+            |seeds: u64, alarm: &dyn Fn(u64) -> bool| (0..seeds).filter(|k| alarm(*k)).count();
+        let alarms = count(100, &|k| {
+            !independent(&lights(&noise(2000 + k, 4000), &steps))
+        });
+        assert!(
+            alarms <= 1,
+            "white noise goes with no slow input: {alarms} of 100"
+        );
+        let alarms = count(60, &|k| {
+            let found = lights(&noise(100 + k, 2000), &noise(900 + k, 2000));
+            !(white(&found) && independent(&found))
+        });
         assert!(alarms <= 2, "{alarms} of 60");
+        let alarms = count(400, &|k| {
+            !white(&lights(&noise(5000 + k, 1000), &[0.0; 1000]))
+        });
+        assert!(alarms <= 1, "white noise is called so: {alarms} of 400");
     }
 
     #[test]
     fn one_strong_lag_is_not_white() {
         let (e, u) = (noise(21, 5000), noise(22, 5000));
-        let echo = |k: usize| if k >= 5 { 0.14 * e[k - 5] } else { 0.0 };
-        let echoed: Vec<f64> = (0..5000).map(|k| e[k] + echo(k)).collect();
-        let lights = ResidualLights::of(&with_input(&echoed, &u), &[]);
-        assert!(lights.autocorrelation_outside_99_percent <= OUTSIDE_BY_CHANCE);
-        assert!(!lights.white && lights.independent_of_input, "{lights:?}");
-        let one = lights.current_a.unwrap();
+        let echoed = spoilt(&e, |k| if k >= 5 { 0.14 * e[k - 5] } else { 0.0 });
+        let found = lights(&echoed, &u);
+        assert!(found.autocorrelation_outside_99_percent <= OUTSIDE_BY_CHANCE);
+        assert!(!found.white && found.independent_of_input, "{found:?}");
+        let one = found.current_a.unwrap();
         assert!(!one.rho_ee.passes && one.ljung_box > one.ljung_box_limit);
-    }
-
-    #[test]
-    fn white_noise_is_called_so() {
-        let wrong = (0..400)
-            .filter(|seed| {
-                let pairs = with_input(&noise(5000 + seed, 1000), &[0.0; 1000]);
-                !ResidualLights::of(&pairs, &[]).white
-            })
-            .count();
-        assert!(wrong <= 1, "{wrong} of 400");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! How well a model meets a run, by its free run or by its balance of torques, in SI and in units of the noise.
 
+use super::floor::in_noise;
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::{self, FitError};
 use crate::identification::torque_rows::TorqueRows;
@@ -59,12 +60,8 @@ impl Score {
         let times = &scenario.sample_time_s[scenario.scored.clone()];
         let current = signal_score(&current_a, &scenario.current_a[scenario.scored.clone()]);
         let speed = signal_score(&speed_rad_s, &scenario.speed_rad_s[scenario.scored.clone()]);
-        let ratios: Vec<f64> = [(current, noise.current_a), (speed, noise.speed_rad_s)]
-            .into_iter()
-            .filter(|(_, level)| level.is_finite())
-            .filter_map(|(signal, level)| Some((signal?.rmse / level).powi(2)))
-            .collect();
-        let nrms = (ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt();
+        let rms = [current, speed].map(|signal| signal.map(|signal| signal.rmse));
+        let nrms = in_noise(rms, noise).unwrap_or(0.0);
         Ok(Self {
             current,
             speed,
@@ -130,13 +127,10 @@ pub(super) fn varies(values: &[f64]) -> bool {
         .is_some_and(|first| present.any(|value| value != first))
 }
 
-fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
-    let pairs: Vec<(f64, f64)> = residual
-        .iter()
-        .copied()
-        .zip(measured.iter().copied())
-        .filter(|(error, value)| error.is_finite() && value.is_finite())
-        .collect();
+pub(super) fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
+    let pairs = residual.iter().copied().zip(measured.iter().copied());
+    let known = pairs.filter(|(error, value)| error.is_finite() && value.is_finite());
+    let pairs: Vec<(f64, f64)> = known.collect();
     if pairs.is_empty() {
         return None;
     }
@@ -153,40 +147,32 @@ fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
 }
 
 fn finite_points(time_s: &[f64], values: &[f64]) -> Vec<(f64, f64)> {
-    time_s
-        .iter()
-        .copied()
-        .zip(values.iter().copied())
-        .filter(|(_, value)| value.is_finite())
-        .collect()
+    let points = time_s.iter().copied().zip(values.iter().copied());
+    points.filter(|(_, value)| value.is_finite()).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::{Motor, testing};
+    use crate::diagnosis::kit::{held, nameplate, truth};
+    use crate::plant::testing;
 
     #[test]
     fn the_error_of_a_fit_is_that_of_its_score_however_often_each_signal_was_sampled() {
-        let mut truth = Model::baseline(Motor::zk_22fc())
-            .with_effect("quadratic_load")
-            .unwrap();
-        truth.effects[0].values = vec![Some(3e-6)];
-        let events = vec![(0.0, 0.0), (0.4, 60.0), (1.5, -90.0), (2.6, 30.0)];
-        let mut run = testing::record(&truth, events, 2e-3, 4.0, 3);
+        let fan = truth("quadratic_load", &[3e-6]);
+        let mut run = testing::record(&fan, held(&[60.0, -90.0, 30.0], 1.1), 2e-3, 4.0, 3);
         for row in (200..run.samples()).filter(|row| row % 5 > 0) {
             run.current_a[row] = f64::NAN;
         }
         let noise = NoiseFloor::from_standstill(&run).unwrap();
-        let fit = output_error::fit(&[Model::baseline(Motor::zk_22fc())], &run, &noise).unwrap();
-        let score = Score::of(&fit.model, &run, &noise).unwrap();
+        let fit = output_error::fit(&[nameplate()], &run, &noise).unwrap();
+        let score = Score::of(&fit.model, &run, &noise).unwrap().nrms;
         assert!(
-            (fit.nrms / score.nrms - 1.0).abs() < 1e-9,
-            "{} {}",
-            fit.nrms,
-            score.nrms
+            (fit.nrms / score - 1.0).abs() < 1e-9,
+            "{} {score}",
+            fit.nrms
         );
         let weighing_samples = (fit.minimum.cost / fit.minimum.residual.len() as f64).sqrt();
-        assert!((weighing_samples / score.nrms - 1.0).abs() > 0.05);
+        assert!((weighing_samples / score - 1.0).abs() > 0.05);
     }
 }

@@ -8,6 +8,12 @@ pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
+/// Largest magnitude; what is not a number counts for nothing.
+pub fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    let finite = values.into_iter().filter(|value| value.is_finite());
+    finite.fold(0.0, |most, value| f64::max(most, value.abs()))
+}
+
 /// Variance with `n - 1`; NaN for fewer than two values.
 pub fn variance(values: &[f64]) -> f64 {
     if values.len() < 2 {

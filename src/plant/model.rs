@@ -74,6 +74,14 @@ impl ActiveEffect {
         }
     }
 
+    /// With these values, in the order of its parameters.
+    pub fn with(effect: &'static dyn Effect, values: &[f64]) -> Self {
+        Self {
+            effect,
+            values: values.iter().copied().map(Some).collect(),
+        }
+    }
+
     pub fn id(&self) -> &'static str {
         self.effect.card().id
     }

@@ -332,6 +332,12 @@ impl Scenario {
         self.sample_time_s.len()
     }
 
+    /// Mean time between two samples.
+    pub fn mean_period_s(&self) -> f64 {
+        let (times, last) = (&self.sample_time_s, self.samples() - 1);
+        (times[last] - times[0]) / last as f64
+    }
+
     /// The first part and the whole with only its last part scored: a split of one run into training and hold-out.
     /// The hold-out is simulated from the start, so that no state has to be guessed in the middle.
     pub fn split(&self, training_share: f64) -> (Self, Self) {

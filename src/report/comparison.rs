@@ -7,9 +7,6 @@ use crate::diagnosis::{Comparison, HoldoutFrom};
 use crate::identification::noise::FloorSource;
 use crate::sample::ParameterEstimate;
 
-/// Multiple of the noise up to which an error is at the floor.
-const AT_THE_FLOOR: f64 = 1.1;
-
 /// Everything that the page of a comparison is made of.
 #[derive(Clone, Debug)]
 pub struct ComparisonReport<'a> {
@@ -47,7 +44,7 @@ impl ComparisonReport<'_> {
                     "On {from} the error is {error:.2} times its scale; without a noise floor nobody can say how good that is."
                 ),
             )
-        } else if error <= AT_THE_FLOOR && !fails {
+        } else if found.is_at_the_floor() && !fails {
             (
                 Tone::Good,
                 "At the noise floor",

@@ -8,8 +8,7 @@ use crate::sample::{ParameterEstimate, TWO_SIDED_95};
 use crate::text::lines::capitalised;
 use crate::text::number::{fixed, probability, share, significant, with_unit};
 
-/// Share of an error from which on the curve that it follows is worth a picture, and pictures at most.
-const FOLLOWS: f64 = 0.1;
+/// Pictures of curves that an error follows, at most.
 const MOST_CURVES: usize = 3;
 
 /// Card of each effect that was named, and what it cannot be told from.
@@ -56,7 +55,7 @@ pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
     let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) = diagnosis
         .axis_map
         .iter()
-        .partition(|map| map.r2 >= FOLLOWS && map.knots.len() > 1);
+        .partition(|map| map.is_followed() && map.knots.len() > 1);
     for map in followed.iter().take(MOST_CURVES) {
         let unit = if map.equation == "voltage" {
             "V"

@@ -1,5 +1,6 @@
 //! What the posterior says of each effect of the catalogue, and of what none of them explains.
 
+use serde::Serialize;
 use statrs::function::erf::erfc;
 
 use super::acting::constants;
@@ -9,40 +10,41 @@ use super::events::Event;
 use super::follow::Noise;
 use super::prediction_error::estimate;
 use super::refits::{SIMPLE_FOR_RICH, has_drop_of_brushes};
-use super::search::{self, Found, Happened};
-use super::select::{Posterior, Set};
-use crate::diagnosis::Evidence;
+use super::search::{self, Found};
+use super::select::Set;
+use super::solution::{self, Happened};
 use crate::diagnosis::candidates::{Onset, RunOf};
-use crate::diagnosis::evidence::HoldoutFrom;
-use crate::diagnosis::explained::{Floor, MOST_UNSEEN, in_noise};
-use crate::diagnosis::fitted::Fitted;
+use crate::diagnosis::evidence::{Evidence, HoldoutFrom};
+use crate::diagnosis::floor::{Floor, MOST_UNSEEN, in_noise};
+use crate::diagnosis::ladder::{Fitted, cannot_simulate};
+use crate::diagnosis::mechanical::start_of;
 use crate::diagnosis::progress::Progress;
 use crate::diagnosis::score::Score;
 use crate::identification::noise::{FloorSource, NoiseFloor};
 use crate::identification::output_error::FitError;
 use crate::identification::verdict::judge;
-use crate::numerics::statistics;
+use crate::numerics::statistics::{self, largest};
 use crate::plant::effect::CATALOGUE;
 use crate::plant::{ActiveEffect, Effect, Input, Model, MotorKey, Scenario, State};
 use crate::sample::Verdict;
 
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
-const BOUND: f64 = 1.75;
+const BOUND_SIGMAS: f64 = 1.75;
 /// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
-const NAMED_IN_95: f64 = 1.645;
+const NAMED_IN_95_SIGMAS: f64 = 1.645;
 /// Standard deviations beyond which nothing of note lies.
-const BEYOND: f64 = 4.0;
+const BEYOND_SIGMAS: f64 = 4.0;
 /// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
-const SAYS_NOTHING: f64 = 0.5;
+const SAYS_NOTHING_SLABS: f64 = 0.5;
 /// Plausible sets that bounds are asked of.
 const SETS: usize = 12;
 /// Probability from which on an effect is named.
-const NAMED: f64 = 0.5;
+const NAMED_PROBABILITY: f64 = 0.5;
 /// The same for two together that cannot be told apart.
-const CERTAIN: f64 = 0.9;
+const TOGETHER_PROBABILITY: f64 = 0.9;
 
 /// Share of the error from which on what follows an axis is a part of the answer.
-const LEAST_PART: f64 = 0.03;
+const LEAST_PART_SHARE: f64 = 0.03;
 
 /// One effect.
 #[derive(Clone)]
@@ -63,21 +65,28 @@ pub(in crate::diagnosis) struct Inferred {
     pub(in crate::diagnosis) log_odds: f64,
 }
 
-/// A part of the error that follows an axis and is none of the catalogue's effects.
-#[derive(Clone, Debug, PartialEq)]
-pub(in crate::diagnosis) struct Part {
-    pub(in crate::diagnosis) equation: &'static str,
-    pub(in crate::diagnosis) follows: &'static str,
-    pub(in crate::diagnosis) probability: f64,
+/// A part of the error that follows something and that no effect of the catalogue explains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unknown {
+    pub equation: &'static str,
+    pub follows: &'static str,
+    pub probability: f64,
     /// Of the error that the baseline leaves.
-    pub(in crate::diagnosis) share: f64,
+    pub share_of_error: f64,
+    pub sentence: String,
+}
+
+impl Inferred {
+    fn id(&self) -> &'static str {
+        self.effect.card().id
+    }
 }
 
 /// Everything that the runs say together.
 pub(in crate::diagnosis) struct Inference {
     /// Every effect that was asked for.
     pub(in crate::diagnosis) effects: Vec<Inferred>,
-    pub(in crate::diagnosis) unknown: Vec<Part>,
+    pub(in crate::diagnosis) unknown: Vec<Unknown>,
     /// What is more likely there than not, what explains most first.
     pub(in crate::diagnosis) named: Vec<&'static str>,
     /// Effects of the baseline that are not needed beside the others.
@@ -120,9 +129,20 @@ impl Inference {
 
     /// What is said of an effect; none where it was not asked for.
     pub(in crate::diagnosis) fn of(&self, id: &str) -> Option<&Inferred> {
-        self.effects
-            .iter()
-            .find(|inferred| inferred.effect.card().id == id)
+        self.effects.iter().find(|inferred| inferred.id() == id)
+    }
+
+    /// Whether an effect was asked for and these runs can judge it.
+    pub(in crate::diagnosis) fn can_be_asked(&self, id: &str) -> bool {
+        self.of(id).is_some_and(|found| found.why_not.is_none())
+    }
+
+    /// What the model had and does not need any more, as the end of a sentence.
+    pub(in crate::diagnosis) fn superfluous_in_words(&self) -> String {
+        let words = self.superfluous.iter();
+        words.fold(String::new(), |words, id| {
+            words + "; " + id + " is superfluous now"
+        })
     }
 
     /// When an effect that happens once did so, in each of the runs that speak where it did.
@@ -142,7 +162,9 @@ impl Inference {
 
     /// Whether an effect is more likely there than not, or these runs cannot tell it from one that is.
     pub(in crate::diagnosis) fn names(&self, id: &str) -> bool {
-        let likely = self.of(id).is_some_and(|found| found.probability > NAMED);
+        let likely = self
+            .of(id)
+            .is_some_and(|found| found.probability > NAMED_PROBABILITY);
         likely || self.named.contains(&id) || self.confusable.iter().any(|pair| pair[1] == id)
     }
 
@@ -154,8 +176,8 @@ impl Inference {
     /// Names an effect no more: a fit with it leaves it no size.
     pub(in crate::diagnosis) fn doubt(&mut self, id: &'static str) {
         for effect in &mut self.effects {
-            if effect.effect.card().id == id {
-                effect.probability = effect.probability.min(NAMED);
+            if effect.id() == id {
+                effect.probability = effect.probability.min(NAMED_PROBABILITY);
             }
         }
         self.named.retain(|named| *named != id);
@@ -182,7 +204,7 @@ impl Inference {
                 Some(if candidate.in_model { 0 } else { *form })
             })
             .collect();
-        let there = search::at_solution(hypothesis, reduced, &set)?;
+        let there = solution::at_solution(hypothesis, reduced, &set)?;
         let mut model = there.model;
         let mut known: Vec<&Event> = happened.iter().map(|happened| &happened.event).collect();
         known.sort_by_key(|event| event.run);
@@ -213,16 +235,10 @@ pub(in crate::diagnosis) fn asked(
     beside: Option<&'static dyn Effect>,
 ) -> Vec<&'static dyn Effect> {
     let mut asked = CATALOGUE.to_vec();
-    for effect in model
-        .effects
-        .iter()
-        .map(|active| active.effect)
-        .chain(beside)
-    {
-        if asked
-            .iter()
-            .all(|known| known.card().id != effect.card().id)
-        {
+    let of_model = model.effects.iter().map(|active| active.effect);
+    for effect in of_model.chain(beside) {
+        let is_known = |known: &&'static dyn Effect| known.card().id == effect.card().id;
+        if !asked.iter().any(is_known) {
             asked.push(effect);
         }
     }
@@ -238,9 +254,6 @@ pub(in crate::diagnosis) fn infer(
     evidence: &Evidence,
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
-    let failed = || FitError::CannotSimulate {
-        run: evidence.training.name.clone(),
-    };
     // Where one run was split the whole of it speaks.
     let known = evidence.noise.source != FloorSource::None;
     let ready = |run: &Scenario| prepared(run, known);
@@ -249,76 +262,56 @@ pub(in crate::diagnosis) fn infer(
         HoldoutFrom::Split => vec![ready(&evidence.holdout)],
     };
     let scenarios: Vec<&Scenario> = runs.iter().collect();
-    let starts: Vec<State> = scenarios
-        .iter()
-        .enumerate()
-        .map(|(number, run)| {
-            if run.input != Input::Voltage {
-                let mut speeds = run.speed_rad_s.iter().filter(|speed| speed.is_finite());
-                State::at(0.0, speeds.next().copied().unwrap_or(0.0))
-            } else if number == 0 {
-                State::at(baseline.start.current_a, baseline.start.speed_rad_s)
-            } else {
-                State::default()
-            }
-        })
-        .collect();
+    let start = |(number, run): (usize, &&Scenario)| match (run.input, number) {
+        (Input::Voltage, 0) => State::at(baseline.start.current_a, baseline.start.speed_rad_s),
+        (Input::Voltage, _) => State::default(),
+        _ => start_of(run),
+    };
+    let starts: Vec<State> = scenarios.iter().enumerate().map(start).collect();
     let noise = beginning(&evidence.noise, &baseline.model, &runs[0]);
     let mut model = baseline.model.clone();
     // A balance may ask for an inertia that no shaft has.
-    if let Some(inertia) = model
-        .motor
-        .get(MotorKey::Inertia)
-        .filter(|inertia| *inertia <= 0.0)
-    {
-        model
-            .motor
-            .set(MotorKey::Inertia, inertia.abs().max(f64::MIN_POSITIVE));
+    let inertia = model.motor.get(MotorKey::Inertia);
+    if let Some(inertia) = inertia.filter(|inertia| *inertia <= 0.0) {
+        let positive = inertia.abs().max(f64::MIN_POSITIVE);
+        model.motor.set(MotorKey::Inertia, positive);
     }
     let given = model.effect_ids();
     let models = [&model, before];
-    let found =
-        search::search(models, asked, &scenarios, &starts, noise, progress).ok_or_else(failed)?;
-    let mut effects: Vec<Inferred> = asked
-        .iter()
-        .map(|effect| Inferred {
-            given: given.contains(&effect.card().id),
-            why_not: why_not(*effect, &runs[0]),
-            ..inferred(*effect, &found)
-        })
-        .collect();
+    let found = search::search(models, asked, &scenarios, &starts, noise, progress);
+    let found = found.ok_or_else(|| cannot_simulate(&evidence.training))?;
+    let inferred = |effect: &&'static dyn Effect| Inferred {
+        given: given.contains(&effect.card().id),
+        why_not: why_not(*effect, &runs[0]),
+        ..inferred(*effect, &found)
+    };
+    let mut effects: Vec<Inferred> = asked.iter().map(inferred).collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
     // Of two that these runs cannot tell apart the likelier stands for both.
     let mut confusable = confusable(&found);
     if has_drop_of_brushes(&found.hypothesis.model) {
         share_with_drop(&mut effects, &mut confusable);
     }
-    let together = |id: &str| -> f64 {
-        let rivals = confusable
-            .iter()
-            .filter(|pair| pair[0] == id)
-            .map(|pair| pair[1]);
-        let probability = |id: &str| {
-            effects
-                .iter()
-                .find(|e| e.effect.card().id == id)
-                .map_or(0.0, |e| e.probability)
-        };
-        probability(id) + rivals.map(probability).sum::<f64>()
+    let probability = |id: &str| {
+        let own = effects.iter().find(|own| own.id() == id);
+        own.map_or(0.0, |own| own.probability)
     };
-    let named: Vec<&'static str> = effects
-        .iter()
-        .filter(|e| !e.given)
-        .filter(|e| e.probability > NAMED || together(e.effect.card().id) > CERTAIN)
-        .map(|e| e.effect.card().id)
-        .collect();
+    let together = |id: &str| -> f64 {
+        let pairs = confusable.iter().filter(|pair| pair[0] == id);
+        probability(id) + pairs.map(|pair| probability(pair[1])).sum::<f64>()
+    };
+    let is_named = |own: &&Inferred| {
+        let alone = own.probability > NAMED_PROBABILITY;
+        !own.given && (alone || together(own.id()) > TOGETHER_PROBABILITY)
+    };
+    let named: Vec<&'static str> = effects.iter().filter(is_named).map(Inferred::id).collect();
     let is_gone = |id: &&'static str| !found.hypothesis.has(id);
     let superfluous = given.into_iter().filter(is_gone).collect();
     confusable.retain(|pair| named.contains(&pair[0]));
-    let Posterior { probability, .. } = &found.posterior;
+    let candidates = &found.reduced.linear.candidates;
     let unknown = unknown_parts(
-        &found.reduced.linear.candidates,
-        probability,
+        candidates,
+        &found.posterior.probability,
         &found.unknown_share,
     );
     Ok(Inference {
@@ -341,22 +334,30 @@ pub(in crate::diagnosis) fn infer(
 
 /// The parts of the error that are unknown and no part too small to be one: what only bends the innovations, and takes
 /// nothing from the error of a free run, explains none of it.
-fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Part> {
+fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Unknown> {
     let parts = candidates.iter().zip(probability).zip(shares);
-    parts
-        .filter(|((candidate, p), share)| {
-            candidate.is_unknown() && **p > NAMED && **share > LEAST_PART
-        })
-        .map(|((candidate, p), share)| {
-            let (equation, follows) = axis(candidate.id);
-            Part {
-                equation,
-                follows,
-                probability: *p,
-                share: *share,
-            }
-        })
-        .collect()
+    let counts = |candidate: &Candidate, p: f64, share: f64| {
+        candidate.is_unknown() && p > NAMED_PROBABILITY && share > LEAST_PART_SHARE
+    };
+    let parts = parts.filter(|((candidate, p), share)| counts(candidate, **p, **share));
+    let unknown = |((candidate, probability), share): ((&Candidate, &f64), &f64)| {
+        let (equation, follows, axis) = match candidate.id {
+            "torque over angle" => ("torque", "angle_rad", "the angle of the shaft"),
+            "voltage over current" => ("voltage", "current_a", "the current"),
+            _ => ("torque", "speed_rad_s", "the speed"),
+        };
+        let percent = 100.0 * share;
+        Unknown {
+            equation,
+            follows,
+            probability: *probability,
+            share_of_error: *share,
+            sentence: format!(
+                "{percent:.0} % of the error: an unknown {equation} that follows {axis}"
+            ),
+        }
+    };
+    parts.map(unknown).collect()
 }
 
 /// Growth of the error of a free run from which on a model is right only where it is led along the run.
@@ -375,13 +376,8 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
     };
     let led = Score::of(&estimated.model, run, &fit.noise);
     let led = led.ok().filter(|score| score.nrms < LED_ONLY * fit.nrms);
-    let kept = if led.is_some() {
-        estimated.model.clone()
-    } else {
-        model
-    };
-    let times = &run.sample_time_s;
-    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+    let kept = led.as_ref().map_or(&model, |_| &estimated.model);
+    let period_s = run.mean_period_s();
     for (slot, deviation) in &estimated.deviations {
         let key = slot.key();
         let value = kept.get(slot).unwrap_or(f64::NAN);
@@ -392,28 +388,16 @@ pub(in crate::diagnosis) fn refined(mut fit: Fitted, run: &Scenario, noise: Nois
             judged.verdict = Verdict::Searching;
             judged.reason = Some("the fit had not converged".to_owned());
         }
-        if let Some(parameter) = fit
-            .parameters
-            .iter_mut()
-            .find(|parameter| parameter.key == key)
-        {
+        let mut parameters = fit.parameters.iter_mut();
+        if let Some(parameter) = parameters.find(|own| own.key == key) {
             *parameter = judged;
         }
     }
     Fitted {
-        model: kept,
+        model: kept.clone(),
         interval_factor: estimated.factor,
         nrms: led.map_or(fit.nrms, |score| score.nrms),
         ..fit
-    }
-}
-
-/// Equation and axis of an unknown part.
-fn axis(id: &str) -> (&'static str, &'static str) {
-    match id {
-        "torque over angle" => ("torque", "angle_rad"),
-        "voltage over current" => ("voltage", "current_a"),
-        _ => ("torque", "speed_rad_s"),
     }
 }
 
@@ -425,15 +409,10 @@ const ALONE: f64 = 0.7;
 
 /// Noise to begin with: the sensors' as they are known, a disturbance of a per cent.
 fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
-    let largest = |values: &mut dyn Iterator<Item = f64>| {
-        let known = values.filter(|value| value.is_finite());
-        known.fold(0.0_f64, |most, value| most.max(value.abs()))
-    };
-    let largest_input = largest(&mut run.events.iter().map(|event| event.1));
-    let current = if run.input == Input::Voltage {
-        largest(&mut run.current_a.iter().copied())
-    } else {
-        largest_input
+    let largest_input = largest(run.events.iter().map(|event| event.1));
+    let current = match run.input {
+        Input::Voltage => largest(run.current_a.iter().copied()),
+        _ => largest_input,
     };
     let torque = constants(model, run).torque_n_m_per_a * current;
     let mut noise = Noise {
@@ -488,12 +467,8 @@ fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
         if variant.mean > 0.0 {
             // There wholly or not at all: seen where that makes a difference beyond the noise.
             let columns = reduced.columns(&without(&found.posterior.best, k));
-            let own: Vec<usize> = variant
-                .columns
-                .iter()
-                .map(|c| c - reduced.linear.nuisances.len())
-                .collect();
-            let seen = reduced.seen(&columns, own[0], 1.0).information;
+            let own = variant.columns[0] - reduced.linear.nuisances.len();
+            let seen = reduced.seen(&columns, own, 1.0).information;
             out.excited |= seen * variant.mean.powi(2) > 25.0;
             continue;
         }
@@ -502,7 +477,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
             let mut with = reduced.cleared(set, k);
             with[k] = Some(form);
             if let Some((size, sd)) = size_in(found, &with, k) {
-                bound = bound.max(size + BOUND * sd);
+                bound = bound.max(size + BOUND_SIGMAS * sd);
             }
         }
         if candidate.is_event() && !candidate.in_model {
@@ -512,7 +487,7 @@ fn inferred(effect: &'static dyn Effect, found: &Found) -> Inferred {
         with[k] = Some(form);
         if let Some((_, sd)) = size_in(found, &with, k) {
             let slab = variant.units[0];
-            let excited = sd < SAYS_NOTHING * slab;
+            let excited = sd < SAYS_NOTHING_SLABS * slab;
             out.excited |= excited;
             if excited {
                 out.upper_bound = Some(out.upper_bound.map_or(bound, |b| b.max(bound)));
@@ -557,22 +532,16 @@ fn moments(found: &Found, k: usize) -> Vec<Seen> {
 /// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
 /// say nothing it may have any size that is plausible.
 fn whenever(moments: &[Seen]) -> f64 {
-    let sizes: Vec<(f64, f64, f64)> = moments
-        .iter()
-        .map(|seen| {
-            let precision = seen.information.max(0.0) + 1.0;
-            let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
-            let mean = (seen.asked / precision).abs() * seen.unit;
-            (
-                log,
-                mean,
-                BOUND / NAMED_IN_95 / precision.sqrt() * seen.unit,
-            )
-        })
-        .collect();
-    let most = sizes
-        .iter()
-        .fold(f64::NEG_INFINITY, |most, size| most.max(size.0));
+    let size = |seen: &Seen| {
+        let precision = seen.information.max(0.0) + 1.0;
+        let log = 0.5 * seen.asked * seen.asked / precision - 0.5 * precision.ln();
+        let mean = (seen.asked / precision).abs() * seen.unit;
+        let sd = BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * seen.unit;
+        (log, mean, sd)
+    };
+    let sizes: Vec<(f64, f64, f64)> = moments.iter().map(size).collect();
+    let logs = sizes.iter().map(|size| size.0);
+    let most = logs.fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
     let beyond = |bound: f64| -> f64 {
         let beyond = |(log, mean, sd): &(f64, f64, f64)| {
@@ -583,7 +552,7 @@ fn whenever(moments: &[Seen]) -> f64 {
     };
     let (mut low, mut high) = (0.0, 0.0);
     for (_, mean, sd) in &sizes {
-        high = f64::max(high, mean + BEYOND * sd);
+        high = f64::max(high, mean + BEYOND_SIGMAS * sd);
     }
     for _ in 0..40 {
         let middle = 0.5 * (low + high);
@@ -639,10 +608,9 @@ fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
     let variant = &candidate.variants[with[k]?];
     let others = reduced.columns(&without(with, k));
     let wave = is_amplitude(candidate.effect);
+    let eighth = |n: u8| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos();
     let directions: Vec<(f64, f64)> = if wave {
-        (0..8)
-            .map(|n| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos())
-            .collect()
+        (0..8).map(eighth).collect()
     } else if variant.positive {
         vec![(1.0, 0.0)]
     } else {
@@ -651,7 +619,7 @@ fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
     let unit = variant.units[0];
     let injection = reduced.injection(&others, k, with[k]?)?;
     let is_named = |size: f64| {
-        let against = (size - NAMED_IN_95 * sd).max(0.0) / unit;
+        let against = (size - NAMED_IN_95_SIGMAS * sd).max(0.0) / unit;
         let named = |(a, b): &(f64, f64)| {
             let added = [against * a, if wave { against * b } else { 0.0 }];
             injection.log_odds(&added) > 0.0
@@ -681,7 +649,7 @@ fn detectable(found: &Found, with: &Set, k: usize, sd: f64) -> Option<f64> {
 }
 
 /// Loss of log likelihood up to which an effect serves in the place of another: two standard deviations and a half.
-const SERVES_AS_WELL: f64 = 3.0;
+const SERVES_AS_WELL_NATS: f64 = 3.0;
 
 /// Pairs of which these runs want one and cannot say which: an effect of the best set, and one that serves nearly as well in
 /// its place when everything else moves along. How wide each was believed to be beforehand has no say in it.
@@ -711,7 +679,7 @@ fn confusable(found: &Found) -> Vec<[&'static str; 2]> {
             let serves = (0..rival.variants.len()).any(|form| {
                 let mut set = reduced.cleared(&without(best, j), k);
                 set[k] = Some(form);
-                likelihood(&set) > most - SERVES_AS_WELL && reduced.signs_are_right(&set)
+                likelihood(&set) > most - SERVES_AS_WELL_NATS && reduced.signs_are_right(&set)
             });
             if serves {
                 pairs.push(pair);
@@ -726,7 +694,7 @@ fn confusable(found: &Found) -> Vec<[&'static str; 2]> {
 /// beside gaps or in their place, is no bound then.
 fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str; 2]>) {
     let (drop, gaps) = SIMPLE_FOR_RICH;
-    let place = |id| effects.iter().position(|e| e.effect.card().id == id);
+    let place = |id| effects.iter().position(|own| own.id() == id);
     let (Some(drop_at), Some(gaps_at)) = (place(drop), place(gaps)) else {
         return;
     };
@@ -736,7 +704,7 @@ fn share_with_drop(effects: &mut [Inferred], confusable: &mut Vec<[&'static str;
     let half = 0.5 * effects[gaps_at].probability;
     effects[gaps_at].probability = half;
     let soft = &mut effects[drop_at];
-    soft.probability = half.max(soft.probability.min(NAMED));
+    soft.probability = half.max(soft.probability.min(NAMED_PROBABILITY));
     (soft.upper_bound, soft.detectable) = (None, None);
     if !confusable.contains(&[gaps, drop]) {
         confusable.push([gaps, drop]);
@@ -753,7 +721,7 @@ fn onset_forms(form: &Variant) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tests::{nameplate, truth};
+    use crate::diagnosis::kit::{nameplate, truth};
     use crate::identification::output_error;
     use crate::plant::{effect, testing};
 
@@ -778,13 +746,17 @@ mod tests {
             share_with_drop(&mut effects, &mut pairs);
             let [gaps, drop] = &effects;
             if given {
-                assert!(pairs.is_empty() && gaps.probability > NAMED && drop.upper_bound.is_some());
+                assert!(
+                    pairs.is_empty()
+                        && gaps.probability > NAMED_PROBABILITY
+                        && drop.upper_bound.is_some()
+                );
                 continue;
             }
             assert_eq!(pairs, [["discontinuous_conduction", "voltage_drop"]]);
             // A model holds one of them: neither is named for itself, together they are certain.
-            assert!(gaps.probability <= NAMED && drop.probability <= NAMED);
-            assert!(gaps.probability + drop.probability > CERTAIN);
+            assert!(gaps.probability <= NAMED_PROBABILITY && drop.probability <= NAMED_PROBABILITY);
+            assert!(gaps.probability + drop.probability > TOGETHER_PROBABILITY);
             assert!(drop.upper_bound.is_none() && drop.detectable.is_none());
         }
     }
@@ -793,12 +765,7 @@ mod tests {
     fn what_takes_nothing_from_the_error_is_no_part_of_it() {
         let candidate = |id| Candidate {
             id,
-            effect: None,
-            in_model: false,
-            log_odds: 0.0,
-            variants: vec![],
-            moments: vec![],
-            excludes: vec![],
+            ..Candidate::default()
         };
         let candidates = ["voltage over current", "torque over speed"].map(candidate);
         let parts = unknown_parts(&candidates, &[1.0, 1.0], &[0.0, 0.4]);
@@ -812,10 +779,7 @@ mod tests {
         let bent = "equation = \"voltage\"\nparameters = [\"r\"]\nexpression = \"2*r*tanh(i/2)\"";
         let (bent, _) = effect::define("custom", &bent.parse().unwrap()).unwrap();
         let mut machine = nameplate();
-        machine.effects.push(ActiveEffect {
-            effect: bent,
-            values: vec![Some(1.4)],
-        });
+        machine.effects.push(ActiveEffect::with(bent, &[1.4]));
         // Ramps of 150 V/s between levels that hold: currents of some amperes.
         let volts = |at_s: f64| {
             let phase_s = at_s % 2.0;
@@ -827,7 +791,7 @@ mod tests {
         let run = testing::record(&machine, events.collect(), 0.01, 7.0, 7);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let start = truth("discontinuous_conduction", &[1.4, 2.0]);
-        let free = Fitted::from(&output_error::fit(&[start], &run, &noise).unwrap());
+        let free = Fitted::from(output_error::fit(&[start], &run, &noise).unwrap());
         let led = refined(free.clone(), &run, beginning(&noise, &free.model, &run));
         let key = MotorKey::Resistance;
         let off = |fit: &Fitted| {
@@ -859,7 +823,10 @@ mod tests {
         };
         // Moments that say the same of it, as one of them alone.
         let sharp = whenever(&[seen(400.0); 40]);
-        assert!((sharp / (BOUND * 2.0 / 20.0) - 1.0).abs() < 1e-3, "{sharp}");
+        assert!(
+            (sharp / (BOUND_SIGMAS * 2.0 / 20.0) - 1.0).abs() < 1e-3,
+            "{sharp}"
+        );
         // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
         let mut open = vec![seen(400.0); 30];
         open.extend([seen(1.0); 10]);

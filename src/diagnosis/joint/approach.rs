@@ -1,12 +1,12 @@
 //! The way to a model near enough to its runs for a linear solution: the single effect that, refitted, explains most joins,
 //! one after the other.
 
-use super::columns::{Around, Linear, Variant, linearise};
+use super::columns::{Around, Linear, Variant, linearise, squares};
 use super::events::Hypothesis;
 use super::follow::Noise;
 use super::prediction_error::{fit, fit_as_followed};
-use super::search::{around, placed, present, squares};
 use super::select::{Reduced, Set};
+use super::solution::{around, placed, present};
 use crate::plant::{Effect, Model, Scenario, State};
 
 /// Mean square of the innovations above which a linear solution is not believed.

@@ -27,31 +27,26 @@ pub(in crate::diagnosis) fn why_not(
     if scenario.input == Input::Voltage {
         return None;
     }
-    match effect.card().enters {
-        Enters::Voltage => {
-            return Some("the run has no voltage, and it acts in the voltage balance");
-        }
-        Enters::Path => {
-            return Some(
-                "it lies between motor and measurement, which a run without a voltage does not tell apart",
-            );
-        }
+    let why_not = match effect.card().enters {
+        Enters::Voltage => Some("the run has no voltage, and it acts in the voltage balance"),
+        Enters::Path => Some(
+            "it lies between motor and measurement, which a run without a voltage does not tell apart",
+        ),
         Enters::Both if scenario.input == Input::Torque => {
-            return Some("it acts through the current, which the run does not have");
+            Some("it acts through the current, which the run does not have")
         }
-        Enters::Both | Enters::Torque => {}
+        Enters::Both | Enters::Torque => None,
+    };
+    if why_not.is_some() {
+        return why_not;
     }
-    let guess: Vec<f64> = effect
-        .parameters()
-        .iter()
-        .map(ParameterSpec::guess)
-        .collect();
-    let terms = effect.terms(&guess);
-    if terms.inertia_gain(&Instant {
+    let specs = effect.parameters().iter();
+    let terms = effect.terms(&specs.map(ParameterSpec::guess).collect::<Vec<_>>());
+    let at_last = Instant {
         time_s: f64::MAX,
         ..Instant::default()
-    }) != 0.0
-    {
+    };
+    if terms.inertia_gain(&at_last) != 0.0 {
         return Some(
             "a change of the inertia is no term of the torque balance: record the voltage too",
         );
@@ -83,20 +78,17 @@ pub(super) fn shows_wave(scenario: &Scenario, periods_per_turn: f64) -> bool {
 /// Whether the angle moved far enough to tell a wave from a slope.
 fn travels(scenario: &Scenario, periods_per_turn: f64) -> bool {
     let angles = scenario.shaft_angle();
-    let (least, most) = angles.iter().map(|point| point.1).fold(
-        (f64::INFINITY, f64::NEG_INFINITY),
-        |(least, most), angle| (least.min(angle), most.max(angle)),
-    );
+    let angles = || angles.iter().map(|point| point.1);
+    let least = angles().fold(f64::INFINITY, f64::min);
+    let most = angles().fold(f64::NEG_INFINITY, f64::max);
     (most - least) * periods_per_turn >= LEAST_TRAVEL * TAU
 }
 
 /// Whether samples lie close enough to see the wave pass.
 fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
     let angles = scenario.shaft_angle();
-    let steps: Vec<f64> = angles
-        .windows(2)
-        .map(|pair| (pair[1].1 - pair[0].1).abs())
-        .collect();
+    let pairs = angles.windows(2);
+    let steps: Vec<f64> = pairs.map(|pair| (pair[1].1 - pair[0].1).abs()).collect();
     // What the noise of a resting shaft adds up to is no motion.
     let moves = MOVES * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
     let moving = steps.iter().filter(|step| **step > moves).count();
@@ -122,11 +114,8 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
         }
     }
     let span = speed_from_angle::span(scenario);
-    let apart_s = if noise_is_known && span.is_none() {
-        0.0
-    } else {
-        APART_S
-    };
+    let is_own = noise_is_known && span.is_none();
+    let apart_s = if is_own { 0.0 } else { APART_S };
     let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
     for (time_s, speed) in scenario.sample_time_s.iter().zip(&mut prepared.speed_rad_s) {
         if !speed.is_finite() {

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
 use super::acting::constants;
@@ -10,13 +10,11 @@ use super::asked::{shows_wave, why_not};
 use super::events::{self, Hypothesis};
 use super::follow::{Dynamics, Followed, Follower, Noise, Passage, follow, lead};
 use super::forms::{drop_refuted, keep_likeliest};
-use super::nuisances::{bends, nuisances};
+use super::nuisances::{bends, nuisances, unknown_curves};
 use super::slopes;
 use super::tangent::{LANES, Step, Tangent, carry};
-use super::unknown::unknown_curves;
 use super::whitened::Whitened;
-use crate::diagnosis::family::{curve_of, related, takes_power};
-use crate::diagnosis::shapes::shape_grid;
+use crate::diagnosis::family::{LEAST_BOUNDARY_A, curve_of, related, takes_power};
 use crate::plant::{
     ActiveEffect, Effect, Input, Instant, Model, ParameterRole, ParameterSpec, Scenario,
     ShaftAngle, State, typical_size,
@@ -26,7 +24,7 @@ use crate::plant::{
 pub(super) const SLAB: f64 = 2.0;
 
 /// One form of an effect.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Variant {
     pub columns: Vec<usize>,
     /// Values of all parameters, coefficients at the slab.
@@ -55,7 +53,7 @@ pub(super) struct Seen {
     pub unit: f64,
 }
 
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(super) struct Candidate {
     pub id: &'static str,
     /// None: a curve that is no effect.
@@ -104,6 +102,24 @@ pub(super) struct Linear {
     /// Whitened columns of each run.
     pub columns: Vec<Whitened>,
     pub present: DVector<f64>,
+}
+
+impl Linear {
+    /// Precision beforehand of a column.
+    pub(super) fn precision(&self, column: usize) -> f64 {
+        let sd = self.nuisances.get(column);
+        sd.map_or(1.0, |sd| 1.0 / (sd * sd))
+    }
+
+    /// The normal matrix of some columns with their precision beforehand, factored; none where it is singular.
+    pub(super) fn factor(&self, columns: &[usize]) -> Option<Cholesky<f64, Dyn>> {
+        let k = columns.len();
+        let mut normal = DMatrix::from_fn(k, k, |r, c| self.gram[(columns[r], columns[c])]);
+        for (d, column) in columns.iter().enumerate() {
+            normal[(d, d)] += self.precision(*column);
+        }
+        normal.cholesky()
+    }
 }
 
 /// How a column comes about.
@@ -168,12 +184,8 @@ impl<'a> Around<'a> {
     ) -> Option<Self> {
         let model = with_events(model, &events);
         let (follower, followed) = lead(&model, scenario, start, &noise)?;
-        if !followed
-            .white
-            .iter()
-            .flatten()
-            .all(|white| white.is_finite())
-        {
+        let mut white = followed.white.iter().flatten();
+        if !white.all(|white| white.is_finite()) {
             return None;
         }
         let dynamics = Dynamics::of(&model, scenario.input)?;
@@ -185,12 +197,8 @@ impl<'a> Around<'a> {
                 Step::still()
             }
         };
-        let steps = follower
-            .passages
-            .iter()
-            .zip(&follower.forgets)
-            .map(step)
-            .collect();
+        let passages = follower.passages.iter().zip(&follower.forgets);
+        let steps = passages.map(step).collect();
         Some(Self {
             model: model.into_owned(),
             events,
@@ -208,10 +216,11 @@ impl<'a> Around<'a> {
     /// What another model, beside the run's own events, does to the whitened innovations, over `step`, in the whole run or
     /// the beginning of it that `scenario` is; nothing where it cannot follow.
     pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
+        let model = with_events(model, &self.events);
         let mut out = Vec::with_capacity(scenario.samples());
         if !follow(
             &self.follower,
-            &with_events(model, &self.events),
+            &model,
             scenario,
             self.start,
             &self.noise,
@@ -220,13 +229,9 @@ impl<'a> Around<'a> {
             return vec![0.0; 2 * scenario.samples()];
         }
         let over = 1.0 / step;
-        let change = |(a, b): (&[f64; 2], &[f64; 2])| {
-            [single((b[0] - a[0]) * over), single((b[1] - a[1]) * over)]
-        };
-        out.iter()
-            .zip(&self.followed.white)
-            .flat_map(change)
-            .collect()
+        let pairs = out.iter().zip(&self.followed.white);
+        let change = |(a, b): (&[f64; 2], &[f64; 2])| [0, 1].map(|k| single((b[k] - a[k]) * over));
+        pairs.flat_map(change).collect()
     }
 
     /// Columns of as many tangents as there are lanes, or fewer.
@@ -245,6 +250,12 @@ impl<'a> Around<'a> {
     fn rows(&self) -> usize {
         2 * self.scenario.samples()
     }
+}
+
+/// Sum of the squares of the innovations.
+pub(super) fn squares(runs: &[Around<'_>]) -> f64 {
+    let white = runs.iter().flat_map(|run| run.followed.white.iter());
+    white.flatten().map(|value| value * value).sum()
 }
 
 fn with_events<'a>(model: &'a Model, events: &[ActiveEffect]) -> Cow<'a, Model> {
@@ -266,40 +277,36 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
     let mut angle = 0;
     let mut event = 0;
     let motor = constants(model, scenario);
-    (0..scenario.samples())
-        .map(|sample| {
-            let from = sample.saturating_sub(1);
-            let mid_s = 0.5 * (scenario.sample_time_s[from] + scenario.sample_time_s[sample]);
-            while angle < angles.len() && angles[angle].0 <= mid_s {
-                angle += 1;
+    let instant = |sample: usize| {
+        let from = sample.saturating_sub(1);
+        let mid_s = 0.5 * (scenario.sample_time_s[from] + scenario.sample_time_s[sample]);
+        while angle < angles.len() && angles[angle].0 <= mid_s {
+            angle += 1;
+        }
+        let angle_rad = match (angle.checked_sub(1), angles.get(angle)) {
+            (Some(before), Some(after)) => {
+                let before = angles[before];
+                before.1 + (mid_s - before.0) / (after.0 - before.0) * (after.1 - before.1)
             }
-            let angle_rad = match (angle.checked_sub(1), angles.get(angle)) {
-                (Some(before), Some(after)) => {
-                    let before = angles[before];
-                    before.1 + (mid_s - before.0) / (after.0 - before.0) * (after.1 - before.1)
-                }
-                (Some(before), None) => angles[before].1,
-                (None, after) => after.map_or(0.0, |after| after.1),
-            };
-            while event + 1 < scenario.events.len() && scenario.events[event + 1].0 <= mid_s {
-                event += 1;
-            }
-            let mean = |k: usize| 0.5 * (followed.after[from][k] + followed.before[sample][k]);
-            let input = scenario.events[event].1;
-            Instant {
-                time_s: mid_s - scenario.begin_s(),
-                voltage_v: input,
-                current_a: if scenario.input == Input::Voltage {
-                    mean(0)
-                } else {
-                    input
-                },
-                speed_rad_s: mean(1),
-                angle: ShaftAngle::at(angle_rad),
-                ..motor
-            }
-        })
-        .collect()
+            (Some(before), None) => angles[before].1,
+            (None, after) => after.map_or(0.0, |after| after.1),
+        };
+        while event + 1 < scenario.events.len() && scenario.events[event + 1].0 <= mid_s {
+            event += 1;
+        }
+        let mean = |k: usize| 0.5 * (followed.after[from][k] + followed.before[sample][k]);
+        let input = scenario.events[event].1;
+        let by_voltage = scenario.input == Input::Voltage;
+        Instant {
+            time_s: mid_s - scenario.begin_s(),
+            voltage_v: input,
+            current_a: if by_voltage { mean(0) } else { input },
+            speed_rad_s: mean(1),
+            angle: ShaftAngle::at(angle_rad),
+            ..motor
+        }
+    };
+    (0..scenario.samples()).map(instant).collect()
 }
 
 /// Standard deviation of how much of an effect is there that is there wholly or not at all, for the form that was tried.
@@ -325,11 +332,8 @@ impl Part {
         let candidate = Candidate {
             id,
             effect,
-            in_model: false,
             log_odds,
-            variants: vec![],
-            moments: vec![],
-            excludes: vec![],
+            ..Candidate::default()
         };
         Self {
             candidate,
@@ -354,18 +358,11 @@ pub(super) struct Form {
 pub(super) const NO_PARAMETER: usize = usize::MAX;
 
 impl Form {
-    pub(super) const fn new(values: Vec<f64>, log_prior: f64) -> Self {
+    pub(super) fn new(values: Vec<f64>, log_prior: f64) -> Self {
         let variant = Variant {
-            columns: vec![],
             values,
-            units: vec![],
-            parameters: vec![],
-            present: vec![],
-            moments: vec![],
-            is_rival: false,
-            mean: 0.0,
-            positive: false,
             log_prior,
+            ..Variant::default()
         };
         Self {
             variant,
@@ -373,19 +370,19 @@ impl Form {
         }
     }
 
+    /// Of an effect whose shape is all that there is: what the model with it, or without it, does in whole.
+    fn whole(&mut self, model: Model, sign: f64, present: f64) {
+        let step = sign / WHOLE;
+        self.variant.mean = 1.0 / WHOLE;
+        let source = Source::Difference { model, step };
+        self.column(source, NO_PARAMETER, 0.0, present);
+    }
+
     pub(super) fn column(&mut self, source: Source, parameter: usize, unit: f64, present: f64) {
         self.sources.push(source);
         self.variant.parameters.push(parameter);
         self.variant.units.push(unit);
         self.variant.present.push(present);
-    }
-}
-
-/// The effect with these values.
-pub(super) fn active(effect: &'static dyn Effect, values: &[f64]) -> ActiveEffect {
-    ActiveEffect {
-        effect,
-        values: values.iter().copied().map(Some).collect(),
     }
 }
 
@@ -398,25 +395,12 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     let specs = effect.parameters();
     let mut part = Part::new(effect, LOG_ODDS);
     part.candidate.in_model = true;
-    let values = model
-        .effects
-        .iter()
-        .find(|active| active.id() == id)?
-        .values_or_guess();
+    let mut effects = model.effects.iter();
+    let values = effects.find(|active| active.id() == id)?.values_or_guess();
     let along = slopes::are_tangents(model, scenario);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
-        let without = model.without_effect(id).ok()?;
-        form.variant.mean = 1.0 / WHOLE;
-        form.column(
-            Source::Difference {
-                model: without,
-                step: -1.0 / WHOLE,
-            },
-            NO_PARAMETER,
-            0.0,
-            1.0 / WHOLE,
-        );
+        form.whole(model.without_effect(id).ok()?, -1.0, 1.0 / WHOLE);
     }
     for (index, spec) in specs.iter().enumerate() {
         if spec.role == ParameterRole::Choice {
@@ -427,8 +411,9 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             (unit, values[index] / unit, 0.02 * unit)
         } else {
             // A shape's logarithm, known to a factor of two beforehand.
+            let logarithm = 0.7 * values[index];
             let unit = if spec.logarithmic {
-                0.7 * values[index]
+                logarithm
             } else {
                 spec.scale
             };
@@ -443,7 +428,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
                 let mut there = values.clone();
                 there[index] += step;
                 let own = moved.effects.iter_mut().filter(|other| other.id() == id);
-                own.for_each(|own| *own = active(effect, &there));
+                own.for_each(|own| *own = ActiveEffect::with(effect, &there));
                 Source::Difference {
                     model: moved,
                     step: step / unit,
@@ -465,18 +450,15 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     let id = effect.card().id;
     let specs = effect.parameters();
     let mut part = Part::new(effect, LOG_ODDS);
-    let coefficients: Vec<usize> = (0..specs.len())
-        .filter(|k| specs[*k].is_coefficient())
-        .collect();
-    let slabs: Vec<f64> = coefficients
-        .iter()
-        .map(|k| SLAB * typical_size(effect, *k, model, scenario))
-        .collect();
+    let coefficients = (0..specs.len()).filter(|k| specs[*k].is_coefficient());
+    let coefficients: Vec<usize> = coefficients.collect();
+    let slab = |k: &usize| SLAB * typical_size(effect, *k, model, scenario);
+    let slabs: Vec<f64> = coefficients.iter().map(slab).collect();
     let order = specs.iter().position(|spec| spec.key == "order");
     let grid = shape_grid(effect, scenario);
     let log_prior = -(grid.len() as f64).ln();
     for shape in grid {
-        if id == "discontinuous_conduction" && shape[1] < 0.9 {
+        if id == "discontinuous_conduction" && shape[1] < LEAST_BOUNDARY_A {
             continue;
         }
         let periods = order.map_or(1.0, |order| shape[order]);
@@ -486,17 +468,8 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
         let mut form = Form::new(shape.clone(), log_prior);
         if coefficients.is_empty() {
             let mut with = model.clone();
-            with.effects.push(active(effect, &shape));
-            form.variant.mean = 1.0 / WHOLE;
-            form.column(
-                Source::Difference {
-                    model: with,
-                    step: 1.0 / WHOLE,
-                },
-                NO_PARAMETER,
-                0.0,
-                0.0,
-            );
+            with.effects.push(ActiveEffect::with(effect, &shape));
+            form.whole(with, 1.0, 0.0);
         }
         for (index, slab) in coefficients.iter().zip(&slabs) {
             let mut values = shape.clone();
@@ -513,6 +486,31 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     part
 }
 
+/// Every combination of the grids of an effect's shapes, choices and event times; its coefficients at zero.
+fn shape_grid(effect: &dyn Effect, training: &Scenario) -> Vec<Vec<f64>> {
+    let specs = effect.parameters();
+    let length_s = training.sample_time_s[training.samples() - 1] - training.begin_s();
+    let mut grid = vec![vec![0.0; specs.len()]];
+    for (index, spec) in specs.iter().enumerate() {
+        if spec.is_coefficient() {
+            continue;
+        }
+        let unit = if spec.role == ParameterRole::EventTime {
+            length_s
+        } else {
+            1.0
+        };
+        let with = |values: &Vec<f64>, shape: f64| {
+            let mut values = values.clone();
+            values[index] = shape * unit;
+            values
+        };
+        let shapes = |values| spec.shapes.iter().map(move |shape| with(values, *shape));
+        grid = grid.iter().flat_map(shapes).collect();
+    }
+    grid
+}
+
 /// What one coefficient of an effect adds, all others at zero.
 fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usize) -> Source {
     const PROBE: f64 = 0.25;
@@ -522,11 +520,19 @@ fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usiz
     let mut with = model.clone();
     let mut values = values.to_vec();
     values[index] *= PROBE;
-    with.effects.push(active(effect, &values));
+    with.effects.push(ActiveEffect::with(effect, &values));
     Source::Difference {
         model: with,
         step: PROBE,
     }
+}
+
+/// Where the columns of what the model has come from, or of what it lacks.
+fn sources_of(parts: &[Part], in_model: bool) -> impl Iterator<Item = &Source> {
+    let own = parts
+        .iter()
+        .filter(move |part| part.candidate.in_model == in_model);
+    own.flat_map(|part| part.sources.iter().flatten())
 }
 
 /// The linear problem of `runs` around one model and what happens in each. Every run must be followed with that.
@@ -560,28 +566,13 @@ pub(super) fn linearise(
     }
 
     // What the model has comes first: it tells which of many forms are worth a place among the columns.
-    let flat = |parts: &[Part], in_model: bool| -> Vec<usize> {
-        (0..parts.len())
-            .filter(|k| parts[*k].candidate.in_model == in_model)
-            .collect()
-    };
-    let inside = flat(&parts, true);
-    let sources = always.iter().chain(
-        inside
-            .iter()
-            .flat_map(|k| parts[*k].sources.iter().flatten()),
-    );
-    let base = columns_of(&sources.collect::<Vec<_>>(), runs);
-    let precision: Vec<f64> = (0..base[0].columns.len())
-        .map(|k| nuisances.get(k).map_or(1.0, |sd| 1.0 / (sd * sd)))
-        .collect();
+    let inside: Vec<&Source> = always.iter().chain(sources_of(&parts, true)).collect();
+    let base = columns_of(&inside, runs);
+    let precision = |k| nuisances.get(k).map_or(1.0, |sd: &f64| 1.0 / (sd * sd));
+    let precision: Vec<f64> = (0..base[0].columns.len()).map(precision).collect();
     keep_likeliest(&mut parts, runs, &base, &precision);
     drop_refuted(&mut parts, &runs[0], &base[0], &precision);
-    let outside = flat(&parts, false);
-    let sources = outside
-        .iter()
-        .flat_map(|k| parts[*k].sources.iter().flatten());
-    let others = columns_of(&sources.collect::<Vec<_>>(), runs);
+    let others = columns_of(&sources_of(&parts, false).collect::<Vec<_>>(), runs);
 
     // Numbered in the candidates' order.
     let mut order: Vec<(bool, usize)> = (0..always.len()).map(|k| (true, k)).collect();
@@ -600,21 +591,15 @@ pub(super) fn linearise(
     }
     let mut candidates: Vec<Candidate> = parts.into_iter().map(|part| part.candidate).collect();
     exclusions(&mut candidates, training.input);
-    let columns: Vec<Whitened> = base
-        .into_iter()
-        .zip(others)
-        .zip(runs)
-        .map(|((mut base, mut others), run)| {
-            let take = |(inside, k): &(bool, usize)| {
-                std::mem::take(if *inside {
-                    &mut base.columns[*k]
-                } else {
-                    &mut others.columns[*k]
-                })
-            };
-            Whitened::new(order.iter().map(take).collect(), run.rows())
-        })
-        .collect();
+    let columns = base.into_iter().zip(others).zip(runs);
+    let columns = columns.map(|((mut base, mut others), run)| {
+        let take = |(inside, k): &(bool, usize)| {
+            let from = if *inside { &mut base } else { &mut others };
+            std::mem::take(&mut from.columns[*k])
+        };
+        Whitened::new(order.iter().map(take).collect(), run.rows())
+    });
+    let columns: Vec<Whitened> = columns.collect();
     let mut linear = assemble(nuisances, candidates, runs, columns);
     events::pair(&mut linear, runs.len());
     Some(linear)
@@ -629,13 +614,11 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whiten
         Difference(usize, &'a Model, f64),
         Tangents(Vec<(usize, &'a Tangent)>),
     }
-    let mut out: Vec<Whitened> = runs
-        .iter()
-        .map(|run| Whitened::new(vec![vec![]; sources.len()], run.rows()))
-        .collect();
+    let empty = |run: &Around<'_>| Whitened::new(vec![vec![]; sources.len()], run.rows());
+    let mut out: Vec<Whitened> = runs.iter().map(empty).collect();
     // Simulations first: they take longest, and what is short then fills the gaps.
     let mut works = Vec::new();
-    for (number, _) in runs.iter().enumerate() {
+    for number in 0..runs.len() {
         for (k, source) in sources.iter().enumerate() {
             match source {
                 Source::Difference { model, step } => {
@@ -646,35 +629,28 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[Around<'_>]) -> Vec<Whiten
             }
         }
     }
-    for (number, _) in runs.iter().enumerate() {
-        let tangents: Vec<(usize, &Tangent)> = sources
-            .iter()
-            .enumerate()
-            .filter_map(|(k, source)| Some((k, source.tangent(number)?)))
-            .collect();
-        works.extend(
-            tangents
-                .chunks(LANES)
-                .map(|some| (number, Work::Tangents(some.to_vec()))),
-        );
+    for number in 0..runs.len() {
+        let tangents = sources.iter().enumerate();
+        let tangents = tangents.filter_map(|(k, source)| Some((k, source.tangent(number)?)));
+        let tangents: Vec<(usize, &Tangent)> = tangents.collect();
+        let chunks = tangents.chunks(LANES);
+        works.extend(chunks.map(|some| (number, Work::Tangents(some.to_vec()))));
     }
-    let done: Vec<(usize, Numbered)> = works
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|(number, work)| {
-            let run = &runs[number];
-            let columns = match work {
-                Work::Difference(k, model, step) => {
-                    vec![(k, run.difference(model, run.scenario, step))]
-                }
-                Work::Tangents(some) => {
-                    let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
-                    numbers.into_iter().zip(run.along(&tangents)).collect()
-                }
-            };
-            (number, columns)
-        })
-        .collect();
+    let done = |(number, work): (usize, Work<'_>)| -> (usize, Numbered) {
+        let run = &runs[number];
+        let columns = match work {
+            Work::Difference(k, model, step) => {
+                vec![(k, run.difference(model, run.scenario, step))]
+            }
+            Work::Tangents(some) => {
+                let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
+                numbers.into_iter().zip(run.along(&tangents)).collect()
+            }
+        };
+        (number, columns)
+    };
+    let works = works.into_par_iter().with_max_len(1);
+    let done: Vec<(usize, Numbered)> = works.map(done).collect();
     for (number, columns) in done {
         for (k, column) in columns {
             out[number].columns[k] = column;
@@ -739,9 +715,9 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
         says_the_same(a, b) || (sets_in(a) && sets_in(b) && a.id != b.id)
     };
     for k in 0..candidates.len() {
-        let excludes = (0..candidates.len())
-            .filter(|o| *o != k && says_the_same(&candidates[k], &candidates[*o]))
-            .collect();
-        candidates[k].excludes = excludes;
+        let own = &candidates[k];
+        let others = (0..candidates.len()).filter(|other| *other != k);
+        let excludes = others.filter(|other| says_the_same(own, &candidates[*other]));
+        candidates[k].excludes = excludes.collect();
     }
 }

@@ -6,11 +6,11 @@
 //! placed    the moment to the sample, by the evidence of moments side by side
 //! ```
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::DVector;
 use rayon::prelude::*;
 
 use super::columns::{Around, Candidate, Form, Linear, NO_PARAMETER, Part, SLAB, Source, Variant};
-use super::forms::{add_products, gain};
+use super::forms::{Base, add_products};
 use super::select::Set;
 use super::tangent::{LANES, Lane, Tangent};
 use crate::plant::{
@@ -52,10 +52,8 @@ struct Weighted(Vec<(f64, Box<dyn Terms>)>);
 
 impl Weighted {
     fn sum(&self, of: impl Fn(&dyn Terms) -> f64) -> f64 {
-        self.0
-            .iter()
-            .map(|(weight, terms)| weight * of(&**terms))
-            .sum()
+        let parts = self.0.iter();
+        parts.map(|(weight, terms)| weight * of(&**terms)).sum()
     }
 }
 
@@ -121,10 +119,7 @@ impl Event {
     }
 
     pub(super) fn active(&self) -> ActiveEffect {
-        ActiveEffect {
-            effect: self.effect,
-            values: self.values.iter().copied().map(Some).collect(),
-        }
+        ActiveEffect::with(self.effect, &self.values)
     }
 
     /// What another form of its onset does.
@@ -218,8 +213,7 @@ impl Hypothesis {
     /// Whether no event happens at another sample than `before`: its form is linear only close to where it is.
     pub(super) fn events_stay(&self, before: &Self, scenarios: &[&Scenario]) -> bool {
         self.events.iter().all(|event| {
-            let times = &scenarios[event.run].sample_time_s;
-            let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+            let period_s = scenarios[event.run].mean_period_s();
             let mut others = before.events.iter();
             others.any(|other| {
                 (other.id(), other.run) == (event.id(), event.run)
@@ -270,22 +264,16 @@ pub(super) fn parts(
     let id = effect.card().id;
     let size = size_of(effect);
     let model = &hypothesis.model;
-    let guess: Vec<f64> = effect
-        .parameters()
-        .iter()
-        .map(ParameterSpec::guess)
-        .collect();
+    let specs = effect.parameters().iter();
+    let guess: Vec<f64> = specs.map(ParameterSpec::guess).collect();
     let slab = |run: &Around<'_>| SLAB * typical_size(effect, size, model, run.scenario);
     let log_odds = if id == "load_step" {
         LOG_ODDS_STEP
     } else {
         LOG_ODDS_OTHER
     };
-    let own: Vec<&Event> = hypothesis
-        .events
-        .iter()
-        .filter(|event| event.id() == id && event.run < runs.len())
-        .collect();
+    let is_own = |event: &&Event| event.id() == id && event.run < runs.len();
+    let own: Vec<&Event> = hypothesis.events.iter().filter(is_own).collect();
     let mut parts = Vec::new();
     if !own.is_empty() {
         let mut part = Part::new(effect, log_odds);
@@ -360,27 +348,23 @@ pub(super) fn pair(linear: &mut Linear, runs: usize) {
     let base: Vec<usize> = (0..linear.nuisances.len())
         .chain(in_model(&linear.candidates))
         .collect();
-    let Some((factor, right)) = base_of(linear, &base) else {
+    let Some(given) = Base::of_columns(linear, &base) else {
         return;
     };
     let gain = |column: usize| {
         let cross = DVector::from_fn(base.len(), |r, _| linear.gram[(base[r], column)]);
-        let solved = factor.solve(&cross);
-        let own = linear.gram[(column, column)] + 1.0 - cross.dot(&solved);
-        let rest = linear.right[column] - right.dot(&solved);
+        let own = linear.gram[(column, column)] + 1.0;
+        let [own, rest] = given.left(&cross, own, linear.right[column]);
         0.5 * rest * rest / own - 0.5 * own.ln()
     };
-    let added: Vec<Vec<Variant>> = linear
-        .candidates
-        .iter()
-        .map(|candidate| {
-            if candidate.in_model {
-                alone(candidate, runs)
-            } else {
-                together(candidate, &gain)
-            }
-        })
-        .collect();
+    let paired = |candidate: &Candidate| {
+        if candidate.in_model {
+            alone(candidate, runs)
+        } else {
+            together(candidate, &gain)
+        }
+    };
+    let added: Vec<Vec<Variant>> = linear.candidates.iter().map(paired).collect();
     for (candidate, added) in linear.candidates.iter_mut().zip(added) {
         candidate.variants.extend(added);
     }
@@ -412,49 +396,26 @@ fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
 /// An event that the model lacks, in two runs at once.
 fn together(candidate: &Candidate, gain: &impl Fn(usize) -> f64) -> Vec<Variant> {
     let of_run = |run: usize| -> Vec<&Variant> {
-        let mut own: Vec<(f64, &Variant)> = candidate
-            .variants
-            .iter()
-            .filter(|variant| {
-                variant
-                    .moments
-                    .first()
-                    .is_some_and(|moment| moment.0 == run)
-            })
-            .map(|variant| (gain(variant.columns[0]), variant))
-            .collect();
+        let is_own = |form: &&Variant| form.moments.first().is_some_and(|first| first.0 == run);
+        let own = candidate.variants.iter().filter(is_own);
+        let mut own: Vec<_> = own.map(|form| (gain(form.columns[0]), form)).collect();
         own.sort_by(|a, b| b.0.total_cmp(&a.0));
         let is_paired = |(place, own): &(usize, (f64, &Variant))| *place < PAIRED || own.1.is_rival;
         let own = own.into_iter().enumerate().filter(is_paired);
         own.map(|(_, own)| own.1).collect()
     };
     let (first, second) = (of_run(0), of_run(1));
-    let pairs = first
-        .iter()
-        .flat_map(|a| second.iter().map(move |b| (*a, *b)));
-    pairs
-        .map(|(a, b)| Variant {
-            columns: [&a.columns[..], &b.columns].concat(),
-            units: [&a.units[..], &b.units].concat(),
-            parameters: [&a.parameters[..], &b.parameters].concat(),
-            present: [&a.present[..], &b.present].concat(),
-            moments: [&a.moments[..], &b.moments].concat(),
-            log_prior: log_share_of_two(candidate.id),
-            ..a.clone()
-        })
-        .collect()
-}
-
-/// The normal equations of some columns of all runs.
-fn base_of(linear: &Linear, base: &[usize]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
-    let k = base.len();
-    let mut gram = DMatrix::from_fn(k, k, |r, c| linear.gram[(base[r], base[c])]);
-    for (d, column) in base.iter().enumerate() {
-        let sd = linear.nuisances.get(*column);
-        gram[(d, d)] += sd.map_or(1.0, |sd| 1.0 / (sd * sd));
-    }
-    let right = DVector::from_fn(k, |r, _| linear.right[base[r]]);
-    Some((gram.cholesky()?, right))
+    let both = |a: &Variant, b: &Variant| Variant {
+        columns: [&a.columns[..], &b.columns].concat(),
+        units: [&a.units[..], &b.units].concat(),
+        parameters: [&a.parameters[..], &b.parameters].concat(),
+        present: [&a.present[..], &b.present].concat(),
+        moments: [&a.moments[..], &b.moments].concat(),
+        log_prior: log_share_of_two(candidate.id),
+        ..a.clone()
+    };
+    let pairs = first.iter().flat_map(|a| second.iter().map(|b| both(a, b)));
+    pairs.collect()
 }
 
 /// When an event happened, with the interval that holds the moment with 95 %.
@@ -471,52 +432,41 @@ struct Search<'a> {
     slab: f64,
     residual: Vec<[f64; 2]>,
     columns: Vec<&'a [f32]>,
-    factor: Cholesky<f64, Dyn>,
-    right: DVector<f64>,
+    given: Base,
 }
 
 impl Search<'_> {
     /// Log evidence of the event at each of these moments.
     fn gains(&self, times_s: &[f64]) -> Vec<f64> {
-        let groups: Vec<Vec<f64>> = times_s
-            .par_chunks(LANES)
-            .with_max_len(1)
-            .map(|some| {
-                let tangents: Vec<Tangent> = some
-                    .iter()
-                    .map(|time_s| self.event.tangent(self.slab, *time_s))
-                    .collect();
-                let tangents: Vec<&Tangent> = tangents.iter().collect();
-                let mut products: Vec<Lane> = vec![[0.0; LANES]; self.columns.len() + 3];
-                add_products(
-                    self.run,
-                    &self.columns,
-                    &self.residual,
-                    &tangents,
-                    &mut products,
-                );
-                (0..some.len())
-                    .map(|lane| gain(&self.factor, &self.right, &products, lane, 1))
-                    .collect()
-            })
-            .collect();
-        groups.concat()
+        let gains = |some: &[f64]| -> Vec<f64> {
+            let tangent = |time_s: &f64| self.event.tangent(self.slab, *time_s);
+            let tangents: Vec<Tangent> = some.iter().map(tangent).collect();
+            let tangents: Vec<&Tangent> = tangents.iter().collect();
+            let mut products: Vec<Lane> = vec![[0.0; LANES]; self.columns.len() + 3];
+            let (columns, residual) = (&self.columns, &self.residual);
+            add_products(self.run, columns, residual, &tangents, &mut products);
+            let lanes = 0..some.len();
+            lanes
+                .map(|lane| self.given.gain(&products, lane, 1))
+                .collect()
+        };
+        let groups = times_s.par_chunks(LANES).with_max_len(1);
+        groups.map(gains).collect::<Vec<_>>().concat()
     }
 
     /// The likeliest moment near the one that the event has; `excess` is that of the variance of what is left.
     fn nearest(&self, excess: f64) -> Moment {
         let times = &self.run.scenario.sample_time_s;
         let end_s = times[times.len() - 1] - self.run.scenario.begin_s();
-        let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
+        let period_s = self.run.scenario.mean_period_s();
         let spacing_s = spacing_s(self.run, self.event.id());
+        let is_inside = |time_s: &f64| (0.0..end_s).contains(time_s);
         let mut step_s = WIDE * spacing_s / f64::from(AROUND);
         let mut best_s = self.event.time_s();
         let mut seen: Vec<(f64, f64)> = Vec::new();
         for _ in 0..LEVELS {
-            let tried: Vec<f64> = (-AROUND..=AROUND)
-                .map(|k| best_s + f64::from(k) * step_s)
-                .filter(|time_s| (0.0..end_s).contains(time_s))
-                .collect();
+            let tried = (-AROUND..=AROUND).map(|k| best_s + f64::from(k) * step_s);
+            let tried: Vec<f64> = tried.filter(is_inside).collect();
             seen.extend(tried.iter().copied().zip(self.gains(&tried)));
             let likeliest = seen.iter().max_by(|a, b| a.1.total_cmp(&b.1));
             best_s = likeliest.map_or(best_s, |seen| seen.0);
@@ -525,9 +475,8 @@ impl Search<'_> {
             }
             step_s *= 2.0 / f64::from(AROUND);
         }
-        let most = seen
-            .iter()
-            .fold(f64::NEG_INFINITY, |most, seen| most.max(seen.1));
+        let gains = seen.iter().map(|seen| seen.1);
+        let most = gains.fold(f64::NEG_INFINITY, f64::max);
         let least = most - INTERVAL * excess;
         // Where nothing moves the moment may be anywhere.
         let wide_s = 0.5 * spacing_s;
@@ -535,10 +484,8 @@ impl Search<'_> {
             let reach = seen.iter().filter(|seen| seen.1 > least);
             let mut from_s = reach.map(|seen| side * seen.0).fold(f64::MIN, f64::max) * side;
             loop {
-                let further: Vec<f64> = (1..=LANES)
-                    .map(|k| from_s + side * wide_s * k as f64)
-                    .filter(|time_s| (0.0..end_s).contains(time_s))
-                    .collect();
+                let further = (1..=LANES).map(|k| from_s + side * wide_s * k as f64);
+                let further: Vec<f64> = further.filter(is_inside).collect();
                 let gains = self.gains(&further);
                 let likely = gains.iter().take_while(|gain| **gain > least).count();
                 seen.extend(further.iter().copied().zip(gains).take(likely));
@@ -568,10 +515,8 @@ fn column_of(linear: &Linear, set: &Set, event: &Event) -> Option<(usize, f64)> 
         .filter(|(candidate, _)| candidate.id == event.id())
         .filter_map(|(candidate, form)| Some(&candidate.variants[(*form)?]))
         .find_map(|variant| {
-            let place = variant
-                .moments
-                .iter()
-                .position(|moment| moment.0 == event.run)?;
+            let mut moments = variant.moments.iter();
+            let place = moments.position(|moment| moment.0 == event.run)?;
             Some((variant.columns[place], variant.units[place]))
         })
 }
@@ -584,15 +529,14 @@ pub(super) fn placed(
     runs: &[Around<'_>],
     excess: f64,
 ) -> Vec<Moment> {
-    events
-        .iter()
-        .map(|event| {
-            place(event, linear, set, runs, excess).unwrap_or(Moment {
-                time_s: event.time_s(),
-                interval_s: [event.time_s(); 2],
-            })
-        })
-        .collect()
+    let placed = |event: &Event| {
+        let there = Moment {
+            time_s: event.time_s(),
+            interval_s: [event.time_s(); 2],
+        };
+        place(event, linear, set, runs, excess).unwrap_or(there)
+    };
+    events.iter().map(placed).collect()
 }
 
 fn place(
@@ -619,7 +563,7 @@ fn place(
         .chain(others.copied())
         .filter(|column| *column != own)
         .collect();
-    let (factor, right) = base_of(linear, &base)?;
+    let given = Base::of_columns(linear, &base)?;
     let shift = whitened * &linear.present;
     let white = run.followed.white.iter().enumerate();
     let residual = white
@@ -631,8 +575,7 @@ fn place(
         slab,
         residual,
         columns: base.iter().map(|k| &whitened.columns[*k][..]).collect(),
-        factor,
-        right,
+        given,
     };
     Some(search.nearest(excess))
 }

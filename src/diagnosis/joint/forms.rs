@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 
-use super::columns::{Around, Part, Seen, Source};
+use super::columns::{Around, Linear, Part, Seen, Source, squares};
 use super::tangent::{LANES, Lane, Tangent, carry};
 use super::whitened::Whitened;
 use crate::plant::Scenario;
@@ -40,11 +40,8 @@ pub(super) fn keep_likeliest(
         let many = part.sources.len() > KEPT && part.sources[0].len() <= 2;
         // Steps of the load at all times, a hair of each, stand for a load that wanders: they are not dropped.
         let stays = part.candidate.in_model || part.candidate.id == "load_step";
-        let tangents = part
-            .sources
-            .iter()
-            .flatten()
-            .all(|source| matches!(source, Source::Tangent(_) | Source::In(..)));
+        let mut sources = part.sources.iter().flatten();
+        let tangents = sources.all(|own| matches!(own, Source::Tangent(_) | Source::In(..)));
         if many && tangents && !stays {
             let width = part.sources[0].len();
             for own in part.by_run() {
@@ -57,21 +54,16 @@ pub(super) fn keep_likeliest(
         }
     }
     let residuals: Vec<&[[f64; 2]]> = runs.iter().map(|run| &run.followed.white[..]).collect();
-    let Some((factor, right)) = base_of(&residuals, base, precision) else {
+    let Some(given) = Base::of_runs(&residuals, base, precision) else {
         return;
     };
     groups.par_iter_mut().with_max_len(1).for_each(|group| {
-        let sources: Vec<&Source> = group
-            .forms
-            .iter()
-            .flat_map(|form| &parts[group.part].sources[*form])
-            .collect();
+        let forms = group.forms.iter();
+        let sources = forms.flat_map(|form| &parts[group.part].sources[*form]);
         group.products = vec![[0.0; LANES]; precision.len() + 3];
         for (number, (run, base)) in runs.iter().zip(base).enumerate() {
-            let tangents: Vec<&Tangent> = sources
-                .iter()
-                .filter_map(|source| source.tangent(number))
-                .collect();
+            let tangents = sources.clone().filter_map(|own| own.tangent(number));
+            let tangents: Vec<&Tangent> = tangents.collect();
             if !tangents.is_empty() {
                 let columns: Vec<&[f32]> = base.columns.iter().map(|own| &own[..]).collect();
                 let residual = &run.followed.white;
@@ -86,31 +78,24 @@ pub(super) fn keep_likeliest(
             for (place, form) in group.forms.iter().enumerate() {
                 if part.candidate.is_event() {
                     let unit = part.candidate.variants[*form].units[0];
-                    let seen = seen(&factor, &right, &group.products, place, unit);
+                    let seen = given.seen(&group.products, place, unit);
                     part.candidate.moments.push(seen);
                 }
-                gains.push((
-                    *form,
-                    gain(&factor, &right, &group.products, place * width, width),
-                ));
+                gains.push((*form, given.gain(&group.products, place * width, width)));
             }
         }
         if gains.is_empty() {
             continue;
         }
         gains.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let mut kept: Vec<usize> = part
-            .by_run()
-            .iter()
-            .flat_map(|own| gains.iter().filter(|gain| own.contains(&gain.0)).take(KEPT))
-            .map(|gain| gain.0)
-            .collect();
+        let mut kept: Vec<usize> = Vec::new();
+        for own in part.by_run() {
+            let gains = gains.iter().filter(|gain| own.contains(&gain.0));
+            kept.extend(gains.take(KEPT).map(|gain| gain.0));
+        }
         let variants = part.candidate.variants.iter().enumerate();
-        kept.extend(
-            variants
-                .filter(|variant| variant.1.is_rival)
-                .map(|variant| variant.0),
-        );
+        let rivals = variants.filter(|variant| variant.1.is_rival);
+        kept.extend(rivals.map(|variant| variant.0));
         part.keep(|form| kept.contains(&form));
     }
 }
@@ -119,25 +104,19 @@ impl Part {
     /// The forms of an event of each run; of what all runs share all forms.
     fn by_run(&self) -> Vec<Vec<usize>> {
         let run = |form: &usize| {
-            self.candidate.variants[*form]
-                .moments
-                .first()
-                .map_or(0, |at| at.0)
+            let first = self.candidate.variants[*form].moments.first();
+            first.map_or(0, |at| at.0)
         };
         let forms: Vec<usize> = (0..self.sources.len()).collect();
-        forms
-            .chunk_by(|a, b| run(a) == run(b))
-            .map(<[usize]>::to_vec)
-            .collect()
+        let of_runs = forms.chunk_by(|a, b| run(a) == run(b));
+        of_runs.map(<[usize]>::to_vec).collect()
     }
 
     fn keep(&mut self, wanted: impl Fn(usize) -> bool) {
         let mut form = 0..;
         self.sources.retain(|_| form.next().is_some_and(&wanted));
-        let mut form = 0..;
-        self.candidate
-            .variants
-            .retain(|_| form.next().is_some_and(&wanted));
+        let (mut form, variants) = (0.., &mut self.candidate.variants);
+        variants.retain(|_| form.next().is_some_and(&wanted));
     }
 }
 
@@ -150,20 +129,13 @@ pub(super) fn drop_refuted(
     base: &Whitened,
     precision: &[f64],
 ) {
-    let squares: f64 = run
-        .followed
-        .white
-        .iter()
-        .flatten()
-        .map(|white| white * white)
-        .sum();
-    if squares > FAR * run.follower.rows as f64 {
+    if squares(std::slice::from_ref(run)) > FAR * run.follower.rows as f64 {
         return;
     }
     let beginning = beginning(run.scenario, run.scenario.samples().div_ceil(LOOK));
     let base = base.beginning(2 * beginning.samples());
     let residual = &run.followed.white[..beginning.samples()];
-    let Some((factor, right)) = base_of(&[residual], std::slice::from_ref(&base), precision) else {
+    let Some(given) = Base::of_runs(&[residual], std::slice::from_ref(&base), precision) else {
         return;
     };
     // How much of the effect is there, and its column.
@@ -173,41 +145,31 @@ pub(super) fn drop_refuted(
         };
         let column = run.difference(model, &beginning, *step);
         let products = base.products(&column, residual);
-        let cross = products.rows(0, precision.len());
-        let solved = factor.solve(&cross);
-        let [own, rest] = [
-            products[precision.len()] - cross.dot(&solved),
-            products[precision.len() + 1] - right.dot(&solved),
-        ];
+        let k = precision.len();
+        let cross = products.rows(0, k).into_owned();
+        let [own, rest] = given.left(&cross, products[k], products[k + 1]);
         (own * mean * mean > PLAIN * PLAIN).then(|| (rest / own / mean, column))
     };
     let whole = |part: &Part| !part.candidate.in_model && part.candidate.variants[0].mean > 0.0;
-    parts
-        .par_iter_mut()
-        .filter(|part| whole(part))
-        .for_each(|part| {
-            let mean = part.candidate.variants[0].mean;
-            let looks: Vec<Option<(f64, Vec<f32>)>> = part
-                .sources
-                .par_iter()
-                .with_max_len(1)
-                .map(|sources| look(&sources[0], mean))
-                .collect();
-            let refuted =
-                |look: &Option<(f64, Vec<f32>)>| look.as_ref().is_some_and(|look| look.0 < REFUTED);
-            if !looks.iter().all(refuted) {
-                part.keep(|form| !refuted(&looks[form]));
-                return;
-            }
-            let nearest = looks
-                .into_iter()
-                .enumerate()
-                .filter_map(|(form, look)| Some((form, look?)));
-            if let Some((nearest, (_, column))) = nearest.max_by(|a, b| a.1.0.total_cmp(&b.1.0)) {
-                part.sources[nearest] = vec![Source::Known(column)];
-                part.keep(|form| form == nearest);
-            }
-        });
+    let wholes = parts.par_iter_mut().filter(|part| whole(part));
+    wholes.for_each(|part| {
+        let mean = part.candidate.variants[0].mean;
+        let forms = part.sources.par_iter().with_max_len(1);
+        let looks: Vec<Option<(f64, Vec<f32>)>> =
+            forms.map(|sources| look(&sources[0], mean)).collect();
+        let refuted =
+            |look: &Option<(f64, Vec<f32>)>| look.as_ref().is_some_and(|look| look.0 < REFUTED);
+        if !looks.iter().all(refuted) {
+            part.keep(|form| !refuted(&looks[form]));
+            return;
+        }
+        let looks = looks.into_iter().enumerate();
+        let looks = looks.filter_map(|(form, look)| Some((form, look?)));
+        if let Some((nearest, (_, column))) = looks.max_by(|a, b| a.1.0.total_cmp(&b.1.0)) {
+            part.sources[nearest] = vec![Source::Known(column)];
+            part.keep(|form| form == nearest);
+        }
+    });
 }
 
 /// The run's first samples.
@@ -219,27 +181,6 @@ fn beginning(scenario: &Scenario, samples: usize) -> Scenario {
     beginning.time_half_width_s.truncate(samples);
     beginning.scored = 0..samples;
     beginning
-}
-
-/// The normal equations of the base.
-fn base_of(
-    residuals: &[&[[f64; 2]]],
-    base: &[Whitened],
-    precision: &[f64],
-) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
-    let k = precision.len();
-    let mut products = DMatrix::zeros(k + 1, k + 1);
-    for (residual, base) in residuals.iter().zip(base) {
-        products += base.gram(residual);
-    }
-    let mut gram = products.view((0, 0), (k, k)).into_owned();
-    for (d, precision) in precision.iter().enumerate() {
-        gram[(d, d)] += precision;
-    }
-    Some((
-        gram.cholesky()?,
-        products.view((0, k), (k, 1)).column(0).into_owned(),
-    ))
 }
 
 /// Products of the tangents with these columns, with the residual, with themselves, and of each even one with the next.
@@ -287,47 +228,74 @@ pub(super) fn add_products(
     });
 }
 
-/// Log of the evidence of the form in these lanes, beside the base.
-pub(super) fn gain(
-    factor: &Cholesky<f64, Dyn>,
-    right: &DVector<f64>,
-    products: &[Lane],
-    lane: usize,
-    width: usize,
-) -> f64 {
-    let m = right.len();
-    let cross = DMatrix::from_fn(m, width, |r, c| products[r][lane + c]);
-    let solved = factor.solve(&cross);
-    let own = DMatrix::from_fn(width, width, |r, c| {
-        if r == c {
-            products[m + 1][lane + r] + 1.0
-        } else {
-            products[m + 2][lane]
-        }
-    });
-    let rest = DVector::from_fn(width, |r, _| products[m][lane + r]) - solved.tr_mul(right);
-    let Some(schur) = (own - cross.tr_mul(&solved)).cholesky() else {
-        return f64::NEG_INFINITY;
-    };
-    let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
-    0.5 * rest.dot(&schur.solve(&rest)) - log_det
+/// The normal equations of columns that are in, beside which others are held.
+pub(super) struct Base {
+    factor: Cholesky<f64, Dyn>,
+    right: DVector<f64>,
 }
 
-/// What the runs say of the form of one column in this lane, beside the base.
-fn seen(
-    factor: &Cholesky<f64, Dyn>,
-    right: &DVector<f64>,
-    products: &[Lane],
-    lane: usize,
-    unit: f64,
-) -> Seen {
-    let m = right.len();
-    let cross = DVector::from_fn(m, |r, _| products[r][lane]);
-    let solved = factor.solve(&cross);
-    Seen {
-        information: products[m + 1][lane] - cross.dot(&solved),
-        asked: products[m][lane] - right.dot(&solved),
-        unit,
+impl Base {
+    /// Of some columns of all runs.
+    pub(super) fn of_columns(linear: &Linear, columns: &[usize]) -> Option<Self> {
+        let right = DVector::from_fn(columns.len(), |r, _| linear.right[columns[r]]);
+        let factor = linear.factor(columns)?;
+        Some(Self { factor, right })
+    }
+
+    /// Of whitened columns with the `precision` that they have beforehand, and what they leave to explain.
+    fn of_runs(residuals: &[&[[f64; 2]]], base: &[Whitened], precision: &[f64]) -> Option<Self> {
+        let k = precision.len();
+        let mut products = DMatrix::zeros(k + 1, k + 1);
+        for (residual, base) in residuals.iter().zip(base) {
+            products += base.gram(residual);
+        }
+        let mut gram = products.view((0, 0), (k, k)).into_owned();
+        for (d, precision) in precision.iter().enumerate() {
+            gram[(d, d)] += precision;
+        }
+        let right = products.view((0, k), (k, 1)).column(0).into_owned();
+        let factor = gram.cholesky()?;
+        Some(Self { factor, right })
+    }
+
+    /// What is left of a column with these products with the base, with itself and with the residual: its information, and
+    /// what is asked of it.
+    pub(super) fn left(&self, cross: &DVector<f64>, own: f64, rest: f64) -> [f64; 2] {
+        let solved = self.factor.solve(cross);
+        [own - cross.dot(&solved), rest - self.right.dot(&solved)]
+    }
+
+    /// Log of the evidence of the form in these lanes of [`add_products`].
+    pub(super) fn gain(&self, products: &[Lane], lane: usize, width: usize) -> f64 {
+        let m = self.right.len();
+        let cross = DMatrix::from_fn(m, width, |r, c| products[r][lane + c]);
+        let solved = self.factor.solve(&cross);
+        let own = DMatrix::from_fn(width, width, |r, c| {
+            if r == c {
+                products[m + 1][lane + r] + 1.0
+            } else {
+                products[m + 2][lane]
+            }
+        });
+        let rest = DVector::from_fn(width, |r, _| products[m][lane + r]);
+        let rest = rest - solved.tr_mul(&self.right);
+        let Some(schur) = (own - cross.tr_mul(&solved)).cholesky() else {
+            return f64::NEG_INFINITY;
+        };
+        let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
+        0.5 * rest.dot(&schur.solve(&rest)) - log_det
+    }
+
+    /// What the runs say of the form of one column in this lane.
+    fn seen(&self, products: &[Lane], lane: usize, unit: f64) -> Seen {
+        let m = self.right.len();
+        let cross = DVector::from_fn(m, |r, _| products[r][lane]);
+        let [information, asked] = self.left(&cross, products[m + 1][lane], products[m][lane]);
+        Seen {
+            information,
+            asked,
+            unit,
+        }
     }
 }
 
@@ -336,81 +304,56 @@ mod tests {
     use super::KEPT;
     use crate::diagnosis::joint::columns::{Around, Candidate, linearise};
     use crate::diagnosis::joint::events::Hypothesis;
-    use crate::diagnosis::joint::follow::Noise;
+    use crate::diagnosis::joint::follow::WANDERING;
+    use crate::diagnosis::kit::{nameplate, truth};
     use crate::plant::effect::CATALOGUE;
-    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
-    use crate::plant::{ActiveEffect, Model, Motor, State, effect};
+    use crate::plant::testing::record;
+    use crate::plant::{Model, State};
 
-    fn with(hidden: &str, values: &[f64]) -> Model {
-        let mut truth = Model::baseline(Motor::zk_22fc());
-        let effect = effect::find(hidden).unwrap();
-        truth.effects.push(ActiveEffect {
-            effect,
-            values: values.iter().copied().map(Some).collect(),
-        });
-        truth
-    }
-
-    fn candidates(hidden: &str, values: &[f64]) -> Vec<Candidate> {
-        let model = Model::baseline(Motor::zk_22fc());
-        beside(&model, &with(hidden, values))
-    }
-
-    fn beside(model: &Model, truth: &Model) -> Vec<Candidate> {
+    /// What `model` asks of the catalogue in a run of `truth`.
+    fn candidates(model: &Model, truth: &Model) -> Vec<Candidate> {
         let levels = [
             30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0,
         ];
-        let events = levels
-            .iter()
-            .enumerate()
-            .map(|(k, level)| (0.25 * k as f64, *level))
-            .collect();
+        let events = levels.iter().enumerate();
+        let events = events.map(|(k, level)| (0.25 * k as f64, *level)).collect();
         let scenario = record(truth, events, 1e-3, 2.5, 5);
-        let noise = Noise {
-            current_a: CURRENT_NOISE_A,
-            speed_rad_s: SPEED_NOISE_RAD_S,
-            disturbance_n_m: 0.01,
-            correlation_s: 0.5,
-            input: 0.05,
-            sensors: 0.1,
-        };
-        let runs = [Around::new(model, &scenario, State::default(), noise).unwrap()];
-        linearise(&Hypothesis::of(model), CATALOGUE, &runs, false)
+        let runs = [Around::new(model, &scenario, State::default(), WANDERING).unwrap()];
+        let linear = linearise(&Hypothesis::of(model), CATALOGUE, &runs, false);
+        linear.unwrap().candidates
+    }
+
+    fn find<'a>(candidates: &'a [Candidate], id: &str) -> &'a Candidate {
+        candidates
+            .iter()
+            .find(|candidate| candidate.id == id)
             .unwrap()
-            .candidates
+    }
+
+    /// Whether a form with this value is among those that were kept.
+    fn keeps(candidate: &Candidate, place: usize, value: f64) -> bool {
+        let mut forms = candidate.variants.iter();
+        forms.any(|form| (form.values[place] - value).abs() < 1e-9)
     }
 
     #[test]
     fn the_right_order_is_among_those_that_are_kept_and_what_is_not_there_keeps_one_form() {
-        let candidates = candidates("cogging", &[0.01, 0.01, 7.0]);
-        let find = |id: &str| {
-            candidates
-                .iter()
-                .find(|candidate| candidate.id == id)
-                .unwrap()
-        };
-        let cogging = find("cogging");
+        let candidates = candidates(&nameplate(), &truth("cogging", &[0.01, 0.01, 7.0]));
+        let cogging = find(&candidates, "cogging");
         assert_eq!(cogging.variants.len(), KEPT);
-        assert!(
-            cogging
-                .variants
-                .iter()
-                .any(|variant| (variant.values[2] - 7.0).abs() < 1e-9)
-        );
+        assert!(keeps(cogging, 2, 7.0));
         // Those that were dropped keep their share beforehand.
         assert!((cogging.variants[0].log_prior + 23.0_f64.ln()).abs() < 1e-9);
-        assert_eq!(find("elastic_coupling").variants.len(), 1);
-        assert_eq!(find("backlash").variants.len(), 1);
+        for id in ["elastic_coupling", "backlash"] {
+            assert_eq!(find(&candidates, id).variants.len(), 1, "{id}");
+        }
     }
 
     #[test]
     fn an_event_is_held_against_another_at_its_own_moment() {
-        let stepped = with("load_step", &[0.1, 1.13]);
-        let candidates = beside(&stepped, &stepped);
-        let pull = candidates
-            .iter()
-            .find(|c| c.id == "one_sided_load")
-            .unwrap();
+        let stepped = truth("load_step", &[0.1, 1.13]);
+        let candidates = candidates(&stepped, &stepped);
+        let pull = find(&candidates, "one_sided_load");
         let mut moments = pull.variants.iter().map(|variant| variant.moments[0].1);
         assert!(moments.any(|time_s| (time_s - 1.13).abs() < 1e-9));
         // What the moments say that have no columns is kept too.
@@ -419,16 +362,8 @@ mod tests {
 
     #[test]
     fn a_coupling_that_is_there_is_not_refuted() {
-        let candidates = candidates("elastic_coupling", &[28.0, 0.35, 0.03, 0.5]);
-        let elastic = candidates
-            .iter()
-            .find(|candidate| candidate.id == "elastic_coupling")
-            .unwrap();
-        assert!(
-            elastic
-                .variants
-                .iter()
-                .any(|variant| (variant.values[0] - 28.0).abs() < 1e-9)
-        );
+        let coupled = truth("elastic_coupling", &[28.0, 0.35, 0.03, 0.5]);
+        let candidates = candidates(&nameplate(), &coupled);
+        assert!(keeps(find(&candidates, "elastic_coupling"), 0, 28.0));
     }
 }

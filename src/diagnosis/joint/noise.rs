@@ -46,23 +46,14 @@ fn averaged(
     columns: &[usize],
 ) -> Averaged {
     let n = run.scenario.samples();
-    let times = &run.scenario.sample_time_s;
-    let period_s = (times[n - 1] - times[0]) / (n - 1) as f64;
+    let period_s = run.scenario.mean_period_s();
     let size = whole((BLOCK_S / period_s).floor()).max(1);
     let blocks = n.div_ceil(size);
-    let mut counts = vec![[0.0; 2]; blocks];
+    let (mut counts, mut vague) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);
     for (sample, update) in run.follower.updates.iter().enumerate() {
-        for (count, gains) in counts[sample / size]
-            .iter_mut()
-            .zip([&update.current, &update.speed])
-        {
-            *count += f64::from(u8::from(gains[4] > 0.0));
-        }
-    }
-    let mut vague = vec![[0.0; 2]; blocks];
-    for (sample, own) in run.followed.vague.iter().enumerate() {
-        for (sum, own) in vague[sample / size].iter_mut().zip(own) {
-            *sum += own;
+        for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
+            counts[sample / size][signal] += f64::from(u8::from(gains[4] > 0.0));
+            vague[sample / size][signal] += run.followed.vague[sample][signal];
         }
     }
     let passages = (0..blocks)
@@ -94,11 +85,8 @@ fn averaged(
                     }
                 }
                 let readings = track.colour(update, &white);
-                for (sum, reading) in sums[sample / size]
-                    .iter_mut()
-                    .flatten()
-                    .zip(readings.iter().flatten())
-                {
+                let sums = sums[sample / size].iter_mut().flatten();
+                for (sum, reading) in sums.zip(readings.iter().flatten()) {
                     *sum += reading;
                 }
             }
@@ -153,12 +141,11 @@ fn passage_of(run: &Around<'_>, samples: std::ops::Range<usize>, size: usize) ->
             *sum += part;
         }
         interval_s += passage.interval_s;
-        let last = if sample > 0 {
-            run.followed.direction[sample - 1]
-        } else {
-            0.0
-        };
-        jumps |= sample > 0 && passage.direction != 0.0 && passage.direction * last <= 0.0;
+        let last = sample
+            .checked_sub(1)
+            .map(|last| run.followed.direction[last]);
+        let turns = last.is_some_and(|last| passage.direction * last <= 0.0);
+        jumps |= turns && passage.direction != 0.0;
         direction = passage.direction;
     }
     let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
@@ -210,19 +197,10 @@ impl Averaged {
                 if count == 0.0 {
                     continue;
                 }
-                let sigma = if signal == 0 {
-                    noise.current_a
-                } else {
-                    noise.speed_rad_s
-                };
+                let sigma = [noise.current_a, noise.speed_rad_s][signal];
                 let vague = self.vague[block][signal];
                 let s = p[signal][signal] + (sigma * sigma + vague / count) / count;
-                let gain = [
-                    p[0][signal] / s,
-                    p[1][signal] / s,
-                    p[2][signal] / s,
-                    p[3][signal] / s,
-                ];
+                let gain = [0, 1, 2, 3].map(|row| p[row][signal] / s);
                 p = corrected(&p, &gain, signal);
                 log += s.ln();
                 let gains = [gain[0], gain[1], gain[2], gain[3], 1.0 / s.sqrt()];
@@ -273,12 +251,8 @@ pub(super) fn likeliest(
             .into_iter()
             .fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let mut a = sums.view((0, 0), (k, k)).into_owned();
-        for d in 0..k {
-            a[(d, d)] += if d < m {
-                1.0 / linear.nuisances[d].powi(2)
-            } else {
-                1.0
-            };
+        for (d, column) in columns.iter().enumerate() {
+            a[(d, d)] += linear.precision(*column);
         }
         let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();
         for (b, column) in b.iter_mut().zip(&columns) {
@@ -509,19 +483,16 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
-    use crate::diagnosis::joint::follow::QUIET;
+    use crate::diagnosis::joint::follow::{QUIET, WANDERING, hole};
+    use crate::diagnosis::kit::nameplate;
+    use crate::plant::State;
     use crate::plant::testing::record;
-    use crate::plant::{Model, Motor, State, UnknownInput};
 
     #[test]
     fn the_climb_follows_the_ridge_of_a_spectrum_that_is_known_above_its_corner_only() {
         let floor = Noise {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            disturbance_n_m: 0.01,
-            correlation_s: 0.5,
             input: 0.0,
-            sensors: 0.1,
+            ..WANDERING
         };
         let likelihood = |noise: &Noise| {
             let corner = (noise.correlation_s / 0.05).ln();
@@ -536,12 +507,8 @@ mod tests {
     #[test]
     fn the_climb_reaches_the_top_in_few_runs_of_the_filter() {
         let floor = Noise {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            disturbance_n_m: 0.01,
-            correlation_s: 0.5,
             input: 0.01,
-            sensors: 0.1,
+            ..WANDERING
         };
         let count = Cell::new(0);
         let likelihood = |noise: &Noise| {
@@ -592,32 +559,26 @@ mod tests {
             [left.disturbance_n_m, left.input].map(f64::to_bits)
         };
         let of = |noise: Noise| [noise.disturbance_n_m, noise.input].map(f64::to_bits);
-        assert_eq!(left(4e-5, [0.1, 0.1]), of(start));
-        assert_eq!(left(4e-5, [2.0, 2.0]), of(found(4e-5)));
-        assert_eq!(
-            left(4e-5, [2.0, 0.1]),
-            of(Noise {
-                input: 0.01,
-                ..found(4e-5)
-            })
-        );
-        // Less of it is taken at once.
-        assert_eq!(left(1e-5, [0.1, 2.0]), of(found(1e-5)));
+        let of_input = Noise {
+            input: 0.01,
+            ..found(4e-5)
+        };
+        for (disturbance_n_m, loses, expected) in [
+            (4e-5, [0.1, 0.1], start),
+            (4e-5, [2.0, 2.0], found(4e-5)),
+            (4e-5, [2.0, 0.1], of_input),
+            // Less of it is taken at once.
+            (1e-5, [0.1, 2.0], found(1e-5)),
+        ] {
+            assert_eq!(left(disturbance_n_m, loses), of(expected), "{loses:?}");
+        }
     }
 
     #[test]
     fn a_block_knows_that_one_voltage_moves_current_and_speed() {
-        let model = Model::baseline(Motor::zk_22fc());
+        let model = nameplate();
         let mut scenario = record(&model, vec![(0.0, 20.0), (0.5, 25.0)], 1e-3, 1.0, 3);
-        scenario.unknown_input = vec![UnknownInput {
-            from_s: 0.7,
-            to_s: 0.71,
-            lost_rows: 9,
-            mean: 25.0,
-            beside: [0.0; 3],
-            variance: 9.0,
-            restart: None,
-        }];
+        scenario.unknown_input = vec![hole(0.7, 0.71, 9.0)];
         let run = Around::new(&model, &scenario, State::default(), QUIET).unwrap();
         let n = scenario.samples();
         let block = passage_of(&run, 0..n, n).0;

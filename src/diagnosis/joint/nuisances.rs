@@ -1,12 +1,16 @@
-//! What is always in beside the effects: the motor's parameters, errors of the stamps, other forms of the model's effects.
+//! What is in beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
+//! model's effects; and curves of torque and voltage that no effect gives, where what is left goes by what it follows.
+
+use nalgebra::DVector;
 
 use super::acting::constants;
-use super::columns::{Around, SLAB, Source, active, columns_of};
+use super::columns::{Around, Form, NO_PARAMETER, Part, SLAB, Source, columns_of};
 use super::slopes::are_tangents;
-use super::tangent::{Tangent, Wave};
+use super::tangent::{Axis, Tangent, Wave};
+use crate::numerics::statistics::largest;
 use crate::plant::{
-    Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms, effect,
-    typical_size,
+    ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
+    effect, typical_size,
 };
 
 /// Prior standard deviation of the logarithm of a motor's parameter.
@@ -95,14 +99,13 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let ids = ["command_delay", "current_filter", "speed_delay"];
     let count = if by_voltage { ids.len() } else { 1 };
     let ids = ids.into_iter().take(count);
-    let times = &scenario.sample_time_s;
-    let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
-    let of_samples_s = scenario
-        .typical_half_width_s()
-        .map(|half| half / 3f64.sqrt());
+    let period_s = scenario.mean_period_s();
+    let half_width_s = scenario.typical_half_width_s();
+    let of_samples_s = half_width_s.map(|half| half / 3f64.sqrt());
     let of_commands_s = scenario.input_delay_s().map(|(_, deviation)| deviation);
     ids.filter_map(move |id| {
-        let known_s = if id == "command_delay" {
+        let is_command = id == "command_delay";
+        let known_s = if is_command {
             of_commands_s
         } else {
             of_samples_s
@@ -124,11 +127,8 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         let effect = effect::find(id)?;
         let mut moved = model.clone();
         match moved.effects.iter_mut().find(|active| active.id() == id) {
-            Some(active) => {
-                let now = active.values_or_guess()[0];
-                active.values = vec![Some(now + error_s)];
-            }
-            None => moved.effects.push(active(effect, &[error_s])),
+            Some(active) => active.values = vec![Some(active.values_or_guess()[0] + error_s)],
+            None => moved.effects.push(ActiveEffect::with(effect, &[error_s])),
         }
         Some(Source::Difference {
             model: moved,
@@ -156,8 +156,7 @@ pub(super) fn of_equations(run: &Around<'_>) -> Vec<(Option<usize>, Vec<f32>)> {
 
 /// Voltages of terms at a small part of the run's largest current and at that current, and that part of it, A.
 fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
-    let currents = scenario.current_a.iter().filter(|value| value.is_finite());
-    let most_a = currents.fold(0.0_f64, |most, value| most.max(value.abs()));
+    let most_a = largest(scenario.current_a.iter().copied());
     let at = |current_a: f64| {
         let at = Instant {
             current_a,
@@ -219,20 +218,14 @@ pub(super) fn bends(
     let terms = effect.terms(values);
     let path = terms.path();
     if effect.card().needs_angle {
-        let squares = specs
-            .iter()
-            .zip(values)
-            .filter(|(spec, _)| spec.is_coefficient())
-            .map(|(_, value)| value * value);
-        let amplitude = squares.sum::<f64>().sqrt();
-        let order = specs
-            .iter()
-            .position(|spec| spec.key == "order")
-            .map_or(1.0, |k| values[k]);
-        let gain = if effect.card().id == "torque_ripple" {
-            model.motor.torque_constant().unwrap_or(1.0) * 2.0
-        } else {
-            1.0
+        let pairs = || specs.iter().zip(values);
+        let sizes = pairs().filter(|(spec, _)| spec.is_coefficient());
+        let amplitude = sizes.map(|(_, value)| value * value).sum::<f64>().sqrt();
+        let order = pairs().find(|(spec, _)| spec.key == "order");
+        let order = order.map_or(1.0, |(_, order)| *order);
+        let gain = match effect.card().id {
+            "torque_ripple" => model.motor.torque_constant().unwrap_or(1.0) * 2.0,
+            _ => 1.0,
         };
         for harmonic in [2.0, 3.0] {
             for sine in [true, false] {
@@ -319,10 +312,101 @@ fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = T
     })
 }
 
+/// Log of the odds of an unknown curve beforehand.
+const LOG_ODDS_UNKNOWN: f64 = -4.605_170_185_988_091;
+
+/// Torque as a function of the speed that friction, drag and load of the catalogue are no part of, each of this size: what
+/// a run that a torque drives is made of is theirs first.
+fn beyond_the_catalogue(most: f64, size: f64) -> Vec<Tangent> {
+    const KNOTS: usize = 13;
+    let at = |knot: usize| 2.0 * knot as f64 / (KNOTS - 1) as f64 - 1.0;
+    let shapes: [fn(f64) -> f64; 5] = [
+        |_| 1.0,
+        |x| x,
+        f64::abs,
+        |x| x * x.abs(),
+        |x| {
+            if x == 0.0 { 0.0 } else { x.signum() }
+        },
+    ];
+    let mut basis: Vec<DVector<f64>> = Vec::new();
+    let hats =
+        (0..KNOTS).map(|knot| DVector::from_fn(KNOTS, |k, _| f64::from(u8::from(k == knot))));
+    let shapes = shapes.map(|shape| DVector::from_fn(KNOTS, |k, _| shape(at(k))));
+    for vector in shapes.into_iter().chain(hats) {
+        let mut left = vector.clone();
+        for known in &basis {
+            left -= known * known.dot(&left);
+        }
+        if basis.len() < KNOTS && left.norm() > 0.1 * vector.norm() {
+            basis.push(left.normalize());
+        }
+    }
+    let curve = |curve: DVector<f64>| Tangent::Curve {
+        most,
+        values: (curve * size).iter().copied().collect(),
+    };
+    basis.into_iter().skip(5).map(curve).collect()
+}
+
+/// Torque and voltage as functions that no effect of the catalogue gives.
+pub(super) fn unknown_curves(runs: &[Around<'_>]) -> Vec<Part> {
+    let run = &runs[0];
+    let by_voltage = run.scenario.input == Input::Voltage;
+    let most = |k: usize| largest(run.followed.after.iter().map(|state| state[k]));
+    let (current, speed) = (most(0), most(1));
+    let share = if by_voltage { 0.06 } else { 0.03 };
+    let torque = share * constants(&run.model, run.scenario).torque_n_m_per_a * current;
+    let volts = 0.06 * largest(run.scenario.events.iter().map(|event| event.1));
+    let part = |id: &'static str, curves: Vec<Tangent>| {
+        let mut part = Part::named(id, None, LOG_ODDS_UNKNOWN);
+        let mut form = Form::new(vec![], 0.0);
+        for curve in curves {
+            form.column(Source::Tangent(curve), NO_PARAMETER, 1.0, 0.0);
+        }
+        form.variant.parameters.clear();
+        part.push(form);
+        part
+    };
+    let hats = |axis: Axis, count: i32, most: f64, size: f64| -> Vec<Tangent> {
+        let width = 2.0 * most / f64::from(count - 1);
+        let hat = |k| Tangent::Hat {
+            axis,
+            centre: width * f64::from(k) - most,
+            width,
+            size,
+        };
+        (0..count).map(hat).collect()
+    };
+    let wave = |order: i32, sine: bool| {
+        Tangent::Wave(Wave {
+            order: f64::from(order),
+            sine,
+            size: torque,
+            of_current: false,
+        })
+    };
+    let over_speed = if by_voltage {
+        hats(Axis::Speed, 11, speed, torque)
+    } else {
+        beyond_the_catalogue(speed, torque)
+    };
+    let waves = (1..=6).flat_map(|order| [true, false].map(|sine| wave(order, sine)));
+    let mut parts = vec![
+        part("torque over speed", over_speed),
+        part("torque over angle", waves.collect()),
+    ];
+    if by_voltage {
+        let volts = hats(Axis::Current, 7, current, volts);
+        parts.push(part("voltage over current", volts));
+    }
+    parts
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::tests::{nameplate, record, truth};
+    use crate::diagnosis::kit::{nameplate, record, truth};
     use crate::plant::effect::CATALOGUE;
 
     #[test]

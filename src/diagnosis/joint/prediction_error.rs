@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use super::asked::why_not;
 use super::columns::{Around, SLAB, Source, columns_of};
 use super::events::{Event, Hypothesis};
-use super::excess::excess;
 use super::follow::follow;
+use super::free_run::excess;
 use super::nuisances::{MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::slopes;
 use super::tangent::Tangent;
@@ -24,117 +24,101 @@ use crate::plant::{
 const SHAPE: f64 = 1.0;
 const LINEAR_SHAPE: f64 = 3.0;
 
-/// How a parameter and its coordinate belong together.
+/// How a parameter and its coordinate belong together: `p = unit x`, or `p = exp(x)` where there is no unit; with a normal
+/// prior about `at`.
 #[derive(Clone, Copy)]
-enum Unit {
-    /// `p = exp(x)`, with a normal prior about `at`.
-    Logarithm { range: (f64, f64), sd: f64, at: f64 },
-    /// `p = unit x`, with a normal prior of one about `at`.
-    Linear {
-        range: (f64, f64),
-        unit: f64,
-        at: f64,
-    },
+struct Coordinate {
+    unit: Option<f64>,
+    range: (f64, f64),
+    sd: f64,
+    at: f64,
 }
 
-impl Unit {
+impl Coordinate {
+    const fn linear(unit: f64, range: (f64, f64), at: f64) -> Self {
+        Self {
+            unit: Some(unit),
+            range,
+            sd: 1.0,
+            at,
+        }
+    }
+
+    fn logarithm(sd: f64, range: (f64, f64), value: f64) -> Self {
+        Self {
+            unit: None,
+            range,
+            sd,
+            at: value.ln(),
+        }
+    }
+
     /// `None` for what is not fitted: the number of cogs, the time of an event, and what the run says nothing of.
     fn of(slot: &Slot, value: f64, model: &Model, scenario: &Scenario) -> Option<Self> {
-        let Slot::Effect {
-            spec,
-            index,
-            parameter,
-            ..
-        } = slot
-        else {
-            let Slot::Motor(key) = slot else { return None };
-            return Some(match motor_prior(*key, model, scenario)? {
-                MotorPrior::Logarithm(sd) => Self::Logarithm {
-                    range: motor_range(*key, model, scenario),
-                    sd,
-                    at: value.ln(),
-                },
-                MotorPrior::Linear(unit) => Self::Linear {
-                    range: (0.0, 1e9),
-                    unit,
-                    at: value / unit,
-                },
-            });
+        let (index, parameter, spec) = match *slot {
+            Slot::Motor(key) => {
+                return Some(match motor_prior(key, model, scenario)? {
+                    MotorPrior::Logarithm(sd) => {
+                        Self::logarithm(sd, motor_range(key, model, scenario), value)
+                    }
+                    MotorPrior::Linear(unit) => Self::linear(unit, (0.0, 1e9), value / unit),
+                });
+            }
+            Slot::Effect {
+                index,
+                parameter,
+                spec,
+                ..
+            } => (index, parameter, spec),
         };
-        let effect = model.effects[*index].effect;
-        if why_not(effect, scenario).is_some() {
+        let effect = model.effects[index].effect;
+        let is_chosen = matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime);
+        if is_chosen || why_not(effect, scenario).is_some() {
             return None;
         }
-        if matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime) {
-            return None;
-        }
-        if spec.is_coefficient() {
-            let least = if takes_power(effect.card().id) {
-                0.0
+        Some(if spec.is_coefficient() {
+            let takes_power = takes_power(effect.card().id);
+            let least = if takes_power { 0.0 } else { spec.min };
+            let unit = SLAB * typical_size(effect, parameter, model, scenario);
+            Self::linear(unit, (least, spec.max), 0.0)
+        } else if spec.logarithmic {
+            let is_boundary = spec.key == "boundary_a";
+            let least = if is_boundary {
+                LEAST_BOUNDARY_A
             } else {
                 spec.min
             };
-            return Some(Self::Linear {
-                range: (least, spec.max),
-                unit: SLAB * typical_size(effect, *parameter, model, scenario),
-                at: 0.0,
-            });
-        }
-        if !spec.logarithmic {
-            let unit = LINEAR_SHAPE * spec.scale;
-            return Some(Self::Linear {
-                range: (spec.min, spec.max),
-                unit,
-                at: value / unit,
-            });
-        }
-        let least = if spec.key == "boundary_a" {
-            LEAST_BOUNDARY_A
+            Self::logarithm(SHAPE, (least, spec.max), value)
         } else {
-            spec.min
-        };
-        Some(Self::Logarithm {
-            range: (least, spec.max),
-            sd: SHAPE,
-            at: value.ln(),
+            let unit = LINEAR_SHAPE * spec.scale;
+            Self::linear(unit, (spec.min, spec.max), value / unit)
         })
     }
 
     fn to_x(self, value: f64) -> f64 {
-        match self {
-            Self::Logarithm { range, .. } => value.clamp(range.0, range.1).ln(),
-            Self::Linear { unit, .. } => value / unit,
-        }
+        let logarithm = || value.clamp(self.range.0, self.range.1).ln();
+        self.unit.map_or_else(logarithm, |unit| value / unit)
     }
 
     fn to_value(self, x: f64) -> f64 {
-        match self {
-            Self::Logarithm { .. } => x.exp(),
-            Self::Linear { unit, .. } => x * unit,
-        }
+        self.unit.map_or_else(|| x.exp(), |unit| x * unit)
     }
 
     /// What a step of one of the coordinate adds to the value.
     fn slope(self, value: f64) -> f64 {
-        match self {
-            Self::Logarithm { .. } => value,
-            Self::Linear { unit, .. } => unit,
-        }
-    }
-
-    /// What a step of one of the coordinate adds to the surprise.
-    const fn surprise_slope(self) -> f64 {
-        match self {
-            Self::Logarithm { sd, .. } => 1.0 / sd,
-            Self::Linear { .. } => 1.0,
-        }
+        self.unit.unwrap_or(value)
     }
 
     /// How far from what was believed before, in standard deviations.
     fn surprise(self, x: f64) -> f64 {
-        match self {
-            Self::Logarithm { sd, at, .. } => (x - at) / sd,
-            Self::Linear { at, .. } => x - at,
+        (x - self.at) / self.sd
+    }
+
+    fn clamp(self, x: f64) -> f64 {
+        let (least, most) = self.range;
+        match self.unit {
+            None => x.clamp(least.ln(), most.ln()),
+            Some(unit) => x.clamp(least / unit, most / unit),
         }
     }
 }
@@ -143,8 +127,8 @@ impl Unit {
 /// a function of the coordinates: those that all runs share, then the sizes of the events.
 struct Innovations<'a> {
     hypothesis: Hypothesis,
-    free: Vec<(Slot, Unit)>,
-    sizes: Vec<Unit>,
+    free: Vec<(Slot, Coordinate)>,
+    sizes: Vec<Coordinate>,
     runs: &'a [Around<'a>],
     len: usize,
     /// Whether their slopes are tangents.
@@ -168,11 +152,8 @@ struct Vague {
 /// The size of each effect: of several coefficients the root of the sum of their squares.
 fn sizes(model: &Model) -> Vec<f64> {
     let size = |active: &ActiveEffect| {
-        let pairs = active
-            .effect
-            .parameters()
-            .iter()
-            .zip(active.values_or_guess());
+        let specs = active.effect.parameters().iter();
+        let pairs = specs.zip(active.values_or_guess());
         let squares = pairs.filter(|(spec, _)| spec.is_coefficient());
         squares.map(|(_, value)| value * value).sum::<f64>().sqrt()
     };
@@ -266,18 +247,15 @@ impl<'a> Innovations<'a> {
             let index = event.size_index();
             let spec = &event.effect.parameters()[index];
             let run = &runs[event.run.min(runs.len() - 1)];
-            Unit::Linear {
-                range: (spec.min, spec.max),
-                unit: SLAB * typical_size(event.effect, index, model, run.scenario),
-                at: 0.0,
-            }
+            let unit = SLAB * typical_size(event.effect, index, model, run.scenario);
+            Coordinate::linear(unit, (spec.min, spec.max), 0.0)
         };
-        let sizes: Vec<Unit> = hypothesis.events.iter().map(size).collect();
-        let free: Vec<(Slot, Unit)> = model
+        let sizes: Vec<Coordinate> = hypothesis.events.iter().map(size).collect();
+        let free: Vec<(Slot, Coordinate)> = model
             .free_slots()
             .into_iter()
             .filter_map(|slot| {
-                let unit = Unit::of(&slot, model.get(&slot)?, model, runs[0].scenario)?;
+                let unit = Coordinate::of(&slot, model.get(&slot)?, model, runs[0].scenario)?;
                 Some((slot, unit))
             })
             .collect();
@@ -293,7 +271,7 @@ impl<'a> Innovations<'a> {
         }
     }
 
-    fn units(&self) -> impl Iterator<Item = Unit> {
+    fn units(&self) -> impl Iterator<Item = Coordinate> {
         let free = self.free.iter().map(|(_, unit)| *unit);
         free.chain(self.sizes.iter().copied())
     }
@@ -395,10 +373,9 @@ impl Problem for Innovations<'_> {
     }
 
     fn difference_step(&self, index: usize) -> f64 {
-        match self.units().nth(index) {
-            Some(Unit::Logarithm { .. }) => 2e-3,
-            _ => 5e-3,
-        }
+        let unit = self.units().nth(index);
+        let is_logarithm = unit.is_some_and(|unit| unit.unit.is_none());
+        if is_logarithm { 2e-3 } else { 5e-3 }
     }
 
     fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
@@ -418,26 +395,19 @@ impl Problem for Innovations<'_> {
         let mut column = |parameter: usize| {
             let number = next.next()?;
             let mut slope = vec![0.0; self.len];
-            let cells = columns
-                .iter()
-                .zip(self.runs)
-                .scan(0, |from, (whitened, run)| {
-                    let range = *from..*from + 2 * run.scenario.samples();
-                    *from = range.end;
-                    Some((&whitened.columns[number], range))
-                });
-            for (values, range) in cells {
+            let mut from = 0;
+            for (whitened, run) in columns.iter().zip(self.runs) {
                 // An event of one run leaves the others as they are.
-                for (cell, value) in slope[range].iter_mut().zip(values) {
-                    *cell = f64::from(*value);
-                }
+                let cells = slope[from..].iter_mut().zip(&whitened.columns[number]);
+                cells.for_each(|(cell, value)| *cell = f64::from(*value));
+                from += 2 * run.scenario.samples();
             }
             if let Some(freeing) = &freeing {
                 freeing.free(&mut slope[..own]);
             }
             // Columns are what is taken from the innovations.
             slope[..own].iter_mut().for_each(|cell| *cell = -*cell);
-            slope[own + parameter] = self.units().nth(parameter)?.surprise_slope();
+            slope[own + parameter] = 1.0 / self.units().nth(parameter)?.sd;
             let step = self.difference_step(parameter);
             let mut moved = x.to_vec();
             moved[parameter] += step;
@@ -451,10 +421,7 @@ impl Problem for Innovations<'_> {
 
     fn clamp(&self, x: &mut [f64]) {
         for (x, unit) in x.iter_mut().zip(self.units()) {
-            *x = match unit {
-                Unit::Logarithm { range, .. } => x.clamp(range.0.ln(), range.1.ln()),
-                Unit::Linear { range, unit, .. } => x.clamp(range.0 / unit, range.1 / unit),
-            };
+            *x = unit.clamp(*x);
         }
     }
 }
@@ -545,16 +512,10 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
         .iter()
         .enumerate()
         .map(|(index, (slot, unit))| {
-            let slope = match unit {
-                Unit::Logarithm { .. } => minimum.x[index].exp(),
-                Unit::Linear { unit, .. } => *unit,
-            };
+            let slope = unit.slope(unit.to_value(minimum.x[index]));
             let variance = covariance[(index, index)].max(0.0);
-            let beside = if let Slot::Motor(MotorKey::Resistance) = slot {
-                left_ohm
-            } else {
-                0.0
-            };
+            let is_resistance = matches!(slot, Slot::Motor(MotorKey::Resistance));
+            let beside = if is_resistance { left_ohm } else { 0.0 };
             let deviation = (factor * slope * variance.sqrt()).hypot(beside);
             (*slot, determined[index].then_some(deviation))
         });
@@ -569,8 +530,8 @@ pub(super) fn estimate(run: &Around<'_>) -> Option<Estimated> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::joint::follow::Noise;
-    use crate::diagnosis::tests::{nameplate, record, truth};
+    use crate::diagnosis::joint::follow::{Noise, QUIET};
+    use crate::diagnosis::kit::{nameplate, record, truth, with};
     use crate::identification::noise::NoiseFloor;
     use crate::plant::{MotorKey, State, testing};
 
@@ -580,9 +541,8 @@ mod tests {
             current_a: floor.current_a,
             speed_rad_s: floor.speed_rad_s,
             disturbance_n_m,
-            correlation_s: 0.5,
             input: 1e-3,
-            sensors: 0.1,
+            ..QUIET
         }
     }
 
@@ -590,8 +550,7 @@ mod tests {
     fn fitted(disturbance_n_m: f64) -> Model {
         let fan = truth("quadratic_load", &[2e-6]);
         let runs = [0, 1].map(|shift| record(&fan, shift, 7 + shift as u64));
-        let mut start = nameplate().with_effect("quadratic_load").unwrap();
-        start.effects[0].values = vec![Some(5e-7)];
+        let mut start = truth("quadratic_load", &[5e-7]);
         for (key, factor) in [(MotorKey::Resistance, 1.2), (MotorKey::Inertia, 0.8)] {
             let value = start.motor.get(key).unwrap();
             start.motor.set(key, factor * value);
@@ -612,34 +571,30 @@ mod tests {
     #[test]
     fn it_finds_motor_and_effect_together_however_much_the_load_may_wander() {
         for disturbance_n_m in [1e-4, 1e-2] {
-            finds(&fitted(disturbance_n_m));
+            let (found, motor) = (fitted(disturbance_n_m), nameplate().motor);
+            for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
+                let ratio = found.motor.get(key).unwrap() / motor.get(key).unwrap();
+                assert!(
+                    (ratio - 1.0).abs() < 0.03,
+                    "{disturbance_n_m} {key:?} {ratio}"
+                );
+            }
+            let size = found.effects[0].values[0].unwrap();
+            assert!((size / 2e-6 - 1.0).abs() < 0.1, "{disturbance_n_m} {size}");
         }
-    }
-
-    fn finds(found: &Model) {
-        let motor = nameplate().motor;
-        for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
-            let ratio = found.motor.get(key).unwrap() / motor.get(key).unwrap();
-            assert!((ratio - 1.0).abs() < 0.03, "{key:?} {ratio}");
-        }
-        let size = found.effects[0].values[0].unwrap();
-        assert!((size / 2e-6 - 1.0).abs() < 0.1, "{size}");
     }
 
     #[test]
     fn slopes_are_what_differences_of_two_simulations_are() {
-        let mut model = truth("viscous_friction", &[2e-4]);
-        for (id, values) in [
-            ("cogging", vec![0.02, 0.01, 3.0]),
-            ("stribeck_friction", vec![0.05, 5.0]),
-            ("supply_sag", vec![0.02]),
-            ("command_delay", vec![4e-4]),
-            ("current_offset", vec![0.02]),
-        ] {
-            model = model.with_effect(id).unwrap();
-            let own = model.effects.last_mut().unwrap();
-            own.values = values.into_iter().map(Some).collect();
-        }
+        let effects: [(&str, &[f64]); 6] = [
+            ("viscous_friction", &[2e-4]),
+            ("cogging", &[0.02, 0.01, 3.0]),
+            ("stribeck_friction", &[0.05, 5.0]),
+            ("supply_sag", &[0.02]),
+            ("command_delay", &[4e-4]),
+            ("current_offset", &[0.02]),
+        ];
+        let model = with(nameplate(), &effects);
         // Moves one way only: where a shaft breaks away differences are no slopes.
         let levels = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
         let run = testing::record(&model, levels, 1e-3, 2.5, 11);
@@ -665,8 +620,7 @@ mod tests {
         // Below the currents of a converter's gaps these are brushes.
         let soft = truth("discontinuous_conduction", &[2.4, 0.5]);
         let run = record(&soft, 0, 7);
-        let mut start = nameplate().with_effect("voltage_drop").unwrap();
-        start.effects[0].values = vec![Some(1.0)];
+        let start = truth("voltage_drop", &[1.0]);
         let around = [Around::new(&start, &run, State::default(), noise(&run, 1e-4)).unwrap()];
         let found = fit(&Hypothesis::of(&start), &around).unwrap();
         let drop_v = found.hypothesis.model.effects[0].values[0].unwrap();

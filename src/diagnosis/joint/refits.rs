@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use super::columns::{Around, Candidate, Linear};
 use super::events::Hypothesis;
 use super::prediction_error::{Refit, fit};
-use super::search::{placed, present, with_effect};
 use super::select::{Posterior, Reduced, Set};
+use super::solution::{placed, present};
 use crate::diagnosis::family::LEAST_BOUNDARY_A;
 use crate::plant::{ActiveEffect, Model, effect, typical_size};
 
@@ -206,7 +206,10 @@ impl Weighed<'_> {
             let mut start = self.hypothesis.clone();
             let kept = |active: &ActiveEffect| !others.contains(&active.id());
             start.model.effects.retain(kept);
-            start.model = with_effect(&start.model, effect, &[begin]);
+            start
+                .model
+                .effects
+                .push(ActiveEffect::with(effect, &[begin]));
             // What is not known goes with the size that it was followed with: the second time that is its own.
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
@@ -223,23 +226,18 @@ impl Weighed<'_> {
 mod tests {
     use super::*;
     use crate::diagnosis::joint::columns::linearise;
-    use crate::diagnosis::joint::follow::Noise;
+    use crate::diagnosis::joint::follow::{Noise, QUIET};
     use crate::diagnosis::joint::select::select;
-    use crate::diagnosis::tests::{nameplate, record, truth};
-    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S};
+    use crate::diagnosis::kit::{nameplate, record, truth, with};
     use crate::plant::{Effect, Scenario, State};
 
-    const QUIET: Noise = Noise {
-        current_a: CURRENT_NOISE_A,
-        speed_rad_s: SPEED_NOISE_RAD_S,
-        disturbance_n_m: 1e-4,
-        correlation_s: 0.5,
-        input: 1e-3,
-        sensors: 0.1,
-    };
-
     fn led<'a>(model: &Model, run: &'a Scenario) -> [Around<'a>; 1] {
-        [Around::new(model, run, State::default(), QUIET).unwrap()]
+        let noise = Noise {
+            disturbance_n_m: 1e-4,
+            input: 1e-3,
+            ..QUIET
+        };
+        [Around::new(model, run, State::default(), noise).unwrap()]
     }
 
     /// What `about` makes of the sets as they are weighed from `model` on.
@@ -297,10 +295,8 @@ mod tests {
                 bar_what_rings(linear);
                 let mut rings = linear.candidates.iter().filter(|own| own.is_whole());
                 let coupling = rings.find(|own| own.id == "elastic_coupling");
-                assert_eq!(
-                    coupling.is_some_and(|own| own.log_odds <= BARRED),
-                    is_barred
-                );
+                let found = coupling.is_some_and(|own| own.log_odds <= BARRED);
+                assert_eq!(found, is_barred);
             };
             weighed(&model, &run, &["elastic_coupling"], odds, |_| {});
         }
@@ -309,17 +305,14 @@ mod tests {
     #[test]
     fn a_late_command_stands_for_two_late_sensors_unless_these_are_there() {
         let late = truth("command_delay", &[6e-4]);
-        let two = |seconds: [f64; 2]| {
-            let mut two = truth("speed_delay", &seconds[..1])
-                .with_effect("current_filter")
-                .unwrap();
-            two.effects[1].values = vec![Some(seconds[1])];
-            two
+        let two = |of_speed: &[f64], of_current: &[f64]| {
+            let effects = [("speed_delay", of_speed), ("current_filter", of_current)];
+            with(nameplate(), &effects)
         };
-        let apart = two([4e-3, 5e-4]);
+        let apart = two(&[4e-3], &[5e-4]);
         let asked = ["command_delay", "speed_delay", "current_filter"];
         for (machine, model, stands) in [
-            (&late, two([6e-4; 2]), Some("command_delay")),
+            (&late, two(&[6e-4], &[6e-4]), Some("command_delay")),
             (&apart, apart.clone(), None),
         ] {
             let run = record(machine, 0, 7);
@@ -358,51 +351,32 @@ mod tests {
     #[test]
     fn what_only_the_linear_solution_asks_for_is_refuted_by_a_refit() {
         let run = record(&nameplate(), 0, 7);
-        let asks = |linear: &mut Linear| {
-            let drag = linear
-                .candidates
-                .iter()
-                .find(|c| c.id == "viscous_friction");
-            let column = drag.unwrap().variants[0].columns[0];
-            linear.right[column] += 0.3 * linear.gram[(column, column)];
-        };
-        for (pretend, is_refuted) in [(true, true), (false, false)] {
+        let drag = "viscous_friction";
+        for more in [0.3, 0.0] {
             let pretend = |linear: &mut Linear| {
-                if pretend {
-                    asks(linear);
-                }
+                let own = linear.candidates.iter().find(|own| own.id == drag).unwrap();
+                let column = own.variants[0].columns[0];
+                linear.right[column] += more * linear.gram[(column, column)];
             };
-            let found = weighed(&nameplate(), &run, &["viscous_friction"], pretend, |own| {
+            let found = weighed(&nameplate(), &run, &[drag], pretend, |own| {
                 own.doubtful(&[])
             });
-            assert_eq!(found.is_some(), is_refuted);
+            assert_eq!(found.is_some(), more > 0.0);
             if let Some((Judged::Barred { id, probability }, _)) = found {
-                assert!(
-                    id == "viscous_friction" && probability < 0.1,
-                    "{id} {probability}"
-                );
+                assert!(id == drag && probability < 0.1, "{id} {probability}");
             }
         }
     }
 
     #[test]
     fn what_a_refit_needs_is_kept_and_what_it_does_not_is_not() {
-        for (machine, is_needed) in [
-            (truth("viscous_friction", &[4e-4]), true),
-            (nameplate(), false),
-        ] {
-            let run = record(&machine, 0, 7);
-            let model = truth("viscous_friction", &[4e-4]);
-            let runs = led(&model, &run);
+        let id = "viscous_friction";
+        let drag = truth(id, &[4e-4]);
+        for (machine, expected) in [(&drag, &[Judged::Kept { id }][..]), (&nameplate(), &[])] {
+            let run = record(machine, 0, 7);
+            let runs = led(&drag, &run);
             let next = fit(&Hypothesis::of(&nameplate()), &runs).unwrap();
-            let kept = needed(&Hypothesis::of(&model), &next, &runs);
-            let id = "viscous_friction";
-            assert!(
-                kept == [Judged::Kept { id }]
-                    .into_iter()
-                    .filter(|_| is_needed)
-                    .collect::<Vec<_>>()
-            );
+            assert!(needed(&Hypothesis::of(&drag), &next, &runs) == expected);
         }
     }
 }

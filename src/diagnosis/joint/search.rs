@@ -5,29 +5,25 @@
 //! near                linearise -> noise -> linearise -> posterior over the sets -> refit of the best set -> ...
 //! ```
 
-use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
+use nalgebra::DVector;
 
 use super::approach::{approach, nearer};
-use super::columns::{Around, Candidate, Linear, linearise};
-use super::events::{self, Event, Hypothesis, Moment};
-use super::excess::excess;
+use super::columns::{Around, Candidate, Linear, linearise, squares};
+use super::events::Hypothesis;
 use super::follow::Noise;
-use super::free_run::{unseen, wandering};
+use super::free_run::{excess, unseen, wandering};
 use super::noise::likeliest;
 use super::prediction_error::fit;
 use super::refits::{Judged, Weighed, bar, bar_what_rings, keep_doubts, needed};
 use super::select::{Posterior, Reduced, Set, select};
+use super::solution::{Happened, around, happened, placed, present};
 use super::tangent::{Deviations, Lane};
-use crate::diagnosis::family::takes_power;
 use crate::diagnosis::progress::{Event as Notice, Progress};
 use crate::numerics::count::whole;
-use crate::plant::{ActiveEffect, Effect, Input, Model, ParameterSpec, Scenario, State};
+use crate::plant::{Effect, Input, Model, Scenario, State};
 
 /// Mean square of the innovations below which little is missing.
 const NEAR: f64 = 1.5;
-/// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.
-const LEAST_START: f64 = 0.02;
 /// Rounds of weighing and refitting; in the first ones the noise is found too.
 const MOST_ROUNDS: usize = 12;
 /// The same where a torque drives: all is linear there, and what does not settle is not in the catalogue.
@@ -59,201 +55,6 @@ pub(super) struct Found {
     pub(super) unseen: [f64; 2],
     /// For each candidate that is an unknown part of the best set, its share of the error.
     pub(super) unknown_share: Vec<f64>,
-}
-
-/// An event of the best set.
-#[derive(Clone)]
-pub(super) struct Happened {
-    pub(super) event: Event,
-    pub(super) moment: Moment,
-    /// Standard deviation of its size.
-    pub(super) deviation: f64,
-}
-
-pub(super) fn around<'a>(
-    hypothesis: &Hypothesis,
-    scenarios: &[&'a Scenario],
-    starts: &[State],
-    noise: Noise,
-) -> Option<Vec<Around<'a>>> {
-    let runs = scenarios.par_iter().zip(starts).enumerate();
-    runs.with_max_len(1)
-        .map(|(number, (scenario, start))| {
-            let own = hypothesis.events_of(number);
-            Around::beside(&hypothesis.model, own, scenario, *start, noise)
-        })
-        .collect()
-}
-
-/// Sum of the squares of the innovations.
-pub(super) fn squares(runs: &[Around<'_>]) -> f64 {
-    let white = runs
-        .iter()
-        .flat_map(|run| run.followed.white.iter().flatten());
-    white.map(|value| value * value).sum()
-}
-
-/// The candidates that a model has.
-pub(super) fn present(linear: &Linear) -> Set {
-    let candidates = linear.candidates.iter();
-    candidates
-        .map(|candidate| candidate.in_model.then_some(0))
-        .collect()
-}
-
-/// The model with a candidate's effect as the linear solution has it.
-pub(super) fn with_effect(model: &Model, effect: &'static dyn Effect, values: &[f64]) -> Model {
-    let mut model = model.clone();
-    model
-        .effects
-        .retain(|active| active.id() != effect.card().id);
-    model.effects.push(ActiveEffect {
-        effect,
-        values: values.iter().copied().map(Some).collect(),
-    });
-    model
-}
-
-/// The events of a form of a candidate, as large as the linear solution has them.
-fn happening(
-    candidate: &Candidate,
-    form: usize,
-    size: impl Fn(usize) -> Option<f64>,
-) -> Option<Vec<Event>> {
-    let variant = &candidate.variants[form];
-    let effect = candidate.effect?;
-    let time = events::time_of(effect)?;
-    let columns = variant.columns.iter().zip(&variant.units);
-    columns
-        .zip(&variant.moments)
-        .map(|((column, unit), (run, time_s))| {
-            let mut event = Event {
-                run: *run,
-                effect,
-                values: variant.values.clone(),
-            };
-            let index = event.size_index();
-            event.values[time] = *time_s;
-            let spec = &effect.parameters()[index];
-            event.values[index] = (size(*column)? * unit).clamp(spec.min, spec.max);
-            Some(event)
-        })
-        .collect()
-}
-
-/// What there is at the linear solution of a set.
-pub(super) fn at_solution(
-    hypothesis: &Hypothesis,
-    reduced: &Reduced,
-    set: &Set,
-) -> Option<Hypothesis> {
-    let linear = &reduced.linear;
-    let columns = reduced.columns(set);
-    let (mean, _) = reduced.sizes(&columns)?;
-    let m = linear.nuisances.len();
-    let size = |column: usize| {
-        columns
-            .iter()
-            .position(|c| *c == column - m)
-            .map(|at| mean[at])
-    };
-    let mut next = hypothesis.model.clone();
-    let mut happens: Vec<Event> = Vec::new();
-    for (candidate, chosen) in linear.candidates.iter().zip(set) {
-        let Some(effect) = candidate.effect else {
-            continue;
-        };
-        if candidate.is_event() {
-            if let Some(form) = chosen {
-                happens.extend(happening(candidate, *form, size)?);
-            }
-            continue;
-        }
-        match chosen {
-            None => {
-                if candidate.in_model {
-                    next = next.without_effect(candidate.id).ok()?;
-                }
-            }
-            Some(v) if !candidate.in_model => {
-                let variant = &candidate.variants[*v];
-                let mut values = variant.values.clone();
-                let specs = effect.parameters();
-                for ((column, unit), parameter) in variant
-                    .columns
-                    .iter()
-                    .zip(&variant.units)
-                    .zip(&variant.parameters)
-                {
-                    if specs
-                        .get(*parameter)
-                        .is_some_and(ParameterSpec::is_coefficient)
-                    {
-                        let mut x = size(*column)?;
-                        if specs[*parameter].min >= 0.0 || takes_power(candidate.id) {
-                            x = x.max(LEAST_START);
-                        }
-                        values[*parameter] = x * unit;
-                    }
-                }
-                next = with_effect(&next, effect, &values);
-            }
-            Some(_) => {}
-        }
-    }
-    Some(Hypothesis {
-        model: next,
-        events: happens,
-    })
-}
-
-/// The same with its events at their likeliest moments.
-pub(super) fn placed(
-    hypothesis: &Hypothesis,
-    reduced: &Reduced,
-    set: &Set,
-    runs: &[Around<'_>],
-) -> Option<Hypothesis> {
-    let mut next = at_solution(hypothesis, reduced, set)?;
-    let moments = events::placed(&next.events, &reduced.linear, set, runs, 1.0);
-    for (event, moment) in next.events.iter_mut().zip(moments) {
-        event.put_at(moment.time_s);
-    }
-    Some(next)
-}
-
-/// The events of a set with all that is known of them.
-fn happened(
-    reduced: &Reduced,
-    set: &Set,
-    runs: &[Around<'_>],
-    excess: f64,
-) -> Option<Vec<Happened>> {
-    let linear = &reduced.linear;
-    let columns = reduced.columns(set);
-    let (mean, covariance) = reduced.sizes(&columns)?;
-    let m = linear.nuisances.len();
-    let at = |column: usize| columns.iter().position(|c| *c == column - m);
-    let mut all = Vec::new();
-    for (candidate, chosen) in linear.candidates.iter().zip(set) {
-        let Some(form) = chosen.filter(|_| candidate.is_event()) else {
-            continue;
-        };
-        let variant = &candidate.variants[form];
-        let own = happening(candidate, form, |column| at(column).map(|k| mean[k]))?;
-        let moments = events::placed(&own, linear, set, runs, excess);
-        let columns = variant.columns.iter().zip(&variant.units);
-        for ((mut event, moment), (column, unit)) in own.into_iter().zip(moments).zip(columns) {
-            let k = at(*column)?;
-            event.put_at(moment.time_s);
-            all.push(Happened {
-                event,
-                moment,
-                deviation: covariance[(k, k)].sqrt() * unit,
-            });
-        }
-    }
-    Some(all)
 }
 
 /// Names of a set, each with the runs in which it is one that happens.
@@ -581,13 +382,9 @@ fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
     for (column, mean) in columns.iter().zip(mean.iter()) {
         solution[column + m] = *mean;
     }
-    let mut normal = linear.gram.view((0, 0), (m, m)).into_owned();
-    for (k, sd) in linear.nuisances.iter().enumerate() {
-        normal[(k, k)] += 1.0 / (sd * sd);
-    }
     let explained = &linear.gram * &solution;
     let right = linear.right.rows(0, m) - explained.rows(0, m);
-    let nuisances = normal.cholesky()?.solve(&right);
+    let nuisances = linear.factor(&(0..m).collect::<Vec<_>>())?.solve(&right);
     solution.rows_mut(0, m).copy_from(&nuisances);
     Some(solution)
 }
@@ -637,21 +434,19 @@ fn unknown_shares(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> Option<V
             }
             floor += run.follower.rows as f64;
         }
+        let taken = (before - after) / (before - floor);
         if before > floor {
-            ((before - after) / (before - floor)).clamp(0.0, 1.0)
+            taken.clamp(0.0, 1.0)
         } else {
             0.0
         }
     };
     let candidates = linear.candidates.iter().zip(set).enumerate();
-    Some(
-        candidates
-            .map(|(k, (candidate, chosen))| match chosen {
-                Some(variant) if candidate.is_unknown() => share(*variant, k),
-                _ => 0.0,
-            })
-            .collect(),
-    )
+    let shares = candidates.map(|(k, (candidate, chosen))| match chosen {
+        Some(variant) if candidate.is_unknown() => share(*variant, k),
+        _ => 0.0,
+    });
+    Some(shares.collect())
 }
 
 /// Blocks whose sums tell how much the sizes of a set really scatter.
@@ -675,16 +470,8 @@ fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVect
     let mut worst: f64 = 1.0;
     for own in &named {
         let others: Vec<usize> = all.iter().copied().filter(|k| k != own).collect();
-        let count = others.len();
-        let mut normal = DMatrix::from_fn(count, count, |r, c| linear.gram[(others[r], others[c])]);
-        for (k, column) in others.iter().enumerate() {
-            normal[(k, k)] += linear
-                .nuisances
-                .get(*column)
-                .map_or(1.0, |sd| 1.0 / (sd * sd));
-        }
-        let cross = DVector::from_fn(count, |r, _| linear.gram[(others[r], *own)]);
-        let Some(factor) = normal.cholesky() else {
+        let cross = DVector::from_fn(others.len(), |r, _| linear.gram[(others[r], *own)]);
+        let Some(factor) = linear.factor(&others) else {
             continue;
         };
         let mut weights = DVector::zeros(linear.gram.nrows());
@@ -696,12 +483,10 @@ fn clustered(linear: &Linear, set: &Set, runs: &[Around<'_>], explained: &[DVect
         for ((run, columns), explained) in runs.iter().zip(&linear.columns).zip(explained) {
             let column = columns * &weights;
             let white: Vec<f64> = run.followed.white.iter().flatten().copied().collect();
-            let products: Vec<f64> = (0..white.len())
-                .map(|row| column[row] * (white[row] - explained[row]))
-                .collect();
-            let sums = products
-                .chunks(2 * length)
-                .map(|block| block.iter().sum::<f64>());
+            let product = |row: usize| column[row] * (white[row] - explained[row]);
+            let products: Vec<f64> = (0..white.len()).map(product).collect();
+            let blocks = products.chunks(2 * length);
+            let sums = blocks.map(|block| block.iter().sum::<f64>());
             scatter += sums.map(|sum| sum * sum).sum::<f64>();
             expected += column.norm_squared();
         }
@@ -726,9 +511,12 @@ fn excess_of(reduced: &Reduced, set: &Set, runs: &[Around<'_>]) -> f64 {
         clustered(linear, set, runs, &explained)
     };
     let left = runs.iter().zip(&explained).map(|(run, explained)| {
-        let white = run.followed.white.iter().enumerate();
-        let left =
-            white.map(|(k, white)| [0, 1].map(|signal| white[signal] - explained[2 * k + signal]));
+        let pairs = run
+            .followed
+            .white
+            .iter()
+            .zip(explained.as_slice().chunks(2));
+        let left = pairs.map(|(white, explained)| [0, 1].map(|k| white[k] - explained[k]));
         (run, left.collect())
     });
     excess(&left.collect::<Vec<_>>()).max(by_blocks)

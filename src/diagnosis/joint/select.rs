@@ -9,13 +9,16 @@ use std::collections::{BTreeSet, HashMap};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use statrs::function::erf::erfc;
 
-use super::columns::{Linear, Seen};
+use super::columns::{Linear, Seen, Variant};
 
 /// Size, in slabs, below which an effect counts as not there.
 const HAIR: f64 = 0.004;
 /// Sets from which neighbours are looked at, at most, and how far behind the best they may be, nats.
 const MOST_EXPANDED: usize = 60;
-const WINDOW: f64 = 6.0;
+const WINDOW_NATS: f64 = 6.0;
+
+/// How far behind the best a set may be and still be plausible, nats.
+const PLAUSIBLE_NATS: f64 = 7.0;
 
 /// For each candidate, the variant that is in.
 pub(super) type Set = Vec<Option<usize>>;
@@ -51,12 +54,8 @@ impl Reduced {
         let gram = &linear.gram / excess;
         let right = &linear.right / excess;
         // What is always in: the nuisances, and a hair of every effect, since none is exactly zero.
-        let mut hairs: Vec<(usize, f64)> = linear
-            .nuisances
-            .iter()
-            .map(|sd| 1.0 / (sd * sd))
-            .enumerate()
-            .collect();
+        let always = (0..m).map(|column| (column, linear.precision(column)));
+        let mut hairs: Vec<(usize, f64)> = always.collect();
         for candidate in &linear.candidates {
             if none_is_zero && !candidate.is_unknown() {
                 // Forms of an event share columns.
@@ -138,38 +137,35 @@ impl Reduced {
     ) -> Vec<f64> {
         let m = self.linear.nuisances.len();
         let c = &self.linear.candidates[candidate];
-        c.variants
-            .iter()
-            .map(|variant| {
-                let own: Vec<usize> = variant.columns.iter().map(|c| c - m).collect();
-                let k = own.len();
-                let cross =
-                    DMatrix::from_fn(others.len(), k, |r, c| self.gram[(others[r], own[c])]);
-                let solved = factor.solve(&cross);
-                let mut a = DMatrix::from_fn(k, k, |r, c| self.gram[(own[r], own[c])])
-                    - cross.tr_mul(&solved);
-                for d in 0..k {
-                    a[(d, d)] += 1.0;
-                }
-                let right = DVector::from_fn(k, |r, _| self.right[own[r]] + self.prior[own[r]])
-                    - cross.tr_mul(mean);
-                let Some(schur) = a.cholesky() else {
-                    return f64::NEG_INFINITY;
-                };
-                let size = schur.solve(&right);
-                if c.is_by_halves(size[0], variant) {
-                    return f64::NEG_INFINITY;
-                }
-                let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
-                let sign = if variant.positive {
-                    log_positive(size[0], schur.inverse()[(0, 0)].sqrt())
-                } else {
-                    0.0
-                };
-                0.5 * right.dot(&size) - log_det + variant.log_prior + c.log_odds + sign
-                    - 0.5 * variant.mean * variant.mean
-            })
-            .collect()
+        let weigh = |variant: &Variant| {
+            let own: Vec<usize> = variant.columns.iter().map(|c| c - m).collect();
+            let k = own.len();
+            let cross = DMatrix::from_fn(others.len(), k, |r, c| self.gram[(others[r], own[c])]);
+            let solved = factor.solve(&cross);
+            let mut a =
+                DMatrix::from_fn(k, k, |r, c| self.gram[(own[r], own[c])]) - cross.tr_mul(&solved);
+            for d in 0..k {
+                a[(d, d)] += 1.0;
+            }
+            let right = DVector::from_fn(k, |r, _| self.right[own[r]] + self.prior[own[r]])
+                - cross.tr_mul(mean);
+            let Some(schur) = a.cholesky() else {
+                return f64::NEG_INFINITY;
+            };
+            let size = schur.solve(&right);
+            if c.is_by_halves(size[0], variant) {
+                return f64::NEG_INFINITY;
+            }
+            let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
+            let sign = if variant.positive {
+                log_positive(size[0], schur.inverse()[(0, 0)].sqrt())
+            } else {
+                0.0
+            };
+            0.5 * right.dot(&size) - log_det + variant.log_prior + c.log_odds + sign
+                - 0.5 * variant.mean * variant.mean
+        };
+        c.variants.iter().map(weigh).collect()
     }
 
     pub(super) fn log_posterior(&self, set: &Set) -> f64 {
@@ -212,35 +208,28 @@ impl Reduced {
             return false;
         };
         let mut at = 0;
-        set.iter()
-            .zip(&self.linear.candidates)
-            .all(|(variant, candidate)| {
-                let Some(v) = variant else { return true };
-                let variant = &candidate.variants[*v];
-                let size = mean[at];
-                at += variant.columns.len();
-                !variant.positive || size > 0.0
-            })
+        let mut chosen = set.iter().zip(&self.linear.candidates);
+        chosen.all(|(variant, candidate)| {
+            let Some(v) = variant else { return true };
+            let variant = &candidate.variants[*v];
+            let size = mean[at];
+            at += variant.columns.len();
+            !variant.positive || size > 0.0
+        })
     }
 
     /// Share of the squares that the best form of a candidate alone would take away.
     pub(super) fn share_alone(&self, candidate: usize) -> f64 {
         let m = self.linear.nuisances.len();
-        let explained = |columns: &[usize]| {
-            let (mean, _) = self.sizes(columns)?;
+        let explained = |variant: &Variant| {
+            let columns: Vec<usize> = variant.columns.iter().map(|c| c - m).collect();
+            let (mean, _) = self.sizes(&columns)?;
             let parts = columns.iter().zip(mean.iter());
-            Some(
-                parts
-                    .map(|(column, mean)| self.right[*column] * mean)
-                    .sum::<f64>(),
-            )
+            let parts = parts.map(|(column, mean)| self.right[*column] * mean);
+            Some(parts.sum::<f64>())
         };
         let variants = self.linear.candidates[candidate].variants.iter();
-        let most = variants
-            .filter_map(|variant| {
-                explained(&variant.columns.iter().map(|c| c - m).collect::<Vec<_>>())
-            })
-            .fold(0.0, f64::max);
+        let most = variants.filter_map(explained).fold(0.0, f64::max);
         most / self.squares.max(f64::MIN_POSITIVE)
     }
 
@@ -399,16 +388,13 @@ impl Explored<'_> {
 
     /// The best set that was not expanded yet, as long as it is near the best of all.
     fn next(&self) -> Option<Set> {
-        let top = self
-            .weighed
-            .values()
-            .copied()
-            .fold(f64::NEG_INFINITY, f64::max);
-        self.weighed
-            .iter()
-            .filter(|(set, log)| **log > top - WINDOW && !self.exact.contains_key(*set))
-            .max_by(|a, b| a.1.total_cmp(b.1).then_with(|| b.0.cmp(a.0)))
-            .map(|(set, _)| set.clone())
+        let logs = self.weighed.values().copied();
+        let top = logs.fold(f64::NEG_INFINITY, f64::max);
+        let is_open =
+            |(set, log): &(&Set, &f64)| **log > top - WINDOW_NATS && !self.exact.contains_key(*set);
+        let open = self.weighed.iter().filter(is_open);
+        let best = open.max_by(|a, b| a.1.total_cmp(b.1).then_with(|| b.0.cmp(a.0)));
+        best.map(|(set, _)| set.clone())
     }
 }
 
@@ -449,13 +435,12 @@ pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
     for k in 0..n {
         let others = reduced.cleared(&best, k);
         let logs = reduced.conditional(&reduced.columns(&others), k);
-        let top = (0..logs.len())
-            .max_by(|a, b| logs[*a].total_cmp(&logs[*b]))
-            .unwrap_or(0);
+        let top = (0..logs.len()).max_by(|a, b| logs[*a].total_cmp(&logs[*b]));
+        let top = top.unwrap_or(0);
         log_factor.push(logs[top]);
         forms.push(top);
     }
-    sets.retain(|s| s.1 > best_log - 7.0);
+    sets.retain(|s| s.1 > best_log - PLAUSIBLE_NATS);
     Posterior {
         probability,
         best,
@@ -468,31 +453,28 @@ pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::joint::columns::{Candidate, Variant};
+    use crate::diagnosis::joint::columns::Candidate;
     use crate::plant::effect;
 
     /// One column for each candidate, with this normal matrix and these products with the residual.
     fn linear(gram: &[&[f64]], right: &[f64]) -> Linear {
         let n = right.len();
-        let candidate = |column: usize| Candidate {
-            id: ["viscous_friction", "quadratic_load", "voltage_drop"][column],
-            in_model: false,
-            effect: effect::find(["viscous_friction", "quadratic_load", "voltage_drop"][column]),
-            log_odds: (0.1_f64 / 0.9).ln(),
-            variants: vec![Variant {
-                columns: vec![column],
-                values: vec![1.0],
-                units: vec![1.0],
-                parameters: vec![0],
-                present: vec![0.0],
-                moments: vec![],
-                is_rival: false,
-                mean: 0.0,
-                positive: false,
-                log_prior: 0.0,
-            }],
-            moments: vec![],
-            excludes: vec![],
+        let candidate = |column: usize| {
+            let id = ["viscous_friction", "quadratic_load", "voltage_drop"][column];
+            Candidate {
+                id,
+                effect: effect::find(id),
+                log_odds: (0.1_f64 / 0.9).ln(),
+                variants: vec![Variant {
+                    columns: vec![column],
+                    values: vec![1.0],
+                    units: vec![1.0],
+                    parameters: vec![0],
+                    present: vec![0.0],
+                    ..Variant::default()
+                }],
+                ..Candidate::default()
+            }
         };
         Linear {
             nuisances: vec![],
@@ -517,11 +499,8 @@ mod tests {
             let found = weighed(&linear(&[&[g]], &[b]));
             let odds = 0.1 / 0.9 * (0.5 * b * b / (g + 1.0)).exp() / (g + 1.0_f64).sqrt();
             let expected = odds / (1.0 + odds);
-            assert!(
-                (found.probability[0] - expected).abs() < 1e-9,
-                "{g} {b}: {} {expected}",
-                found.probability[0]
-            );
+            let p = found.probability[0];
+            assert!((p - expected).abs() < 1e-9, "{g} {b}: {p} {expected}");
         }
     }
 

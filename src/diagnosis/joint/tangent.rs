@@ -279,10 +279,8 @@ impl<'a> Traveller<'a> {
         if let Tangent::Bent { terms, .. } = tangent {
             for at in &run.instants {
                 let sums = terms.sums(at, &[]);
-                for (most, value) in
-                    most.iter_mut()
-                        .zip([sums.voltage_v, sums.torque_n_m, sums.friction_n_m])
-                {
+                let values = [sums.voltage_v, sums.torque_n_m, sums.friction_n_m];
+                for (most, value) in most.iter_mut().zip(values) {
                     *most = most.max(value.abs());
                 }
             }
@@ -318,11 +316,8 @@ impl<'a> Traveller<'a> {
         let kept = (-lag).exp();
         self.own[0] = settled_v + behind_v * kept;
         // Mean over the interval.
-        if lag > 0.0 {
-            behind_v * (1.0 - kept) / lag
-        } else {
-            behind_v
-        }
+        let mean_v = behind_v * (1.0 - kept) / lag;
+        if lag > 0.0 { mean_v } else { behind_v }
     }
 
     /// What terms of another form do at an instant.
@@ -414,10 +409,8 @@ pub(super) fn carry(
     tangents: &[&Tangent],
     mut hand_on: impl FnMut(usize, &[Lane]),
 ) {
-    let mut travellers: Vec<Traveller<'_>> = tangents
-        .iter()
-        .map(|tangent| Traveller::new(tangent, run))
-        .collect();
+    let all = tangents.iter();
+    let mut travellers: Vec<_> = all.map(|tangent| Traveller::new(tangent, run)).collect();
     let mut deviations = Deviations::default();
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
@@ -431,14 +424,11 @@ pub(super) fn carry(
         }
     }
     let n = run.scenario.samples();
-    let begin_s = tangents
-        .iter()
-        .map(|tangent| tangent.begins_s())
-        .fold(f64::INFINITY, f64::min);
+    let begins_s = tangents.iter().map(|tangent| tangent.begins_s());
+    let begin_s = begins_s.fold(f64::INFINITY, f64::min);
     // Where none has begun nothing deviates.
-    let silent = run
-        .instants
-        .partition_point(|instant| instant.time_s < begin_s);
+    let is_before = |instant: &Instant| instant.time_s < begin_s;
+    let silent = run.instants.partition_point(is_before);
     for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No order is this: the first wave of a chunk is computed anew.
@@ -447,16 +437,10 @@ pub(super) fn carry(
             each: [[0.0; 2]; CHUNK],
         };
         for (lane, traveller) in travellers.iter_mut().enumerate() {
-            force(
-                run,
-                traveller,
-                range.clone(),
-                &mut waves,
-                |k, [current, speed]| {
-                    forcing[k][0][lane] = current;
-                    forcing[k][1][lane] = speed;
-                },
-            );
+            let put = |k: usize, [current, speed]: [f64; 2]| {
+                (forcing[k][0][lane], forcing[k][1][lane]) = (current, speed);
+            };
+            force(run, traveller, range.clone(), &mut waves, put);
         }
         for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2))
         {
@@ -539,16 +523,9 @@ fn force(
         Tangent::Change { from, to, over } => {
             for (k, (at, passage)) in instants.iter().zip(passages).enumerate() {
                 let change = change(&from.sums(at, &[]), &to.sums(at, &[]), *over);
+                let inductive_v = inductive_v(run, at);
                 let acceleration = acceleration(k, passage.interval_s);
-                put(
-                    k,
-                    of(
-                        &change,
-                        passage.direction,
-                        inductive_v(run, at),
-                        acceleration,
-                    ),
-                );
+                put(k, of(&change, passage.direction, inductive_v, acceleration));
             }
         }
         Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
@@ -601,11 +578,8 @@ fn force(
 fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, [sin, cos]: &[f64; 2]) -> f64 {
     // What a wave does over an interval in which the shaft turns by much of it is little.
     let mean = sinc(0.5 * wave.order * at.speed_rad_s * interval_s);
-    let per = if wave.of_current {
-        at.torque_n_m_per_a * at.current_a
-    } else {
-        1.0
-    };
+    let driving = at.torque_n_m_per_a * at.current_a;
+    let per = if wave.of_current { driving } else { 1.0 };
     mean * wave.size * per * if wave.sine { sin } else { cos }
 }
 
@@ -626,10 +600,11 @@ fn of_motor(
     direction: f64,
     rates: [f64; 2],
 ) -> [f64; 2] {
-    let (inductance, inertia) = (
-        run.dynamics.inverse_inductance,
-        run.dynamics.inverse_inertia,
-    );
+    let Dynamics {
+        inverse_inductance: inductance,
+        inverse_inertia: inertia,
+        ..
+    } = run.dynamics;
     let is_tied = run.model.motor.get(MotorKey::TorqueConstant).is_none();
     let (i, w) = (at.current_a, at.speed_rad_s);
     match key {
@@ -657,152 +632,98 @@ fn change(from: &Sums, to: &Sums, over: f64) -> Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::joint::follow::Noise;
-    use crate::plant::testing::{CURRENT_NOISE_A, SPEED_NOISE_RAD_S, record};
-    use crate::plant::{ActiveEffect, Model, Motor, Scenario, State, effect};
-
-    const NOISE: Noise = Noise {
-        current_a: CURRENT_NOISE_A,
-        speed_rad_s: SPEED_NOISE_RAD_S,
-        disturbance_n_m: 0.01,
-        correlation_s: 0.5,
-        input: 0.05,
-        sensors: 0.1,
-    };
+    use crate::diagnosis::joint::follow::{WANDERING, hole};
+    use crate::diagnosis::kit::{nameplate, truth};
+    use crate::plant::testing::record;
+    use crate::plant::{Model, Scenario, State};
 
     /// Moves one way only: where a shaft breaks away differences are no tangents.
-    fn run(model: &Model) -> Scenario {
-        record(
-            model,
-            vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)],
-            1e-3,
-            2.5,
-            11,
-        )
+    fn run(period_s: f64) -> Scenario {
+        let events = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
+        record(&nameplate(), events, period_s, 2.5, 11)
     }
 
-    fn columns(run: &Around<'_>, tangents: &[&Tangent]) -> Vec<Vec<f64>> {
-        let mut columns = vec![Vec::new(); tangents.len()];
-        carry(run, tangents, |first, white| {
-            assert_eq!(columns[0].len(), 2 * first);
-            for (lane, column) in columns.iter_mut().enumerate() {
-                column.extend(white.iter().map(|row| row[lane]));
-            }
+    /// The column of a tangent, and what the other model does to the same run.
+    fn both(run: &Around<'_>, tangent: &Tangent, with: &Model) -> [Vec<f64>; 2] {
+        let mut column = Vec::new();
+        carry(run, &[tangent], |first, white| {
+            assert_eq!(column.len(), 2 * first);
+            column.extend(white.iter().map(|row| row[0]));
         });
-        columns
+        let difference = run.difference(with, run.scenario, 1.0);
+        [column, difference.into_iter().map(f64::from).collect()]
     }
 
     fn distance(a: &[f64], b: &[f64]) -> f64 {
-        let norm = |values: &mut dyn Iterator<Item = f64>| {
-            values.map(|value| value * value).sum::<f64>().sqrt()
-        };
-        norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / norm(&mut b.iter().copied())
+        let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
+        let apart = squares(&mut a.iter().zip(b).map(|(a, b)| a - b));
+        (apart / squares(&mut b.iter().copied())).sqrt()
     }
 
     #[test]
     fn a_tangent_is_what_two_followed_runs_differ_by() {
-        let model = Model::baseline(Motor::zk_22fc());
-        let scenario = run(&model);
-        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
-        for (id, values) in [
-            ("viscous_friction", vec![1e-4]),
-            ("quadratic_load", vec![5e-7]),
-            ("constant_load", vec![5e-3]),
-            ("voltage_offset", vec![0.05]),
-            ("supply_sag", vec![0.01]),
-            ("cogging", vec![0.004, 0.0, 3.0]),
-            ("current_offset", vec![0.02]),
-            ("speed_offset", vec![0.1]),
-        ] {
-            let effect = effect::find(id).unwrap();
-            let terms = effect.terms(&values);
+        let (model, scenario, by_s) = (nameplate(), run(1e-3), 2e-5);
+        let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
+        let mut cases = vec![
+            (Tangent::LateCommands(by_s), truth("command_delay", &[by_s])),
+            (
+                Tangent::LateReadings([by_s, 0.0]),
+                truth("current_filter", &[by_s]),
+            ),
+            (
+                Tangent::LateReadings([0.0, by_s]),
+                truth("speed_delay", &[by_s]),
+            ),
+        ];
+        let effects: [(&str, &[f64]); 8] = [
+            ("viscous_friction", &[1e-4]),
+            ("quadratic_load", &[5e-7]),
+            ("constant_load", &[5e-3]),
+            ("voltage_offset", &[0.05]),
+            ("supply_sag", &[0.01]),
+            ("cogging", &[0.004, 0.0, 3.0]),
+            ("current_offset", &[0.02]),
+            ("speed_offset", &[0.1]),
+        ];
+        cases.extend(effects.map(|(id, values)| {
+            let with = truth(id, values);
+            let terms = with.effects[0].effect.terms(values);
             let path = terms.path();
             let tangent = if path.measures_directly() {
                 Tangent::Terms(terms)
             } else {
                 Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s])
             };
-            let mut with = model.clone();
-            with.effects.push(ActiveEffect {
-                effect,
-                values: values.into_iter().map(Some).collect(),
-            });
-            let difference: Vec<f64> = around
-                .difference(&with, &scenario, 1.0)
-                .into_iter()
-                .map(f64::from)
-                .collect();
-            let apart = distance(&columns(&around, &[&tangent])[0], &difference);
-            assert!(apart < 0.05, "{id}: {apart}");
-        }
-    }
-
-    #[test]
-    fn what_comes_late_and_a_motor_that_is_another_one_are_what_two_followed_runs_differ_by() {
-        let model = Model::baseline(Motor::zk_22fc());
-        let scenario = run(&model);
-        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
-        let late = |id: &str, by_s: f64| {
-            let mut with = model.clone();
-            with.effects.push(ActiveEffect {
-                effect: effect::find(id).unwrap(),
-                values: vec![Some(by_s)],
-            });
-            with
-        };
-        let other = |key: MotorKey| {
-            let mut with = model.clone();
-            let value = model.motor.get(key).unwrap();
+            (tangent, with)
+        }));
+        let keys = MotorKey::ALL.into_iter();
+        let keys = keys.filter(|key| *key != MotorKey::TorqueConstant);
+        cases.extend(keys.map(|key| {
+            let (mut with, value) = (model.clone(), model.motor.get(key).unwrap());
             with.motor.set(key, 1.002 * value);
             (Tangent::Motor(key, 0.002 * value), with)
-        };
-        let by_s = 2e-5;
-        let mut cases = vec![
-            (Tangent::LateCommands(by_s), late("command_delay", by_s)),
-            (
-                Tangent::LateReadings([by_s, 0.0]),
-                late("current_filter", by_s),
-            ),
-            (
-                Tangent::LateReadings([0.0, by_s]),
-                late("speed_delay", by_s),
-            ),
-        ];
-        let keys = MotorKey::ALL.into_iter();
-        cases.extend(
-            keys.filter(|key| *key != MotorKey::TorqueConstant)
-                .map(other),
-        );
+        }));
         for (number, (tangent, with)) in cases.iter().enumerate() {
-            let difference = around.difference(with, &scenario, 1.0);
-            let difference: Vec<f64> = difference.into_iter().map(f64::from).collect();
-            let apart = distance(&columns(&around, &[tangent])[0], &difference);
-            assert!(apart < 0.05, "case {number}: {apart}");
+            let [column, difference] = both(&around, tangent, with);
+            let apart = distance(&column, &difference);
+            assert!(apart < 0.05, "case {number} {:?}: {apart}", with.effects);
         }
     }
 
     #[test]
     fn behind_a_hole_readings_are_what_was_measured_whatever_they_have_beside() {
-        let model = Model::baseline(Motor::zk_22fc());
-        let mut scenario = run(&model);
+        let (model, mut scenario) = (nameplate(), run(1e-3));
         let [first, last] = [620, 680];
+        let [from_s, to_s] = [first, last].map(|row| scenario.sample_time_s[row]);
         scenario.unknown_input = vec![crate::plant::UnknownInput {
-            from_s: scenario.sample_time_s[first],
-            to_s: scenario.sample_time_s[last],
-            lost_rows: last - first,
-            mean: 60.0,
-            beside: [0.0; 3],
-            variance: 0.0,
             restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
+            ..hole(from_s, to_s, 0.0)
         }];
-        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
         for (id, offset) in [("current_offset", [0.4, 0.0]), ("speed_offset", [0.0, 3.0])] {
-            let mut with = model.with_effect(id).unwrap();
-            with.effects[0].values = vec![Some(offset[0] + offset[1])];
-            let difference = around.difference(&with, &scenario, 1.0);
-            let difference: Vec<f64> = difference.into_iter().map(f64::from).collect();
+            let with = truth(id, &[offset[0] + offset[1]]);
+            let [column, difference] = both(&around, &Tangent::Offset(offset), &with);
             let behind = 2 * last..2 * last + 100;
-            let column = &columns(&around, &[&Tangent::Offset(offset)])[0];
             let apart = distance(&column[behind.clone()], &difference[behind]);
             assert!(apart < 1e-6, "{id}: {apart}");
         }
@@ -810,29 +731,23 @@ mod tests {
 
     #[test]
     fn waves_are_what_two_followed_runs_differ_by_however_far_the_shaft_turns_between_samples() {
-        let model = Model::baseline(Motor::zk_22fc());
-        let events = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
+        let model = nameplate();
         for (period_s, order, most) in [(1e-3, 2.5, 0.02), (1e-3, 23.0, 0.1), (1e-2, 1.0, 0.15)] {
-            let scenario = record(&model, events.clone(), period_s, 2.5, 11);
-            let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
-            for (id, of_current) in [("cogging", false), ("torque_ripple", true)] {
+            let scenario = run(period_s);
+            let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
+            for (id, of_current, size) in [("cogging", false, 0.004), ("torque_ripple", true, 0.02)]
+            {
                 for sine in [true, false] {
-                    let size = if of_current { 0.02 } else { 0.004 };
                     let wave = Tangent::Wave(Wave {
                         order,
                         sine,
                         size,
                         of_current,
                     });
-                    let (sines, cosines) = if sine { (size, 0.0) } else { (0.0, size) };
-                    let mut with = model.clone();
-                    with.effects.push(ActiveEffect {
-                        effect: effect::find(id).unwrap(),
-                        values: vec![Some(sines), Some(cosines), Some(order)],
-                    });
-                    let difference = around.difference(&with, &scenario, 1.0);
-                    let difference: Vec<f64> = difference.into_iter().map(f64::from).collect();
-                    let apart = distance(&columns(&around, &[&wave])[0], &difference);
+                    let [sines, cosines] = if sine { [size, 0.0] } else { [0.0, size] };
+                    let with = truth(id, &[sines, cosines, order]);
+                    let [column, difference] = both(&around, &wave, &with);
+                    let apart = distance(&column, &difference);
                     assert!(apart < most, "{id} {order} {period_s}: {apart}");
                 }
             }
@@ -841,9 +756,9 @@ mod tests {
 
     #[test]
     fn colouring_undoes_the_whitening() {
-        let model = Model::baseline(Motor::zk_22fc());
-        let scenario = run(&model);
-        let around = Around::new(&model, &scenario, State::default(), NOISE).unwrap();
+        let model = nameplate();
+        let scenario = run(1e-3);
+        let around = Around::new(&model, &scenario, State::default(), WANDERING).unwrap();
         let forcing = [[300.0; LANES], [-20.0; LANES]];
         let (mut free, mut filtered, mut back) = <(Deviations, Deviations, Deviations)>::default();
         for (step, update) in around.steps.iter().zip(&around.follower.updates) {

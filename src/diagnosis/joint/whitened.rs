@@ -27,40 +27,27 @@ impl Whitened {
 
     /// The first rows of all columns.
     pub(super) fn beginning(&self, rows: usize) -> Self {
-        Self {
-            columns: self
-                .columns
-                .iter()
-                .map(|column| column[..rows.min(column.len())].to_vec())
-                .collect(),
-            rows,
-        }
+        let columns = self.columns.iter();
+        let first = columns.map(|column| column[..rows.min(column.len())].to_vec());
+        Self::new(first.collect(), rows)
     }
 
     /// Products of another column with each of these, with itself, and with the residual.
     pub(super) fn products(&self, other: &[f32], residual: &[[f64; 2]]) -> DVector<f64> {
         let dot = |column: &[f32]| -> f64 {
-            column
-                .iter()
-                .zip(other)
-                .map(|(a, b)| f64::from(*a) * f64::from(*b))
-                .sum()
+            let pairs = column.iter().zip(other);
+            pairs.map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
         };
-        let rest: f64 = residual
-            .iter()
-            .flatten()
-            .zip(other)
-            .map(|(a, b)| a * f64::from(*b))
-            .sum();
+        let pairs = residual.iter().flatten().zip(other);
+        let rest: f64 = pairs.map(|(a, b)| a * f64::from(*b)).sum();
         let each = self.columns.iter().map(|column| dot(column));
         DVector::from_iterator(self.columns.len() + 2, each.chain([dot(other), rest]))
     }
 
     /// One number of a column.
     pub(super) fn at(&self, column: usize, row: usize) -> f64 {
-        self.columns[column]
-            .get(row)
-            .map_or(0.0, |value| f64::from(*value))
+        let value = self.columns[column].get(row);
+        value.map_or(0.0, |value| f64::from(*value))
     }
 
     /// `w' w` with `w` these columns and `last` behind them.
@@ -68,41 +55,39 @@ impl Whitened {
         let p = self.columns.len() + 1;
         // In parts that do not depend on who is free: sums come out the same every time.
         let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
-        let sums: Vec<DMatrix<f64>> = (0..self.rows.div_ceil(part))
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|number| {
-                let mut sum = DMatrix::zeros(p, p);
-                // Columns that are not zero throughout, as those of events yet to come are; the same ones for a while.
-                let mut there: Vec<usize> = Vec::new();
-                let mut own = DMatrix::zeros(1, 1);
-                let mut buffer = Vec::with_capacity(p * ROWS);
-                let end = ((number + 1) * part).min(self.rows);
-                for first in (number * part..end).step_by(ROWS) {
-                    let range = first..(first + ROWS).min(end);
-                    let now: Vec<usize> = (0..p - 1)
-                        .filter(|column| self.is_there(*column, range.clone()))
-                        .collect();
-                    if now != there {
-                        add_at(&mut sum, &own, &there);
-                        own = DMatrix::zeros(now.len() + 1, now.len() + 1);
-                        there = now;
-                    }
-                    buffer.clear();
-                    for column in &there {
-                        self.extend(*column, range.clone(), &mut buffer);
-                    }
-                    buffer.extend(range.clone().map(|row| last[row / 2][row % 2]));
-                    let w = DMatrixView::from_slice(&buffer, range.len(), own.ncols());
-                    add_upper(&mut own, &w, &turned(&buffer, range.len()).as_view());
+        let sum_of = |number: usize| {
+            let mut sum = DMatrix::zeros(p, p);
+            // Columns that are not zero throughout, as those of events yet to come are; the same ones for a while.
+            let mut there: Vec<usize> = Vec::new();
+            let mut own = DMatrix::zeros(1, 1);
+            let mut buffer = Vec::with_capacity(p * ROWS);
+            let end = ((number + 1) * part).min(self.rows);
+            for first in (number * part..end).step_by(ROWS) {
+                let range = first..(first + ROWS).min(end);
+                let is_there = |column: &usize| self.is_there(*column, range.clone());
+                let now: Vec<usize> = (0..p - 1).filter(is_there).collect();
+                if now != there {
+                    add_at(&mut sum, &own, &there);
+                    own = DMatrix::zeros(now.len() + 1, now.len() + 1);
+                    there = now;
                 }
-                add_at(&mut sum, &own, &there);
-                sum
-            })
-            .collect();
-        let mut gram = sums
-            .into_iter()
-            .fold(DMatrix::zeros(p, p), |sum, part| sum + part);
+                buffer.clear();
+                for column in &there {
+                    self.extend(*column, range.clone(), &mut buffer);
+                }
+                buffer.extend(range.clone().map(|row| last[row / 2][row % 2]));
+                let w = DMatrixView::from_slice(&buffer, range.len(), own.ncols());
+                add_upper(&mut own, &w, &turned(&buffer, range.len()).as_view());
+            }
+            add_at(&mut sum, &own, &there);
+            sum
+        };
+        let parts = (0..self.rows.div_ceil(part))
+            .into_par_iter()
+            .with_max_len(1);
+        let sums: Vec<DMatrix<f64>> = parts.map(sum_of).collect();
+        let sums = sums.into_iter();
+        let mut gram = sums.fold(DMatrix::zeros(p, p), |sum, part| sum + part);
         gram.fill_lower_triangle_with_upper_triangle();
         gram
     }
@@ -163,12 +148,8 @@ pub(super) fn add_upper(
     for from in (0..p).step_by(BLOCK) {
         let width = BLOCK.min(p - from);
         let right = w.columns(from, p - from);
-        sum.view_mut((from, from), (width, p - from)).gemm(
-            1.0,
-            &turned.rows(from, width),
-            &right,
-            1.0,
-        );
+        let mut block = sum.view_mut((from, from), (width, p - from));
+        block.gemm(1.0, &turned.rows(from, width), &right, 1.0);
     }
 }
 
@@ -196,17 +177,12 @@ mod tests {
     #[test]
     fn products_are_those_of_columns_that_end_early_or_begin_late_too() {
         let rows = 2 * ROWS + 38;
-        let column = |k: usize, rows: usize| -> Vec<f32> {
-            (0..rows)
-                .map(|row| ((row * (k + 3)) % 17) as f32 - 8.0)
-                .collect()
+        let column = |(k, rows): (usize, usize)| -> Vec<f32> {
+            let value = |row: usize| ((row * (k + 3)) % 17) as f32 - 8.0;
+            (0..rows).map(value).collect()
         };
-        let lengths = [rows, 0, ROWS + 5, rows, 7];
-        let mut each: Vec<Vec<f32>> = lengths
-            .into_iter()
-            .enumerate()
-            .map(|(k, rows)| column(k, rows))
-            .collect();
+        let lengths = [rows, 0, ROWS + 5, rows, 7].into_iter().enumerate();
+        let mut each: Vec<Vec<f32>> = lengths.map(column).collect();
         // Of what begins late all is zero before.
         each[3][..ROWS + 10].fill(0.0);
         let whitened = Whitened::new(each.clone(), rows);

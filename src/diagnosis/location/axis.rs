@@ -1,35 +1,39 @@
-//! How much of an equation's error follows each variable.
+//! How much of an equation's error follows each variable, and the narrowest range of it that holds most of that.
 //!
 //! Every variable has its columns, averaged over each window with the test function, so that what passes through many
 //! turns or many amperes within one window counts as what it is there. Their adjusted share of the error is compared.
 
 use std::f64::consts::{PI, TAU};
 
-use super::balance::{Weights, Window, Windows};
-use super::fit::{Fitted, fit};
-use super::region::{Point, Region, narrowest};
-use super::{Equation, FailureLocation, line, own, words};
-use crate::plant::{Model, MotorKey};
+use nalgebra::{DMatrix, DVector};
+
+use super::windows::{Window, Windows, own_keys};
+use super::{FailureLocation, name, words};
+use crate::numerics::count::whole;
+use crate::plant::{Balance, Model, MotorKey};
 
 /// Hat functions along speed and current, and along time.
-const HATS: usize = 16;
-const HATS_OF_TIME: usize = 24;
+pub(super) const HATS: usize = 16;
+pub(super) const HATS_OF_TIME: usize = 24;
 /// Periods per turn that are looked for.
 const ORDERS: usize = 36;
 /// Windows (by their weight) in which a wave must be visible.
 const FEWEST_SEEN: f64 = 30.0;
-/// Share of the error that must follow a variable to be worth a sentence, and its multiple of chance.
-const WORTH_MENTIONING: f64 = 0.1;
-const CERTAIN: f64 = 4.0;
+/// Share of the error that must follow a variable to be worth a sentence, and its multiple of what chance explains.
+const WORTH_MENTIONING_SHARE: f64 = 0.1;
+const BEYOND_CHANCE: f64 = 4.0;
 /// Time explains nothing by itself, and a line hides in every periodic excitation: they are named first only where no
 /// physical variable comes near.
 const WEIGHT_OF_TIME: f64 = 0.85;
 const WEIGHT_OF_LINE: f64 = 0.9;
 /// One wrong value of the motor explains as much as a curve with one column: preferred down to this share of it.
 const PARSIMONY: f64 = 1.03;
-/// A direction holds the error if it has this share of it, in at most that share of the time.
-const ONE_SIDED: f64 = 0.75;
-const TIME_ONE_SIDED: f64 = 0.6;
+/// A direction holds the error if it has this share of it, in at most that share of the time, over so many windows.
+const ONE_SIDED_SHARE: f64 = 0.75;
+const ONE_SIDED_SHARE_OF_TIME: f64 = 0.6;
+const ONE_SIDED_WINDOWS: usize = 20;
+/// Share of the largest diagonal that keeps columns without data from being singular.
+const RIDGE: f64 = 1e-9;
 
 /// What form the dependence has.
 pub(super) enum Shape {
@@ -68,7 +72,7 @@ pub(super) enum Shape {
 }
 
 pub(super) struct Axis {
-    pub equation: Equation,
+    pub equation: Balance,
     pub variable: &'static str,
     pub shape: Shape,
     pub region: Region,
@@ -79,15 +83,13 @@ pub(super) struct Axis {
 
 impl Axis {
     pub(super) fn into_location(self) -> FailureLocation {
+        let Region { from, to, .. } = self.region;
+        let is_around_zero = self.region.of_size && self.region.from_lowest;
         FailureLocation {
-            equation: self.equation.name(),
+            equation: name(self.equation),
             variable: self.variable,
-            from: if self.region.of_size && self.region.from_lowest {
-                -self.region.to
-            } else {
-                self.region.from
-            },
-            to: self.region.to,
+            from: if is_around_zero { -to } else { from },
+            to,
             share_of_error: self.region.share_of_error,
             share_of_time: self.region.share_of_time,
             follows: self.follows,
@@ -97,30 +99,35 @@ impl Axis {
     }
 }
 
-/// The variables that the error follows, the one that it follows most first.
+/// The variables that the error follows, the one that it follows most first. `refitted`: whether the error is what the
+/// equation's own parameters leave, so that their columns stand beside every variable's.
 pub(super) fn ranked(
     windows: &Windows<'_>,
-    equation: Equation,
+    equation: Balance,
     refitted: bool,
     model: &Model,
 ) -> Vec<Axis> {
     let search = Search {
         windows,
         equation,
-        with_own: refitted,
+        own: if refitted {
+            own_keys(equation).len()
+        } else {
+            0
+        },
     };
     let mut found = Vec::new();
     if !refitted {
-        found.extend(search.own(model));
+        found.extend(search.own_values(model));
     }
     found.extend(search.curve("speed_rad_s"));
     match equation {
-        Equation::Voltage => {
+        Balance::Voltage => {
             found.extend(search.curve("current_a"));
             found.extend(search.late(model));
         }
         // Not the current: it drives this balance, so that whatever is missing shows in it.
-        Equation::Torque => {
+        Balance::Torque => {
             found.extend(search.turns());
             found.extend(search.line());
         }
@@ -139,60 +146,140 @@ pub(super) fn ranked(
     kept
 }
 
-struct Search<'a> {
-    windows: &'a Windows<'a>,
-    equation: Equation,
-    /// Whether the equation's own columns stand beside every variable's, because the error is what they leave.
-    with_own: bool,
+pub(super) struct Search<'a> {
+    pub windows: &'a Windows<'a>,
+    pub equation: Balance,
+    /// How many of the equation's own columns stand before every variable's.
+    pub own: usize,
+}
+
+/// How much of an error some columns explain.
+struct Fit {
+    /// Coefficient of each column, the equation's own first.
+    coefficients: Vec<f64>,
+    /// `1 - (RSS / (n - k)) / (TSS / n)`.
+    adjusted: f64,
+    /// Share of the squared error beyond the noise.
+    follows: f64,
+    /// Explained power over what chance gives to as many columns.
+    strength: f64,
 }
 
 impl Search<'_> {
-    fn own_columns(&self) -> usize {
-        if self.with_own {
-            own::count(self.equation)
-        } else {
-            0
-        }
+    pub(super) fn of(&self) -> impl Iterator<Item = &Window> {
+        self.windows.of(self.equation)
     }
 
-    /// Fits own columns (where they are to be there) and those of the variable.
-    fn fit(&self, columns: usize, mut fill: impl FnMut(&Window, &mut [f64])) -> Option<Fitted> {
-        let own = self.own_columns();
-        let fitted = fit(self.windows, self.equation, own + columns, |window, row| {
-            row[..own].copy_from_slice(&own::columns(window, self.equation)[..own]);
-            fill(window, &mut row[own..]);
-        })?;
-        (fitted.follows >= WORTH_MENTIONING && fitted.strength >= CERTAIN).then_some(fitted)
-    }
-
-    /// Values of a fit in every window, with the window's place along `at`.
-    fn points<'w>(
-        &'w self,
-        fitted: &Fitted,
-        at: impl Fn(&Window) -> f64,
+    /// A row of columns for each window, the equation's own first.
+    pub(super) fn rows(
+        &self,
+        columns: usize,
         mut fill: impl FnMut(&Window, &mut [f64]),
-    ) -> Vec<Point<'w>> {
-        let own = self.own_columns();
-        let mut row = vec![0.0; fitted.columns];
-        self.windows
-            .of(self.equation)
-            .filter(|window| at(window).is_finite())
-            .map(|window| {
-                row.fill(0.0);
-                row[..own].copy_from_slice(&own::columns(window, self.equation)[..own]);
-                fill(window, &mut row[own..]);
-                let value = row
-                    .iter()
-                    .zip(&fitted.coefficients)
-                    .map(|(c, x)| c * x)
-                    .sum();
-                Point {
-                    at: at(window),
-                    fitted: value,
-                    window,
+    ) -> Vec<Vec<f64>> {
+        let row = |window: &Window| {
+            let mut row = vec![0.0; self.own + columns];
+            row[..self.own].copy_from_slice(&window.own(self.equation)[..self.own]);
+            fill(window, &mut row[self.own..]);
+            row
+        };
+        self.of().map(row).collect()
+    }
+
+    /// The same from a value that every sample has, each `put` into the columns with its weight in the window.
+    pub(super) fn averaged(
+        &self,
+        values: &[f64],
+        columns: usize,
+        put: impl Fn(f64, f64, &mut [f64]),
+    ) -> Vec<Vec<f64>> {
+        self.rows(columns, |window, row| {
+            let weights = self.windows.weights_of(window).mean;
+            let own = &values[self.windows.samples_of(window)];
+            for (weight, value) in weights.iter().zip(own) {
+                put(*value, *weight, row);
+            }
+        })
+    }
+
+    /// Least squares of the error over these rows; `None` where they explain nothing that is worth a sentence.
+    fn fit(&self, rows: &[Vec<f64>]) -> Option<Fit> {
+        let columns = rows.first()?.len();
+        let mut normal: DMatrix<f64> = DMatrix::zeros(columns, columns);
+        let mut right: DVector<f64> = DVector::zeros(columns);
+        let (mut power, mut noise, mut n) = (0.0, 0.0, 0.0);
+        for (window, row) in self.of().zip(rows) {
+            if row.iter().any(|value| !value.is_finite()) {
+                continue;
+            }
+            let error = window.error(self.equation);
+            n += 1.0;
+            power += error * error;
+            noise += window.floor(self.equation).powi(2);
+            for (at, value) in row.iter().enumerate().filter(|(_, value)| **value != 0.0) {
+                right[at] += value * error;
+                for (other, second) in row.iter().enumerate().skip(at) {
+                    normal[(at, other)] += value * second;
                 }
-            })
-            .collect()
+            }
+        }
+        let k = columns as f64;
+        if n < 3.0 * k + 10.0 || power <= 0.0 {
+            return None;
+        }
+        normal.fill_lower_triangle_with_upper_triangle();
+        // Columns in one unit, so that the ridge means the same for each.
+        let scale: Vec<f64> = (0..columns).map(|at| normal[(at, at)].sqrt()).collect();
+        let largest = scale.iter().fold(0.0, |most: f64, s| most.max(*s));
+        if largest <= 0.0 {
+            return None;
+        }
+        let is_known = |s: &f64| *s > 1e-9 * largest;
+        let inverse = scale
+            .iter()
+            .map(|s| if is_known(s) { 1.0 / s } else { 0.0 });
+        let inverse: Vec<f64> = inverse.collect();
+        for at in 0..columns {
+            right[at] *= inverse[at];
+            for other in 0..columns {
+                normal[(at, other)] *= inverse[at] * inverse[other];
+            }
+            normal[(at, at)] += RIDGE + if inverse[at] == 0.0 { 1.0 } else { 0.0 };
+        }
+        let solved = normal.cholesky()?.solve(&right);
+        let explained = solved.dot(&right).clamp(0.0, power);
+        let left = power - explained;
+        let by_chance = if noise > 0.0 {
+            noise / n
+        } else {
+            left / (n - k)
+        };
+        let by_chance = by_chance.max(1e-12 * power / n);
+        let beyond = (power - noise).max(0.02 * power);
+        let fit = Fit {
+            coefficients: solved
+                .iter()
+                .zip(&inverse)
+                .map(|(x, unit)| x * unit)
+                .collect(),
+            adjusted: 1.0 - (left / (n - k)) / (power / n),
+            follows: ((explained - k * by_chance) / beyond).clamp(0.0, 1.0),
+            strength: explained / (k * by_chance),
+        };
+        (fit.follows >= WORTH_MENTIONING_SHARE && fit.strength >= BEYOND_CHANCE).then_some(fit)
+    }
+
+    /// Where along `at` most of what a fit explains lies.
+    fn region(&self, rows: &[Vec<f64>], fit: &Fit, at: impl Fn(&Window) -> f64) -> Option<Region> {
+        let along = self.of().zip(rows).map(|(window, row)| Point {
+            at: at(window),
+            fitted: row.iter().zip(&fit.coefficients).map(|(c, x)| c * x).sum(),
+            beyond: window.beyond(self.equation),
+        });
+        narrowest(
+            &along
+                .filter(|point| point.at.is_finite())
+                .collect::<Vec<_>>(),
+        )
     }
 
     fn axis(
@@ -200,7 +287,7 @@ impl Search<'_> {
         variable: &'static str,
         shape: Shape,
         region: Region,
-        fitted: &Fitted,
+        fit: &Fit,
         weight: f64,
     ) -> Axis {
         Axis {
@@ -208,20 +295,15 @@ impl Search<'_> {
             variable,
             shape,
             region,
-            follows: fitted.follows,
-            strength: fitted.strength,
-            weight: weight * fitted.adjusted,
+            follows: fit.follows,
+            strength: fit.strength,
+            weight: weight * fit.adjusted,
         }
     }
 
     /// Quantiles of a variable over the windows: sharp where the run spent much time.
-    fn knots(&self, at: impl Fn(&Window) -> f64, most: usize) -> Option<Vec<f64>> {
-        let mut values: Vec<f64> = self
-            .windows
-            .of(self.equation)
-            .map(at)
-            .filter(|value| value.is_finite())
-            .collect();
+    pub(super) fn knots(&self, at: impl Fn(&Window) -> f64, most: usize) -> Option<Vec<f64>> {
+        let mut values: Vec<f64> = self.of().map(at).filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
         let last = values.len().checked_sub(1)?;
         let span = values[last] - values[0];
@@ -229,11 +311,9 @@ impl Search<'_> {
         if most == HATS {
             let largest = values[0].abs().max(values[last].abs());
             let near_zero = [0.02, 0.04, 0.08, 0.16, 0.32].map(|share| share * largest);
-            let both = near_zero
-                .iter()
-                .flat_map(|edge| [-edge, *edge])
-                .chain([0.0]);
-            knots.extend(both.filter(|edge| *edge > values[0] && *edge < values[last]));
+            let edges = near_zero.iter().flat_map(|edge| [-edge, *edge]);
+            let edges = edges.chain([0.0]);
+            knots.extend(edges.filter(|edge| *edge > values[0] && *edge < values[last]));
             knots.sort_by(f64::total_cmp);
         }
         knots.dedup_by(|later, earlier| *later - *earlier <= 0.002 * span);
@@ -243,149 +323,115 @@ impl Search<'_> {
     /// A curve of hats over speed or current.
     fn curve(&self, variable: &'static str) -> Option<Axis> {
         let scenario = self.windows.scenario;
-        let is_speed = variable == "speed_rad_s";
-        let values = if is_speed {
-            &scenario.speed_rad_s
-        } else {
-            &scenario.current_a
-        };
-        let at = move |window: &Window| {
-            if is_speed {
-                window.speed_rad_s
-            } else {
-                window.current_a
-            }
+        let (at, values): (fn(&Window) -> f64, &[f64]) = match variable {
+            "speed_rad_s" => (|window| window.speed_rad_s, &scenario.speed_rad_s),
+            _ => (|window| window.current_a, &scenario.current_a),
         };
         let knots = self.knots(at, HATS)?;
-        let mut weights = Weights::default();
-        let span = 2 * self.windows.half;
-        let mut fill = |window: &Window, row: &mut [f64]| {
-            let range = window.begin..=window.begin + span;
-            weights.fill(&scenario.sample_time_s[range.clone()]);
-            for (weight, value) in weights.mean.iter().zip(&values[range]) {
-                hat(&knots, *value, *weight, row);
-            }
-        };
-        let fitted = self.fit(knots.len(), &mut fill)?;
-        let points = self.points(&fitted, at, &mut fill);
-        let region = narrowest(&points, self.equation)?;
-        Some(self.axis(variable, Shape::Curve, region, &fitted, 1.0))
+        let put = |value, weight, row: &mut [f64]| hat(&knots, value, weight, row);
+        let rows = self.averaged(values, knots.len(), put);
+        let fit = self.fit(&rows)?;
+        let region = self.region(&rows, &fit, at)?;
+        Some(self.axis(variable, Shape::Curve, region, &fit, 1.0))
     }
 
     /// Each of the equation's own parameters alone.
-    fn own(&self, model: &Model) -> Vec<Axis> {
-        let candidates: &[(usize, MotorKey, &'static str)] = match self.equation {
-            Equation::Voltage => &[
-                (0, MotorKey::Resistance, "current_a"),
-                (1, MotorKey::Inductance, "current_rate_a_s"),
-                (2, MotorKey::BackEmf, "speed_rad_s"),
-            ],
-            Equation::Torque => &[
-                (0, MotorKey::Inertia, "acceleration_rad_s2"),
-                (1, MotorKey::LoadTorque, "direction"),
-            ],
+    fn own_values(&self, model: &Model) -> Vec<Axis> {
+        let variables: &[&'static str] = match self.equation {
+            Balance::Voltage => &["current_a", "current_rate_a_s", "speed_rad_s"],
+            Balance::Torque => &["acceleration_rad_s2", "direction"],
         };
-        let one = |&(column, key, variable): &(usize, MotorKey, &'static str)| {
-            let value = |window: &Window| own::columns(window, self.equation)[column];
-            let fill = |window: &Window, row: &mut [f64]| row[0] = value(window);
-            let fitted = self.fit(1, fill)?;
-            let by = fitted.coefficients[0];
+        let keys = own_keys(self.equation).iter().zip(variables).enumerate();
+        let one = |(column, (&key, &variable)): (usize, (&MotorKey, &&'static str))| {
+            let value = |window: &Window| window.own(self.equation)[column];
+            let rows = self.rows(1, |window, row| row[0] = value(window));
+            let fit = self.fit(&rows)?;
+            let by = fit.coefficients[0];
             let region = if key == MotorKey::LoadTorque {
                 everywhere(-1.0, 1.0)
             } else {
-                narrowest(&self.points(&fitted, value, fill), self.equation)?
+                self.region(&rows, &fit, value)?
             };
             let share = by / model.motor.get(key).unwrap_or(f64::NAN);
             let shape = Shape::Own { key, by, share };
-            Some(self.axis(variable, shape, region, &fitted, PARSIMONY))
+            Some(self.axis(variable, shape, region, &fit, PARSIMONY))
         };
-        candidates.iter().filter_map(one).collect()
+        keys.filter_map(one).collect()
     }
 
     /// The steps of the voltage: `v = -delay <du/dt>` where it comes late.
     fn late(&self, model: &Model) -> Option<Axis> {
-        let fill = |window: &Window, row: &mut [f64]| row[0] = window.input_rate;
-        let fitted = self.fit(1, fill)?;
+        let fit = self.fit(&self.rows(1, |window, row| row[0] = window.input_rate))?;
         // The loss is u(t) - u(t - delay).
-        let delay_s = fitted.coefficients[self.own_columns()];
-        let region = everywhere(delay_s.min(0.0), delay_s.max(0.0));
+        let delay_s = fit.coefficients[self.own];
         let value = |key| model.motor.get(key).unwrap_or(f64::NAN);
         let time_constant_s = value(MotorKey::Inductance) / value(MotorKey::Resistance);
         // Samples that miss the armature's transient tell that there is a delay, not how long it is.
-        let period_s = self.windows.length_s() / (2 * self.windows.half) as f64;
-        let resolved = period_s < 0.5 * time_constant_s;
-        Some(self.axis(
-            "voltage_edge_s",
-            Shape::Late { delay_s, resolved },
-            region,
-            &fitted,
-            1.0,
-        ))
+        let resolved = self.windows.period_s < 0.5 * time_constant_s;
+        let shape = Shape::Late { delay_s, resolved };
+        let region = everywhere(delay_s.min(0.0), delay_s.max(0.0));
+        Some(self.axis("voltage_edge_s", shape, region, &fit, 1.0))
     }
 
     /// The order per turn that explains most.
     fn turns(&self) -> Option<Axis> {
         let angle = self.angle_at_samples()?;
-        let span = 2 * self.windows.half;
-        let mut weights = Weights::default();
-        let times = &self.windows.scenario.sample_time_s;
-        let period_s = self.windows.length_s() / span as f64;
         // Averages of the waves of all orders at once: [cos, sin] of each.
-        let mut waves = vec![[0.0; 2]; ORDERS + 1];
-        let mut average = |window: &Window, highest: usize, waves: &mut [[f64; 2]]| {
-            waves.fill([0.0; 2]);
-            weights.fill(&times[window.begin..=window.begin + span]);
+        let average = |window: &Window| {
+            let mut waves = vec![[0.0; 2]; ORDERS + 1];
+            let weights = self.windows.weights_of(window).mean;
             // A wave that turns by more than half between two samples is seen as another: its average is nothing.
-            let visible = (PI / (window.speed_rad_s.abs() * period_s).max(1e-9)).min(1e6);
-            for (offset, weight) in weights.mean.iter().enumerate() {
-                let (sin, cos) = angle[window.begin + offset].sin_cos();
+            let step_rad = window.speed_rad_s.abs() * self.windows.period_s;
+            let visible = (PI / step_rad.max(1e-9)).min(1e6);
+            for (weight, angle) in weights.iter().zip(&angle[self.windows.samples_of(window)]) {
+                let (sin, cos) = angle.sin_cos();
                 let (mut re, mut im) = (cos, sin);
-                for (order, wave) in waves.iter_mut().enumerate().take(highest + 1).skip(1) {
-                    if order as f64 > visible {
-                        break;
-                    }
+                let orders = waves.iter_mut().enumerate().skip(1);
+                for (_, wave) in orders.take_while(|(order, _)| *order as f64 <= visible) {
                     wave[0] += weight * re;
                     wave[1] += weight * im;
                     (re, im) = (re * cos - im * sin, re * sin + im * cos);
                 }
             }
+            waves
         };
-        // Normal equations of two columns for each order.
-        let mut sums = vec![[0.0; 6]; ORDERS + 1];
-        for window in self.windows.of(self.equation) {
-            average(window, ORDERS, &mut waves);
-            let error = window.error(self.equation);
-            for (sum, [c, s]) in sums.iter_mut().zip(&waves) {
+        let waves: Vec<Vec<[f64; 2]>> = self.of().map(average).collect();
+        let explained = |order: usize| {
+            // Normal equations of two columns, and the fourth power of what is seen of the wave.
+            let (mut cc, mut cs, mut ss, mut ce, mut se) = (0.0, 0.0, 0.0, 0.0, 0.0);
+            let mut fourth = 0.0;
+            for (window, waves) in self.of().zip(&waves) {
+                let ([c, s], error) = (waves[order], window.error(self.equation));
                 let size = c * c + s * s;
-                let products = [c * c, c * s, s * s, c * error, s * error, size * size];
-                for (total, product) in sum.iter_mut().zip(products) {
-                    *total += product;
-                }
+                (cc, cs, ss) = (cc + c * c, cs + c * s, ss + s * s);
+                (ce, se, fourth) = (ce + c * error, se + s * error, fourth + size * size);
             }
-        }
-        let explained = |[cc, cs, ss, ce, se, fourth]: [f64; 6]| {
             let determinant = cc * ss - cs * cs;
             // Seen in few windows only, as a high order is, it explains whatever happened there.
-            let seen_in = (cc + ss).powi(2) / fourth;
-            if determinant > 1e-6 * cc * ss && seen_in > FEWEST_SEEN {
+            let is_seen = (cc + ss).powi(2) / fourth > FEWEST_SEEN;
+            if determinant > 1e-6 * cc * ss && is_seen {
                 (ce * ce * ss - 2.0 * ce * se * cs + se * se * cc) / determinant
             } else {
                 0.0
             }
         };
-        let order =
-            (1..=ORDERS).max_by(|a, b| explained(sums[*a]).total_cmp(&explained(sums[*b])))?;
-        let fitted = self.fit(2, |window, row| {
-            average(window, order, &mut waves);
-            row.copy_from_slice(&waves[order]);
-        })?;
-        let own = self.own_columns();
-        let amplitude = fitted.coefficients[own].hypot(fitted.coefficients[own + 1]);
+        let orders = (1..=ORDERS).map(|order| (order, explained(order)));
+        let (order, _) = orders.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let mut each = waves.iter();
+        let fit = self.fit(&self.rows(2, |_, row| {
+            row.copy_from_slice(each.next().map_or(&[f64::NAN; 2], |waves| &waves[order]));
+        }))?;
+        let amplitude = self.amplitude(&fit);
         let shape = Shape::Turns { order, amplitude };
-        Some(self.axis("angle_rad", shape, everywhere(0.0, TAU), &fitted, 1.0))
+        Some(self.axis("angle_rad", shape, everywhere(0.0, TAU), &fit, 1.0))
     }
 
-    fn angle_at_samples(&self) -> Option<Vec<f64>> {
+    /// Amplitude of a wave that was fitted by its cosine and its sine.
+    fn amplitude(&self, fit: &Fit) -> f64 {
+        fit.coefficients[self.own].hypot(fit.coefficients[self.own + 1])
+    }
+
+    pub(super) fn angle_at_samples(&self) -> Option<Vec<f64>> {
         let points = self.windows.scenario.shaft_angle();
         if points.len() < 2 {
             return None;
@@ -398,126 +444,141 @@ impl Search<'_> {
             let (before, after) = (points[next - 1], points[next]);
             before.1 + (after.1 - before.1) * (time_s - before.0) / (after.0 - before.0)
         };
-        Some(self.windows.scenario.sample_time_s.iter().map(at).collect())
+        let times = self.windows.scenario.sample_time_s.iter();
+        Some(times.map(at).collect())
     }
 
     fn line(&self) -> Option<Axis> {
-        let frequency_hz = line::strongest(self.windows, self.equation)?;
-        let fitted = self.fit(2, |window, row| {
-            let (sin, cos) = (TAU * frequency_hz * window.time_s).sin_cos();
-            row.copy_from_slice(&[cos, sin]);
-        })?;
-        let own = self.own_columns();
-        let amplitude = fitted.coefficients[own].hypot(fitted.coefficients[own + 1]);
+        let line = self.strongest_line()?;
+        let fit = self.fit(&self.rows(2, |window, row| {
+            row.copy_from_slice(&line.wave(window.time_s));
+        }))?;
+        let amplitude = self.amplitude(&fit) / line.seen;
         // As sharp as the length of the run allows.
         let times = &self.windows.scenario.sample_time_s;
         let half_hz = 0.5 / (times[times.len() - 1] - times[0]);
-        let mut region = everywhere(frequency_hz - half_hz, frequency_hz + half_hz);
-        region.share_of_error = fitted.follows;
-        Some(self.axis(
-            "frequency_hz",
-            Shape::Line { amplitude },
-            region,
-            &fitted,
-            WEIGHT_OF_LINE,
-        ))
+        let region = Region {
+            share_of_error: fit.follows,
+            ..everywhere(line.frequency_hz - half_hz, line.frequency_hz + half_hz)
+        };
+        let shape = Shape::Line { amplitude };
+        Some(self.axis("frequency_hz", shape, region, &fit, WEIGHT_OF_LINE))
     }
 
-    /// A curve over time: of the equation itself, or (voltage) of its resistance; the better.
+    /// A curve over time: of the equation itself, or of what multiplies its current (voltage) or its direction (torque:
+    /// friction acts against the motion, and a load that changes does so too); the better.
     fn drift(&self) -> Option<Axis> {
         let at = |window: &Window| window.time_s;
         let knots = self.knots(at, HATS_OF_TIME)?;
-        let of_itself = |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, 1.0, row);
-        let of_resistance =
-            |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, window.current_a, row);
-        // Friction acts against the motion: a load that changes does so too.
-        let of_friction = |window: &Window, row: &mut [f64]| {
-            hat(&knots, window.time_s, window.direction, row);
+        let modulation: fn(&Window) -> f64 = match self.equation {
+            Balance::Voltage => |window| window.current_a,
+            Balance::Torque => |window| window.direction,
         };
-        let own = self.own_columns();
-        let plain = self.fit(knots.len(), of_itself);
-        let modulated = match self.equation {
-            Equation::Voltage => self.fit(knots.len(), of_resistance),
-            Equation::Torque => self.fit(knots.len(), of_friction),
+        let over_time = |by: fn(&Window) -> f64| {
+            let put =
+                |window: &Window, row: &mut [f64]| hat(&knots, window.time_s, by(window), row);
+            let rows = self.rows(knots.len(), put);
+            self.fit(&rows).map(|fit| (rows, fit))
         };
-        let better = match (&plain, &modulated) {
-            (Some(plain), Some(modulated)) => modulated.adjusted > plain.adjusted,
-            (None, Some(_)) => true,
-            _ => false,
-        };
-        let fitted = if better { modulated? } else { plain? };
-        let points = match (better, self.equation) {
-            (false, _) => self.points(&fitted, at, of_itself),
-            (true, Equation::Voltage) => self.points(&fitted, at, of_resistance),
-            (true, Equation::Torque) => self.points(&fitted, at, of_friction),
-        };
-        let region = narrowest(&points, self.equation)?;
-        let ends = [
-            fitted.coefficients[own],
-            fitted.coefficients[own + knots.len() - 1],
-        ];
-        let resistance = (better && self.equation == Equation::Voltage).then_some(ends);
+        let (plain, modulated) = (over_time(|_| 1.0), over_time(modulation));
+        let is_modulated = modulated.as_ref().is_some_and(|(_, modulated)| {
+            let plain = plain.as_ref();
+            plain.is_none_or(|(_, plain)| modulated.adjusted > plain.adjusted)
+        });
+        let (rows, fit) = if is_modulated { modulated? } else { plain? };
+        let region = self.region(&rows, &fit, at)?;
+        let ends = [self.own, self.own + knots.len() - 1].map(|end| fit.coefficients[end]);
+        let of_resistance = is_modulated && self.equation == Balance::Voltage;
+        let resistance = of_resistance.then_some(ends);
         Some(self.axis(
             "time_s",
             Shape::Drift { resistance },
             region,
-            &fitted,
+            &fit,
             WEIGHT_OF_TIME,
         ))
     }
 
     /// What is the same in every window.
     fn offset(&self) -> Option<Axis> {
-        let fitted = self.fit(1, |_, row| row[0] = 1.0)?;
-        let by = fitted.coefficients[self.own_columns()];
+        let fit = self.fit(&self.rows(1, |_, row| row[0] = 1.0))?;
+        let by = fit.coefficients[self.own];
         let variable = match self.equation {
-            Equation::Torque => "offset_n_m",
-            Equation::Voltage => "offset_v",
+            Balance::Torque => "offset_n_m",
+            Balance::Voltage => "offset_v",
         };
-        Some(self.axis(
-            variable,
-            Shape::Offset { by },
-            everywhere(by.min(0.0), by.max(0.0)),
-            &fitted,
-            PARSIMONY,
-        ))
+        let region = everywhere(by.min(0.0), by.max(0.0));
+        Some(self.axis(variable, Shape::Offset { by }, region, &fit, PARSIMONY))
     }
 
     /// Whether nearly all of the error falls in one direction of motion.
     fn one_way(&self) -> Option<Axis> {
         let mut sums = [(0.0, 0_usize); 2];
-        for window in self.windows.of(self.equation) {
+        for window in self.of() {
             if window.speed_rad_s.abs() > self.windows.dead_zone_rad_s {
                 let side = &mut sums[usize::from(window.speed_rad_s > 0.0)];
-                side.0 += window.error(self.equation).powi(2) - window.floor(self.equation).powi(2);
+                side.0 += window.beyond(self.equation);
                 side.1 += 1;
             }
         }
         let power: f64 = sums.iter().map(|side| side.0.max(0.0)).sum();
         let count: usize = sums.iter().map(|side| side.1).sum();
         let forward = sums[1].0 > sums[0].0;
-        let side = sums[usize::from(forward)];
-        let (share, time) = (side.0 / power, side.1 as f64 / count.max(1) as f64);
-        if !(share >= ONE_SIDED && time <= TIME_ONE_SIDED && side.1 >= 20) {
-            return None;
-        }
-        let mut region = if forward {
-            everywhere(0.0, 1.0)
-        } else {
-            everywhere(-1.0, 0.0)
-        };
-        (region.share_of_error, region.share_of_time) = (share, time);
-        Some(Axis {
+        let (beyond, windows) = sums[usize::from(forward)];
+        let (share, time) = (beyond / power, windows as f64 / count.max(1) as f64);
+        let is_one_sided = share >= ONE_SIDED_SHARE && time <= ONE_SIDED_SHARE_OF_TIME;
+        let [from, to] = if forward { [0.0, 1.0] } else { [-1.0, 0.0] };
+        (is_one_sided && windows >= ONE_SIDED_WINDOWS).then(|| Axis {
             equation: self.equation,
             variable: "direction",
             shape: Shape::OneWay { forward },
-            region,
+            region: Region {
+                share_of_error: share,
+                share_of_time: time,
+                ..everywhere(from, to)
+            },
             follows: share,
-            strength: side.1 as f64,
+            strength: windows as f64,
             // Always after the variables that say more.
             weight: 0.0,
         })
     }
+}
+
+/// Adds `weight` times the hat functions over `knots` at `value`; outside, the last ones.
+pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
+    let last = knots.len() - 1;
+    let after = knots.partition_point(|knot| *knot <= value);
+    if after == 0 {
+        row[0] += weight;
+    } else if after > last {
+        row[last] += weight;
+    } else {
+        let share = (value - knots[after - 1]) / (knots[after] - knots[after - 1]);
+        row[after - 1] += weight * (1.0 - share);
+        row[after] += weight * share;
+    }
+}
+
+/// Bins of equal population, and the share of the error that follows the variable which a region must hold.
+const BINS: usize = 24;
+const REGION_SHARE: f64 = 0.8;
+/// Share of the time of a range of sizes below which a range on one side is preferred to it: most faults do not know a sign.
+const NARROWER_SHARE: f64 = 0.7;
+
+/// A range with what lies in it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Region {
+    pub from: f64,
+    pub to: f64,
+    /// Share of the squared error beyond the noise.
+    pub share_of_error: f64,
+    pub share_of_time: f64,
+    /// The range is one of sizes: it stands for both signs.
+    pub of_size: bool,
+    /// It begins at the lowest value, ends at the highest.
+    pub from_lowest: bool,
+    pub to_highest: bool,
 }
 
 const fn everywhere(from: f64, to: f64) -> Region {
@@ -532,17 +593,197 @@ const fn everywhere(from: f64, to: f64) -> Region {
     }
 }
 
-/// Adds `weight` times the hat functions over `knots` at `value`; outside, the last ones.
-fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
-    let last = knots.len() - 1;
-    let after = knots.partition_point(|knot| *knot <= value);
-    if after == 0 {
-        row[0] += weight;
-    } else if after > last {
-        row[last] += weight;
-    } else {
-        let share = (value - knots[after - 1]) / (knots[after] - knots[after - 1]);
-        row[after - 1] += weight * (1.0 - share);
-        row[after] += weight * share;
+/// One window along a variable: what that explains of its error, and the square of it beyond the noise.
+struct Point {
+    at: f64,
+    fitted: f64,
+    beyond: f64,
+}
+
+/// The narrower (in time) of the regions along the variable and along its size.
+fn narrowest(points: &[Point]) -> Option<Region> {
+    let plain = along(points, false);
+    if !(points.iter().any(|p| p.at > 0.0) && points.iter().any(|p| p.at < 0.0)) {
+        return plain;
+    }
+    match (plain, along(points, true)) {
+        (Some(plain), Some(size)) if plain.share_of_time >= NARROWER_SHARE * size.share_of_time => {
+            Some(size)
+        }
+        (plain, size) => plain.or(size),
+    }
+}
+
+fn along(points: &[Point], of_size: bool) -> Option<Region> {
+    let key = |point: &Point| if of_size { point.at.abs() } else { point.at };
+    let mut sorted: Vec<(f64, &Point)> = points.iter().map(|point| (key(point), point)).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let last = sorted.len().checked_sub(1)?;
+    if last < 3 * BINS || sorted[0].0 >= sorted[last].0 {
+        return None;
+    }
+    // Where the run spent much time the picture is sharp.
+    let first_of = |bin: usize| bin * sorted.len() / BINS;
+    let edge = |bin: usize| sorted[first_of(bin).min(last)].0;
+    let sums = |value: fn(&Point) -> f64| -> Vec<f64> {
+        let inside = |bin: usize| sorted[first_of(bin)..first_of(bin + 1)].iter();
+        let sum = |bin: usize| inside(bin).map(|(_, point)| value(point)).sum();
+        (0..BINS).map(sum).collect()
+    };
+    let follows = sums(|point| point.fitted * point.fitted);
+    let beyond = sums(|point| point.beyond).into_iter();
+    let beyond: Vec<f64> = beyond.map(|sum| sum.max(0.0)).collect();
+    let total: f64 = follows.iter().sum();
+    let held = |(first, end): (usize, usize)| follows[first..=end].iter().sum::<f64>();
+    let ranges = (0..BINS).flat_map(|first| (first..BINS).map(move |end| (first, end)));
+    let enough = ranges.filter(|range| held(*range) >= REGION_SHARE * total);
+    // Fewest windows; among equals the one that holds more.
+    let (first, end) = enough.min_by(|a, b| {
+        let lengths = (a.1 - a.0).cmp(&(b.1 - b.0));
+        lengths.then(held(*b).total_cmp(&held(*a)))
+    })?;
+    let whole: f64 = beyond.iter().sum();
+    let share_of_error = beyond[first..=end].iter().sum::<f64>() / whole;
+    Some(Region {
+        from: edge(first),
+        to: edge(end + 1),
+        share_of_error: if whole > 0.0 { share_of_error } else { 0.0 },
+        share_of_time: (first_of(end + 1) - first_of(first)) as f64 / sorted.len() as f64,
+        of_size,
+        from_lowest: first == 0,
+        to_highest: end + 1 == BINS,
+    })
+}
+
+/// Periods that a line has within the run at least: what is slower is a drift.
+const FEWEST_PERIODS: f64 = 4.0;
+/// Steps of refinement to either side of the peak, each a fraction of the resolution.
+const REFINEMENT: i32 = 12;
+/// Windows below which no spectrum is taken.
+const FEWEST_WINDOWS: usize = 64;
+
+/// A line in the spectrum of what an equation lacks: a shaker, a belt, a gear that turns by itself.
+pub(super) struct Line {
+    pub frequency_hz: f64,
+    /// Share of a wave's amplitude that is left when windows average it.
+    pub seen: f64,
+    /// Power of the next line that is apart from this one, over its own.
+    pub next_share: f64,
+    /// Frequencies that were looked at.
+    pub tried: usize,
+}
+
+impl Line {
+    /// Cosine and sine at a time.
+    pub(super) fn wave(&self, time_s: f64) -> [f64; 2] {
+        let (sin, cos) = (TAU * self.frequency_hz * time_s).sin_cos();
+        [cos, sin]
+    }
+}
+
+impl Search<'_> {
+    /// The windows stand at nearly equal distances; where one was dropped there is a zero, which spreads a line but does
+    /// not move it. The highest peak of the periodogram is then refined in true time.
+    pub(super) fn strongest_line(&self) -> Option<Line> {
+        let stride_s = 0.5 * self.windows.length_s();
+        let first = self.of().next()?;
+        let (begin_s, end_s) = (first.time_s, self.of().last()?.time_s);
+        let length = whole(((end_s - begin_s) / stride_s).round()) + 1;
+        if length < FEWEST_WINDOWS || stride_s <= 0.0 {
+            return None;
+        }
+        let size = length.next_power_of_two() * 2;
+        let (mut real, mut imaginary) = (vec![0.0; size], vec![0.0; size]);
+        for window in self.of() {
+            let place = whole(((window.time_s - begin_s) / stride_s).round());
+            real[place.min(length - 1)] = window.error(self.equation);
+        }
+        transform(&mut real, &mut imaginary);
+        let resolution_hz = 1.0 / (size as f64 * stride_s);
+        let lowest = whole(FEWEST_PERIODS / (end_s - begin_s) / resolution_hz) + 1;
+        let power = |k: usize| real[k].powi(2) + imaginary[k].powi(2);
+        let peak = (lowest..size / 2).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+        let width = whole(2.0 / (end_s - begin_s) / resolution_hz) + 1;
+        let apart = (lowest..size / 2).filter(|k| k.abs_diff(peak) > width);
+        let next = apart.map(power).fold(0.0, f64::max);
+        let mut line = Line {
+            frequency_hz: 0.0,
+            seen: 1.0,
+            next_share: next / power(peak),
+            tried: (size / 2).saturating_sub(lowest),
+        };
+        let power_at = |frequency_hz: f64| {
+            let (mut c, mut s) = (0.0, 0.0);
+            for window in self.of() {
+                let (sin, cos) = (TAU * frequency_hz * window.time_s).sin_cos();
+                c += cos * window.error(self.equation);
+                s += sin * window.error(self.equation);
+            }
+            c * c + s * s
+        };
+        line.frequency_hz = (-REFINEMENT..=REFINEMENT)
+            .map(|step| (peak as f64 + f64::from(step) / f64::from(REFINEMENT)) * resolution_hz)
+            .max_by(|a, b| power_at(*a).total_cmp(&power_at(*b)))?;
+        let times = &self.windows.scenario.sample_time_s[self.windows.samples_of(first)];
+        let weights = self.windows.weights_of(first).mean;
+        let in_phase = |time_s: f64| line.wave(time_s - first.time_s)[0];
+        let averaged = weights
+            .iter()
+            .zip(times)
+            .map(|(weight, time_s)| weight * in_phase(*time_s));
+        line.seen = averaged.sum::<f64>().abs().max(f64::MIN_POSITIVE);
+        Some(line)
+    }
+}
+
+/// Fast Fourier transform in place; the length is a power of two (Cooley and Tukey 1965).
+fn transform(real: &mut [f64], imaginary: &mut [f64]) {
+    let n = real.len();
+    let mut other = 0;
+    for at in 1..n {
+        let mut bit = n >> 1;
+        while other & bit != 0 {
+            other ^= bit;
+            bit >>= 1;
+        }
+        other |= bit;
+        if at < other {
+            real.swap(at, other);
+            imaginary.swap(at, other);
+        }
+    }
+    let mut length = 2;
+    while length <= n {
+        let step = -TAU / length as f64;
+        for start in (0..n).step_by(length) {
+            for k in 0..length / 2 {
+                let (sin, cos) = (step * k as f64).sin_cos();
+                let (a, b) = (start + k, start + k + length / 2);
+                let re = real[b] * cos - imaginary[b] * sin;
+                let im = real[b] * sin + imaginary[b] * cos;
+                (real[b], imaginary[b]) = (real[a] - re, imaginary[a] - im);
+                real[a] += re;
+                imaginary[a] += im;
+            }
+        }
+        length *= 2;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_transform_of_a_wave_has_its_power_in_one_place() {
+        let n = 64;
+        let wave = |k: usize| (TAU * 5.0 * k as f64 / n as f64).cos();
+        let (mut real, mut imaginary): (Vec<f64>, _) = ((0..n).map(wave).collect(), vec![0.0; n]);
+        transform(&mut real, &mut imaginary);
+        for k in 0..n {
+            let expected = if k == 5 || k == n - 5 { 32.0 } else { 0.0 };
+            let apart = (real[k] - expected).hypot(imaginary[k]);
+            assert!(apart < 1e-9, "{k}");
+        }
     }
 }

@@ -1,36 +1,34 @@
-//! Where the model fails: which equation, and over which speeds, currents, angles, times.
+//! Where the model fails, with sign: which equation, over which speeds, currents, angles, times, and as what curve.
 //!
 //! ```text
-//! model, run -> balance    what each equation lacks in overlapping windows, with the floor that noise alone gives
-//!                  |-> own        what a change of the motor's own values would explain (told, or taken out)
-//!                  |-> axis       how much of it follows speed, current, angle, time, voltage edges, a line in frequency
-//!                  |-> region     the narrowest range that holds most of it
-//!                  |-> words      one sentence each
-//!                  '-> map        the error over speed x current, with counts
+//! model, run -> windows   what each equation lacks in overlapping windows, with the floor that noise alone gives, and what
+//!                  |      a change of the motor's own values would explain of it (told, or taken out)
+//!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
+//!                  |           the narrowest range that holds most of it
+//!                  |-> curve   the same as a curve along each axis, which a table can hold
+//!                  |-> words   one sentence each
+//!                  '-> the error over speed x current, with counts
 //! ```
 //!
-//! DISCOVERY.md 2.9. One mechanism at every sampling period: the model is started afresh from the measurement at the
+//! One mechanism at every sampling period: the model is started afresh from the measurement at the
 //! begin of each window, and the weak form is taken of the *difference* between measurement and model. What a coarse
 //! quadrature makes of a current with corners is the same in both and cancels; the noise of the start obeys the model's
 //! own equations and is annihilated; effects, filters and delays of the model need no regressor of their own.
 
 mod axis;
-mod balance;
-mod fit;
-mod line;
-mod map;
-mod own;
-mod region;
+mod curve;
+mod windows;
 mod words;
 
 use serde::Serialize;
 
 use self::axis::Axis;
-use self::balance::Windows;
-pub use self::map::ErrorMap;
+pub use self::curve::{AxisMap, axis_map};
+use self::windows::{Window, Windows, own_keys};
 use crate::identification::noise::NoiseFloor;
 use crate::identification::output_error::FitError;
-use crate::plant::{Input, Model, Scenario};
+use crate::numerics::count::whole;
+use crate::plant::{Balance, Input, Model, Scenario};
 
 /// A region that holds much of the error of one equation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -52,7 +50,7 @@ pub struct FailureLocation {
 }
 
 /// What one equation lacks altogether.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct EquationBalance {
     pub equation: &'static str,
     pub unit: &'static str,
@@ -112,37 +110,25 @@ pub enum ErrorOf {
     Structure,
 }
 
-/// One of the two equations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Equation {
-    Torque,
-    Voltage,
+/// As an equation stands in the JSON and in sentences.
+const fn name(equation: Balance) -> &'static str {
+    match equation {
+        Balance::Torque => "torque",
+        Balance::Voltage => "voltage",
+    }
 }
 
-impl Equation {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Torque => "torque",
-            Self::Voltage => "voltage",
-        }
-    }
-
-    const fn unit(self) -> &'static str {
-        match self {
-            Self::Torque => "N.m",
-            Self::Voltage => "V",
-        }
+const fn unit(equation: Balance) -> &'static str {
+    match equation {
+        Balance::Torque => "N.m",
+        Balance::Voltage => "V",
     }
 }
 
 /// Windows below which nothing is said.
 const FEWEST_WINDOWS: usize = 40;
-/// A balance within this multiple of the noise lacks nothing that can be seen.
-const LARGEST_NRES: f64 = 1.15;
 /// A move of an own parameter from this share of its value on is a wrong value, not the trace of a fit.
-const MATERIAL: f64 = 0.03;
-/// Without a known noise: share of the drive below which an error is arithmetic.
-const ARITHMETIC: f64 = 1e-4;
+const MATERIAL_SHARE: f64 = 0.03;
 
 /// Regions and balances of both equations; empty where nothing fails.
 pub fn locate(
@@ -153,29 +139,34 @@ pub fn locate(
 ) -> Result<Located, FitError> {
     let mut found = Located::default();
     let mut windows = Windows::new(model, scenario, noise)?;
-    if windows.too_few_signals(&mut found.notes) {
+    if let Some(missing) = windows.missing_signal() {
+        found.notes.push(format!(
+            "no {missing} was measured: what the voltage equation and what the torque equation lacks cannot be told apart"
+        ));
         return Ok(found);
     }
-    let mut equations = vec![Equation::Torque];
-    if scenario.input == Input::Voltage {
-        equations.push(Equation::Voltage);
-    }
-    for equation in equations {
-        let usable = windows.usable(equation);
+    let equations = [Balance::Torque, Balance::Voltage];
+    let asked = if scenario.input == Input::Voltage {
+        2
+    } else {
+        1
+    };
+    for equation in equations.into_iter().take(asked) {
+        let usable = windows.of(equation).count();
         if usable < FEWEST_WINDOWS {
             found.notes.push(format!(
                 "{} equation: {usable} usable windows of {:.0} ms, at least {FEWEST_WINDOWS} are needed to say where it \
                  fails: record a longer run{}",
-                equation.name(),
+                name(equation),
                 1e3 * windows.length_s(),
-                if equation == Equation::Torque { " in which the shaft turns" } else { "" }
+                if equation == Balance::Torque { " in which the shaft turns" } else { "" }
             ));
             continue;
         }
         let mut balance = windows.balance(equation, noise);
-        let refitted = refit(&mut windows, &mut balance, noise, model, error_of);
+        refit(&mut windows, equation, &mut balance, noise, model, error_of);
         let axes = if balance.fails {
-            axis::ranked(&windows, equation, refitted, model)
+            axis::ranked(&windows, equation, balance.refitted, model)
         } else {
             Vec::new()
         };
@@ -195,7 +186,7 @@ pub fn locate(
                 .to_owned(),
         );
     }
-    found.map = map::of(&windows);
+    found.map = ErrorMap::of(&windows);
     Ok(found)
 }
 
@@ -206,19 +197,20 @@ pub(super) fn locate_difference(
     [first, second]: [&Scenario; 2],
     noise: &NoiseFloor,
 ) -> Result<Vec<FailureLocation>, FitError> {
+    let equations = [Balance::Torque, Balance::Voltage];
     let mut windows = Windows::new(model, first, noise)?;
     let mut other = Windows::new(model, second, noise)?;
-    for equation in [Equation::Torque, Equation::Voltage] {
+    for equation in equations {
         for run in [&mut windows, &mut other] {
-            if let Some(changes) = own::changes(run, equation) {
-                own::take_out(run, equation, &changes);
+            if let Some(changes) = run.own_changes(equation) {
+                run.take_out(equation, &changes);
             }
         }
     }
     windows.subtract(&other);
     let mut found = Located::default();
-    for equation in [Equation::Torque, Equation::Voltage] {
-        if windows.usable(equation) < FEWEST_WINDOWS {
+    for equation in equations {
+        if windows.of(equation).count() < FEWEST_WINDOWS {
             continue;
         }
         let balance = windows.balance(equation, noise);
@@ -236,47 +228,37 @@ pub(super) fn locate_difference(
 
 /// Lets the equation's own parameters move. The moves stay taken out of the windows where that is asked, and where they
 /// are small: a fit of the whole model that lacks something leaves values that are a little off, and a balance sees
-/// them well. Large ones are a fault of their own. Returns whether they were taken out.
+/// them well. Large ones are a fault of their own.
 fn refit(
     windows: &mut Windows<'_>,
+    equation: Balance,
     balance: &mut EquationBalance,
     noise: &NoiseFloor,
     model: &Model,
     error_of: ErrorOf,
-) -> bool {
-    let equation = if balance.equation == Equation::Torque.name() {
-        Equation::Torque
-    } else {
-        Equation::Voltage
+) {
+    let Some(changes) = windows.own_changes(equation) else {
+        return;
     };
-    let Some(changes) = own::changes(windows, equation) else {
-        return false;
-    };
-    balance.own_changes = own::keys(equation)
-        .iter()
-        .zip(&changes)
-        .map(|(key, by)| OwnChange {
-            key: key.key(),
-            by: *by,
-            share: by / model.motor.get(*key).unwrap_or(f64::NAN),
-        })
-        .collect();
-    own::take_out(windows, equation, &changes);
+    let own = own_keys(equation).iter().zip(&changes);
+    let changed = own.map(|(key, by)| OwnChange {
+        key: key.key(),
+        by: *by,
+        share: by / model.motor.get(*key).unwrap_or(f64::NAN),
+    });
+    balance.own_changes = changed.collect();
+    windows.take_out(equation, &changes);
     let after = windows.balance(equation, noise);
     balance.nres_refitted = after.nres;
-    let small = balance
-        .own_changes
-        .iter()
-        .all(|change| change.share.abs() < MATERIAL);
-    if error_of == ErrorOf::Structure || small {
+    let is_small = |change: &OwnChange| change.share.abs() < MATERIAL_SHARE;
+    balance.refitted = error_of == ErrorOf::Structure || balance.own_changes.iter().all(is_small);
+    if balance.refitted {
         balance.fails = after.fails;
         balance.forward_share_of_error = after.forward_share_of_error;
-        balance.refitted = true;
-        return true;
+    } else {
+        let back: Vec<f64> = changes.iter().map(|by| -by).collect();
+        windows.take_out(equation, &back);
     }
-    let back: Vec<f64> = changes.iter().map(|by| -by).collect();
-    own::take_out(windows, equation, &back);
-    false
 }
 
 /// Error of a balance in units of its noise, of what is located.
@@ -299,7 +281,7 @@ fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
 }
 
 /// Standard deviations within which two figures are alike.
-const ALIKE: f64 = 2.0;
+const ALIKE_SIGMAS: f64 = 2.0;
 
 /// Where two equations fail alike, or the error of the worse one follows two variables alike, so that another run or a
 /// model that is nearly the same would put the other first: that neither is known to be the one.
@@ -316,7 +298,7 @@ pub(super) fn undecided(
             (size, size / (2.0 * apart(balance)).sqrt())
         };
         let ((worse, doubt), (less, other_doubt)) = (size(worst), size(other));
-        if worse - less < ALIKE * doubt.hypot(other_doubt) {
+        if worse - less < ALIKE_SIGMAS * doubt.hypot(other_doubt) {
             return Some(format!(
                 "the {} and the {} equation fail alike: which of them lacks something these runs do not tell",
                 worst.equation, other.equation
@@ -331,7 +313,7 @@ pub(super) fn undecided(
         2.0 * share.sqrt() * (1.0 - share) / apart(worst).sqrt()
     };
     let both = doubt(first.follows).hypot(doubt(second.follows));
-    ((first.follows - second.follows).abs() < ALIKE * both).then(|| {
+    ((first.follows - second.follows).abs() < ALIKE_SIGMAS * both).then(|| {
         format!(
             "the {} error follows the {} and the {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
             worst.equation,
@@ -364,6 +346,75 @@ fn rank(found: &mut Located) {
                 balance.share_of_error = Some(beyond(balance) / total);
             }
         }
+    }
+}
+
+/// Cells along each axis.
+const CELLS: usize = 12;
+
+/// Root mean square of what each equation lacks in the cells of speed x current. Rows go with the speed, columns with
+/// the current, both from their lowest edge; null where the run never was.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ErrorMap {
+    pub speed_edges_rad_s: Vec<f64>,
+    pub current_edges_a: Vec<f64>,
+    /// Windows in each cell.
+    pub count: Vec<Vec<usize>>,
+    pub torque_rms_n_m: Vec<Vec<Option<f64>>>,
+    pub voltage_rms_v: Vec<Vec<Option<f64>>>,
+}
+
+impl ErrorMap {
+    /// `None` where speed or current did not vary, or was not measured.
+    fn of(windows: &Windows<'_>) -> Option<Self> {
+        let edges = |value: fn(&Window) -> f64| {
+            let values = windows
+                .each
+                .iter()
+                .map(value)
+                .filter(|value| value.is_finite());
+            let (from, to) = values
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), value| {
+                    (from.min(value), to.max(value))
+                });
+            let edge = |k: usize| from + (to - from) * k as f64 / CELLS as f64;
+            (to > from).then(|| (0..=CELLS).map(edge).collect::<Vec<f64>>())
+        };
+        let (speed, current) = (edges(|w| w.speed_rad_s)?, edges(|w| w.current_a)?);
+        let cell = |edges: &[f64], value: f64| {
+            let width = (edges[CELLS] - edges[0]) / CELLS as f64;
+            whole((value - edges[0]) / width).min(CELLS - 1)
+        };
+        let mut count = vec![vec![0; CELLS]; CELLS];
+        let equations = [Balance::Torque, Balance::Voltage];
+        let mut sums = equations.map(|_| vec![vec![(0.0, 0_usize); CELLS]; CELLS]);
+        for window in &windows.each {
+            if !(window.speed_rad_s.is_finite() && window.current_a.is_finite()) {
+                continue;
+            }
+            let row = cell(&speed, window.speed_rad_s);
+            let column = cell(&current, window.current_a);
+            count[row][column] += 1;
+            for (equation, cells) in equations.into_iter().zip(&mut sums) {
+                let error = window.error(equation);
+                if error.is_finite() {
+                    cells[row][column].0 += error * error;
+                    cells[row][column].1 += 1;
+                }
+            }
+        }
+        let rms = |(power, n): &(f64, usize)| (*n > 0).then(|| (power / *n as f64).sqrt());
+        let [torque_rms_n_m, voltage_rms_v] = sums.map(|cells| {
+            let rows = cells.iter();
+            rows.map(|row| row.iter().map(rms).collect()).collect()
+        });
+        Some(Self {
+            speed_edges_rad_s: speed,
+            current_edges_a: current,
+            count,
+            torque_rms_n_m,
+            voltage_rms_v,
+        })
     }
 }
 

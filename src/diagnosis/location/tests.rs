@@ -1,48 +1,45 @@
 //! Runs whose fault is known, at 1 and at 10 ms: the first sentence must say where it is.
 
+use std::f64::consts::TAU;
+
 use super::*;
+use crate::diagnosis::kit::{nameplate, rich, truth, unheard_of};
 use crate::identification::output_error;
-use crate::plant::{Motor, MotorKey, testing};
+use crate::plant::{Motor, MotorKey, Plant, State, testing};
 
 /// Both directions, slow passages through zero, dither of 40 ms; another run for each seed.
-fn events(seed: u64) -> Vec<(f64, f64)> {
+fn record(truth: &Model, period_s: f64, seed: u64) -> Scenario {
     let levels = [
         30.0, 80.0, 45.0, 6.0, -6.0, -45.0, -90.0, -20.0, 5.0, 60.0, 100.0, -70.0,
     ];
-    let mut events = vec![(0.0, 0.0)];
-    for step in 0..150_u64 {
+    let event = |step: u64| {
         let level = levels[((step / 12 + 5 * seed) % 12) as usize];
         // A small generator of signs; no two runs dither alike.
-        let sign = if (step * step * 7 + step * 3 + seed * 11) % 5 < 2 {
-            -1.0
-        } else {
-            1.0
-        };
-        events.push((0.4 + 0.04 * step as f64, level + 5.0 * sign));
-    }
-    events
+        let is_below = (step * step * 7 + step * 3 + seed * 11) % 5 < 2;
+        (
+            0.4 + 0.04 * step as f64,
+            level + if is_below { -5.0 } else { 5.0 },
+        )
+    };
+    let events = std::iter::once((0.0, 0.0)).chain((0..150).map(event));
+    testing::record(truth, events.collect(), period_s, 6.4, seed)
 }
 
-fn record(truth: &Model, period_s: f64, seed: u64) -> Scenario {
-    testing::record(truth, events(seed), period_s, 6.4, seed)
-}
-
-fn with(id: &str, values: &[f64]) -> Model {
-    let mut model = nameplate().with_effect(id).unwrap();
-    model.effects[0].values = values.iter().copied().map(Some).collect();
-    model
-}
-
-fn nameplate() -> Model {
-    Model::baseline(Motor::zk_22fc())
+fn floor(run: &Scenario) -> NoiseFloor {
+    NoiseFloor::from_standstill(run).unwrap()
 }
 
 /// The baseline fitted to one run of the truth and located on another.
 fn located(truth: &Model, period_s: f64, error_of: ErrorOf) -> Located {
     let run = record(truth, period_s, 1);
-    let noise = NoiseFloor::from_standstill(&run).unwrap();
-    let fit = output_error::fit(&[nameplate()], &run, &noise).unwrap();
-    locate(&fit.model, &record(truth, period_s, 2), &noise, error_of).unwrap()
+    let fit = output_error::fit(&[nameplate()], &run, &floor(&run)).unwrap();
+    locate(
+        &fit.model,
+        &record(truth, period_s, 2),
+        &floor(&run),
+        error_of,
+    )
+    .unwrap()
 }
 
 #[test]
@@ -61,10 +58,10 @@ fn a_right_model_has_balances_at_the_noise_and_no_place() {
 
 #[test]
 fn the_first_place_names_equation_and_axis() {
-    for (id, values, period_s, equation, variable) in [
+    let cases: [(&str, &[f64], f64, &str, &str); 7] = [
         (
             "stribeck_friction",
-            &[0.2, 10.0][..],
+            &[0.2, 10.0],
             0.001,
             "torque",
             "speed_rad_s",
@@ -81,14 +78,15 @@ fn the_first_place_names_equation_and_axis() {
             "time_s",
         ),
         ("constant_load", &[0.1], 0.001, "torque", "offset_n_m"),
-    ] {
-        let found = located(&with(id, values), period_s, ErrorOf::Model);
+    ];
+    for (id, values, period_s, equation, variable) in cases {
+        let found = located(&truth(id, values), period_s, ErrorOf::Model);
         let first = &found.locations[0];
+        let place = (first.equation, first.variable);
         assert_eq!(
-            (first.equation, first.variable),
+            place,
             (equation, variable),
-            "{id} at {period_s} s: {:#?}",
-            found.locations
+            "{id} at {period_s} s: {found:#?}"
         );
         assert_eq!(found.balances[0].equation, equation);
         assert!(found.balances[0].nres.unwrap() > 1.3 && found.balances[0].fails);
@@ -101,11 +99,8 @@ fn the_first_place_names_equation_and_axis() {
 
 #[test]
 fn friction_that_grows_towards_zero_speed_lies_in_a_narrow_range() {
-    let found = located(
-        &with("stribeck_friction", &[0.2, 10.0]),
-        0.001,
-        ErrorOf::Structure,
-    );
+    let peak = truth("stribeck_friction", &[0.2, 10.0]);
+    let found = located(&peak, 0.001, ErrorOf::Structure);
     let first = &found.locations[0];
     assert!(first.to < 30.0 && first.from > -30.0, "{first:?}");
     assert!(
@@ -117,7 +112,6 @@ fn friction_that_grows_towards_zero_speed_lies_in_a_narrow_range() {
 #[test]
 fn a_wrong_value_of_the_motor_is_told_as_one() {
     let run = record(&nameplate(), 0.001, 3);
-    let noise = NoiseFloor::from_standstill(&run).unwrap();
     for (key, factor, equation, variable) in [
         (MotorKey::Resistance, 0.8, "voltage", "current_a"),
         (MotorKey::BackEmf, 1.05, "voltage", "speed_rad_s"),
@@ -129,24 +123,19 @@ fn a_wrong_value_of_the_motor_is_told_as_one() {
         wrong.motor.set(MotorKey::TorqueConstant, 0.3538);
         let value = wrong.motor.get(key).unwrap();
         wrong.motor.set(key, factor * value);
-        let found = locate(&wrong, &run, &noise, ErrorOf::Model).unwrap();
+        let found = locate(&wrong, &run, &floor(&run), ErrorOf::Model).unwrap();
         let first = &found.locations[0];
         assert_eq!(
             (first.equation, first.variable),
             (equation, variable),
             "{first:?}"
         );
-        let change = found.balances[0]
-            .own_changes
-            .iter()
-            .find(|c| c.key == key.key())
-            .unwrap();
-        assert!(
-            (change.by / ((1.0 - factor) * value) - 1.0).abs() < 0.05,
-            "{change:?}"
-        );
+        let mut changes = found.balances[0].own_changes.iter();
+        let change = changes.find(|change| change.key == key.key()).unwrap();
+        let off = change.by / ((1.0 - factor) * value) - 1.0;
+        assert!(off.abs() < 0.05, "{change:?}");
         // As a question for the structure it is no fault at all.
-        let structure = locate(&wrong, &run, &noise, ErrorOf::Structure).unwrap();
+        let structure = locate(&wrong, &run, &floor(&run), ErrorOf::Structure).unwrap();
         assert_eq!(structure.locations, vec![], "{key:?}");
     }
 }
@@ -154,35 +143,29 @@ fn a_wrong_value_of_the_motor_is_told_as_one() {
 #[test]
 fn an_exact_model_of_a_run_without_noise_fails_nowhere() {
     let mut run = record(&nameplate(), 0.001, 4);
-    let exact = crate::plant::Plant::new(&nameplate(), Input::Voltage)
-        .unwrap()
-        .simulate(&run, crate::plant::State::default());
+    let mut plant = Plant::new(&nameplate(), Input::Voltage).unwrap();
+    let exact = plant.simulate(&run, State::default());
     (run.current_a, run.speed_rad_s) = (exact.current_a, exact.speed_rad_s);
     let noise = NoiseFloor::from_spread(&run);
     let found = locate(&nameplate(), &run, &noise, ErrorOf::Model).unwrap();
     assert_eq!(found.locations, vec![]);
-    assert!(
-        found.balances.iter().all(|b| b.nres.is_none() && !b.fails),
-        "{:?}",
-        found.balances
-    );
+    let holds = |balance: &EquationBalance| balance.nres.is_none() && !balance.fails;
+    assert!(found.balances.iter().all(holds), "{:?}", found.balances);
 }
 
 #[test]
 fn a_missing_signal_and_a_short_run_are_said() {
     let mut run = record(&nameplate(), 0.001, 5);
-    let noise = NoiseFloor::from_standstill(&run).unwrap();
+    let noise = floor(&run);
     run.current_a.fill(f64::NAN);
     let found = locate(&nameplate(), &run, &noise, ErrorOf::Model).unwrap();
-    assert!(
-        found.balances.is_empty() && found.notes[0].contains("no current"),
-        "{:?}",
-        found.notes
-    );
+    assert!(found.balances.is_empty());
+    assert!(found.notes[0].contains("no current"), "{:?}", found.notes);
     let (short, _) = record(&nameplate(), 0.001, 6).split(0.1);
     let found = locate(&nameplate(), &short, &noise, ErrorOf::Model).unwrap();
+    let mut notes = found.notes.iter();
     assert!(
-        found.notes.iter().any(|note| note.contains("longer run")),
+        notes.any(|note| note.contains("longer run")),
         "{:?}",
         found.notes
     );
@@ -191,14 +174,13 @@ fn a_missing_signal_and_a_short_run_are_said() {
 #[test]
 fn the_map_counts_every_window_once() {
     let run = record(&nameplate(), 0.001, 7);
-    let noise = NoiseFloor::from_standstill(&run).unwrap();
-    let map = locate(&nameplate(), &run, &noise, ErrorOf::Model)
-        .unwrap()
-        .map
-        .unwrap();
-    let counted: usize = map.count.iter().flatten().sum();
-    let windows = Windows::new(&nameplate(), &run, &noise).unwrap().each.len();
-    assert_eq!(counted, windows);
+    let found = locate(&nameplate(), &run, &floor(&run), ErrorOf::Model).unwrap();
+    let map = found.map.unwrap();
+    let windows = Windows::new(&nameplate(), &run, &floor(&run)).unwrap();
+    assert_eq!(
+        map.count.iter().flatten().sum::<usize>(),
+        windows.each.len()
+    );
     for (counts, errors) in map.count.iter().zip(&map.voltage_rms_v) {
         for (count, error) in counts.iter().zip(errors) {
             assert_eq!(*count > 0, error.is_some());
@@ -209,55 +191,42 @@ fn the_map_counts_every_window_once() {
 /// A torque that no model has: a shaker at 7.3 Hz, put into the run by hand.
 #[test]
 fn a_shaker_is_a_line_at_its_frequency() {
-    let shaken = |torque: f64| {
-        let mut run = record(&nameplate(), 0.001, 8);
-        // The speed that such a torque alone adds: amplitude / (J w), a quarter of a period late.
-        let w = std::f64::consts::TAU * 7.3;
-        for (speed, time_s) in run.speed_rad_s.iter_mut().zip(&run.sample_time_s) {
-            *speed += torque / (0.0045 * w) * (w * time_s).cos();
-        }
-        run
-    };
-    let run = shaken(0.15);
-    let mut noise = NoiseFloor::from_standstill(&record(&nameplate(), 0.001, 8)).unwrap();
+    let mut run = record(&nameplate(), 0.001, 8);
+    let mut noise = floor(&run);
     noise.samples = 400;
+    // The speed that such a torque alone adds: amplitude / (J w), a quarter of a period late.
+    let (w, torque_n_m) = (TAU * 7.3, 0.15);
+    for (speed, time_s) in run.speed_rad_s.iter_mut().zip(&run.sample_time_s) {
+        *speed += torque_n_m / (0.0045 * w) * (w * time_s).cos();
+    }
     let found = locate(&nameplate(), &run, &noise, ErrorOf::Structure).unwrap();
-    let line = found
-        .locations
-        .iter()
-        .find(|l| l.variable == "frequency_hz")
-        .unwrap();
+    let mut locations = found.locations.iter();
+    let line = locations.find(|l| l.variable == "frequency_hz").unwrap();
     assert!(
         line.from <= 7.32 && line.to >= 7.28 && line.to - line.from < 0.3,
         "{line:?}"
     );
     assert_eq!(line.equation, "torque");
+    assert!(line.sentence.contains("with 0.15 N.m"), "{}", line.sentence);
 }
 
 /// A failing balance of so many times its noise over 200 windows, and the variables that its error follows.
 fn failing(
-    equation: Equation,
+    equation: &'static str,
     size: f64,
     follows: &[(&'static str, f64)],
 ) -> (EquationBalance, Vec<FailureLocation>) {
     let balance = EquationBalance {
-        equation: equation.name(),
-        unit: equation.unit(),
+        equation,
         nres: Some(size),
         nres_refitted: Some(size),
-        own_changes: Vec::new(),
-        rms: 0.1,
-        relative: 0.1,
-        share_of_error: None,
-        forward_share_of_error: None,
-        forward_share_of_time: None,
         windows: 200,
         refitted: true,
         fails: true,
-        sentence: String::new(),
+        ..EquationBalance::default()
     };
     let location = |&(variable, follows): &(&'static str, f64)| FailureLocation {
-        equation: equation.name(),
+        equation,
         variable,
         from: 0.0,
         to: 1.0,
@@ -272,26 +241,152 @@ fn failing(
 
 #[test]
 fn neither_of_two_that_are_alike_is_said_to_be_the_one() {
-    let says = |torque: (f64, &[(&'static str, f64)]), voltage: (f64, &[(&'static str, f64)])| {
-        let (first, mut locations) = failing(Equation::Torque, torque.0, torque.1);
-        let (second, more) = failing(Equation::Voltage, voltage.0, voltage.1);
-        locations.extend(more);
-        undecided(&[first, second], &locations)
-    };
     let speed: &[_] = &[("speed_rad_s", 0.9)];
-    // Sizes of 3.0 and 2.9 from 200 windows that overlap are one size, whichever comes first in the next run.
-    let alike = says((3.0, speed), (2.9, speed)).unwrap();
-    assert!(
-        alike.starts_with("the torque and the voltage equation fail alike"),
-        "{alike}"
-    );
-    assert_eq!(says((3.0, speed), (1.5, speed)), None);
     let both: &[_] = &[("speed_rad_s", 0.92), ("angle_rad", 0.9)];
-    let alike = says((3.0, both), (1.5, speed)).unwrap();
-    assert_eq!(
-        alike,
-        "the torque error follows the speed and the angle alike (92 and 90 %): which of them these runs do not tell"
-    );
     let one: &[_] = &[("speed_rad_s", 0.92), ("time_s", 0.4)];
-    assert_eq!(says((3.0, one), (1.5, speed)), None);
+    // Sizes of 3.0 and 2.9 from 200 windows that overlap are one size, whichever comes first in the next run.
+    let equations = "the torque and the voltage equation fail alike: which of them lacks something these runs do not tell";
+    let axes = "the torque error follows the speed and the angle alike (92 and 90 %): which of them these runs do not tell";
+    for (torque, less, expected) in [
+        (speed, 2.9, Some(equations)),
+        (speed, 1.5, None),
+        (both, 1.5, Some(axes)),
+        (one, 1.5, None),
+    ] {
+        let (first, mut locations) = failing("torque", 3.0, torque);
+        let (second, more) = failing("voltage", less, speed);
+        locations.extend(more);
+        let found = undecided(&[first, second], &locations);
+        assert_eq!(found.as_deref(), expected, "{torque:?} {less}");
+    }
+}
+
+/// The curves of what the nameplate's motor lacks in a rich run.
+fn curves(truth: &Model, seed: u64, period_s: f64, until_s: f64) -> Vec<AxisMap> {
+    let run = testing::record(truth, rich(seed, until_s), period_s, until_s, seed);
+    axis_map(&nameplate(), &run, &floor(&run)).unwrap()
+}
+
+#[test]
+fn a_true_model_leaves_nothing_that_follows_an_axis() {
+    let mut all = Vec::new();
+    for (seeds, period_s, until_s) in [(0..5, 0.001, 12.0), (0..2, 0.01, 10.0)] {
+        for seed in seeds {
+            let found = curves(&nameplate(), seed, period_s, until_s);
+            assert!(found.len() >= 8);
+            for map in &found {
+                // Some 400 windows that overlap: by chance up to three times the spread of 0.015.
+                assert!(map.r2 < 0.06, "{seed} {period_s}: {map:?}");
+                assert!(!map.sentence.contains("% of"), "{map:?}");
+            }
+            all.extend(found.iter().map(|map| map.r2));
+        }
+    }
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    assert!(mean < 0.01, "{mean}");
+}
+
+#[test]
+fn a_bump_over_the_speed_shows_as_a_curve_with_its_place_and_height() {
+    let bump = unheard_of("torque", "a*exp(-((w-118)/15)^2)", 0.18);
+    let first = &curves(&bump, 7, 0.001, 12.0)[0];
+    assert_eq!((first.equation, first.axis), ("torque", "speed_rad_s"));
+    assert!(first.r2 > 0.85, "{first:?}");
+    let values = &first.values;
+    let peak = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b]));
+    let peak = peak.unwrap();
+    assert!((first.knots[peak] - 118.0).abs() < 8.0, "{first:?}");
+    assert!((values[peak] - 0.18).abs() < 0.04, "{first:?}");
+    assert!(
+        first.std[peak] < 0.02 && first.error_over_noise.unwrap() > 2.0,
+        "{first:?}"
+    );
+}
+
+#[test]
+fn each_error_is_put_on_its_own_axis() {
+    for (equation, expression, size, period_s, axis, least) in [
+        ("torque", "a*abs(w)*w", 2e-6, 0.001, "speed_rad_s", 0.84),
+        ("torque", "a*sin(theta)", 0.12, 0.001, "angle_rad", 0.93),
+        ("voltage", "a*tanh(i/0.05)", 1.0, 0.001, "current_a", 0.9),
+        (
+            "torque",
+            "a*sin(2*pi*4.625*t)",
+            0.1,
+            0.001,
+            "frequency_hz",
+            0.91,
+        ),
+        ("torque", "a*(1+sgn(t-6))/2", 0.1, 0.001, "time_s", 0.73),
+        ("torque", "a*abs(w)*w", 2e-6, 0.01, "speed_rad_s", 0.8),
+        ("torque", "a*sin(theta)", 0.12, 0.01, "angle_rad", 0.7),
+        ("voltage", "a*tanh(i/0.05)", 1.0, 0.01, "current_a", 0.7),
+    ] {
+        let found = curves(&unheard_of(equation, expression, size), 7, period_s, 12.0);
+        let first = &found[0];
+        let case = format!("{expression} at {period_s} s: {found:#?}");
+        assert_eq!((first.equation, first.axis), (equation, axis), "{case}");
+        assert!(first.r2 > least, "{case}");
+        if axis == "frequency_hz" {
+            assert!((first.knots[0] - 4.625).abs() < 0.01, "{case}");
+            assert!((first.values[0] / 0.1 - 1.0).abs() < 0.05, "{case}");
+        }
+    }
+}
+
+#[test]
+fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
+    let fan = unheard_of("torque", "a*abs(w)*w", 2e-6);
+    let mut run = testing::record(&fan, rich(7, 8.0), 0.001, 8.0, 7);
+    let torques = run.current_a.iter().map(|current| 0.3538 * current);
+    run.events = run.sample_time_s.iter().copied().zip(torques).collect();
+    run.input = Input::Torque;
+    let motor = Motor::new("axis")
+        .with(MotorKey::Inertia, 0.0045)
+        .with(MotorKey::LoadTorque, 0.455);
+    let noise = NoiseFloor::from_spread(&run);
+    let found = axis_map(&Model::baseline(motor), &run, &noise).unwrap();
+    assert_eq!(
+        (found[0].axis, found[0].r2 > 0.6),
+        ("speed_rad_s", true),
+        "{found:#?}"
+    );
+    for map in &found {
+        assert_eq!(map.equation, "torque");
+        assert!(!["current_a", "voltage_v"].contains(&map.axis), "{map:?}");
+    }
+}
+
+#[test]
+#[ignore = "needs DRIVEBENCH_DATA, a folder with hidden-effects"]
+fn on_the_data_at_hand_the_axis_of_the_hidden_effect_comes_first() {
+    let folder = std::env::var("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
+    for (set, equation, axis, least) in [
+        (3, "torque", "speed_rad_s", 0.84),
+        (4, "voltage", "current_a", 0.96),
+        (5, "voltage", "time_s", 0.4),
+        (12, "torque", "speed_rad_s", 0.9),
+    ] {
+        for part in ["train", "holdout"] {
+            let path = format!("{folder}/hidden-effects/set{set:02}_{part}.csv");
+            let run = crate::recording::open_run(path.as_ref(), None).unwrap().run;
+            let run = Scenario::from_run(&run).unwrap();
+            let found = axis_map(&nameplate(), &run, &floor(&run)).unwrap();
+            let first = &found[0];
+            assert_eq!(
+                (first.equation, first.axis),
+                (equation, axis),
+                "{set}: {first:?}"
+            );
+            assert!(first.r2 > least, "{set} {part}: {first:?}");
+            if set == 12 {
+                let size = |knot: &usize| first.values[*knot].abs();
+                let peak = (0..first.values.len()).max_by(|a, b| size(a).total_cmp(&size(b)));
+                assert!(
+                    (first.knots[peak.unwrap()].abs() - 118.1).abs() < 5.0,
+                    "{first:?}"
+                );
+            }
+        }
+    }
 }

@@ -1,12 +1,14 @@
-//! What was found, in one plain sentence each.
+//! Sentences: each location and each balance in words for a person.
 
 use super::axis::{Axis, Shape};
-use super::{Equation, EquationBalance};
-use crate::plant::MotorKey;
+use super::{EquationBalance, name, unit};
+use crate::plant::{Balance, MotorKey};
 use crate::text::number::{share, shortest};
 
 /// Share of the time above which a region is the whole range.
-const NEARLY_ALL: f64 = 0.75;
+const NEARLY_ALL_SHARE: f64 = 0.75;
+/// Fall of the error, in multiples of the noise, from which on it is worth a word that the motor's values may move.
+const WORTH_SAYING_NRES: f64 = 0.1;
 
 /// Three digits are what such a place or size carries.
 fn figure(value: f64) -> String {
@@ -34,20 +36,27 @@ pub(super) fn name_of_variable(variable: &str) -> &'static str {
 
 /// The sentence of one variable.
 pub(super) fn sentence(axis: &Axis) -> String {
-    let equation = axis.equation.name();
-    let unit = axis.equation.unit();
+    let (equation, unit) = (name(axis.equation), unit(axis.equation));
     let follows = share(axis.follows);
-    let (name, _) = name_and_unit(axis.variable);
+    let variable = name_of_variable(axis.variable);
     match &axis.shape {
         Shape::Curve => range(axis).unwrap_or_else(|| {
-            format!("{follows} of the {equation} error follows the {name}, over its whole range")
-        }),
-        Shape::Own { key, by, share } => {
             format!(
-                "{follows} of the {equation} error follows the {name}, {}",
-                own(*key, *by, *share)
+                "{follows} of the {equation} error follows the {variable}, over its whole range"
             )
-        }
+        }),
+        Shape::Own {
+            key,
+            by,
+            share: part,
+        } => format!(
+            "{follows} of the {equation} error follows the {variable}, as {} {} too {} in the model would make it ({} {})",
+            name_of(*key),
+            share(part.abs()),
+            if *by > 0.0 { "low" } else { "high" },
+            figure(by.abs()),
+            key.unit()
+        ),
         Shape::Turns { order, amplitude } => format!(
             "{follows} of the {equation} error follows the angle: it repeats {}, with {} {unit}",
             match order {
@@ -97,7 +106,7 @@ pub(super) fn sentence(axis: &Axis) -> String {
 /// "85 % of the torque error lies below 12 rad/s (11 % of the time)"; `None` where the range is nearly everything.
 fn range(axis: &Axis) -> Option<String> {
     let region = &axis.region;
-    if region.share_of_time > NEARLY_ALL {
+    if region.share_of_time > NEARLY_ALL_SHARE {
         return None;
     }
     let (_, unit) = name_and_unit(axis.variable);
@@ -113,20 +122,9 @@ fn range(axis: &Axis) -> Option<String> {
     Some(format!(
         "{} of the {} error lies {place} ({} of the time)",
         share(region.share_of_error),
-        axis.equation.name(),
+        name(axis.equation),
         share(region.share_of_time)
     ))
-}
-
-fn own(key: MotorKey, by: f64, part: f64) -> String {
-    let name = name_of(key);
-    format!(
-        "as {name} {} too {} in the model would make it ({} {})",
-        share(part.abs()),
-        if by > 0.0 { "low" } else { "high" },
-        figure(by.abs()),
-        key.unit()
-    )
 }
 
 /// Writes the sentence of a whole balance.
@@ -137,7 +135,7 @@ pub(super) fn describe(balance: &mut EquationBalance, first: Option<&Axis>) {
         None => format!(
             "{} % of the {} (no noise is known to compare it with)",
             figure(100.0 * balance.relative),
-            if name == Equation::Torque.name() {
+            if name == super::name(Balance::Torque) {
                 "driving torque"
             } else {
                 "voltage"
@@ -145,7 +143,7 @@ pub(super) fn describe(balance: &mut EquationBalance, first: Option<&Axis>) {
         ),
     };
     let moved = match (balance.refitted, balance.nres, balance.nres_refitted) {
-        (true, Some(before), Some(after)) if before - after > 0.1 => format!(
+        (true, Some(before), Some(after)) if before - after > WORTH_SAYING_NRES => format!(
             ", {after:.2} times where {} may move",
             largest_change(balance)
         ),

@@ -8,16 +8,11 @@
 //!                            the best, refitted in full <--- the smaller of the two, over c-hat
 //! ```
 //!
-//! DISCOVERY.md 2.11, after the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
+//! After the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
 //! run is the one in which the rival still differs when it has been fitted to the old data and the new.
 
-mod equivalence;
-mod limits;
-mod menu;
-mod planned;
+mod plan;
 mod recommend;
-mod reveal;
-mod rival;
 mod separation;
 mod words;
 
@@ -25,10 +20,11 @@ use std::path::Path;
 
 use serde::Serialize;
 
-pub use equivalence::equivalences;
-pub use limits::ExperimentLimits;
-pub use menu::Recipe;
-pub use planned::Peaks;
+use super::evidence::{Evidence, HoldoutFrom};
+use crate::numerics::statistics::{largest, median};
+use crate::plant::Scenario;
+
+pub use plan::{Peaks, Recipe};
 pub use recommend::{menu_within, next_experiment, recommend};
 
 /// Difference of the squared errors, in units of the noise, below which a run tells nothing apart: the block test of the
@@ -65,14 +61,9 @@ impl NextExperiment {
     /// What to call after the run. Of rivals the run in hand says something too, so it is the hold-out; what it did not
     /// excite it cannot judge.
     pub fn diagnose_command(&self, in_hand: &Path) -> String {
-        if self.pair.is_some() {
-            format!(
-                "drivebench diagnose NEW_RUN --holdout {}",
-                in_hand.display()
-            )
-        } else {
-            "drivebench diagnose NEW_RUN".to_owned()
-        }
+        let holdout = || format!(" --holdout {}", in_hand.display());
+        let holdout = self.pair.map_or_else(String::new, |_| holdout());
+        format!("drivebench diagnose NEW_RUN{holdout}")
     }
 }
 
@@ -112,6 +103,121 @@ impl MenuEntry {
     /// Whether the run tells every pair apart.
     pub fn is_told(&self) -> bool {
         self.expected_separation >= self.needed
+    }
+}
+
+/// Largest magnitudes of a run that is still to be made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExperimentLimits {
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    /// Root mean square of the current over the run: the heat in the winding.
+    pub rms_current_a: f64,
+    /// Distance from the angle at the start; none: the shaft turns freely.
+    pub travel_rad: Option<f64>,
+    pub duration_s: f64,
+    /// Largest change of the voltage; infinite: as fast as the current allows.
+    pub slew_v_per_s: f64,
+    /// Time between two commands.
+    pub period_s: f64,
+}
+
+/// Longest run where nothing else limits it, s.
+const LONGEST_RUN_S: f64 = 60.0;
+
+impl ExperimentLimits {
+    /// Nothing beyond what the runs in hand have reached, with the heat of all of them in the time of one.
+    pub fn seen_in(evidence: &Evidence) -> Self {
+        let mut limits = Self {
+            voltage_v: 0.0,
+            current_a: 0.0,
+            speed_rad_s: 0.0,
+            rms_current_a: 0.0,
+            travel_rad: None,
+            duration_s: LONGEST_RUN_S,
+            slew_v_per_s: 0.0,
+            period_s: period_s(&evidence.training),
+        };
+        let mut runs = vec![&evidence.training];
+        // A split hold-out is the same run.
+        if evidence.holdout_from == HoldoutFrom::Run {
+            runs.push(&evidence.holdout);
+        } else {
+            runs[0] = &evidence.holdout;
+        }
+        runs.extend(&evidence.confirm);
+        let (mut heat, mut longest_s) = (0.0, 0.0_f64);
+        for run in runs {
+            let voltages = run.events.iter().map(|event| event.1);
+            limits.voltage_v = limits.voltage_v.max(largest(voltages));
+            limits.slew_v_per_s = limits.slew_v_per_s.max(slew_v_per_s(run));
+            limits.current_a = limits.current_a.max(largest(run.current_a.iter().copied()));
+            limits.speed_rad_s = limits
+                .speed_rad_s
+                .max(largest(run.speed_rad_s.iter().copied()));
+            let duration_s = duration_s(run);
+            heat += mean_square(&run.current_a) * duration_s;
+            longest_s = longest_s.max(duration_s);
+        }
+        limits.rms_current_a = (heat / longest_s.max(f64::MIN_POSITIVE)).sqrt();
+        // A signal that was not recorded limits nothing that can be checked.
+        for limit in [
+            &mut limits.current_a,
+            &mut limits.speed_rad_s,
+            &mut limits.rms_current_a,
+            &mut limits.slew_v_per_s,
+        ] {
+            if *limit <= 0.0 {
+                *limit = f64::INFINITY;
+            }
+        }
+        limits
+    }
+}
+
+/// Time between two samples, s.
+fn period_s(run: &Scenario) -> f64 {
+    let pairs = run.sample_time_s.windows(2);
+    let steps: Vec<f64> = pairs.map(|pair| pair[1] - pair[0]).collect();
+    // A stamp carries rounding; nobody asks for more than microseconds.
+    (median(&steps) * 1e6).round() * 1e-6
+}
+
+/// Largest change of the voltage from one event to the next, which is made within a sample.
+fn slew_v_per_s(run: &Scenario) -> f64 {
+    let pairs = run.events.windows(2);
+    let changes = pairs.map(|pair| pair[1].1 - pair[0].1);
+    largest(changes) / period_s(run).max(f64::MIN_POSITIVE)
+}
+
+fn mean_square(values: &[f64]) -> f64 {
+    let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    present.iter().map(|v| v * v).sum::<f64>() / present.len().max(1) as f64
+}
+
+fn duration_s(run: &Scenario) -> f64 {
+    run.sample_time_s[run.samples() - 1] - run.sample_time_s[0]
+}
+
+/// What no run tells apart, because it is one equation: stated, never computed.
+///
+/// What cannot be known of an effect of this id from voltage, current, speed and angle.
+pub fn equivalences(effect: &str) -> &'static [&'static str] {
+    match effect {
+        "viscous_friction" => &[
+            "viscous friction and the drag of eddy currents are one equation: no run tells them apart; drive the machine \
+             with the rotor's magnets out (or the field off), or run it cold and warm",
+        ],
+        "constant_load" => &[
+            "a constant load torque and Coulomb friction that depends on the direction are one equation while the load \
+             is below the friction: no run tells them apart; turn the machine round on its bench, or take the load off",
+        ],
+        "field_change" => &[
+            "a change of flux and a gain error of the speed sensor are one equation: no run tells them apart; check the \
+             sensor against a counter",
+        ],
+        _ => &[],
     }
 }
 

@@ -1,12 +1,13 @@
 //! Pairs that one run does not tell apart: the recommended run is made, and tells them apart as it was expected to.
 
 use super::*;
-use crate::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, diagnose};
+use crate::diagnosis::kit::{held, nameplate, truth as with};
+use crate::diagnosis::{Diagnosis, DiagnosisVerdict, diagnose};
 use crate::excitation::{Output, Program};
 use crate::identification::output_error::{self, FreeRun};
 use crate::numerics::count::whole;
 use crate::numerics::levenberg_marquardt::{Options, Problem, minimise};
-use crate::plant::{Model, Motor, Scenario, testing};
+use crate::plant::{Model, testing};
 
 const LIMITS: ExperimentLimits = ExperimentLimits {
     voltage_v: 110.0,
@@ -20,39 +21,24 @@ const LIMITS: ExperimentLimits = ExperimentLimits {
 };
 const PERIOD_S: f64 = 0.004;
 
-fn nameplate() -> Model {
-    Model::baseline(Motor::zk_22fc())
-}
-
-fn with(id: &str, values: &[f64]) -> Model {
-    let mut model = nameplate().with_effect(id).unwrap();
-    model.effects[0].values = values.iter().copied().map(Some).collect();
-    model
-}
-
-/// Levels held for `hold_s` each, after a rest.
-fn held(levels_v: &[f64], hold_s: f64) -> Vec<(f64, f64)> {
-    let mut events = vec![(0.0, 0.0)];
-    for (index, level_v) in levels_v.iter().enumerate() {
-        events.push((0.5 + hold_s * index as f64, *level_v));
-    }
-    events
+/// The commands of a recipe in steps of `period_s`, and how long they take.
+fn commands(recipe: &Recipe, period_s: f64) -> (Vec<(f64, f64)>, f64) {
+    let program = Program::new(&recipe.segments, recipe.slew_v_per_s).unwrap();
+    let command = |row: usize| {
+        let time_s = row as f64 * period_s;
+        match program.value_at(time_s) {
+            Output::Voltage(volts) => (time_s, volts),
+            Output::Coast => panic!("no recipe coasts"),
+        }
+    };
+    let rows = whole(program.duration_s() / period_s);
+    ((0..rows).map(command).collect(), program.duration_s())
 }
 
 /// The recipe as the machine would answer it.
 fn made(truth: &Model, recipe: &Recipe, seed: u64) -> Scenario {
-    let program = Program::new(&recipe.segments, recipe.slew_v_per_s).unwrap();
-    let rows = whole(program.duration_s() / PERIOD_S);
-    let events = (0..rows)
-        .map(|row| {
-            let time_s = row as f64 * PERIOD_S;
-            match program.value_at(time_s) {
-                Output::Voltage(volts) => (time_s, volts),
-                Output::Coast => panic!("no recipe coasts"),
-            }
-        })
-        .collect();
-    testing::record(truth, events, PERIOD_S, program.duration_s(), seed)
+    let (events, seconds) = commands(recipe, PERIOD_S);
+    testing::record(truth, events, PERIOD_S, seconds, seed)
 }
 
 /// One model on two runs at once: what "fitted to the old data and the new" means.
@@ -107,24 +93,13 @@ struct Answer {
 
 /// Recommends, makes the run, and diagnoses it.
 fn answer(case: &Case) -> Answer {
-    let run = |seed| {
-        testing::record(
-            &case.truth,
-            case.events.clone(),
-            PERIOD_S,
-            case.seconds,
-            seed,
-        )
-    };
+    let events = || case.events.clone();
+    let run = |seed| testing::record(&case.truth, events(), PERIOD_S, case.seconds, seed);
     let evidence = Evidence::new(run(1), Some(run(2)), None);
     let fitted = |model: &Model| {
-        output_error::fit(
-            std::slice::from_ref(model),
-            &evidence.training,
-            &evidence.noise,
-        )
-        .unwrap()
-        .model
+        let start = std::slice::from_ref(model);
+        let fit = output_error::fit(start, &evidence.training, &evidence.noise);
+        fit.unwrap().model
     };
     let (truth, rival) = (fitted(&case.truth), fitted(&case.rival));
     let next = next_experiment([&truth, &rival], &evidence, &LIMITS)
@@ -158,26 +133,22 @@ fn entry(next: &NextExperiment, program: &str) -> f64 {
 /// The run is expected to separate, does so to the same order, and its diagnosis names the truth alone.
 /// A `useless` run promises next to nothing.
 fn told_apart(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
-    let answer = answer(case);
-    let expected = answer.next.expected_separation;
-    assert!(expected > SEPARATED, "{}", answer.next.sentence);
+    let Answer {
+        next,
+        obtained,
+        again,
+    } = answer(case);
+    let (expected, said) = (next.expected_separation, &next.sentence);
+    assert!(expected > SEPARATED, "{said}");
     // The menu asks of a run what the decision asks of it.
-    let recipe = answer.next.recipe.as_ref().unwrap();
-    let mut menu = answer.next.menu.iter();
-    let chosen = menu.find(|entry| entry.program == recipe.id).unwrap();
+    let recommended = next.recipe.as_ref().unwrap().id;
+    let mut menu = next.menu.iter();
+    let chosen = menu.find(|entry| entry.program == recommended).unwrap();
     assert!(chosen.is_told(), "{chosen:?}");
-    assert_eq!(
-        chosen.needed.to_bits(),
-        answer.next.pairs[0].needed.to_bits()
-    );
-    let ratio = answer.obtained / expected;
-    assert!(
-        (0.3..30.0).contains(&ratio),
-        "{ratio}: {}",
-        answer.next.sentence
-    );
+    assert_eq!(chosen.needed.to_bits(), next.pairs[0].needed.to_bits());
+    let ratio = obtained / expected;
+    assert!((0.3..30.0).contains(&ratio), "{ratio}: {said}");
     let id = case.truth.effects[0].id();
-    let again = &answer.again;
     assert_eq!(
         again.verdict,
         DiagnosisVerdict::Effect,
@@ -185,11 +156,10 @@ fn told_apart(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
         again.sentence
     );
     assert_eq!(again.effects, [id], "{}", again.sentence);
-    let useless = entry(&answer.next, useless);
+    let useless = entry(&next, useless);
     assert!(useless < 0.01 * expected, "{useless} of {expected}");
-    let recommended = answer.next.recipe.as_ref().unwrap().id;
     assert!(best.contains(&recommended), "{recommended}");
-    answer.next
+    next
 }
 
 #[test]
@@ -209,21 +179,18 @@ fn a_drag_law_needs_the_whole_range_of_speeds() {
 #[test]
 fn a_delay_and_a_filter_of_the_speed_need_a_fast_dither() {
     // Up, down and back: slow ramps, whose slope tells that there is a lag but not of which kind.
-    let events = (0..1500)
-        .map(|k| {
-            let time_s = 0.004 * f64::from(k);
-            let leg_s = (time_s - 0.5).max(0.0);
-            (
-                time_s,
-                40.0 * (1.0 - (leg_s / 1.375 - 1.0).abs().min(2.0)
-                    + (leg_s / 1.375 - 3.0).max(0.0)),
-            )
-        })
-        .collect();
+    let command = |k| {
+        let time_s = 0.004 * f64::from(k);
+        let legs = (time_s - 0.5).max(0.0) / 1.375;
+        (
+            time_s,
+            40.0 * (1.0 - (legs - 1.0).abs().min(2.0) + (legs - 3.0).max(0.0)),
+        )
+    };
     let case = Case {
         truth: with("speed_delay", &[0.004]),
         rival: with("speed_filter", &[0.004]),
-        events,
+        events: (0..1500).map(command).collect(),
         seconds: 6.0,
     };
     told_apart(&case, &["fast_dither"], "standstill");
@@ -237,17 +204,14 @@ fn offsets_of_voltage_and_current_need_both_directions() {
         events: held(&[20.0, 60.0, 35.0, 80.0, 50.0, 70.0, 30.0], 0.7),
         seconds: 6.0,
     };
-    told_apart(
-        &case,
-        &[
-            "hard_cycling",
-            "heat_and_repeat",
-            "slow_ramp",
-            "rich",
-            "random_levels",
-        ],
-        "steady_hold",
-    );
+    let best = [
+        "hard_cycling",
+        "heat_and_repeat",
+        "slow_ramp",
+        "rich",
+        "random_levels",
+    ];
+    told_apart(&case, &best, "steady_hold");
 }
 
 #[test]
@@ -258,11 +222,8 @@ fn a_sag_and_a_saturation_need_large_currents_at_several_duties() {
         events: held(&[30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0], 0.7),
         seconds: 6.0,
     };
-    told_apart(
-        &case,
-        &["hard_cycling", "dither_at_speed", "rich"],
-        "standstill",
-    );
+    let best = ["hard_cycling", "dither_at_speed", "rich"];
+    told_apart(&case, &best, "standstill");
 }
 
 #[test]
@@ -280,13 +241,8 @@ fn the_bench_s_slew_is_kept_and_what_a_faster_one_would_tell_is_said() {
     };
     for recipe in menu_within(&case[0], &slow) {
         assert!(recipe.slew_v_per_s <= 200.0, "{recipe:?}");
-        let program = Program::new(&recipe.segments, recipe.slew_v_per_s).unwrap();
-        let volts = |row: usize| match program.value_at(0.01 * row as f64) {
-            Output::Voltage(volts) => volts,
-            Output::Coast => panic!("no recipe coasts"),
-        };
-        for row in 1..whole(program.duration_s() / 0.01) {
-            let change_v = (volts(row) - volts(row - 1)).abs();
+        for pair in commands(&recipe, 0.01).0.windows(2) {
+            let change_v = (pair[1].1 - pair[0].1).abs();
             assert!(
                 change_v <= 2.0 + 1e-9,
                 "{}: {change_v} V in 10 ms",
@@ -301,11 +257,8 @@ fn the_bench_s_slew_is_kept_and_what_a_faster_one_would_tell_is_said() {
     };
     let slowly = recommended(&slow);
     assert!(slowly.recipe.is_none(), "{}", slowly.sentence);
-    assert!(
-        slowly.sentence.contains("with limits.slew_v_per_s"),
-        "{}",
-        slowly.sentence
-    );
+    let said = &slowly.sentence;
+    assert!(said.contains("with limits.slew_v_per_s"), "{said}");
     let freely = recommended(&ExperimentLimits {
         slew_v_per_s: f64::INFINITY,
         ..slow
@@ -315,35 +268,31 @@ fn the_bench_s_slew_is_kept_and_what_a_faster_one_would_tell_is_said() {
 
 #[test]
 fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
+    let evidence_of = |truth: &Model| {
+        let events = held(&[38.0, 55.0], 0.7);
+        let run = |seed| testing::record(truth, events.clone(), PERIOD_S, 2.0, seed);
+        Evidence::new(run(1), Some(run(2)), None)
+    };
     let truth = with("quadratic_load", &[1.5e-6]);
-    let run = |seed| testing::record(&truth, held(&[38.0, 55.0], 0.7), PERIOD_S, 2.0, seed);
-    let evidence = Evidence::new(run(1), Some(run(2)), None);
     let rival = with("viscous_friction", &[4e-4]);
     let tight = ExperimentLimits {
         voltage_v: 3.0,
         current_a: 2.5,
         ..LIMITS
     };
-    let next = next_experiment([&truth, &rival], &evidence, &tight)
-        .unwrap()
-        .unwrap();
+    let next = next_experiment([&truth, &rival], &evidence_of(&truth), &tight);
+    let next = next.unwrap().unwrap();
     assert!(next.recipe.is_none() && next.peaks.is_none());
     assert!(next.expected_separation < SEPARATED);
-    assert!(
-        next.sentence.starts_with("no run of this kind"),
-        "{}",
-        next.sentence
-    );
+    let said = &next.sentence;
+    assert!(said.starts_with("no run of this kind"), "{said}");
     // Offsets are told apart within whatever the runs have reached.
     let truth = with("voltage_offset", &[0.5]);
-    let run = |seed| testing::record(&truth, held(&[38.0, 55.0], 0.7), PERIOD_S, 2.0, seed);
-    let evidence = Evidence::new(run(1), Some(run(2)), None);
     let rival = with("current_offset", &[0.3]);
+    let evidence = evidence_of(&truth);
     let seen = ExperimentLimits::seen_in(&evidence);
-    let next = next_experiment([&truth, &rival], &evidence, &seen)
-        .unwrap()
-        .unwrap();
-    let peaks = next.peaks.unwrap();
+    let next = next_experiment([&truth, &rival], &evidence, &seen);
+    let peaks = next.unwrap().unwrap().peaks.unwrap();
     assert!(
         peaks.voltage_v <= 55.0 && peaks.current_a <= seen.current_a,
         "{peaks:?}"

@@ -1,7 +1,7 @@
-//! A recommendation as sentences.
+//! Sentences: a recommendation in words for a person.
 
 use super::PairEntry;
-use super::planned::Planned;
+use super::plan::Planned;
 use crate::plant::effect;
 use crate::text::number::significant;
 

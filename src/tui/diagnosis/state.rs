@@ -32,16 +32,10 @@ impl Step {
         Self {
             name,
             error,
-            at_floor: noise.source != FloorSource::None && error <= noise.tolerance(AT_THE_FLOOR),
+            at_floor: noise.is_at_the_floor(error),
         }
     }
 }
-
-/// Multiple of the noise up to which an error is at the floor, as the diagnosis itself judges it.
-const AT_THE_FLOOR: f64 = 1.1;
-
-/// Share of the error from which on a curve is worth showing.
-const FOLLOWS: f64 = 0.1;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Over {
@@ -188,7 +182,7 @@ impl State {
     pub(super) fn curves(&self) -> Vec<(usize, &AxisMap)> {
         let maps = self.diagnosis.iter().flat_map(|found| &found.axis_map);
         maps.enumerate()
-            .filter(|(_, map)| map.r2 >= FOLLOWS && Axis::from_key(map.axis).is_some())
+            .filter(|(_, map)| map.is_followed() && Axis::from_key(map.axis).is_some())
             .collect()
     }
 

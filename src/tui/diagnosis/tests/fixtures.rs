@@ -198,6 +198,12 @@ pub(super) fn comparison(rmse: f64) -> Comparison {
             ..ResidualLights::default()
         },
         noise_floor_from: FloorSource::Standstill,
+        noise: NoiseFloor {
+            current_a: 0.03,
+            speed_rad_s: 0.15,
+            source: FloorSource::Standstill,
+            samples: 300,
+        },
         holdout_from: HoldoutFrom::Run,
         holdout_rmse: 5.1,
         limits: Vec::new(),

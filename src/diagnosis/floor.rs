@@ -1,14 +1,18 @@
-//! Where the floor is, and what share of the error above it is explained.
+//! Where the floor is, what share of the error above it is explained, and what a machine does not repeat from one run of an
+//! excitation to the next.
 
-use super::evidence::Evidence;
-use crate::identification::noise::{FloorSource, NoiseFloor};
+use super::evidence::{Evidence, not_repeated};
+use super::joint::Noise;
+use super::joint::free_run::unseen_in;
+use super::location::{FailureLocation, locate_difference};
+use crate::identification::noise::{AT_THE_FLOOR, FloorSource, NoiseFloor};
+use crate::identification::output_error::FitError;
+use crate::plant::Model;
 
-/// Error in units of the floor below which a model explains the run to the noise.
-const AT_THE_FLOOR: f64 = 1.1;
 /// Share of the explainable error from which a named set is sufficient.
-pub(super) const SUFFICIENT: f64 = 0.9;
+pub(super) const SUFFICIENT_SHARE: f64 = 0.9;
 /// The same below which a run that had no part in the answer does not confirm it.
-const EXPLAINS_SOMETHING: f64 = 0.3;
+const EXPLAINS_SOMETHING_SHARE: f64 = 0.3;
 /// Multiple of what holes of a record make on the average that they may make in one run: a few of them make most of it.
 pub(super) const MOST_UNSEEN: f64 = 2.0;
 
@@ -56,7 +60,7 @@ impl<'a> Floor<'a> {
     /// Whether a good part of what lies above the floor, raised by what that is uncertain by, is explained.
     pub(super) fn is_explained_in_part(self, before: f64, after: f64) -> bool {
         let highest = self.highest() * self.evidence.noise.tolerance(1.0);
-        before <= highest || explained(before, after, highest) >= EXPLAINS_SOMETHING
+        before <= highest || explained(before, after, highest) >= EXPLAINS_SOMETHING_SHARE
     }
 }
 
@@ -80,6 +84,73 @@ pub(super) fn in_noise(rms: [Option<f64>; 2], noise: &NoiseFloor) -> Option<f64>
         .collect();
     let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
     (!squares.is_empty()).then(|| mean.sqrt())
+}
+
+/// Multiple of the sensors' noise by which two runs of the same excitation may differ and still repeat.
+const REPEATS: f64 = 1.5;
+
+/// Two runs of the same excitation, each with its own fit of one model.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Repeatability {
+    /// What differs between them, in units of the sensors' noise.
+    pub(super) floor: Option<f64>,
+    /// What the difference follows, where it is more than noise; the most first.
+    pub(super) follows: Vec<FailureLocation>,
+    /// Why nothing is known of it, where a run was repeated.
+    pub(super) why_not: Option<String>,
+}
+
+impl Repeatability {
+    /// Under `model`, with what is random in the runs beside it; empty without a repeated run, or where the sensors' noise is
+    /// not known at rest. Where lost rows make much of what two runs differ by, they do whether the machine repeats or not.
+    pub(super) fn of(model: &Model, evidence: &Evidence, noise: Noise) -> Self {
+        let is_known = evidence.noise.source == FloorSource::Standstill;
+        let Some(repeat) = evidence.repeat.as_ref().filter(|_| is_known) else {
+            return Self::default();
+        };
+        let runs = [&evidence.training, repeat];
+        let unseen = runs.map(|run| {
+            let unseen = unseen_in(run, model, noise, is_known)?;
+            in_noise(unseen.map(Some), &evidence.noise)
+        });
+        let [Some(first), Some(second)] = unseen else {
+            return Self::not_known("the model cannot be followed on both runs");
+        };
+        let floor = Floor::new(evidence, first.hypot(second) / f64::sqrt(2.0));
+        if floor.highest() > REPEATS {
+            return Self::not_known("too many rows were lost");
+        }
+        let found = || -> Result<Self, FitError> {
+            let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, &evidence.noise);
+            let mut found = Self {
+                floor,
+                ..Self::default()
+            };
+            if found.repeats() == Some(false) {
+                found.follows = locate_difference(model, runs, &evidence.noise)?;
+            }
+            Ok(found)
+        };
+        found().unwrap_or_else(|error| Self::not_known(&error.to_string()))
+    }
+
+    fn not_known(reason: &str) -> Self {
+        let why_not = format!("whether this machine repeats is not known: {reason}");
+        Self {
+            why_not: Some(why_not),
+            ..Self::default()
+        }
+    }
+
+    /// Whether the difference is little more than the sensors' noise; none where it is not known.
+    pub(super) fn repeats(&self) -> Option<bool> {
+        self.floor.map(|floor| floor <= REPEATS)
+    }
+
+    /// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
+    pub(super) fn in_motion(&self) -> f64 {
+        self.floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS))
+    }
 }
 
 #[cfg(test)]
