@@ -63,6 +63,9 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let mut rows = RunRows::open(&arguments.run, map.as_ref())?;
     let (settings, configuration_from) = settings(&rows)?;
     let estimator = replay(|| rows.next_row(), OnlineConfig::from(settings))?;
+    if let Some(dialect) = rows.dialect() {
+        output::message(&dialect);
+    }
     let mut warnings = rows.warnings();
     warnings.extend(why_silent(&rows));
     output::warn(&warnings);

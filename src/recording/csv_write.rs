@@ -55,7 +55,7 @@ impl Row {
     }
 }
 
-/// Which columns a `samples.csv` has, in the order of DESIGN.md 5.2.
+/// Which columns a `samples.csv` has, in the order of the contract.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
     channels: Vec<Channel>,
@@ -114,42 +114,53 @@ impl Layout {
         if self.exchange {
             names.extend(["status", "quality"]);
         }
-        names.join(",") + "\n"
+        csv_line(&names)
     }
 
-    /// Writes the row with its line feed into `line`, which is cleared first.
-    pub fn format(&self, row: &Row, line: &mut String) {
-        line.clear();
-        push_number(line, row.time_s);
+    /// The row with its line feed.
+    pub fn line(&self, row: &Row) -> String {
+        let number = |value: Option<f64>| value.map_or_else(String::new, number_text);
+        let mut cells = vec![number_text(row.time_s)];
         if self.host_time {
-            push_cell(line, row.host_time_s);
+            cells.push(number(row.host_time_s));
         }
         if self.exchange {
-            line.push(',');
-            if let Some(seq) = row.seq {
-                let _ = write!(line, "{seq}");
-            }
+            cells.push(row.seq.map_or_else(String::new, |seq| seq.to_string()));
         }
-        for channel in &self.channels {
-            push_cell(line, row.get(*channel));
-        }
+        cells.extend(
+            self.channels
+                .iter()
+                .map(|channel| number(row.get(*channel))),
+        );
         if self.exchange {
-            for text in [&row.status, &row.quality] {
-                line.push(',');
-                line.push_str(text);
-            }
+            cells.extend([row.status.clone(), row.quality.clone()]);
         }
-        line.push('\n');
+        csv_line(&cells)
     }
 }
 
-/// The shortest text that reads back to the same number; never `-0`; empty for what is not finite.
+/// One line of CSV with its line feed.
+fn csv_line(cells: &[impl AsRef<[u8]>]) -> String {
+    let mut line = Vec::new();
+    csv::WriterBuilder::new()
+        .buffer_capacity(256)
+        .from_writer(&mut line)
+        .write_record(cells)
+        .expect("memory takes every text");
+    String::from_utf8(line).expect("the cells are text")
+}
+
+/// The shortest text that reads back to the same number; never `-0`; empty for what is not finite. Far from one the plain
+/// form would be a row of zeros; both forms are the shortest digits that round-trip.
 pub fn number_text(value: f64) -> String {
-    let mut text = String::new();
-    if value.is_finite() {
-        push_number(&mut text, value);
+    let value = value + 0.0; // turns -0 into 0
+    if !value.is_finite() {
+        String::new()
+    } else if value != 0.0 && !(1e-5..1e16).contains(&value.abs()) {
+        format!("{value:e}")
+    } else {
+        value.to_string()
     }
-    text
 }
 
 /// A run as CSV text, for a simulated run or an export: time and the columns that are there.
@@ -160,35 +171,15 @@ pub fn write_run(run: &Run) -> String {
         .collect();
     let layout = Layout::plain(&there);
     let mut text = layout.header();
-    let mut line = String::new();
     for (index, time_s) in run.time_s().iter().enumerate() {
         let mut row = Row::at(*time_s);
         for channel in &there {
             let cell = run.column(*channel).map(|column| column[index]);
             row.set(*channel, cell);
         }
-        layout.format(&row, &mut line);
-        text.push_str(&line);
+        text.push_str(&layout.line(&row));
     }
     text
-}
-
-fn push_cell(line: &mut String, value: Option<f64>) {
-    line.push(',');
-    if let Some(value) = value {
-        push_number(line, value);
-    }
-}
-
-/// Far from one, the plain form would be a row of zeros; both forms are the shortest digits that round-trip.
-fn push_number(line: &mut String, value: f64) {
-    let value = value + 0.0; // turns -0 into 0
-    let magnitude = value.abs();
-    let _ = if value != 0.0 && !(1e-5..1e16).contains(&magnitude) {
-        write!(line, "{value:e}")
-    } else {
-        write!(line, "{value}")
-    };
 }
 
 #[cfg(test)]
@@ -235,10 +226,8 @@ mod tests {
         row.set(Channel::Current, Some(9.0)); // not in the layout
         row.remark(Channel::VoltageCmd, "unconfirmed");
         row.remark(Channel::Speed, "stale");
-        let mut line = "old".to_owned();
-        layout.format(&row, &mut line);
         assert_eq!(
-            line,
+            layout.line(&row),
             "0.5,,7,,0,,voltage_cmd_v:unconfirmed speed_rad_s:stale\n"
         );
     }
