@@ -76,57 +76,60 @@ fn one_column_may_serve_two_targets_and_an_empty_column_is_none() {
     assert!(run.column(Channel::Current).is_none());
 }
 
+/// Line ends are written as `/`.
 #[test]
 fn errors_name_row_column_and_value() {
+    let allowed = "(allowed: a finite number with a decimal point, NaN or an empty cell)";
     for (text, message) in [
         (
             "",
-            "run.csv: the file is empty (a header row and data rows are needed)",
+            "the file is empty (a header row and data rows are needed)",
         ),
-        ("time_s,current_a\n", "run.csv: a header but no data row"),
+        ("time_s,current_a/", "a header but no data row"),
         (
-            "time_s,current_a\n0,1\n0,2\n",
-            "run.csv: row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)",
-        ),
-        (
-            "time_s,current_a\n0,1\n1\n2,3\n",
-            "run.csv: row 2 (line 3): 1 cells, the header has 2",
+            "time_s,current_a/0,1/0,2/",
+            "row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)",
         ),
         (
-            "time_s,current_a\n0,1\n1,2,3\n",
-            "run.csv: row 2 (line 3): 3 cells, the header has 2",
+            "time_s,current_a/0,1/1/2,3/",
+            "row 2 (line 3): 1 cells, the header has 2",
         ),
         (
-            "time_s,current_a\n0,1 A\n",
-            "run.csv: row 1 (line 2), column \"current_a\": \"1 A\" is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)",
+            "time_s,current_a/0,1/1,2,3/",
+            "row 2 (line 3): 3 cells, the header has 2",
         ),
         (
-            "time_s,current_a\n0,inf\n",
-            "run.csv: row 1 (line 2), column \"current_a\": \"inf\" is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)",
+            "time_s,current_a/0,1 A/",
+            &format!("row 1 (line 2), column \"current_a\": \"1 A\" is not a number {allowed}"),
         ),
         (
-            "time_s,current_a\nnan,1\n",
-            "run.csv: row 1 (line 2): no time in column \"time_s\"",
+            "time_s,current_a/0,inf/",
+            &format!("row 1 (line 2), column \"current_a\": \"inf\" is not a number {allowed}"),
         ),
         (
-            "time_s,foo\n0,1\n",
-            "run.csv: no column that drivebench knows beside time_s",
+            "time_s,current_a/nan,1/",
+            "row 1 (line 2): no time in column \"time_s\"",
         ),
         (
-            "t,current_a\n0,1\n",
-            "run.csv: no column \"time_s\" in the header",
+            "time_s,foo/0,1/",
+            "no column that drivebench knows beside time_s",
+        ),
+        ("t,current_a/0,1/", "no column \"time_s\" in the header"),
+        (
+            "time_s,current_a,current_a/0,1,1/",
+            "2 columns are called \"current_a\", exactly one is needed",
         ),
         (
-            "time_s,current_a,current_a\n0,1,1\n",
-            "run.csv: 2 columns are called \"current_a\", exactly one is needed",
+            "time_s,current_a/0,\"1/1,2/",
+            "line 2: a double quote is not closed on its line",
         ),
         (
-            "time_s,current_a\n0,\"1\n1,2\n",
-            "run.csv: line 2: a double quote is not closed on its line",
+            "time_s,current_a//0,1/1,\"2\"/2,\"3/4\"/3,1/",
+            "line 5: a double quote is not closed on its line",
         ),
     ] {
-        let error = own(text.as_bytes()).unwrap_err();
-        assert_eq!(error.to_string(), message);
+        let error = own(text.replace('/', "\n").as_bytes()).unwrap_err();
+        assert_eq!(error.to_string(), format!("run.csv: {message}"));
         assert!(!error.help().is_empty());
     }
 }
@@ -231,37 +234,61 @@ fn remarks_in_foreign_files_are_left_out_and_counted() {
 }
 
 #[test]
+fn cells_are_parted_at_commas_outside_of_quotes() {
+    let cells = |line: &str| headers(format!("{line}\n").as_bytes(), b',', 1, "f");
+    for (line, expected) in [
+        ("a,b", vec!["a", "b"]),
+        (",", vec!["", ""]),
+        (" a , b ", vec!["a", "b"]),
+        (r#""a,b",c"#, vec!["a,b", "c"]),
+        (r#""say ""x""" , 1"#, vec![r#"say "x""#, "1"]),
+        ("Torque (N\u{b7}m),x", vec!["Torque (N\u{b7}m)", "x"]),
+        (r#"5" pipe,1"#, vec![r#"5" pipe"#, "1"]),
+    ] {
+        assert_eq!(cells(line).unwrap(), expected, "{line}");
+    }
+    for open in [r#"a,"b"#, r#""a"""#] {
+        let error = cells(open).unwrap_err();
+        assert!(matches!(error, RecordingError::Quote { .. }), "{open}");
+    }
+}
+
+/// Line ends are written as `/`.
+#[test]
 fn every_dialect_is_found_and_named() {
+    let comma = "numbers have a decimal comma";
+    let sep = "a sep= line names the separator";
     for (text, named) in [
-        ("t,u,i\n0,1.5,-2\n1,2,3e-1\n", None),
-        ("t;u;i\n0;1.5;-2\n1;2;0.3\n", Some("';' parts the cells")),
+        ("t,u,i/0,1.5,-2/1,2,3e-1/", vec![]),
+        ("t;u;i/0;1.5;-2/1;2;0.3/", vec!["';' parts the cells"]),
         (
-            "t;u;i\n0;1,5;-2\n1;2;3e-1\n",
-            Some("';' parts the cells, numbers have a decimal comma"),
+            "t;u;i/0;1,5;-2/1;2;3e-1/",
+            vec!["';' parts the cells", comma],
         ),
         (
-            "t\tu\ti\n0\t1.5\t-2\n1\t2\t0.3\n",
-            Some("a tab parts the cells"),
+            "t\tu\ti/0\t1.5\t-2/1\t2\t0.3/",
+            vec!["a tab parts the cells"],
         ),
         (
-            "sep=;\r\nt;u;i\r\n0;1,5;-2\r\n1;2;0,3",
-            Some(
-                "';' parts the cells, numbers have a decimal comma, a sep= line names the separator",
-            ),
+            "sep=;\r/t;u;i\r/0;1,5;-2\r/1;2;0,3",
+            vec!["';' parts the cells", comma, sep],
         ),
         (
-            "\u{feff}sep=|\n\nt|u|i\n0|1.5|-2\n1|2|0.3\n",
-            Some(
-                "'|' parts the cells, a sep= line names the separator, it begins with a byte order mark",
-            ),
+            "\u{feff}sep=|//t|u|i/0|1.5|-2/1|2|0.3/",
+            vec![
+                "'|' parts the cells",
+                sep,
+                "it begins with a byte order mark",
+            ],
         ),
         // A comma within a name is none between cells.
         (
-            "\"t\";\"u\";i;\"a, b, c, d\"\n0;1.5;-2;\n1;2;0.3;\n",
-            Some("';' parts the cells"),
+            "\"t\";\"u\";i;\"a, b, c, d\"/0;1.5;-2;/1;2;0.3;/",
+            vec!["';' parts the cells"],
         ),
     ] {
-        let (run, warnings) = mapped(text, "time_s=t,voltage_v=u,current_a=i").unwrap();
+        let text = text.replace('/', "\n");
+        let (run, warnings) = mapped(&text, "time_s=t,voltage_v=u,current_a=i").unwrap();
         assert_eq!(run.time_s(), &[0.0, 1.0], "{text}");
         assert_eq!(run.column(Channel::Voltage).unwrap(), &[1.5, 2.0], "{text}");
         assert_eq!(
@@ -270,7 +297,7 @@ fn every_dialect_is_found_and_named() {
             "{text}"
         );
         assert!(warnings.is_empty(), "{warnings:?}");
-        let named = named.map(|named| format!("foreign.csv: {named}"));
+        let named = (!named.is_empty()).then(|| format!("foreign.csv: {}", named.join(", ")));
         assert_eq!(run.notes.first(), named.as_ref(), "{text}");
     }
     // A file has one decimal mark: here the comma would part thousands.

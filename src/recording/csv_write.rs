@@ -114,53 +114,70 @@ impl Layout {
         if self.exchange {
             names.extend(["status", "quality"]);
         }
-        csv_line(&names)
+        csv_text(|csv| csv.write_record(names))
     }
 
     /// The row with its line feed.
     pub fn line(&self, row: &Row) -> String {
-        let number = |value: Option<f64>| value.map_or_else(String::new, number_text);
-        let mut cells = vec![number_text(row.time_s)];
+        csv_text(|csv| self.write(row, csv, &mut String::new()))
+    }
+
+    /// Writes the row; `scratch` is room for a number.
+    fn write(
+        &self,
+        row: &Row,
+        csv: &mut csv::Writer<&mut Vec<u8>>,
+        scratch: &mut String,
+    ) -> csv::Result<()> {
+        let mut number = |value: Option<f64>, csv: &mut csv::Writer<_>| {
+            scratch.clear();
+            push_number(scratch, value.unwrap_or(f64::NAN));
+            csv.write_field(&*scratch)
+        };
+        number(Some(row.time_s), csv)?;
         if self.host_time {
-            cells.push(number(row.host_time_s));
+            number(row.host_time_s, csv)?;
         }
         if self.exchange {
-            cells.push(row.seq.map_or_else(String::new, |seq| seq.to_string()));
+            csv.write_field(row.seq.map_or_else(String::new, |seq| seq.to_string()))?;
         }
-        cells.extend(
-            self.channels
-                .iter()
-                .map(|channel| number(row.get(*channel))),
-        );
+        for channel in &self.channels {
+            number(row.get(*channel), csv)?;
+        }
         if self.exchange {
-            cells.extend([row.status.clone(), row.quality.clone()]);
+            csv.write_field(&row.status)?;
+            csv.write_field(&row.quality)?;
         }
-        csv_line(&cells)
+        csv.write_record(None::<&[u8]>)
     }
 }
 
-/// One line of CSV with its line feed.
-fn csv_line(cells: &[impl AsRef<[u8]>]) -> String {
-    let mut line = Vec::new();
-    csv::WriterBuilder::new()
-        .buffer_capacity(256)
-        .from_writer(&mut line)
-        .write_record(cells)
-        .expect("memory takes every text");
-    String::from_utf8(line).expect("the cells are text")
+/// What is written into memory, as CSV.
+fn csv_text(write: impl FnOnce(&mut csv::Writer<&mut Vec<u8>>) -> csv::Result<()>) -> String {
+    let mut bytes = Vec::new();
+    let mut csv = csv::WriterBuilder::new().from_writer(&mut bytes);
+    write(&mut csv).expect("memory takes every row");
+    drop(csv);
+    String::from_utf8(bytes).expect("the cells are text")
 }
 
-/// The shortest text that reads back to the same number; never `-0`; empty for what is not finite. Far from one the plain
-/// form would be a row of zeros; both forms are the shortest digits that round-trip.
+/// The shortest text that reads back to the same number; never `-0`; empty for what is not finite.
 pub fn number_text(value: f64) -> String {
+    let mut text = String::new();
+    push_number(&mut text, value);
+    text
+}
+
+/// Far from one, the plain form would be a row of zeros; both forms are the shortest digits that round-trip.
+fn push_number(text: &mut String, value: f64) {
     let value = value + 0.0; // turns -0 into 0
-    if !value.is_finite() {
-        String::new()
+    let _ = if !value.is_finite() {
+        Ok(())
     } else if value != 0.0 && !(1e-5..1e16).contains(&value.abs()) {
-        format!("{value:e}")
+        write!(text, "{value:e}")
     } else {
-        value.to_string()
-    }
+        write!(text, "{value}")
+    };
 }
 
 /// A run as CSV text, for a simulated run or an export: time and the columns that are there.
@@ -170,16 +187,19 @@ pub fn write_run(run: &Run) -> String {
         .filter(|channel| run.column(*channel).is_some())
         .collect();
     let layout = Layout::plain(&there);
-    let mut text = layout.header();
-    for (index, time_s) in run.time_s().iter().enumerate() {
-        let mut row = Row::at(*time_s);
-        for channel in &there {
-            let cell = run.column(*channel).map(|column| column[index]);
-            row.set(*channel, cell);
+    let rows = csv_text(|csv| {
+        let mut scratch = String::new();
+        for (index, time_s) in run.time_s().iter().enumerate() {
+            let mut row = Row::at(*time_s);
+            for channel in &there {
+                let cell = run.column(*channel).map(|column| column[index]);
+                row.set(*channel, cell);
+            }
+            layout.write(&row, csv, &mut scratch)?;
         }
-        text.push_str(&layout.line(&row));
-    }
-    text
+        Ok(())
+    });
+    layout.header() + &rows
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::csv_read::whole_rows;
 use super::run_folder::SAMPLES;
 use super::{
-    ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, Row, RunFile, RunFolder, csv_read,
+    ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, csv_read,
 };
 use crate::sample::{Channel, Origin, Run};
 
@@ -27,7 +27,7 @@ pub struct LoadedRun {
 
 /// A run that is read row by row: nothing of it is kept but the last line.
 pub struct RunRows {
-    rows: CsvRows<BufReader<Take<File>>>,
+    pub rows: CsvRows<BufReader<Take<File>>>,
     name: String,
     /// `None` for foreign files, and where the manifest is lost or cannot be read.
     pub manifest: Option<Manifest>,
@@ -71,31 +71,6 @@ impl RunRows {
         })
     }
 
-    /// The next row, with the quantities only; `None` at the end.
-    pub fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
-        self.rows.next_row()
-    }
-
-    /// The channels that the file has a column for.
-    pub fn channels(&self) -> impl Iterator<Item = Channel> + '_ {
-        self.rows.channels()
-    }
-
-    /// Rows given out so far.
-    pub fn rows(&self) -> usize {
-        self.rows.rows()
-    }
-
-    /// How the file departs from comma and decimal point, once the last row has been read.
-    pub fn dialect(&self) -> Option<String> {
-        self.rows.dialect()
-    }
-
-    /// Rows that were left out because they are torn or for their time.
-    pub fn rows_dropped(&self) -> usize {
-        self.rows.rows_dropped()
-    }
-
     /// What the reader should know, once the last row has been read.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = self.warnings.clone();
@@ -131,7 +106,7 @@ pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Recor
     Ok(LoadedRun {
         run,
         warnings: source.warnings(),
-        dialect: source.dialect(),
+        dialect: source.rows.dialect(),
         manifest: source.manifest,
         folder: source.folder,
     })

@@ -1,5 +1,6 @@
 //! What the command line makes of foreign, torn and empty files, wrong keys, wrong words and plans that are too much.
 
+use crate::kit::motor_log::coulomb_step;
 use crate::kit::prelude::*;
 use std::f64::consts::TAU;
 use std::sync::LazyLock;
@@ -225,20 +226,7 @@ fn axis() -> String {
             let count = (position * 1e7_f64).round() / 1e7;
             let _ = writeln!(text, "{time_s:.5},{:.3},{count}", force(time_s));
         }
-        let drive = force(time_s) - offset;
-        let sticks = speed == 0.0 && drive.abs() <= dry;
-        let direction = if speed == 0.0 {
-            drive.signum()
-        } else {
-            speed.signum()
-        };
-        let next = if sticks {
-            0.0
-        } else {
-            speed + (drive - dry * direction - viscous * speed) / mass * step_s
-        };
-        // Through zero it stops before it turns.
-        let next = if speed * next < 0.0 { 0.0 } else { next };
+        let next = coulomb_step(speed, force(time_s) - offset, [dry, viscous, mass], step_s);
         position += 0.5 * (speed + next) * step_s;
         speed = next;
     }

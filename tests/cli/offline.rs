@@ -84,13 +84,9 @@ fn identify_keeps_its_contract() {
     assert_eq!(found["rows_dropped"], 0);
     assert!(number(&found, "/rows") > 1000.0);
     assert!((number(&found, "/period_s") - 0.01).abs() < 1e-6);
-    for key in [
-        "resistance_ohm",
-        "inductance_h",
-        "back_emf_v_s_per_rad",
-        "inertia_kg_m2",
-        "load_torque_n_m",
-    ] {
+    for key in
+        "resistance_ohm inductance_h back_emf_v_s_per_rad inertia_kg_m2 load_torque_n_m".split(' ')
+    {
         assert!(number(&found["parameters"], &format!("/{key}/value")) > 0.0);
     }
 }
@@ -132,14 +128,9 @@ fn compare_keeps_its_contract() {
         .expect(0)
         .json();
     for signal in ["speed_rad_s", "current_a"] {
-        for key in [
-            "fit_percent",
-            "rmse",
-            "noise_floor",
-            "one_step_rmse",
-            "holdout/fit_percent",
-            "holdout/rmse",
-        ] {
+        for key in
+            "fit_percent rmse noise_floor one_step_rmse holdout/fit_percent holdout/rmse".split(' ')
+        {
             number(&found, &format!("/signals/{signal}/{key}"));
         }
     }
@@ -234,12 +225,7 @@ fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
         if is_named {
             assert!(candidate["holdout_after"].is_number(), "{candidate}");
         } else {
-            for key in [
-                "holdout_after",
-                "error_after",
-                "explained_percent",
-                "reached",
-            ] {
+            for key in "holdout_after error_after explained_percent reached".split(' ') {
                 assert!(candidate[key].is_null(), "{key}: {candidate}");
             }
             passed_over += 1;

@@ -85,18 +85,7 @@ fn paper_a_is_printed_plotted_and_filed_the_same_every_time() {
     for word in ["NaN", "inf"] {
         assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
     }
-    for name in [
-        "figure-2",
-        "figure-3",
-        "figure-4",
-        "sampling-ta",
-        "sampling-tm",
-        "noise",
-        "figure-5",
-        "figure-6",
-        "figure-7-saturation",
-        "figure-7-adaptation",
-    ] {
+    for name in "figure-2 figure-3 figure-4 sampling-ta sampling-tm noise figure-5 figure-6 figure-7-saturation figure-7-adaptation".split(' ') {
         let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
         assert!(
             svg.starts_with("<?xml") && svg.trim_end().ends_with("</svg>"),
@@ -161,14 +150,7 @@ fn paper_b_is_printed_plotted_and_filed_the_same_every_time() {
     for word in ["NaN", "inf"] {
         assert!(!done.stdout.contains(word), "{word} in {}", done.stdout);
     }
-    for name in [
-        "figure-4",
-        "figure-5",
-        "convergence",
-        "hall",
-        "back-emf",
-        "back-emf-closed",
-    ] {
+    for name in "figure-4 figure-5 convergence hall back-emf back-emf-closed".split(' ') {
         let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
         assert!(
             !svg.contains("NaN") && svg.matches("class=\"series").count() > 1,
