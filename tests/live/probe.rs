@@ -135,7 +135,7 @@ fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
     let bus = |order: &str| {
         let text = DriveProfile::text("roboteq-dc").unwrap();
         let from = "[missing]";
-        has(&text, &[from]);
+        has(text, &[from]);
         text.replace(
             from,
             &format!(
@@ -217,7 +217,7 @@ fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
     assert_eq!(of("siemens-v20")["fit"], "cannot_be_told");
     assert_eq!(of("own")["fit"], "no");
     let refused = of("vacon10")["reason"].as_str().unwrap();
-    has(&refused, &["exception"]);
+    has(refused, &["exception"]);
     is_read_only(&tap);
 }
 

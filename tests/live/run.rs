@@ -214,11 +214,11 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
     // Each session has a line of its own behind the same path: the next host must not open the one that is going away.
     let mut line_of_reset = None;
     wait_for("the reset", || {
-        line_of_reset = fs::read_link(&lab.port()).ok();
+        line_of_reset = fs::read_link(lab.port()).ok();
         reset_fault(&lab.port())
     });
     wait_for("a fresh line", || {
-        (fs::read_link(&lab.port()).ok() != line_of_reset).then_some(())
+        (fs::read_link(lab.port()).ok() != line_of_reset).then_some(())
     });
     let again = in_real_time(|| {
         let _ = fs::remove_dir_all(lab.desk.out());

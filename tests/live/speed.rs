@@ -306,9 +306,7 @@ fn a_current_or_a_speed_is_commanded_where_the_drive_takes_it() {
         ),
     ] {
         let desk = Desk::new();
-        let done = desk
-            .speed(&bench(section), &format!("{options}"), &[])
-            .expect(0);
+        let done = desk.speed(&bench(section), options, &[]).expect(0);
         let found = done.json();
         assert_eq!(found["loop"]["actuator"], actuator);
         for step in &found["loop"]["steps"].as_array().expect("steps")[1..] {

@@ -85,7 +85,7 @@ fn a_read_that_is_refused_is_named_beside_those_that_are_not() {
     assert_eq!(result["reads"][0]["values"], json!([0x4442]));
     assert_eq!(result["reads"][1]["address"], 60_000);
     let error = result["reads"][1]["error"].as_str().expect("a text");
-    has(&error, &["0x02 illegal data address"]);
+    has(error, &["0x02 illegal data address"]);
     has(&done.error(), &["60000"]);
     balances(&result["counters"]);
 }

@@ -144,7 +144,7 @@ struct Terminal {
 /// What was said, or stands on the screen.
 enum Shown {
     Text(Vec<u8>),
-    Screen(vt100::Parser),
+    Screen(Box<vt100::Parser>),
 }
 
 /// Reads until the end, or until it is told to close.
@@ -186,7 +186,7 @@ impl Program {
         if way.has_screen() {
             let pair = terminal::open(SIZE);
             let child = terminal::spawn(&pair, program, arguments, folder);
-            let shown = Arc::new(Mutex::new(Shown::Screen(terminal::parser(SIZE))));
+            let shown = Arc::new(Mutex::new(Shown::Screen(Box::new(terminal::parser(SIZE)))));
             let reader = pair.master.try_clone_reader().expect("a reader");
             return Self {
                 child,
@@ -294,7 +294,6 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
     let pause = |ms| std::thread::sleep(Duration::from_millis(ms));
     let at_s = line.now_s();
     match host {
-        Host::Interrupt => program.signal(Signal::SIGINT),
         Host::InterruptTwice => {
             program.signal(Signal::SIGINT);
             pause(50);
@@ -318,7 +317,7 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
         Host::StopKey => program.press(" "),
         Host::QuitKey => program.press("q"),
         Host::InterruptKey if program.terminal.is_some() => program.press("\u{3}"),
-        Host::InterruptKey => program.signal(Signal::SIGINT),
+        Host::Interrupt | Host::InterruptKey => program.signal(Signal::SIGINT),
         Host::FolderGone => {
             // At once: while it is emptied file by file, the recorder may make it again.
             let gone = folder.join("gone");
